@@ -1,0 +1,1 @@
+"""Collision queries: which pieces can matter, their closest or deepest points, the minimum over each body pair."""

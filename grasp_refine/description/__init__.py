@@ -1,0 +1,1 @@
+"""What the files of a hand say (URDF, meshes, hand.toml), checked."""

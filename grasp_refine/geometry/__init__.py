@@ -1,0 +1,1 @@
+"""Rigid bodies: meshes in, convex pieces and surface candidates out."""

@@ -1,0 +1,64 @@
+"""A rigid body as everything downstream sees it: convex pieces, surface candidates and bounding spheres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from grasp_refine.errors import MeshError
+from grasp_refine.geometry.pieces import Piece
+from grasp_refine.geometry.sampling import Candidates, sample
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid body in its own frame; built once by `build_body`, never changed."""
+
+    name: str
+    """Name in messages and results."""
+    pieces: tuple[Piece, ...]
+    """Convex pieces whose union is the body."""
+    candidates: Candidates
+    """Points that stand for the exposed surface."""
+
+    @cached_property
+    def centers(self) -> np.ndarray:
+        """Centres (P, 3) of the bounding spheres of the pieces, in metres."""
+        return np.stack([piece.bounds.mean(0) for piece in self.pieces])
+
+    @cached_property
+    def radii(self) -> np.ndarray:
+        """Radii (P,) of the bounding spheres about `centers`, in metres; each holds its whole piece."""
+        reach = [
+            np.linalg.norm(piece.vertices - center, axis=1).max() + piece.radius
+            for piece, center in zip(self.pieces, self.centers, strict=True)
+        ]
+        return np.array(reach)
+
+    @cached_property
+    def diagonal(self) -> float:
+        """Diagonal in metres of the axis-aligned bounding box of all pieces."""
+        bounds = np.stack([piece.bounds for piece in self.pieces])
+        return float(np.linalg.norm(bounds[:, 1].max(0) - bounds[:, 0].min(0)))
+
+    @cached_property
+    def area(self) -> float:
+        """Exposed surface area in square metres."""
+        return float(self.candidates.areas.sum())
+
+
+def build_body(name: str, pieces: Sequence[Piece], *, candidates: int = 1024, seed: int = 0) -> Body:
+    """The body made of `pieces`, with `candidates` seeded surface points.
+
+    Raises:
+        MeshError: there are no pieces, or none of their surface is exposed.
+    """
+    if not pieces:
+        raise MeshError(f"{name}: a body needs at least one convex piece")
+    try:
+        return Body(name, tuple(pieces), sample(pieces, candidates, seed))
+    except MeshError as error:
+        raise MeshError(f"{name}: {error}") from None

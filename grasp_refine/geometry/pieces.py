@@ -1,0 +1,290 @@
+"""Convex pieces: what every body of a scene is made of, and how a closed mesh is cut into them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull, QhullError
+
+from grasp_refine.errors import MeshError
+from grasp_refine.geometry import cache as disk
+from grasp_refine.geometry.mesh import check_solid, is_convex
+
+if TYPE_CHECKING:
+    import trimesh
+
+NEGLIGIBLE = 1e-9
+"""A piece of less than this volume, times the cubed diagonal of the mesh, is dropped."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A convex piece of a body, in its frame: the Minkowski sum of a polytope core and a ball of `radius`."""
+
+    vertices: np.ndarray
+    """Core (V, 3) in metres: V = 1 is a sphere, V = 2 a capsule, V >= 4 a polytope (hull vertices only)."""
+    faces: np.ndarray
+    """Triangles (F, 3) of the core, counter-clockwise seen from outside; (0, 3) for spheres and capsules."""
+    radius: float = 0.0
+    """Radius of the ball in metres; 0 for a plain polytope."""
+
+    def transformed(self, T: np.ndarray) -> Piece:
+        """The piece moved by the rigid transform `T` (4, 4), which maps its present frame to the new one."""
+        return Piece(self.vertices @ T[:3, :3].T + T[:3, 3], self.faces, self.radius)
+
+    @cached_property
+    def bounds(self) -> np.ndarray:
+        """Lower and upper corner (2, 3) of the axis-aligned bounding box, radius included."""
+        return np.stack([self.vertices.min(0) - self.radius, self.vertices.max(0) + self.radius])
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """Unit outward normals (F, 3) of the faces; zero for a sliver, whose own normal would be noise."""
+        corners = self.vertices[self.faces]
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        double_area = np.linalg.norm(cross, axis=1, keepdims=True)
+        edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+        solid = double_area > 1e-8 * edges.max(1, initial=0.0, keepdims=True) ** 2
+        return np.where(solid, cross / np.where(solid, double_area, 1.0), 0.0)
+
+    @cached_property
+    def planes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Unit normals (P, 3) and offsets (P,) of the core's half-spaces `n . x <= offset`; 0 for V <= 2."""
+        # A sliver is left out: its half-space is implied by the faces around it.
+        solid = self.normals.any(axis=1)
+        normals, corners = self.normals[solid], self.vertices[self.faces[solid]]
+        return normals, np.einsum("fij,fj->fi", corners, normals).max(1, initial=-np.inf)
+
+    def mesh(self) -> trimesh.Trimesh:
+        """A closed surface of the piece, for showing; round parts have their vertices on the true surface."""
+        import trimesh
+
+        core = self
+        if self.radius > 0:
+            ball = trimesh.creation.icosphere(subdivisions=3).vertices
+            core = hull((self.vertices[:, None] + self.radius * ball).reshape(-1, 3))
+        return trimesh.Trimesh(core.vertices, core.faces, process=False)
+
+
+def hull(points: ArrayLike, *, name: str = "convex piece") -> Piece:
+    """The convex hull of `points` (N, 3) as a polytope piece.
+
+    Raises:
+        MeshError: `name` has fewer than 4 points, points that are not finite, or no thickness.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    check_solid(points, name)
+    center = (points.min(0) + points.max(0)) / 2
+    size = np.ptp(points, axis=0).max()
+    try:
+        # Qhull judges flatness by absolute coordinates: give it a unit-sized set about the origin.
+        qhull = ConvexHull((points - center) / size, qhull_options="Qt")
+    except QhullError as error:
+        reason = str(error).splitlines()[0]
+        raise MeshError(f"{name}: no convex hull of its {len(points)} points ({reason})") from None
+    corners = qhull.points[qhull.simplices]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.einsum("fi,fi->f", cross, qhull.equations[:, :3]) < 0
+    simplices = np.where(inward[:, None], qhull.simplices[:, ::-1], qhull.simplices)
+    used, faces = np.unique(simplices, return_inverse=True)
+    return Piece(points[used], faces.reshape(-1, 3).astype(np.int64))
+
+
+def sphere(radius: float, center: ArrayLike = (0.0, 0.0, 0.0)) -> Piece:
+    """An exact sphere of `radius` metres about `center` (3,).
+
+    Raises:
+        MeshError: the radius is not positive and finite, or the centre is not finite.
+    """
+    return _rounded(radius, [center], "sphere")
+
+
+def capsule(radius: float, a: ArrayLike, b: ArrayLike) -> Piece:
+    """An exact capsule: all points within `radius` metres of the segment from `a` to `b`; a sphere if a = b.
+
+    Raises:
+        MeshError: the radius is not positive and finite, or an end is not finite.
+    """
+    return _rounded(radius, [a] if np.array_equal(a, b) else [a, b], "capsule")
+
+
+def box(extents: ArrayLike, T: np.ndarray | None = None) -> Piece:
+    """A box with full side lengths `extents` (3,) in metres, centred at and aligned with frame `T` (4, 4).
+
+    Raises:
+        MeshError: a side length is not positive and finite.
+    """
+    half = _positive(extents, "box: side lengths") / 2
+    corners = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    return hull(_placed(corners, T), name="box")
+
+
+def cylinder(radius: float, length: float, T: np.ndarray | None = None, sides: int = 96) -> Piece:
+    """A regular prism inscribed in the cylinder of `radius` and `length` metres, centred on z of `T` (4, 4).
+
+    Its surface lies within `radius * (1 - cos(pi / sides))` of the cylinder's: 0.054 % of the radius for 96.
+
+    Raises:
+        MeshError: the radius or the length is not positive and finite, or there are fewer than 3 sides.
+    """
+    if sides < 3:
+        raise MeshError(f"cylinder: at least 3 sides are needed, got {sides}")
+    radius, length = _positive([radius, length], "cylinder: radius and length")
+    angles = 2 * np.pi * np.arange(sides) / sides
+    ring = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(sides, length / 2)], axis=1)
+    return hull(_placed(np.concatenate([ring, ring * [1, 1, -1]]), T), name="cylinder")
+
+
+_RANGES = {
+    "threshold": (0.01, 1),
+    "preprocess_resolution": (20, 100),
+    "resolution": (1000, 10000),
+    "mcts_nodes": (10, 40),
+    "mcts_iterations": (60, 2000),
+    "mcts_max_depth": (2, 7),
+    "seed": (0, 2**32 - 1),
+}
+
+
+@dataclass(frozen=True)
+class Decomposition:
+    """Settings of CoACD (Wei et al. 2022, collision-aware convex decomposition); its own defaults."""
+
+    threshold: float = 0.05
+    """Largest concavity of a piece, 0.01 to 1, the mesh being 2 long: lower is finer, with more pieces."""
+    max_pieces: int = -1
+    """Most pieces, merged beyond the threshold if need be; -1: as many as the threshold takes."""
+    preprocess: Literal["auto", "on", "off"] = "auto"
+    """Whether the mesh is remeshed first: auto does so where it is not manifold."""
+    preprocess_resolution: int = 50
+    """Voxels along a side of that remeshing, 20 to 100."""
+    resolution: int = 2000
+    """Surface samples by which concavity is measured, 1000 to 10000."""
+    mcts_nodes: int = 20
+    """Candidate cutting planes per step of the tree search, 10 to 40."""
+    mcts_iterations: int = 150
+    """Iterations of the tree search for each cut, 60 to 2000."""
+    mcts_max_depth: int = 3
+    """Cuts that the tree search looks ahead, 2 to 7."""
+    merge: bool = True
+    """Whether pieces whose common hull stays below the threshold are merged again."""
+    seed: int = 0
+    """Seed of the search; same seed, same pieces."""
+
+    def __post_init__(self) -> None:
+        """Nothing.
+
+        Raises:
+            MeshError: a setting is outside its range.
+        """
+        # CoACD ends the whole process on some of these.
+        for field, (low, high) in _RANGES.items():
+            if not low <= getattr(self, field) <= high:
+                raise MeshError(
+                    f"decomposition: {field} must be {low:g} to {high:g}, got {getattr(self, field)}"
+                )
+        if not (self.max_pieces == -1 or self.max_pieces >= 1):
+            raise MeshError(
+                f"decomposition: max_pieces must be -1 (any number) or at least 1, got {self.max_pieces}"
+            )
+
+
+def convex_pieces(
+    mesh: trimesh.Trimesh,
+    config: Decomposition | None = None,
+    *,
+    cache: Path | None = None,
+    progress: Callable[[str], None] | None = None,
+    name: str = "mesh",
+) -> tuple[Piece, ...]:
+    """The convex pieces of a closed `mesh`: its hull when it is convex, else what CoACD cuts it into.
+
+    What CoACD sees is the mesh divided by its diagonal and rounded to 1e-9, so that an entry of the folder
+    `cache` (none: nothing is read or kept) serves the same mesh at every scale. `progress` gets a line before
+    and one after a decomposition.
+
+    Raises:
+        MeshError: nothing solid came out.
+    """
+    config = config or Decomposition()
+    report = progress or (lambda line: None)
+    if is_convex(mesh):
+        return (hull(mesh.vertices[np.unique(mesh.faces)], name=name),)
+    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    # Adding 0 turns -0 into 0, which has other bytes.
+    vertices = np.round(np.asarray(mesh.vertices, dtype=np.float64) / diagonal, 9) + 0.0
+    faces = np.ascontiguousarray(mesh.faces, dtype=np.int64)
+    entry = cache and cache / disk.entry_name(vertices, faces, f"{asdict(config)} coacd {version('coacd')}")
+    parts = disk.load(entry) if entry else None
+    if parts is None:
+        report(f"decomposing {name} ({len(faces)} faces) with CoACD, threshold {config.threshold:g} ...")
+        start = time.perf_counter()
+        parts, dropped = _decompose(vertices, faces, config)
+        if not parts:
+            raise MeshError(f"{name}: CoACD found no solid piece in it ({dropped} flat ones)")
+        flat = f", {dropped} flat ones dropped" if dropped else ""
+        report(f"{name}: {len(parts)} convex pieces in {time.perf_counter() - start:.1f} s{flat}")
+        try:
+            if entry:
+                disk.save(entry, parts)
+        except OSError as error:
+            report(f"{name}: the pieces could not be kept for the next time ({error})")
+    return tuple(Piece(corners * diagonal, triangles) for corners, triangles in parts)
+
+
+def _decompose(
+    vertices: np.ndarray, faces: np.ndarray, config: Decomposition
+) -> tuple[list[disk.Polytope], int]:
+    """The solid pieces (vertices, faces) of a mesh of diagonal 1, and how many flat ones were dropped."""
+    import coacd
+
+    coacd.set_log_level("error")
+    parts = coacd.run_coacd(
+        coacd.Mesh(vertices, faces),
+        threshold=config.threshold,
+        max_convex_hull=config.max_pieces,
+        preprocess_mode=config.preprocess,
+        preprocess_resolution=config.preprocess_resolution,
+        resolution=config.resolution,
+        mcts_nodes=config.mcts_nodes,
+        mcts_iterations=config.mcts_iterations,
+        mcts_max_depth=config.mcts_max_depth,
+        merge=config.merge,
+        seed=config.seed,
+    )
+    solid = []
+    for corners, _ in parts:
+        # A cut along a wall can leave a sheet behind: nothing of the body is lost with it.
+        try:
+            piece = hull(corners)
+        except MeshError:
+            continue
+        if piece.mesh().volume > NEGLIGIBLE:
+            solid.append((piece.vertices, piece.faces))
+    return solid, len(parts) - len(solid)
+
+
+def _rounded(radius: float, points: Sequence[ArrayLike], name: str) -> Piece:
+    vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
+    if not np.isfinite(vertices).all():
+        raise MeshError(f"{name}: its centre or an end is not finite: {vertices.tolist()}")
+    return Piece(vertices, np.zeros((0, 3), dtype=np.int64), float(_positive(radius, f"{name}: radius")))
+
+
+def _positive(values: ArrayLike, what: str) -> np.ndarray:
+    values = np.asarray(values, dtype=np.float64)
+    if not (np.isfinite(values) & (values > 0)).all():
+        raise MeshError(f"{what} must be positive and finite, got {values.tolist()}")
+    return values
+
+
+def _placed(points: np.ndarray, T: np.ndarray | None) -> np.ndarray:
+    return points if T is None else points @ np.asarray(T)[:3, :3].T + np.asarray(T)[:3, 3]

@@ -1,0 +1,286 @@
+"""Grasp sets: which hand, in which pose, with which joint angles, around which object.
+
+A grasp file is one `.npz` without pickle. Version 1 holds
+
+    schema          ()      int, 1; a file without it is read as version 1
+    hand            ()      name of the hand
+    base_link       ()      link of the URDF whose pose `hand_pose` gives
+    joint_names     (n,)    names of the columns of `q`
+    object          () or (N,)    name of the object
+    scale           () or (N,)    factor that takes the object's mesh to metres
+    hand_pose       (N, 7)  x y z (metres), qw qx qy qz of `base_link` in the object frame
+    q               (N, n)  joint values, radians or metres
+
+and optionally, all three or none, `target_link` (K,), `target_point_link` (N, K, 3) and
+`target_point_object` (N, K, 3) in metres; NaN points mean that this grasp has no such target. Other entries
+(results, provenance) may stand beside them and are not read here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
+from grasp_refine.errors import GraspFileError
+from grasp_refine.npz import NpzFile, load_npz, save_npz
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from grasp_refine.hand import Hand
+
+__all__ = ["GraspSet", "Targets", "choose_rows", "load_grasps", "match_joints", "save_npz"]
+
+SCHEMA = 1
+"""The version of grasp files that is written, and the newest that is read."""
+REQUIRED = ("hand", "base_link", "joint_names", "object", "scale", "hand_pose", "q")
+TARGET_KEYS = ("target_link", "target_point_link", "target_point_object")
+QUATERNION_TOLERANCE = 1e-3
+"""How far from 1 the norm of a quaternion in a file may be: rounding to float32 passes, a mix-up does not."""
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """Where links should touch the object; NaN where a grasp has no target for a link."""
+
+    links: tuple[str, ...]
+    """Names of the K links that should touch."""
+    point_link: Float[np.ndarray, "N K 3"]
+    """(N, K, 3) wanted contact points, metres, each in the frame of its link."""
+    point_object: Float[np.ndarray, "N K 3"]
+    """(N, K, 3) wanted contact points, metres, object frame."""
+
+    def select(self, indices: ArrayLike) -> Targets:
+        """Return the targets of the rows `indices`, in that order."""
+        rows = np.asarray(indices, dtype=int)
+        return Targets(self.links, self.point_link[rows], self.point_object[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class GraspSet:
+    """N grasps of one hand; rows may belong to different objects."""
+
+    hand: str
+    """Name of the hand, as the file says it."""
+    base_link: str
+    """Link of the hand's URDF whose pose `hand_pose` gives."""
+    joint_names: tuple[str, ...]
+    """Names of the columns of `q`."""
+    object: Shaped[np.ndarray, " N"]
+    """(N,) object names."""
+    scale: Float[np.ndarray, " N"]
+    """(N,) factors that take the object's mesh to metres."""
+    hand_pose: Float[np.ndarray, "N 7"]
+    """(N, 7) x y z (metres), qw qx qy qz (unit) of `base_link` in the object frame."""
+    q: Float[np.ndarray, "N n"]
+    """(N, n) joint values, radians or metres."""
+    targets: Targets | None = None
+    """Where links should touch, when the file says so."""
+
+    def __len__(self) -> int:
+        """Return the number of grasps N."""
+        return len(self.object)
+
+    def select(self, indices: ArrayLike) -> GraspSet:
+        """Return the grasps in the rows `indices`, in that order."""
+        rows = np.asarray(indices, dtype=int)
+        return replace(
+            self,
+            object=self.object[rows],
+            scale=self.scale[rows],
+            hand_pose=self.hand_pose[rows],
+            q=self.q[rows],
+            targets=None if self.targets is None else self.targets.select(rows),
+        )
+
+    def with_(
+        self,
+        *,
+        joint_names: tuple[str, ...] | None = None,
+        hand_pose: Float[np.ndarray, "N 7"] | None = None,
+        q: Float[np.ndarray, "N n"] | None = None,
+        targets: Targets | None = None,
+    ) -> GraspSet:
+        """Return the same grasps with the given parts replaced; what is None stays as it is."""
+        return replace(
+            self,
+            joint_names=self.joint_names if joint_names is None else joint_names,
+            hand_pose=self.hand_pose if hand_pose is None else hand_pose,
+            q=self.q if q is None else q,
+            targets=self.targets if targets is None else targets,
+        )
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the entries of a grasp file with these grasps, for `save_npz`."""
+        entries = {
+            "schema": np.array(SCHEMA),
+            "hand": np.array(self.hand),
+            "base_link": np.array(self.base_link),
+            "joint_names": np.array(self.joint_names, dtype=str),
+            "object": self.object,
+            "scale": self.scale,
+            "hand_pose": self.hand_pose,
+            "q": self.q,
+        }
+        if self.targets is not None:
+            entries["target_link"] = np.array(self.targets.links, dtype=str)
+            entries["target_point_link"] = self.targets.point_link
+            entries["target_point_object"] = self.targets.point_object
+        return entries
+
+
+def load_grasps(path: str | Path) -> GraspSet:
+    """Return the grasps of an `.npz` file: float64, unit quaternions, one object name and scale per row.
+
+    Nothing in the file is unpickled. Raises GraspFileError, one line, when the file is missing, not an
+    `.npz`, holds pickles, is of a newer version, lacks entries, or when an entry has the wrong type, shape
+    or values.
+    """
+    file = load_npz(path)
+    _check_schema(file)
+    missing = [key for key in REQUIRED if key not in file.entries]
+    if missing:
+        raise file.error(
+            f"lacks {', '.join(missing)}; found {', '.join(sorted(file.entries)) or 'nothing'}; "
+            f"needed are {', '.join(REQUIRED)}"
+        )
+    joint_names = file.names("joint_names")
+    duplicates = sorted({name for name in joint_names if joint_names.count(name) > 1})
+    if duplicates:
+        raise file.error(f"joint_names holds {', '.join(duplicates)} more than once")
+    hand_pose = file.numbers("hand_pose")
+    if hand_pose.ndim != 2 or hand_pose.shape[1] != 7 or not len(hand_pose):
+        raise file.error(
+            f"hand_pose must have shape (N, 7) with N >= 1, x y z qw qx qy qz; it has {hand_pose.shape}"
+        )
+    n = len(hand_pose)
+    q = file.numbers("q")
+    if q.shape != (n, len(joint_names)):
+        raise file.error(
+            f"q must have shape ({n}, {len(joint_names)}), one row per hand_pose and one column per "
+            f"name in joint_names; it has {q.shape}"
+        )
+    scale = file.per_row("scale", file.numbers("scale"), n)
+    if (scale <= 0).any():
+        row = int(np.argmax(scale <= 0))
+        raise file.error(f"scale must be positive; row {row} has {scale[row]:g}")
+    return GraspSet(
+        hand=file.name("hand"),
+        base_link=file.name("base_link"),
+        joint_names=joint_names,
+        object=file.per_row("object", file.text("object"), n),
+        scale=scale,
+        hand_pose=_unit_quaternions(file, hand_pose),
+        q=q,
+        targets=_targets(file, n),
+    )
+
+
+def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"], tuple[str, ...]]:
+    """Return `q` (N, n_hand) in the order of `hand.joint_names`, and notes for the user.
+
+    Columns are matched by name. Joints of the hand that the file lacks stay at the rest pose, and mimic
+    joints in the file are ignored because the joint they follow says where they are; a note tells of each.
+    Raises GraspFileError when the file names joints that this hand cannot move.
+    """
+    mimics = {joint.name for joint in hand.joints if joint.mimic is not None}
+    unknown = [name for name in grasps.joint_names if name not in mimics and name not in hand.joint_names]
+    if unknown:
+        raise GraspFileError(
+            f"the grasps are for another hand ('{grasps.hand}'): hand '{hand.name}' has no joint "
+            f"{', '.join(unknown)}; its joints are {', '.join(hand.joint_names)}"
+        )
+    column = {name: i for i, name in enumerate(grasps.joint_names)}
+    q = np.tile(np.asarray(hand.rest, dtype=float), (len(grasps), 1))
+    for i, name in enumerate(hand.joint_names):
+        if name in column:
+            q[:, i] = grasps.q[:, column[name]]
+    notes = []
+    lacking = [name for name in hand.joint_names if name not in column]
+    if lacking:
+        notes.append(f"joints that the grasp file lacks stay at their rest pose: {', '.join(lacking)}")
+    ignored = [name for name in grasps.joint_names if name in mimics]
+    if ignored:
+        notes.append(f"mimic joints follow their joint, not the grasp file: {', '.join(ignored)}")
+    return q, tuple(notes)
+
+
+def choose_rows(
+    grasps: GraspSet, *, object_name: str | None, index: Sequence[int] | None
+) -> Int[np.ndarray, " chosen"]:
+    """Return the rows (ascending unless `index` orders them) of the grasps of one object.
+
+    `index` counts the grasps of that object: 0 is its first grasp in the file. None takes all of them. Raises
+    GraspFileError when the file holds several objects and none is named, when the named one is not among
+    them, and when an index is out of range.
+    """
+    names, counts = np.unique(grasps.object, return_counts=True)
+    listing = ", ".join(f"{name} ({count})" for name, count in zip(names, counts, strict=True))
+    if object_name is None:
+        if len(names) > 1:
+            raise GraspFileError(f"the grasps are of {len(names)} objects, choose one by name: {listing}")
+        object_name = str(names[0])
+    rows = np.flatnonzero(grasps.object == object_name)
+    if not len(rows):
+        raise GraspFileError(f"no grasp of object '{object_name}'; there are grasps of {listing}")
+    if index is None:
+        return rows
+    outside = [i for i in index if not 0 <= i < len(rows)]
+    if outside:
+        raise GraspFileError(
+            f"grasp index {', '.join(map(str, outside))} is out of range: "
+            f"'{object_name}' has {len(rows)} grasps, 0 to {len(rows) - 1}"
+        )
+    return rows[np.asarray(index, dtype=int)]
+
+
+def _check_schema(file: NpzFile) -> None:
+    schema = file.entries.get("schema", np.array(1))
+    if schema.shape != () or schema.dtype.kind not in "iu" or schema < 1:
+        raise file.error(f"schema must be one whole number from 1 to {SCHEMA}")
+    if schema > SCHEMA:
+        raise file.error(
+            f"schema {schema} is newer than this version of grasp-refine reads ({SCHEMA}); update it"
+        )
+
+
+def _unit_quaternions(file: NpzFile, hand_pose: Float[np.ndarray, "N 7"]) -> Float[np.ndarray, "N 7"]:
+    norm = np.linalg.norm(hand_pose[:, 3:], axis=1)
+    wrong = np.abs(norm - 1.0) > QUATERNION_TOLERANCE
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise file.error(
+            f"hand_pose row {row} has no unit quaternion: the norm of its last four numbers, "
+            f"qw qx qy qz, is {norm[row]:.6g}"
+        )
+    return np.concatenate([hand_pose[:, :3], hand_pose[:, 3:] / norm[:, None]], axis=1)
+
+
+def _targets(file: NpzFile, n: int) -> Targets | None:
+    present = [key for key in TARGET_KEYS if key in file.entries]
+    if not present:
+        return None
+    if len(present) < len(TARGET_KEYS):
+        raise file.error(f"targets need {', '.join(TARGET_KEYS)} together; found only {', '.join(present)}")
+    links = file.names("target_link")
+    points = []
+    for key in TARGET_KEYS[1:]:
+        value = file.numbers(key, nan=True)
+        if value.shape != (n, len(links), 3):
+            raise file.error(f"{key} must have shape ({n}, {len(links)}, 3); it has {value.shape}")
+        points.append(value)
+    # A target is a pair of whole points; half of one has no meaning and would spread NaN silently.
+    absent = np.isnan(np.concatenate(points, axis=-1))
+    partly = absent.any(axis=-1) & ~absent.all(axis=-1)
+    if partly.any():
+        row, k = np.argwhere(partly)[0]
+        raise file.error(
+            f"the target of link '{links[k]}' in row {row} is partly NaN; "
+            f"both points must be finite, or both NaN for no target"
+        )
+    return Targets(links, points[0], points[1])

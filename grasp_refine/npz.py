@@ -1,0 +1,135 @@
+"""Arrays in `.npz` files without pickle: read with a named error for every defect, written whole or not."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from grasp_refine.errors import GraspFileError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+DAMAGED = (OSError, EOFError, MemoryError, NotImplementedError, RuntimeError)
+"""How a damaged archive shows, besides the errors of zipfile: an absurd array size is MemoryError, an unknown
+compression NotImplementedError, an encrypted entry RuntimeError."""
+
+
+@dataclass(frozen=True, eq=False)
+class NpzFile:
+    """The entries of one file; its accessors raise GraspFileError in one line that starts with the path."""
+
+    path: Path
+    """Where the file lies."""
+    entries: Mapping[str, np.ndarray]
+    """All its arrays by name."""
+
+    def error(self, message: str) -> GraspFileError:
+        """Return the error that says `message` about this file."""
+        return GraspFileError(f"{self.path}: {message}")
+
+    def text(self, key: str) -> np.ndarray:
+        """Return the entry as an array of strings, of its own shape."""
+        value = self.entries[key]
+        # An empty list of names is stored by NumPy as float64.
+        if value.dtype.kind != "U" and value.size:
+            raise self.error(f"{key} must hold text; it holds {value.dtype}")
+        return value.astype(str)
+
+    def name(self, key: str) -> str:
+        """Return the entry as one string."""
+        value = self.text(key)
+        if value.size != 1:
+            raise self.error(f"{key} must be one name; it has shape {value.shape}")
+        return str(value.item())
+
+    def names(self, key: str) -> tuple[str, ...]:
+        """Return the entry as a list of strings."""
+        value = self.text(key)
+        if value.ndim != 1:
+            raise self.error(f"{key} must be a list of names; it has shape {value.shape}")
+        return tuple(value.tolist())
+
+    def numbers(self, key: str, *, nan: bool = False) -> np.ndarray:
+        """Return the entry as float64, of its own shape, finite; with `nan`, NaN may stand for "none"."""
+        value = self.entries[key]
+        if value.dtype.kind not in "fiu":
+            raise self.error(f"{key} must hold numbers; it holds {value.dtype}")
+        value = value.astype(float)
+        bad = np.isinf(value) if nan else ~np.isfinite(value)
+        if bad.any():
+            row = int(np.argwhere(bad)[0][0]) if value.ndim else 0
+            raise self.error(f"{key} must be finite; row {row} is not")
+        return value
+
+    def per_row(self, key: str, value: np.ndarray, n: int) -> np.ndarray:
+        """Return `value` of the entry `key` as (n,), a single value repeated."""
+        if value.size == 1:
+            return np.repeat(value.reshape(1), n)
+        if value.shape != (n,):
+            raise self.error(f"{key} must be one value or one per grasp, ({n},); it has {value.shape}")
+        return value
+
+
+def load_npz(path: str | Path) -> NpzFile:
+    """Return the arrays of an `.npz` file, none of them unpickled.
+
+    Raises GraspFileError when the file is missing, not an `.npz`, damaged, or holds a pickle or anything else
+    that is no plain array.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise GraspFileError(f"{path}: no such grasp file")
+    if not zipfile.is_zipfile(path):
+        raise GraspFileError(f"{path}: not an .npz grasp file")
+    entries = {}
+    key = ""
+    try:
+        with np.load(path, allow_pickle=False) as npz:
+            for key in npz.files:
+                entries[key] = npz[key]
+    except ValueError as error:
+        if "allow_pickle" not in str(error):
+            raise GraspFileError(f"{path}: entry '{key}' is damaged") from error
+        raise GraspFileError(
+            f"{path}: entry '{key}' is a pickled object array, which is never loaded; store plain arrays"
+        ) from error
+    except (*DAMAGED, zipfile.BadZipFile, zlib.error) as error:
+        raise GraspFileError(f"{path}: not a readable .npz file ({error})") from error
+    foreign = [key for key, value in entries.items() if not isinstance(value, np.ndarray)]
+    if foreign:
+        raise GraspFileError(f"{path}: not an .npz grasp file, it holds {', '.join(foreign)}")
+    return NpzFile(path, entries)
+
+
+def save_npz(path: str | Path, arrays: Mapping[str, ArrayLike]) -> None:
+    """Write `arrays` as an `.npz` without pickle; the file appears whole or not at all.
+
+    Missing folders are made. Raises GraspFileError when the file cannot be written, ValueError when an array
+    could only be stored as a pickle.
+    """
+    path = Path(path)
+    entries = {key: np.asarray(value) for key, value in arrays.items()}
+    pickled = [key for key, value in entries.items() if value.dtype.hasobject]
+    if pickled:
+        raise ValueError(f"object arrays cannot be stored without pickle: {', '.join(pickled)}")
+    # Beside the target, so that os.replace stays within one file system; not by tempfile, whose files
+    # nobody else may read.
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with partial.open("wb") as stream:
+                np.savez(stream, **entries)
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise GraspFileError(f"{path}: cannot be written ({error.strerror or error})") from error

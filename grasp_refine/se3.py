@@ -1,0 +1,229 @@
+"""Rotations and rigid transforms, written once for NumPy arrays and torch tensors (array API).
+
+Twists are (v, w), linear part first. A *spatial* twist moves the point p (world frame) with velocity
+V(p) = v + w x p, so T(t) = exp(t xi) T(0); a *body* twist moves T(t) = T(0) exp(t xi).
+All functions take any number of leading batch dimensions.
+"""
+
+from typing import Any
+
+from array_api_compat import array_namespace
+
+Array = Any
+"""A NumPy array or a torch tensor."""
+
+_SMALL_ANGLE_SQUARED = 1e-8
+"""Below this squared angle (rad^2) the maps use their Taylor series; its error is then below 1e-16."""
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Cross product a x b of vectors (..., 3)."""
+    xp = array_namespace(a, b)
+    a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
+    b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
+    return xp.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], axis=-1)
+
+
+def hat(w: Array) -> Array:
+    """The skew matrix [w] (..., 3, 3) with [w] p = w x p, of a vector w (..., 3)."""
+    xp = array_namespace(w)
+    x, y, z = w[..., 0], w[..., 1], w[..., 2]
+    zero = xp.zeros_like(x)
+    rows = [xp.stack(row, axis=-1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
+    return xp.stack(rows, axis=-2)
+
+
+def vee(matrix: Array) -> Array:
+    """The vector w (..., 3) of the skew part of a matrix (..., 3, 3): w = vee((M - M^T) / 2)."""
+    xp = array_namespace(matrix)
+    m = matrix
+    return 0.5 * xp.stack(
+        [m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], axis=-1
+    )
+
+
+def matvec(matrix: Array, vector: Array) -> Array:
+    """Matrix-vector product of (..., m, n) and (..., n) with broadcasting."""
+    return (matrix @ vector[..., None])[..., 0]
+
+
+def _sinc_coefficients(angle_squared: Array) -> tuple[Array, Array, Array]:
+    """sin(x)/x, (1 - cos x)/x^2 and (x - sin x)/x^3 as functions of x^2, smooth at zero."""
+    xp = array_namespace(angle_squared)
+    small = angle_squared < _SMALL_ANGLE_SQUARED
+    # The guarded angle keeps the branch that is not taken finite, and with it its gradient.
+    angle = xp.sqrt(xp.where(small, xp.ones_like(angle_squared), angle_squared))
+    half = xp.sin(0.5 * angle)
+    a = xp.where(small, 1.0 - angle_squared / 6.0, xp.sin(angle) / angle)
+    b = xp.where(small, 0.5 - angle_squared / 24.0, 2.0 * half * half / (angle * angle))
+    c = xp.where(small, 1.0 / 6.0 - angle_squared / 120.0, (angle - xp.sin(angle)) / angle**3)
+    return a, b, c
+
+
+def exp_so3(w: Array) -> Array:
+    """Rotation matrix (..., 3, 3) of a rotation vector (..., 3) in radians (Rodrigues' formula)."""
+    xp = array_namespace(w)
+    a, b, _ = _sinc_coefficients(xp.sum(w * w, axis=-1))
+    skew = hat(w)
+    return _identity_like(skew) + a[..., None, None] * skew + b[..., None, None] * (skew @ skew)
+
+
+def log_so3(R: Array) -> Array:
+    """Rotation vector (..., 3) of a rotation matrix (..., 3, 3), with angle in [0, pi]."""
+    xp = array_namespace(R)
+    quaternion = quaternion_from_matrix(R)
+    w, xyz = quaternion[..., 0], quaternion[..., 1:]
+    flip = xp.where(w < 0, -xp.ones_like(w), xp.ones_like(w))
+    w, xyz = w * flip, xyz * flip[..., None]
+    squared = xp.sum(xyz * xyz, axis=-1)
+    small = squared < _SMALL_ANGLE_SQUARED
+    norm = xp.sqrt(xp.where(small, xp.ones_like(squared), squared))
+    # Near the identity angle / norm(xyz) = 2 atan2(s, c) / s -> 2 / c - 2 s^2 / (3 c^3).
+    series = 2.0 / xp.where(small, w, xp.ones_like(w)) * (1.0 - squared / 3.0)
+    return xyz * xp.where(small, series, 2.0 * xp.atan2(norm, w) / norm)[..., None]
+
+
+def exp_se3(twist: Array) -> Array:
+    """Transform (..., 4, 4) of a twist (v, w) (..., 6) followed for unit time."""
+    xp = array_namespace(twist)
+    v, w = twist[..., :3], twist[..., 3:]
+    a, b, c = _sinc_coefficients(xp.sum(w * w, axis=-1))
+    skew = hat(w)
+    square = skew @ skew
+    eye = _identity_like(skew)
+    R = eye + a[..., None, None] * skew + b[..., None, None] * square
+    left = eye + b[..., None, None] * skew + c[..., None, None] * square
+    return transform(R, matvec(left, v))
+
+
+def log_se3(T: Array) -> Array:
+    """Twist (v, w) (..., 6) whose exponential is the transform T (..., 4, 4)."""
+    xp = array_namespace(T)
+    w = log_so3(T[..., :3, :3])
+    _, b, c = _sinc_coefficients(xp.sum(w * w, axis=-1))
+    skew = hat(w)
+    left = _identity_like(skew) + b[..., None, None] * skew + c[..., None, None] * (skew @ skew)
+    return xp.concat([matvec(xp.linalg.inv(left), T[..., :3, 3]), w], axis=-1)
+
+
+def transform(R: Array, p: Array) -> Array:
+    """Homogeneous matrix (..., 4, 4) of a rotation (..., 3, 3) and a translation (..., 3)."""
+    xp = array_namespace(R, p)
+    top = xp.concat([R, p[..., None]], axis=-1)
+    bottom = xp.zeros_like(top[..., :1, :])
+    bottom[..., 0, 3] = 1.0
+    return xp.concat([top, bottom], axis=-2)
+
+
+def inverse(T: Array) -> Array:
+    """Inverse of a rigid transform (..., 4, 4)."""
+    xp = array_namespace(T)
+    R_transposed = xp.matrix_transpose(T[..., :3, :3])
+    return transform(R_transposed, -matvec(R_transposed, T[..., :3, 3]))
+
+
+def adjoint(T: Array) -> Array:
+    """Matrix Ad(T) (..., 6, 6) that carries twists (v, w) along: T exp(xi) T^-1 = exp(Ad(T) xi)."""
+    xp = array_namespace(T)
+    R = T[..., :3, :3]
+    top = xp.concat([R, hat(T[..., :3, 3]) @ R], axis=-1)
+    bottom = xp.concat([xp.zeros_like(R), R], axis=-1)
+    return xp.concat([top, bottom], axis=-2)
+
+
+def transform_points(T: Array, points: Array) -> Array:
+    """Points (..., 3) mapped by transforms (..., 4, 4)."""
+    return matvec(T[..., :3, :3], points) + T[..., :3, 3]
+
+
+def retract(T: Array, body_twist: Array) -> Array:
+    """T exp(xi): the transform moved by a body twist (..., 6), its rotation orthonormalised again."""
+    moved = T @ exp_se3(body_twist)
+    return transform(_orthonormalised(moved[..., :3, :3]), moved[..., :3, 3])
+
+
+def matrix_from_quaternion(quaternion: Array) -> Array:
+    """Rotation matrix (..., 3, 3) of a unit quaternion (w, x, y, z) (..., 4)."""
+    xp = array_namespace(quaternion)
+    w, x, y, z = (quaternion[..., i] for i in range(4))
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quaternion_from_matrix(R: Array) -> Array:
+    """Unit quaternion (w, x, y, z) (..., 4) of a rotation matrix (..., 3, 3); w may have either sign."""
+    xp = array_namespace(R)
+    m00, m11, m22 = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
+    yz, zx, xy = R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]
+    sxy, szx, syz = R[..., 0, 1] + R[..., 1, 0], R[..., 0, 2] + R[..., 2, 0], R[..., 1, 2] + R[..., 2, 1]
+    # The four candidates are 4 q_i q; the one with the largest q_i is well conditioned.
+    candidates = xp.stack(
+        [
+            xp.stack([1 + m00 + m11 + m22, yz, zx, xy], axis=-1),
+            xp.stack([yz, 1 + m00 - m11 - m22, sxy, szx], axis=-1),
+            xp.stack([zx, sxy, 1 - m00 + m11 - m22, syz], axis=-1),
+            xp.stack([xy, szx, syz, 1 - m00 - m11 + m22], axis=-1),
+        ],
+        axis=-2,
+    )
+    diagonal = xp.stack([candidates[..., i, i] for i in range(4)], axis=-1)
+    largest = xp.max(diagonal, axis=-1, keepdims=True)
+    chosen = xp.astype(diagonal == largest, R.dtype)
+    # Of equal candidates the first one is taken.
+    first = chosen * xp.astype(xp.cumulative_sum(chosen, axis=-1) == 1.0, R.dtype)
+    quaternion = xp.sum(candidates * first[..., None], axis=-2)
+    return quaternion / xp.sqrt(xp.sum(quaternion * quaternion, axis=-1, keepdims=True))
+
+
+def transform_from_pose(pose: Array) -> Array:
+    """Transform (..., 4, 4) of a pose (x, y, z, qw, qx, qy, qz) (..., 7)."""
+    return transform(matrix_from_quaternion(pose[..., 3:]), pose[..., :3])
+
+
+def pose_from_transform(T: Array) -> Array:
+    """Pose (x, y, z, qw, qx, qy, qz) (..., 7) of a transform (..., 4, 4), with qw >= 0."""
+    xp = array_namespace(T)
+    quaternion = quaternion_from_matrix(T[..., :3, :3])
+    sign = xp.where(quaternion[..., :1] < 0, -xp.ones_like(quaternion[..., :1]), xp.ones_like(quaternion[..., :1]))
+    return xp.concat([T[..., :3, 3], quaternion * sign], axis=-1)
+
+
+def ambient_gradient(T: Array, wrench: Array) -> Array:
+    """Gradient (..., 4, 4) in the entries of T whose pairing with any rigid motion is that of a wrench.
+
+    A wrench (f, m) (..., 6) is a covector on spatial twists: dL = f . v + m . w. With dR = [w] R and
+    dp = v + w x p, the matrix (1/2 [m - p x f] R, f) gives <G, dT> = dL.
+    """
+    xp = array_namespace(T, wrench)
+    force, moment = wrench[..., :3], wrench[..., 3:]
+    G_R = 0.5 * (hat(moment - cross(T[..., :3, 3], force)) @ T[..., :3, :3])
+    top = xp.concat([G_R, force[..., None]], axis=-1)
+    return xp.concat([top, xp.zeros_like(top[..., :1, :])], axis=-2)
+
+
+def body_gradient(T: Array, G: Array) -> Array:
+    """Proj(T^-1 G) (..., 6): an entry-wise gradient G (..., 4, 4) as a body twist (v, w).
+
+    v = R^T G_p and w = vee(skew(R^T G_R)), which is *half* the derivative of the loss along a body
+    rotation (arXiv 2511.06267 uses the same projection).
+    """
+    xp = array_namespace(T, G)
+    R_transposed = xp.matrix_transpose(T[..., :3, :3])
+    return xp.concat([matvec(R_transposed, G[..., :3, 3]), vee(R_transposed @ G[..., :3, :3])], axis=-1)
+
+
+def _identity_like(matrix: Array) -> Array:
+    xp = array_namespace(matrix)
+    n = matrix.shape[-1]
+    keywords = {"device": matrix.device} if hasattr(matrix, "is_cuda") else {}
+    return xp.eye(n, dtype=matrix.dtype, **keywords)
+
+
+def _orthonormalised(R: Array) -> Array:
+    """One Newton step towards the nearest rotation; removes the rounding that products accumulate."""
+    xp = array_namespace(R)
+    return R @ (1.5 * _identity_like(R) - 0.5 * (xp.matrix_transpose(R) @ R))

@@ -1,0 +1,1 @@
+"""Solvers: how root pose and joint values move to lower the loss."""

@@ -1,0 +1,1 @@
+"""Witness points as a differentiable layer: how closest or deepest points follow the motion of two bodies."""

@@ -1,0 +1,193 @@
+"""The witness layer: poses in, witness points out, inside any torch graph.
+
+The forward pass asks the collision query and lets its values through; the backward pass contracts the Jacobian
+of a derivative method with the incoming gradients. This file holds the only autograd.Function of the layer.
+"""
+
+from collections.abc import Hashable
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.se3 import ambient_gradient, cross
+from grasp_refine.witness.neighborhood import Surfaces
+from grasp_refine.witness.scene import WitnessScene
+from grasp_refine.witness.slip import Coupling, Slip, pull_back, wrench
+
+
+class SlipMethod(Protocol):
+    """A smoothing method: it only has to say how far each witness point slips when the other one moves."""
+
+    coupling: Coupling
+
+    def slip(self, scene: WitnessScene) -> Slip:
+        """Slip matrices of all pairs of the scene."""
+        ...
+
+
+class WitnessLayer:
+    """Differentiable witness points of body pairs.
+
+    What is exact: the signed distance's gradient, d' = n . (V_b(x_b) - V_a(x_a)), wherever the witness pair is
+    unique; it needs no smoothing. What is approximated: how the points slip along their surfaces, by `method`.
+    The normal turns with the points' difference where they are apart by more than the candidate spacing, and
+    with the mean rotation of the two bodies where they touch. Poses get gradients once (no double backward).
+    """
+
+    def __init__(self, pairs: Pairs, method: SlipMethod) -> None:
+        """Prepare the pairs; `method` is used in backward passes only."""
+        self.pairs = pairs
+        self.method = method
+        self._surfaces: dict[Hashable, Surfaces] = {}
+
+    def __call__(
+        self,
+        T_world_a: Tensor,
+        T_world_b: Tensor,
+        target_a: Tensor | None = None,
+        target_b: Tensor | None = None,
+        *,
+        cutoff: np.ndarray | float = np.inf,
+        key: int = 0,
+        previous: Witness | None = None,
+    ) -> Witness:
+        """The witness points of all pairs, as tensors that carry gradients to the poses.
+
+        Args:
+            T_world_a: Poses of the first bodies (batch, P, 4, 4).
+            T_world_b: Poses of the second bodies (batch, P, 4, 4).
+            target_a: Where each witness point should go (batch, P, 3), body frames; NaN: nowhere. Targets only
+                steer the width of adaptive neighbourhoods.
+            target_b: The same of the second bodies.
+            cutoff: Pairs surely farther apart (metres; one number or one a pair) are not asked.
+            key: Number of the iteration, for methods that draw samples.
+            previous: The answer at nearby poses, which saves work (see `collision.query.query`).
+
+        Returns:
+            Witness points, normals and signed distances in the dtype and on the device of `T_world_a`.
+        """
+        if T_world_a.shape != T_world_b.shape or T_world_a.shape[1:] != (len(self.pairs), 4, 4):
+            raise ValueError(
+                f"poses must have shape (batch, {len(self.pairs)}, 4, 4), got {tuple(T_world_a.shape)} and "
+                f"{tuple(T_world_b.shape)}"
+            )
+        found = query(self.pairs, _array(T_world_a), _array(T_world_b), cutoff=cutoff, previous=previous)
+        points = _WitnessFunction.apply(T_world_a, T_world_b, self, found, _target(target_a), _target(target_b), key)
+        return Witness(*points, found.status, found.winner, found.asked)
+
+    def surfaces(self, columns: np.ndarray) -> Surfaces:
+        """Candidates of the first and then the second bodies of the pairs `columns`, stacked once."""
+        name = columns.tobytes()
+        if name not in self._surfaces:
+            bodies = [self.pairs.a[p] for p in columns] + [self.pairs.b[p] for p in columns]
+            self._surfaces[name] = Surfaces.of(bodies)
+        return self._surfaces[name]
+
+
+class _WitnessFunction(torch.autograd.Function):
+    """Values pass through; the backward pass is the transpose of the method's Jacobian."""
+
+    @staticmethod
+    def forward(  # noqa: D102, PLR0913
+        ctx: Any,
+        T_a: Tensor,
+        T_b: Tensor,
+        layer: WitnessLayer,
+        found: Witness,
+        target_a: np.ndarray | None,
+        target_b: np.ndarray | None,
+        key: int,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        ctx.set_materialize_grads(False)
+        ctx.save_for_backward(T_a, T_b)
+        ctx.layer, ctx.found, ctx.targets, ctx.key = layer, found, (target_a, target_b), key
+        return tuple(
+            torch.as_tensor(array, dtype=T_a.dtype, device=T_a.device)
+            for array in (found.point_a, found.point_b, found.normal, found.distance)
+        )
+
+    @staticmethod
+    @once_differentiable
+    def backward(  # noqa: D102
+        ctx: Any, grad_a: Tensor | None, grad_b: Tensor | None, grad_normal: Tensor | None, grad_distance: Tensor | None
+    ) -> tuple[Tensor | None, Tensor | None, None, None, None, None, None]:
+        T_a, T_b = ctx.saved_tensors
+        found = ctx.found
+        valid = np.asarray(found.valid)[..., None]
+        g_a, g_b, g_n = (_cotangent(g, valid) for g in (grad_a, grad_b, grad_normal))
+        wrench_a = np.zeros((*found.distance.shape, 6))
+        wrench_b = np.zeros_like(wrench_a)
+        if grad_distance is not None:
+            force = _cotangent(grad_distance[..., None], valid) * found.normal
+            wrench_a -= wrench(found.point_a, force)
+            wrench_b += wrench(found.point_b, force)
+        wanted = [g for g in (g_a, g_b, g_n) if g is not None]
+        if wanted:
+            # The derivative is taken only where the loss looks.
+            columns = np.flatnonzero(sum(np.abs(g).max(axis=(0, 2), initial=0.0) for g in wanted) > 0)
+            if len(columns):
+                extra_a, extra_b = _pull_back_points(ctx, columns, g_a, g_b, g_n, _array(T_a), _array(T_b))
+                wrench_a[:, columns] += extra_a
+                wrench_b[:, columns] += extra_b
+        need_a, need_b = ctx.needs_input_grad[:2]
+        return (
+            _pose_gradient(T_a, wrench_a) if need_a else None,
+            _pose_gradient(T_b, wrench_b) if need_b else None,
+            None, None, None, None, None,
+        )  # fmt: skip
+
+
+def _pull_back_points(
+    ctx: Any,
+    columns: np.ndarray,
+    g_a: np.ndarray | None,
+    g_b: np.ndarray | None,
+    g_n: np.ndarray | None,
+    T_a: np.ndarray,
+    T_b: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Wrenches on the bodies of covectors on points and normals, for some of the pairs."""
+    layer: WitnessLayer = ctx.layer
+    found = ctx.found.pairs(columns)
+    zero = np.zeros_like(found.point_a)
+    g_a, g_b = (zero if g is None else g[:, columns] for g in (g_a, g_b))
+    surfaces = layer.surfaces(columns)
+    targets = (None if target is None else target[:, columns] for target in ctx.targets)
+    scene = WitnessScene(surfaces, T_a[:, columns], T_b[:, columns], found, *targets, ctx.key)
+    mean_moment = None
+    if g_n is not None:
+        g_n = g_n[:, columns]
+        spacing = surfaces.spacing.reshape(2, -1).mean(axis=0)
+        d = found.distance
+        stiffness = (d / (d * d + spacing**2))[..., None]
+        tangential = g_n - (g_n * found.normal).sum(axis=-1, keepdims=True) * found.normal
+        g_a, g_b = g_a - stiffness * tangential, g_b + stiffness * tangential
+        mean_moment = 0.5 * cross(found.normal, tangential) * (1.0 - stiffness * d[..., None])
+    wrench_a, wrench_b = pull_back(
+        layer.method.slip(scene), found.point_a, found.point_b, g_a, g_b, layer.method.coupling
+    )
+    if mean_moment is not None:
+        wrench_a[..., 3:] += mean_moment
+        wrench_b[..., 3:] += mean_moment
+    return wrench_a, wrench_b
+
+
+def _cotangent(gradient: Tensor | None, valid: np.ndarray) -> np.ndarray | None:
+    return None if gradient is None else np.where(valid, _array(gradient), 0.0)
+
+
+def _pose_gradient(T: Tensor, wrenches: np.ndarray) -> Tensor:
+    gradient = ambient_gradient(_array(T), wrenches)
+    return torch.as_tensor(gradient, dtype=T.dtype, device=T.device)
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().to(device="cpu", dtype=torch.float64).numpy()
+
+
+def _target(target: Tensor | np.ndarray | None) -> np.ndarray | None:
+    return _array(target) if isinstance(target, Tensor) else target

@@ -1,0 +1,81 @@
+"""Distance-based randomized smoothing of witness points (arXiv 2511.06267, section IV)."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from grasp_refine.se3 import transform_points
+from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors, choose, draw_offset
+from grasp_refine.witness.scene import WitnessScene
+from grasp_refine.witness.slip import Coupling, Slip
+
+
+@dataclass(frozen=True)
+class Distance:
+    """The closest point as a soft minimum over nearby surface samples v_j of their distance to the other point y.
+
+    w_j = softmax(-|v_j - y|^2 / tau), x* = sum w_j v_j, hence dx*/dy = (2 / tau) Cov_w(v).
+    Held fixed: the samples, tau (the spread of the scores) and, in the one-sided coupling, the other witness
+    point. Approximated: the surface by its samples. Exact: everything that follows from rigid motion.
+    """
+
+    neighborhood: Adaptive | Fixed = field(default_factory=Adaptive)
+    """Which surface samples stand for the surface near a witness point."""
+    coupling: Coupling = "coupled"
+    """Solve both slips together, or hold the other witness point fixed as in the paper."""
+    smoothed_self: bool = False
+    """The self term moves the smoothed point x* instead of the witness point."""
+    seed: int = 0
+    """Seed of the random choice of samples."""
+
+    def slip(self, scene: WitnessScene) -> Slip:
+        """Slip matrices (batch, pair, 3, 3) of both bodies, world frame."""
+        sides = scene.sides()
+        near = choose(
+            self.neighborhood, scene.surfaces, sides.point, sides.normal, sides.target, draw_offset(self.seed, scene.key)
+        )
+        smoothed, slip = smooth(near, sides.other)
+        slip = (sides.rotation @ slip @ sides.rotation.mT).swapaxes(0, 1)
+        count = scene.T_world_a.shape[1]
+        self_a, self_b = scene.witness.point_a, scene.witness.point_b
+        if self.smoothed_self:
+            smoothed = smoothed.swapaxes(0, 1)
+            self_a = transform_points(scene.T_world_a, smoothed[:, :count])
+            self_b = transform_points(scene.T_world_b, smoothed[:, count:])
+        return Slip(slip[:, :count], slip[:, count:], self_a, self_b)
+
+
+def smooth(near: Neighbors, y: np.ndarray, tau: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """The smoothed closest point to y and its derivative.
+
+    Args:
+        near: Surface samples (S, B, K, 3), body frames.
+        y: The point that is followed (S, B, 3), body frames, metres.
+        tau: Temperature (S, B) in square metres; by default `temperature(near, y)`.
+
+    Returns:
+        x* = sum w_j v_j (S, B, 3), and dx*/dy = (2 / tau) Cov_w(v) (S, B, 3, 3) with samples and tau held fixed.
+    """
+    scores = _scores(near, y)
+    tau = temperature(near, y) if tau is None else tau
+    scores = np.where(near.mask, scores, -np.inf)
+    weights = np.exp((scores - scores.max(axis=2, keepdims=True)) / tau[..., None])
+    weights /= weights.sum(axis=2, keepdims=True)
+    smoothed = (weights[..., None, :] @ near.points)[..., 0, :]
+    centered = near.points - smoothed[..., None, :]
+    covariance = (weights[..., None] * centered).mT @ centered
+    return smoothed, covariance * (2.0 / tau)[..., None, None]
+
+
+def temperature(near: Neighbors, y: np.ndarray) -> np.ndarray:
+    """tau (S, B): the standard deviation of the scores -|v_j - y|^2 over the samples, floored, in square metres."""
+    scores = _scores(near, y)
+    count = near.mask.sum(axis=2)
+    mean = np.where(near.mask, scores, 0.0).sum(axis=2) / count
+    deviation = np.where(near.mask, scores - mean[..., None], 0.0)
+    return np.maximum(np.sqrt((deviation**2).sum(axis=2) / count), near.floor)
+
+
+def _scores(near: Neighbors, y: np.ndarray) -> np.ndarray:
+    offset = near.points - y[..., None, :]
+    return -(offset * offset).sum(axis=3)

@@ -1,0 +1,223 @@
+"""Neighbourhoods: which surface candidates stand for the surface near a witness point.
+
+A candidate belongs to the neighbourhood of a witness when it lies within a radius and its outward normal within
+120 degrees of the contact normal; the witness point itself always belongs. Candidates are stored in random
+order, so taking consecutive ones (cyclically, from an offset that depends on the seed and the iteration only)
+is a random choice that does not depend on what else is in the batch.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from grasp_refine.geometry.body import Body
+
+_COS_NORMALS = -0.5
+"""Normals within 120 degrees of the contact normal."""
+
+_WINDOW = 256
+"""How many candidates are looked at first when only a few are drawn."""
+
+_SMALLEST_SPREAD = 0.05
+"""Floor of the temperature, as a fraction of the squared candidate spacing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """Candidates of S bodies stacked for batched selection, all with the same number N of them."""
+
+    points: np.ndarray
+    """(S, N, 3) in metres, each in its body's frame."""
+    normals: np.ndarray
+    """Unit outward normals (S, N, 3)."""
+    spacing: np.ndarray
+    """eps = 2 sqrt(area / N) of each body (S,), in metres: a disc of this radius holds about 12 candidates."""
+    diagonal: np.ndarray
+    """Bounding-box diagonal of each body (S,), in metres."""
+
+    @staticmethod
+    def of(bodies: Sequence[Body]) -> "Surfaces":
+        """The stacked candidates of `bodies`."""
+        points = np.stack([body.candidates.points for body in bodies])
+        normals = np.stack([body.candidates.normals for body in bodies])
+        spacing = np.array([2.0 * np.sqrt(body.area / len(body.candidates.points)) for body in bodies])
+        return Surfaces(points, normals, spacing, np.array([body.diagonal for body in bodies]))
+
+    def take(self, index: np.ndarray) -> "Surfaces":
+        """The surfaces of the bodies `index`."""
+        return Surfaces(self.points[index], self.normals[index], self.spacing[index], self.diagonal[index])
+
+    @cached_property
+    def center(self) -> np.ndarray:
+        """Mean of the candidates (S, 3); coordinates about it keep single precision accurate."""
+        return self.points.mean(axis=1)
+
+    @cached_property
+    def _features(self) -> np.ndarray:
+        """(S, 4, 2 N) single: (-2 v, |v|^2) about the centre, twice in a row so that a cyclic window is a slice."""
+        v = self.points - self.center[:, None]
+        features = np.concatenate([-2.0 * v, (v * v).sum(axis=2, keepdims=True)], axis=2).mT
+        return np.concatenate([features, features], axis=2).astype(np.float32)
+
+    def offsets(self, x: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """|v - x|^2 - |x|^2 of `count` candidates from `first` on, cyclically (S, B, count), and |x|^2 (S, B).
+
+        Witness points x (S, B, 3) are in body frames; single precision about the centre, which suffices to choose.
+        """
+        y = x - self.center[:, None]
+        ones = np.concatenate([y, np.ones_like(y[..., :1])], axis=2).astype(np.float32)
+        return ones @ self._features[:, :, first : first + count], (y * y).sum(axis=2)
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbors:
+    """Chosen candidates of each witness point; the witness itself comes first."""
+
+    points: np.ndarray
+    """(S, B, K, 3) in the body frames, metres."""
+    mask: np.ndarray
+    """(S, B, K): false pads."""
+    radius: np.ndarray
+    """Radius (S, B) of each neighbourhood in metres."""
+    floor: np.ndarray
+    """Smallest sensible spread of squared distances (S, B), in square metres."""
+
+
+class Neighborhood(Protocol):
+    """A rule that says how wide the neighbourhood of a witness point is, and how many candidates it uses."""
+
+    samples: int | None
+    minimum: int
+
+    def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
+        """Radius (S, B) in metres for witness points x (S, B, 3) with targets (S, B, 3; NaN: none) or no targets."""
+        ...
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """As wide as the witness is from its target, so that smoothing fades out as the goal is reached (the paper's)."""
+
+    samples: int | None = 16
+    """Candidates drawn at random from the neighbourhood; none: all of them."""
+    minimum: int = 8
+    """With fewer candidates inside, the nearest ones are taken."""
+    without_target: float = 4.0
+    """Radius where no target is given, in candidate spacings."""
+
+    def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
+        """max(|t - x|, eps), and 4 eps where there is no target."""
+        eps = np.broadcast_to(surfaces.spacing[:, None], x.shape[:2])
+        if target is None:
+            return self.without_target * eps
+        away = np.sqrt(((target - x) ** 2).sum(axis=2))
+        return np.where(np.isnan(away), self.without_target * eps, np.maximum(away, eps))
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """A constant fraction of the body's size, whatever the target."""
+
+    fraction: float = 0.1
+    """Radius as a fraction of the body's bounding-box diagonal."""
+    samples: int | None = 16
+    """Candidates drawn at random from the neighbourhood; none: all of them."""
+    minimum: int = 8
+    """With fewer candidates inside, the nearest ones are taken."""
+
+    def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
+        """fraction x diagonal."""
+        return np.broadcast_to(self.fraction * surfaces.diagonal[:, None], x.shape[:2])
+
+
+def draw_offset(seed: int, key: int) -> int:
+    """Where iteration `key` begins in the random order: multiples of the golden ratio spread evenly over it."""
+    return ((key + 1) * 0x9E3779B97F4A7C15 + seed * 0xD1B54A32D192ED03) % 2**64 >> 33
+
+
+def choose(
+    rule: Neighborhood,
+    surfaces: Surfaces,
+    x: np.ndarray,
+    normal: np.ndarray,
+    target: np.ndarray | None,
+    offset: int,
+) -> Neighbors:
+    """The neighbours of witness points by a rule.
+
+    Args:
+        rule: `Adaptive` or `Fixed`.
+        surfaces: Candidates of S bodies.
+        x: Witness points (S, B, 3), body frames, metres.
+        normal: Outward contact normals (S, B, 3), body frames.
+        target: Target points (S, B, 3), body frames (NaN: none), or None.
+        offset: Where in the random order of the candidates the draw begins.
+    """
+    S, B, _ = x.shape
+    N = surfaces.points.shape[1]
+    radius = rule.radius(surfaces, x, target)
+    body = np.repeat(np.arange(S), B)
+    rows = _Rows(surfaces, body, x.reshape(S * B, 3), normal.reshape(S * B, 3))
+    width = N if rule.samples is None else max(rule.samples, rule.minimum)
+    # A window of the random order is enough for wide neighbourhoods, which hold most of the candidates.
+    window = N if rule.samples is None else min(N, _WINDOW)
+    index, mask, inside = rows.draw(x, radius, offset % N, window, width)
+    if window < N and inside.min() < width:
+        short = (inside < width)[:, None]
+        full_index, full_mask, _ = rows.draw(x, radius, offset % N, N, width)
+        index, mask = np.where(short, full_index, index), np.where(short, full_mask, mask)
+    few = np.flatnonzero(mask.sum(axis=1) < rule.minimum)
+    if len(few):
+        index[few], mask[few] = rows.nearest(few, rule.minimum, width)
+    points = np.concatenate([x.reshape(S * B, 1, 3), surfaces.points[body[:, None], index]], axis=1)
+    mask = np.concatenate([np.ones((S * B, 1), dtype=bool), mask], axis=1)
+    floor = np.broadcast_to(_SMALLEST_SPREAD * surfaces.spacing[:, None] ** 2, (S, B))
+    return Neighbors(points.reshape(S, B, -1, 3), mask.reshape(S, B, -1), radius, floor)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The witness points of a draw, one a row (M = S B rows)."""
+
+    surfaces: Surfaces
+    body: np.ndarray
+    x: np.ndarray
+    normal: np.ndarray
+
+    def draw(
+        self, x: np.ndarray, radius: np.ndarray, first: int, window: int, width: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Up to `width` candidates inside the radius (M, width) from a window of the random order.
+
+        Also which of them are real, and how many the window has inside each radius (M,).
+        """
+        squared, x_squared = self.surfaces.offsets(x, first, window)
+        inside = squared <= (radius * radius - x_squared).astype(np.float32)[..., None]
+        flat = np.flatnonzero(inside.reshape(-1))
+        row = flat // window
+        count = np.bincount(row, minlength=len(self.x))
+        rank = np.arange(len(flat)) - np.repeat(np.cumsum(count) - count, count)
+        keep = rank < width
+        row, rank = row[keep], rank[keep]
+        index = np.zeros((len(self.x), width), dtype=np.int64)
+        mask = np.zeros(index.shape, dtype=bool)
+        index[row, rank] = (flat[keep] - row * window + first) % self.surfaces.points.shape[1]
+        mask[row, rank] = True
+        normals = self.surfaces.normals[self.body[:, None], index]
+        mask &= (normals @ self.normal[:, :, None])[..., 0] >= _COS_NORMALS
+        return index, mask, count
+
+    def nearest(self, rows: np.ndarray, count: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+        """The `count` nearest candidates of some rows whose normals agree; same shapes as from `draw`."""
+        body = self.body[rows]
+        squared = ((self.surfaces.points[body] - self.x[rows, None]) ** 2).sum(axis=2)
+        cosines = (self.surfaces.normals[body] @ self.normal[rows, :, None])[..., 0]
+        squared[cosines < _COS_NORMALS] = np.inf
+        index = np.zeros((len(rows), width), dtype=np.int64)
+        mask = np.zeros(index.shape, dtype=bool)
+        index[:, :count] = np.argpartition(squared, count - 1, axis=1)[:, :count]
+        mask[:, :count] = np.isfinite(np.take_along_axis(squared, index[:, :count], axis=1))
+        return index, mask

@@ -1,0 +1,65 @@
+"""What a derivative method is given: the poses, the witness points found there, and where they should go."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from grasp_refine.collision.query import Witness
+from grasp_refine.witness.neighborhood import Surfaces
+
+
+@dataclass(frozen=True, eq=False)
+class WitnessScene:
+    """Poses of a batch of body pairs with the witness points found there; all arrays float64."""
+
+    surfaces: Surfaces
+    """Candidates of all first bodies, then of all second bodies: S = 2 P of them."""
+    T_world_a: np.ndarray
+    """Poses of the first bodies (batch, pair, 4, 4)."""
+    T_world_b: np.ndarray
+    """Poses of the second bodies."""
+    witness: Witness
+    """Witness points at these poses."""
+    target_a: np.ndarray | None
+    """Where the witness points of the first bodies should go (batch, pair, 3), body frames; NaN: no target."""
+    target_b: np.ndarray | None
+    """The same of the second bodies."""
+    key: int
+    """Number of the iteration: methods that draw samples draw others at another key."""
+
+    def sides(self) -> "Sides":
+        """Every pair seen from each of its bodies: first all a, then all b (S = 2 P)."""
+        w = self.witness
+        T = _stacked(self.T_world_a, self.T_world_b)
+        R, p = T[..., :3, :3], T[..., :3, 3]
+        world = np.stack(
+            [_stacked(w.point_a, w.point_b) - p, _stacked(w.point_b, w.point_a) - p, _stacked(w.normal, -w.normal)],
+            axis=2,
+        )
+        local = world @ R  # rows times R: each vector times R^T
+        target = None
+        if self.target_a is not None or self.target_b is not None:
+            none = np.full_like(w.point_a, np.nan)
+            target = _stacked(*(none if side is None else side for side in (self.target_a, self.target_b)))
+        return Sides(R, local[:, :, 0], local[:, :, 1], local[:, :, 2], target)
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """One body of each pair with its witness, in its own frame; shapes (S, batch, ...)."""
+
+    rotation: np.ndarray
+    """Rotation (S, batch, 3, 3) of the body in the world."""
+    point: np.ndarray
+    """Its witness point (S, batch, 3)."""
+    other: np.ndarray
+    """The other body's witness point (S, batch, 3), in this body's frame."""
+    normal: np.ndarray
+    """Outward contact normal (S, batch, 3)."""
+    target: np.ndarray | None
+    """Where the witness should go (S, batch, 3); NaN: no target."""
+
+
+def _stacked(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(batch, P, ...) twice -> (2 P, batch, ...)."""
+    return np.concatenate([first, second], axis=1).swapaxes(0, 1)

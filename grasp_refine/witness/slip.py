@@ -1,0 +1,132 @@
+"""The algebra that all slip methods share: how witness points follow two moving bodies.
+
+Body a at rest, a point y outside it: its closest point is x_a = f(y), with slip matrix A = df/dy (3x3, world
+frame). Moving a rigidly with the velocity field V_a, equivariance gives the rest:
+
+    dx_a = V_a(x_a) + A (dx_b - V_a(x_b)),        dx_b = V_b(x_b) + B (dx_a - V_b(x_a)).
+
+"coupled" solves the two equations together. "one-sided" is arXiv 2511.06267: the other witness point of each
+self term is held fixed, dx_a = V_a(x_a) - A V_a(x_b) + A [V_b(x_b) - B V_b(x_a)]; it needs no inverse and is
+*not* invariant when both bodies move together.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from array_api_compat import array_namespace
+
+from grasp_refine.se3 import Array, cross, matvec
+
+Coupling = Literal["coupled", "one-sided"]
+
+_LARGEST_EIGENVALUE = 1.0 - 1e-6
+"""Slip is at most 1: a closest point never moves farther than the point it follows (projection onto a convex set)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slip:
+    """Slip matrices of a batch of witness pairs."""
+
+    A: Array
+    """dx_a / dx_b with body a at rest (..., 3, 3), world frame."""
+    B: Array
+    """dx_b / dx_a with body b at rest (..., 3, 3), world frame."""
+    self_a: Array
+    """Point (..., 3) that moves rigidly with body a in its self term: x_a, or the smoothed point x_a*."""
+    self_b: Array
+    """The same of body b."""
+
+
+def push_forward(
+    slip: Slip, point_a: Array, point_b: Array, twist_a: Array, twist_b: Array, coupling: Coupling = "coupled"
+) -> tuple[Array, Array]:
+    """Velocities (dx_a, dx_b) (..., 3) of the witness points under spatial twists (v, w) (..., 6) of the bodies."""
+    A, B = _used(slip, coupling)
+    own_a = _velocity(twist_a, slip.self_a) - matvec(A, _velocity(twist_a, point_b))
+    own_b = _velocity(twist_b, slip.self_b) - matvec(B, _velocity(twist_b, point_a))
+    if coupling == "one-sided":
+        other_a = _velocity(twist_a, slip.self_a) - matvec(A, _velocity(twist_a, point_b))
+        other_b = _velocity(twist_b, slip.self_b) - matvec(B, _velocity(twist_b, point_a))
+        return own_a + matvec(A, other_b), own_b + matvec(B, other_a)
+    xp = array_namespace(A)
+    dx_a = xp.linalg.solve(_identity_minus(A @ B), (own_a + matvec(A, own_b))[..., None])[..., 0]
+    return dx_a, own_b + matvec(B, dx_a)
+
+
+def pull_back(
+    slip: Slip, point_a: Array, point_b: Array, force_a: Array, force_b: Array, coupling: Coupling = "coupled"
+) -> tuple[Array, Array]:
+    """Wrenches (..., 6) on the two bodies of covectors on the witness points: the transpose of `push_forward`.
+
+    Args:
+        slip: Slip matrices.
+        point_a: Witness points (..., 3), world frame.
+        point_b: The same on body b.
+        force_a: dL/dx_a (..., 3).
+        force_b: dL/dx_b (..., 3).
+        coupling: As in `push_forward`.
+
+    Returns:
+        Covectors (f, m) on the spatial twists of body a and body b: dL = f . v + m . w.
+    """
+    xp = array_namespace(slip.A)
+    A, B = _used(slip, coupling)
+    A_transposed, B_transposed = xp.matrix_transpose(A), xp.matrix_transpose(B)
+    if coupling == "one-sided":
+        lambda_a = force_a + matvec(B_transposed, force_b)
+        lambda_b = force_b + matvec(A_transposed, force_a)
+    else:
+        right = (force_a + matvec(B_transposed, force_b))[..., None]
+        lambda_a = xp.linalg.solve(_identity_minus(B_transposed @ A_transposed), right)[..., 0]
+        lambda_b = force_b + matvec(A_transposed, lambda_a)
+    wrench_a = wrench(slip.self_a, lambda_a) - wrench(point_b, matvec(A_transposed, lambda_a))
+    wrench_b = wrench(slip.self_b, lambda_b) - wrench(point_a, matvec(B_transposed, lambda_b))
+    return wrench_a, wrench_b
+
+
+def wrench(point: Array, force: Array) -> Array:
+    """Wrench (f, p x f) (..., 6) at the world origin of a force (..., 3) at a point (..., 3)."""
+    return array_namespace(point, force).concat([force, cross(point, force)], axis=-1)
+
+
+def contract(matrix: Array) -> Array:
+    """The symmetric part of slip matrices (..., 3, 3) with eigenvalues clipped to [0, 1 - 1e-6].
+
+    A sampled covariance has eigenvalues above 1, with which I - A B would change sign.
+    """
+    xp = array_namespace(matrix)
+    M = 0.5 * (matrix + xp.matrix_transpose(matrix))
+    bad = ~(_positive_definite(M, floor=-1e-9) & _positive_definite(-M, floor=-_LARGEST_EIGENVALUE))
+    if not bool(xp.any(bad)):
+        return M
+    values, vectors = xp.linalg.eigh(M[bad])
+    values = xp.clip(values, 0.0, _LARGEST_EIGENVALUE)
+    M[bad] = (vectors * values[..., None, :]) @ xp.matrix_transpose(vectors)
+    return M
+
+
+def _positive_definite(M: Array, floor: float) -> Array:
+    """Whether all eigenvalues of symmetric matrices (..., 3, 3) are above `floor` (Sylvester's criterion)."""
+    a, b, c = M[..., 0, 0] - floor, M[..., 1, 1] - floor, M[..., 2, 2] - floor
+    d, e, f = M[..., 0, 1], M[..., 0, 2], M[..., 1, 2]
+    minor = a * b - d * d
+    determinant = c * minor - a * f * f - b * e * e + 2.0 * d * e * f
+    return (a > 0) & (minor > 0) & (determinant > 0)
+
+
+def _used(slip: Slip, coupling: Coupling) -> tuple[Array, Array]:
+    if coupling == "one-sided":
+        return slip.A, slip.B
+    both = contract(array_namespace(slip.A).stack([slip.A, slip.B]))
+    return both[0], both[1]
+
+
+def _velocity(twist: Array, point: Array) -> Array:
+    return twist[..., :3] + cross(twist[..., 3:], point)
+
+
+def _identity_minus(M: Array) -> Array:
+    result = -M
+    for i in range(3):
+        result[..., i, i] += 1.0
+    return result

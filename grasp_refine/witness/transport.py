@@ -1,0 +1,65 @@
+"""Equivalent gradient transport (arXiv 2511.06267): both bodies' gradients act through the one that moves.
+
+What a pair's loss sees is the relative pose T_a^-1 T_b, so moving body b by exp(-xi_b) is as good as moving
+body a by exp(-xi~_a) with xi~_a = -Ad(T_a^-1 T_b) xi_b:
+
+    (T_a exp(-xi~_a))^-1 T_b = T_a^-1 (T_b exp(-xi_b)).
+
+It moves *updates*: the gradient of b is scaled by the step sizes (s_t, s_r), carried over, unscaled, and added
+to the gradient of a. The sum is a direction of descent that is no longer the derivative of the loss; it is an
+option of gradient descent and of nothing else. Gradients are body twists Proj(T^-1 G) (`se3.body_gradient`).
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from grasp_refine.se3 import adjoint, body_gradient, hat, inverse, matvec
+
+
+@dataclass(frozen=True)
+class EquivalentTransport:
+    """Adds the gradient of the resting body, carried over, to that of the moving one."""
+
+    step_translation: float
+    """s_t: how far (metres) a unit of linear gradient moves."""
+    step_rotation: float
+    """s_r: how far (radians) a unit of angular gradient turns."""
+
+    def __call__(self, T_world_moving: Tensor, T_world_resting: Tensor) -> tuple[Tensor, Tensor]:
+        """The same poses (..., 4, 4), whose gradients will be transported in the backward pass."""
+        return _Transport.apply(T_world_moving, T_world_resting, self)
+
+
+def transport(T_from: Tensor, T_to: Tensor, twist: Tensor) -> Tensor:
+    """-Ad(T_to^-1 T_from) xi (..., 6): the update of body `to` that has the same effect as xi of body `from`."""
+    return -matvec(adjoint(inverse(T_to) @ T_from), twist)
+
+
+class _Transport(torch.autograd.Function):
+    """Identity on poses; its backward pass moves the gradient of the resting body over to the moving one."""
+
+    @staticmethod
+    def forward(ctx, T_moving: Tensor, T_resting: Tensor, steps: EquivalentTransport) -> tuple[Tensor, Tensor]:  # noqa: ANN001
+        ctx.save_for_backward(T_moving, T_resting)
+        ctx.steps = steps
+        return T_moving.view_as(T_moving), T_resting.view_as(T_resting)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, G_moving: Tensor, G_resting: Tensor) -> tuple[Tensor, Tensor, None]:  # noqa: ANN001
+        T_moving, T_resting = ctx.saved_tensors
+        scale = T_moving.new_tensor([ctx.steps.step_translation] * 3 + [ctx.steps.step_rotation] * 3)
+        update = transport(T_resting, T_moving, body_gradient(T_resting, G_resting) * scale)
+        return G_moving + _entries(T_moving, update / scale), G_resting, None
+
+
+def _entries(T: Tensor, twist: Tensor) -> Tensor:
+    """An entry-wise gradient (..., 4, 4) with Proj(T^-1 G) = twist: the inverse of `se3.body_gradient`."""
+    R = T[..., :3, :3]
+    G = torch.zeros_like(T)
+    G[..., :3, :3] = R @ hat(twist[..., 3:])
+    G[..., :3, 3] = matvec(R, twist[..., :3])
+    return G

@@ -1,0 +1,294 @@
+"""Convex pieces: hulls, primitives, and the decomposition of concave meshes with its cache."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from grasp_refine.errors import MeshError
+from grasp_refine.geometry import cache as disk
+from grasp_refine.geometry.cache import default_cache
+from grasp_refine.geometry.pieces import (
+    Decomposition,
+    Piece,
+    box,
+    capsule,
+    convex_pieces,
+    cylinder,
+    hull,
+    sphere,
+)
+
+
+def pose(seed: int) -> np.ndarray:
+    T = trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).random(3))
+    T[:3, 3] = np.random.default_rng(seed).normal(size=3)
+    return T
+
+
+@pytest.fixture
+def bracket() -> trimesh.Trimesh:
+    """An L of two boxes: 4 x 4 x 2 cm less a quarter."""
+    whole = trimesh.creation.box([4, 4, 2])
+    quarter = trimesh.creation.box([4, 4, 4])
+    quarter.apply_translation([2.5, 2.5, 0])
+    mesh = trimesh.boolean.difference([whole, quarter])
+    return mesh.apply_scale(0.01)
+
+
+def test_hull_keeps_the_corners_of_a_box_and_nothing_inside():
+    corners = np.array([[x, y, z] for x in (0, 0.1) for y in (0, 0.2) for z in (0, 0.3)])
+    inside = np.random.default_rng(0).uniform([0, 0, 0], [0.1, 0.2, 0.3], (500, 3))
+    piece = hull(np.concatenate([inside, corners]))
+    assert sorted(map(tuple, piece.vertices)) == sorted(map(tuple, corners))
+    assert piece.mesh().is_volume
+    assert piece.mesh().volume == pytest.approx(0.1 * 0.2 * 0.3)
+    assert piece.vertices.dtype == np.float64 and piece.faces.dtype == np.int64
+
+
+@pytest.mark.parametrize("size", [1e-5, 1.0, 1e4])
+@pytest.mark.parametrize("seed", range(3))
+def test_hull_supports_its_points_and_faces_outward(size, seed):
+    rng = np.random.default_rng(seed)
+    points = size * (rng.normal(size=(200, 3)) + 10 * rng.normal(size=3))
+    piece = hull(points)
+    directions = rng.normal(size=(100, 3))
+    np.testing.assert_allclose((piece.vertices @ directions.T).max(0), (points @ directions.T).max(0))
+    normals, offsets = piece.planes
+    assert (points @ normals.T - offsets).max() < 1e-9 * size
+    assert (piece.vertices.mean(0) @ normals.T - offsets).max() < 0
+    assert piece.mesh().is_volume
+
+
+@pytest.mark.parametrize(
+    ("points", "reason"),
+    [
+        (np.eye(3), "at least 4 points"),
+        (np.zeros((5, 2)), "at least 4 points"),
+        (np.full((6, 3), 0.2), "its diagonal is 0 m"),
+        (np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, np.nan]]), "1 of its 4 vertices are not finite"),
+        (np.array([[0, 0, 0], [1, 0, 0], [0, np.inf, 0], [0, 0, 1]]), "1 of its 4 vertices are not finite"),
+        (np.outer(np.arange(6), [1.0, 2.0, 3.0]), "flat"),
+        (np.random.default_rng(0).random((20, 3)) * [1, 1, 0], "flat"),
+        (np.random.default_rng(0).random((20, 3)) * [1, 1, 1e-8], "flat"),
+    ],
+)
+def test_hull_refuses_what_has_no_volume(points, reason):
+    with pytest.raises(MeshError, match=f"link finger: .*{reason}"):
+        hull(points, name="link finger")
+
+
+def test_hull_refuses_a_sheet_in_any_orientation():
+    sheet = np.random.default_rng(0).random((50, 3)) * [1, 1, 0] @ pose(3)[:3, :3].T
+    with pytest.raises(MeshError, match="flat"):
+        hull(sheet)
+
+
+def test_box_and_cylinder_have_their_closed_form_volumes():
+    T = pose(1)
+    assert box([0.1, 0.2, 0.3], T).mesh().volume == pytest.approx(0.006)
+    np.testing.assert_allclose(box([0.1, 0.2, 0.3], T).vertices.mean(0), T[:3, 3])
+    for sides in (3, 96):
+        exact = sides / 2 * np.sin(2 * np.pi / sides) * 0.02**2 * 0.1
+        assert cylinder(0.02, 0.1, T, sides).mesh().volume == pytest.approx(exact)
+
+
+def test_cylinder_stays_within_the_bound_that_it_states():
+    prism = cylinder(0.02, 0.1)
+    directions = np.random.default_rng(0).normal(size=(2000, 3)) * [1, 1, 0]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    support = (prism.vertices @ directions.T).max(0)
+    assert support.max() <= 0.02 * (1 + 1e-12)
+    assert support.min() >= 0.02 * np.cos(np.pi / 96) * (1 - 1e-12)
+    np.testing.assert_allclose(np.abs(prism.vertices[:, 2]), 0.05)
+
+
+def test_round_pieces_are_exact_cores_and_tessellate_on_their_surface():
+    ball, rod = sphere(0.02, [1, 2, 3]), capsule(0.02, [0, 0, 0], [0, 0, 0.1])
+    assert ball.vertices.shape == (1, 3) and rod.vertices.shape == (2, 3)
+    assert ball.faces.shape == rod.faces.shape == (0, 3)
+    np.testing.assert_allclose(np.linalg.norm(ball.mesh().vertices - [1, 2, 3], axis=1), 0.02)
+    along = rod.mesh().vertices[:, 2].clip(0, 0.1)
+    np.testing.assert_allclose(np.linalg.norm(rod.mesh().vertices - np.outer(along, [0, 0, 1]), axis=1), 0.02)
+    assert rod.mesh().volume == pytest.approx(np.pi * 0.02**2 * (0.1 + 4 / 3 * 0.02), rel=0.02)
+    assert capsule(0.02, [1, 2, 3], [1, 2, 3]).vertices.shape == (1, 3)
+    np.testing.assert_allclose(rod.bounds, [[-0.02, -0.02, -0.02], [0.02, 0.02, 0.12]])
+
+
+def test_transformed_moves_the_support_points():
+    T = pose(2)
+    for piece in (box([0.1, 0.2, 0.3]), capsule(0.02, [0, 0, 0], [0, 0, 0.1])):
+        moved = piece.transformed(T)
+        np.testing.assert_allclose(moved.vertices, trimesh.transform_points(piece.vertices, T))
+        assert moved.radius == piece.radius
+        assert moved.mesh().volume == pytest.approx(piece.mesh().volume, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda: sphere(0), "sphere: radius must be positive and finite, got 0.0"),
+        (lambda: sphere(np.nan), "sphere: radius must be positive"),
+        (lambda: sphere(1, [0, np.inf, 0]), "sphere: its centre or an end is not finite"),
+        (lambda: capsule(-1, [0, 0, 0], [0, 0, 1]), "capsule: radius must be positive"),
+        (lambda: box([1, 0, 1]), "box: side lengths must be positive"),
+        (lambda: cylinder(1, np.inf), "cylinder: radius and length must be positive"),
+        (lambda: cylinder(1, 1, sides=2), "at least 3 sides are needed, got 2"),
+    ],
+)
+def test_primitives_refuse_sizes_that_make_no_solid(make, reason):
+    with pytest.raises(MeshError, match=reason):
+        make()
+
+
+def test_slivers_have_no_normal_and_give_no_plane():
+    flat_face = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-12, 0], [0, 1, 0], [0, 0, 1.0]])
+    piece = Piece(flat_face, np.array([[0, 2, 1], [0, 3, 1], [0, 4, 3], [0, 1, 4], [1, 3, 4]]))
+    assert not piece.normals[0].any()
+    assert len(piece.planes[0]) == 4
+    np.testing.assert_allclose(np.linalg.norm(piece.planes[0], axis=1), 1)
+
+
+def test_a_convex_mesh_is_its_hull_without_any_search(tmp_path):
+    lines = []
+    (piece,) = convex_pieces(trimesh.creation.icosphere(2), cache=tmp_path, progress=lines.append)
+    assert len(piece.vertices) == 162
+    assert lines == [] and list(tmp_path.iterdir()) == []
+
+
+def test_a_bracket_becomes_pieces_that_cover_it(bracket):
+    lines = []
+    pieces = convex_pieces(bracket, progress=lines.append, name="bracket")
+    assert 2 <= len(pieces) <= 4
+    assert sum(piece.mesh().volume for piece in pieces) == pytest.approx(bracket.volume, rel=0.02)
+    points, _ = trimesh.sample.sample_surface(bracket, 500, seed=0)
+    depths = [(points @ piece.planes[0].T - piece.planes[1]).max(1) for piece in pieces]
+    assert np.min(depths, axis=0).max() < 1e-4
+    assert lines[0] == f"decomposing bracket ({len(bracket.faces)} faces) with CoACD, threshold 0.05 ..."
+    assert lines[1].startswith(f"bracket: {len(pieces)} convex pieces in ")
+
+
+def same(one, other, scale=1.0):
+    assert len(one) == len(other)
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(a.vertices * scale, b.vertices, rtol=1e-12)
+        np.testing.assert_array_equal(a.faces, b.faces)
+
+
+def test_the_same_seed_gives_the_same_pieces(bracket):
+    same(convex_pieces(bracket, Decomposition(seed=3)), convex_pieces(bracket, Decomposition(seed=3)))
+
+
+def test_an_entry_serves_the_mesh_again_at_every_scale(bracket, tmp_path):
+    lines = []
+    folder = tmp_path / "deep" / "pieces"
+    first = convex_pieces(bracket, cache=folder, progress=lines.append)
+    assert len(lines) == 2
+    same(first, convex_pieces(bracket, cache=folder, progress=lines.append))
+    for scale in (1 / 3, 1e-3, 77.7):
+        larger = bracket.copy().apply_scale(scale)
+        same(first, convex_pieces(larger, cache=folder, progress=lines.append), scale)
+    assert len(lines) == 2
+    assert [entry.suffix for entry in folder.iterdir()] == [".npz"]
+
+
+def test_other_settings_and_other_meshes_have_entries_of_their_own(bracket, tmp_path):
+    convex_pieces(bracket, cache=tmp_path)
+    convex_pieces(bracket, Decomposition(threshold=0.2), cache=tmp_path)
+    bracket.vertices[0] += 1e-4
+    convex_pieces(bracket, cache=tmp_path)
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def broken_entries():
+    vertices, faces = np.zeros((4, 3)), np.zeros((4, 3), dtype=np.int64)
+    sound = {"vertices": vertices, "faces": faces, "vertex_counts": [4], "face_counts": [4]}
+    return {
+        "empty": b"",
+        "noise": b"PK\x03\x04 this is not an archive",
+        "missing array": {"vertices": vertices},
+        "object array": sound | {"faces": np.array([None] * 4)},
+        "wrong kind": sound | {"faces": faces.astype(float)},
+        "wrong shape": sound | {"vertices": np.zeros((4, 2))},
+        "no pieces": sound | {"vertex_counts": np.zeros(0, int), "face_counts": np.zeros(0, int)},
+        "counts that do not add up": sound | {"vertex_counts": [5]},
+        "index beyond": sound | {"faces": faces + 4},
+        "not finite": sound | {"vertices": vertices * np.nan},
+    }
+
+
+@pytest.mark.parametrize("kind", [*broken_entries(), "cut short", "flipped byte"])
+def test_a_broken_entry_is_rebuilt(bracket, tmp_path, kind):
+    first = convex_pieces(bracket, cache=tmp_path)
+    (entry,) = tmp_path.iterdir()
+    good = entry.read_bytes()
+    if kind == "cut short":
+        entry.write_bytes(good[: len(good) // 2])
+    elif kind == "flipped byte":
+        entry.write_bytes(good[:300] + bytes([good[300] ^ 255]) + good[301:])
+    elif isinstance(broken := broken_entries()[kind], bytes):
+        entry.write_bytes(broken)
+    else:
+        np.savez(entry, **broken)
+    lines = []
+    same(first, convex_pieces(bracket, cache=tmp_path, progress=lines.append))
+    assert len(lines) == 2
+    same(first, convex_pieces(bracket, cache=tmp_path, progress=lines.append))
+    assert len(lines) == 2
+
+
+def test_an_entry_that_fails_while_it_is_written_leaves_nothing_behind(tmp_path, monkeypatch):
+    cube = box([1, 1, 1])
+
+    def fail(file, **arrays):
+        file.write(b"half an entry")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(disk.np, "savez", fail)
+    with pytest.raises(KeyboardInterrupt):
+        disk.save(tmp_path / "entry.npz", [(cube.vertices, cube.faces)])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_written_to_only_costs_the_entry(bracket, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    lines = []
+    assert convex_pieces(bracket, cache=tmp_path / "file" / "pieces", progress=lines.append)
+    assert "could not be kept for the next time" in lines[-1]
+
+
+def test_flat_parts_are_dropped_and_counted(bracket, monkeypatch):
+    import coacd
+
+    cube = box([0.1, 0.1, 0.1])
+    sheet = cube.vertices * [1, 1, 0]
+    monkeypatch.setattr(
+        coacd, "run_coacd", lambda *_, **__: [[sheet, cube.faces], [cube.vertices, cube.faces]]
+    )
+    lines = []
+    assert len(convex_pieces(bracket, progress=lines.append)) == 1
+    assert lines[-1].endswith("1 flat ones dropped")
+    monkeypatch.setattr(coacd, "run_coacd", lambda *_, **__: [[sheet, cube.faces]])
+    with pytest.raises(MeshError, match=r"bracket: CoACD found no solid piece in it \(1 flat ones\)"):
+        convex_pieces(bracket, name="bracket")
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        ({"threshold": 1.5}, "threshold must be 0.01 to 1, got 1.5"),
+        ({"threshold": np.nan}, "threshold must be 0.01 to 1, got nan"),
+        ({"preprocess_resolution": 2000}, "preprocess_resolution must be 20 to 100, got 2000"),
+        ({"max_pieces": 0}, "max_pieces must be -1 .* or at least 1, got 0"),
+        ({"seed": -1}, "seed must be 0 to"),
+    ],
+)
+def test_settings_that_would_end_the_process_inside_coacd_are_refused(settings, reason):
+    with pytest.raises(MeshError, match=reason):
+        Decomposition(**settings)
+
+
+def test_the_cache_folder_can_be_set(monkeypatch, tmp_path):
+    monkeypatch.setenv("GRASP_REFINE_CACHE", str(tmp_path))
+    assert default_cache() == tmp_path / "pieces"
+    monkeypatch.delenv("GRASP_REFINE_CACHE")
+    assert default_cache().name == "pieces" and default_cache() != tmp_path / "pieces"

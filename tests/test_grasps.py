@@ -1,0 +1,431 @@
+"""Grasp files: what is read, what is refused and with which words, and how joints meet a hand."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import re
+import zipfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from grasp_refine.errors import GraspFileError
+from grasp_refine.grasps import GraspSet, choose_rows, load_grasps, match_joints, save_npz
+from grasp_refine.hand import load_hand
+
+
+def entries(n: int = 3) -> dict:
+    """A valid version-1 file of n grasps of a hand with two joints."""
+    rng = np.random.default_rng(0)
+    quaternion = rng.normal(size=(n, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    return {
+        "schema": 1,
+        "hand": "claw",
+        "base_link": "palm",
+        "joint_names": ["a", "b"],
+        "object": "mug",
+        "scale": 0.1,
+        "hand_pose": np.concatenate([rng.normal(size=(n, 3)), quaternion], axis=1),
+        "q": rng.normal(size=(n, 2)),
+    }
+
+
+def targets(n: int = 3) -> dict:
+    rng = np.random.default_rng(1)
+    points = rng.normal(size=(2, n, 2, 3))
+    points[:, 1, 0] = np.nan
+    return {"target_link": ["tip", "thumb"], "target_point_link": points[0], "target_point_object": points[1]}
+
+
+@pytest.fixture
+def write(tmp_path: Path):
+    """Write the valid file with the given entries changed (None: left out); returns its path."""
+
+    def write(**changes: object) -> Path:
+        path = tmp_path / "grasps.npz"
+        arrays = {**entries(), **changes}
+        np.savez(path, **{key: np.asarray(v) for key, v in arrays.items() if v is not None})
+        return path
+
+    return write
+
+
+def refused(path: Path) -> str:
+    """The message with which the file is refused; one line that starts with the path."""
+    with pytest.raises(GraspFileError) as caught:
+        load_grasps(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    return message.removeprefix(f"{path}: ")
+
+
+# -- reading ---------------------------------------------------------------------------------------------
+
+
+def test_reads_a_file_and_spreads_single_values_over_the_rows(write):
+    grasps = load_grasps(write())
+    assert len(grasps) == 3
+    assert (grasps.hand, grasps.base_link, grasps.joint_names) == ("claw", "palm", ("a", "b"))
+    assert grasps.object.tolist() == ["mug"] * 3
+    assert grasps.scale.tolist() == [0.1] * 3
+    assert grasps.hand_pose.dtype == grasps.q.dtype == np.float64
+    assert grasps.targets is None
+    np.testing.assert_array_equal(grasps.q, entries()["q"])
+
+
+def test_a_file_without_schema_is_version_1(write):
+    assert len(load_grasps(write(schema=None))) == 3
+
+
+def test_other_entries_may_stand_beside(write):
+    assert len(load_grasps(write(contact_error=np.zeros(3), src_file=["x", "y", "z"]))) == 3
+
+
+def test_quaternions_of_float32_are_normalised(write):
+    pose = entries()["hand_pose"]
+    pose[:, 3:] *= 1.0009
+    grasps = load_grasps(write(hand_pose=pose.astype(np.float32)))
+    np.testing.assert_allclose(np.linalg.norm(grasps.hand_pose[:, 3:], axis=1), 1.0, atol=1e-15)
+
+
+def test_reads_targets_with_nan_for_none(write):
+    grasps = load_grasps(write(**targets()))
+    assert grasps.targets is not None
+    assert grasps.targets.links == ("tip", "thumb")
+    assert np.isnan(grasps.targets.point_link[1, 0]).all()
+    assert np.isfinite(grasps.targets.point_object[0]).all()
+
+
+def test_a_hand_without_joints_is_a_grasp_too(write):
+    grasps = load_grasps(write(joint_names=np.array([]), q=np.zeros((3, 0))))
+    assert grasps.joint_names == ()
+    assert grasps.q.shape == (3, 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "objects"),
+    [
+        ("bodex_shadow", 240, 3),
+        ("dexgraspnet_shadow", 657, 3),
+        ("frogger_allegro", 640, 14),
+        ("leap_cube", 768, 1),
+    ],
+)
+def test_reads_the_shared_grasp_sets(shared_assets: Path, name: str, count: int, objects: int):
+    grasps = load_grasps(shared_assets / "grasps" / "normalised" / f"{name}.npz")
+    assert len(grasps) == count
+    assert len(np.unique(grasps.object)) == objects
+    assert grasps.q.shape == (count, len(grasps.joint_names))
+
+
+# -- refusing --------------------------------------------------------------------------------------------
+
+
+def test_missing_file(tmp_path: Path):
+    assert refused(tmp_path / "none.npz") == "no such grasp file"
+
+
+@pytest.mark.parametrize("content", [b"", b"text", pickle.dumps({"q": [1.0]}), b"\x93NUMPY"])
+def test_not_an_npz(tmp_path: Path, content: bytes):
+    path = tmp_path / "grasps.npz"
+    path.write_bytes(content)
+    assert refused(path) == "not an .npz grasp file"
+
+
+def test_a_zip_of_something_else(tmp_path: Path):
+    path = tmp_path / "grasps.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("readme.txt", "hello")
+    assert refused(path) == "not an .npz grasp file, it holds readme.txt"
+
+
+def test_a_truncated_array_is_named(tmp_path: Path):
+    path = tmp_path / "grasps.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("q.npy", b"\x93NUMPY\x01\x00\x05\x00{'de")
+    assert refused(path) == "entry 'q' is damaged"
+
+
+def test_bytes_damaged_in_the_archive(write):
+    path = write()
+    content = bytearray(path.read_bytes())
+    content[content.index(b"NUMPY") + 127] ^= 0xFF
+    path.write_bytes(content)
+    assert refused(path).startswith("not a readable .npz file (Bad CRC")
+
+
+class Bomb:
+    """Creates a folder when unpickled."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.folder),)
+
+
+@pytest.mark.parametrize("key", ["q", "extra"])
+def test_pickles_are_refused_and_never_run(write, tmp_path: Path, key: str):
+    message = refused(write(**{key: np.array([Bomb(tmp_path / "boom")], dtype=object)}))
+    assert message == f"entry '{key}' is a pickled object array, which is never loaded; store plain arrays"
+    assert not (tmp_path / "boom").exists()
+
+
+def test_missing_entries_list_found_and_needed(write):
+    assert refused(write(hand=None, q=None)) == (
+        "lacks hand, q; found base_link, hand_pose, joint_names, object, scale, schema; "
+        "needed are hand, base_link, joint_names, object, scale, hand_pose, q"
+    )
+
+
+PARTLY = targets()
+PARTLY["target_point_object"][0, 1, 2] = np.nan
+INFINITE = targets()
+INFINITE["target_point_link"][2, 0, 0] = np.inf
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"schema": 2}, "schema 2 is newer than this version of grasp-refine reads (1); update it"),
+        ({"schema": 0}, "schema must be one whole number from 1 to 1"),
+        ({"schema": "one"}, "schema must be one whole number from 1 to 1"),
+        ({"hand": 3}, "hand must hold text; it holds int64"),
+        ({"hand": ["a", "b"]}, "hand must be one name; it has shape (2,)"),
+        ({"joint_names": "a"}, "joint_names must be a list of names; it has shape ()"),
+        ({"joint_names": ["a", "a"]}, "joint_names holds a more than once"),
+        (
+            {"hand_pose": np.ones((3, 6))},
+            "hand_pose must have shape (N, 7) with N >= 1, x y z qw qx qy qz; it has (3, 6)",
+        ),
+        (
+            {"hand_pose": np.ones((0, 7)), "q": np.ones((0, 2))},
+            "hand_pose must have shape (N, 7) with N >= 1, x y z qw qx qy qz; it has (0, 7)",
+        ),
+        (
+            {"q": np.ones((3, 4))},
+            "q must have shape (3, 2), one row per hand_pose and one column per name in joint_names; "
+            "it has (3, 4)",
+        ),
+        (
+            {"q": np.ones((2, 2))},
+            "q must have shape (3, 2), one row per hand_pose and one column per name in joint_names; "
+            "it has (2, 2)",
+        ),
+        ({"q": [["x", "y"]] * 3}, "q must hold numbers; it holds <U1"),
+        ({"q": np.ones((3, 2), complex)}, "q must hold numbers; it holds complex128"),
+        ({"q": [[0, 0], [0, np.nan], [0, 0]]}, "q must be finite; row 1 is not"),
+        ({"scale": np.inf}, "scale must be finite; row 0 is not"),
+        ({"scale": [1.0, 0.0, 1.0]}, "scale must be positive; row 1 has 0"),
+        ({"scale": [1.0, 1.0]}, "scale must be one value or one per grasp, (3,); it has (2,)"),
+        ({"object": ["mug", "can"]}, "object must be one value or one per grasp, (3,); it has (2,)"),
+        (
+            {"hand_pose": np.tile([0, 0, 0, 1, 0.1, 0, 0], (3, 1))},
+            "hand_pose row 0 has no unit quaternion: the norm of its last four numbers, qw qx qy qz, "
+            "is 1.00499",
+        ),
+        (
+            {"target_link": ["tip"]},
+            "targets need target_link, target_point_link, target_point_object together; "
+            "found only target_link",
+        ),
+        (
+            {**targets(), "target_link": ["tip"]},
+            "target_point_link must have shape (3, 1, 3); it has (3, 2, 3)",
+        ),
+        (
+            PARTLY,
+            "the target of link 'thumb' in row 0 is partly NaN; both points must be finite, "
+            "or both NaN for no target",
+        ),
+        (INFINITE, "target_point_link must be finite; row 2 is not"),
+    ],
+)
+def test_malformed_entries(write, changes: dict, message: str):
+    assert refused(write(**changes)) == message
+
+
+# -- the set ---------------------------------------------------------------------------------------------
+
+
+def test_select_takes_rows_of_everything_in_the_given_order(write):
+    grasps = load_grasps(write(object=["mug", "can", "jar"], **targets()))
+    chosen = grasps.select([2, 0])
+    assert chosen.object.tolist() == ["jar", "mug"]
+    np.testing.assert_array_equal(chosen.q, grasps.q[[2, 0]])
+    np.testing.assert_array_equal(chosen.hand_pose, grasps.hand_pose[[2, 0]])
+    np.testing.assert_array_equal(chosen.targets.point_link, grasps.targets.point_link[[2, 0]])
+    assert len(grasps.select([])) == 0
+
+
+def test_with_replaces_only_what_is_given(write):
+    grasps = load_grasps(write())
+    changed = grasps.with_(q=grasps.q[:, :1], joint_names=("a",))
+    assert changed.q.shape == (3, 1)
+    assert changed.hand_pose is grasps.hand_pose
+    assert grasps.q.shape == (3, 2)
+
+
+# -- writing ---------------------------------------------------------------------------------------------
+
+
+def test_saved_grasps_load_again(write, tmp_path: Path):
+    grasps = load_grasps(write(**targets()))
+    path = tmp_path / "new" / "folder" / "result.npz"
+    save_npz(path, {**grasps.arrays(), "contact_error_m": np.zeros(3)})
+    again = load_grasps(path)
+    for key, value in grasps.arrays().items():
+        np.testing.assert_array_equal(again.arrays()[key], value)
+    assert [entry.name for entry in path.parent.iterdir()] == ["result.npz"]
+
+
+def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path, monkeypatch):
+    path = tmp_path / "result.npz"
+    save_npz(path, entries())
+    before = path.read_bytes()
+
+    def full(stream, **arrays):
+        stream.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(GraspFileError) as caught:
+        save_npz(path, entries())
+    assert str(caught.value) == f"{path}: cannot be written (No space left on device)"
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(GraspFileError, match="cannot be written"):
+        save_npz(tmp_path / "file" / "result.npz", entries())
+
+
+def test_object_arrays_are_not_written(tmp_path: Path):
+    with pytest.raises(ValueError, match="object arrays cannot be stored without pickle: note"):
+        save_npz(tmp_path / "result.npz", {"note": np.array([None])})
+    assert not list(tmp_path.iterdir())
+
+
+# -- joints ----------------------------------------------------------------------------------------------
+
+
+def joint(name: str, mimic: str | None = None) -> SimpleNamespace:
+    return SimpleNamespace(name=name, kind="revolute", mimic=mimic)
+
+
+CLAW = SimpleNamespace(
+    name="claw",
+    joint_names=("b", "c", "a"),
+    rest=np.array([0.1, 0.2, 0.3]),
+    joints=(joint("b"), joint("c"), joint("follower", mimic="a"), joint("a")),
+)
+
+
+def grasp_set(names: tuple[str, ...], q: np.ndarray) -> GraspSet:
+    n = len(q)
+    pose = np.tile([0.0, 0, 0, 1, 0, 0, 0], (n, 1))
+    return GraspSet("gripper", "palm", names, np.array(["mug"] * n), np.ones(n), pose, q)
+
+
+def test_joints_are_matched_by_name():
+    q, notes = match_joints(grasp_set(("a", "b", "c"), np.array([[1.0, 2, 3], [4, 5, 6]])), CLAW)
+    assert q.tolist() == [[2, 3, 1], [5, 6, 4]]
+    assert notes == ()
+
+
+def test_joints_that_the_file_lacks_stay_at_rest_which_is_said():
+    q, notes = match_joints(grasp_set(("a",), np.array([[1.0]])), CLAW)
+    assert q.tolist() == [[0.1, 0.2, 1.0]]
+    assert notes == ("joints that the grasp file lacks stay at their rest pose: b, c",)
+
+
+def test_mimic_joints_in_the_file_are_ignored_which_is_said():
+    q, notes = match_joints(grasp_set(("a", "follower", "b", "c"), np.array([[1.0, 9, 2, 3]])), CLAW)
+    assert q.tolist() == [[2, 3, 1]]
+    assert notes == ("mimic joints follow their joint, not the grasp file: follower",)
+
+
+def test_joints_that_the_hand_lacks_are_refused():
+    message = (
+        "the grasps are for another hand ('gripper'): hand 'claw' has no joint x, y; its joints are b, c, a"
+    )
+    with pytest.raises(GraspFileError, match=f"^{re.escape(message)}$"):
+        match_joints(grasp_set(("a", "x", "y"), np.zeros((1, 3))), CLAW)
+
+
+@pytest.mark.parametrize(
+    ("grasps", "urdf"),
+    [
+        ("dexgraspnet_shadow", "shadow/shadow_right.urdf"),
+        ("bodex_shadow", "shadow/shadow_right.urdf"),
+        ("frogger_allegro", "allegro/allegro_right.urdf"),
+        ("leap_cube", "leap/leap_right.urdf"),
+    ],
+)
+def test_the_shared_grasps_fit_their_hands_below_the_base_link(shared_assets: Path, grasps: str, urdf: str):
+    chosen = load_grasps(shared_assets / "grasps" / "normalised" / f"{grasps}.npz").select([0, 1])
+    hand = load_hand(shared_assets / "hands" / urdf, base_link=chosen.base_link, candidates=64)
+    q, notes = match_joints(chosen, hand)
+    assert notes == ()
+    for i, name in enumerate(hand.joint_names):
+        np.testing.assert_array_equal(q[:, i], chosen.q[:, chosen.joint_names.index(name)])
+
+
+def test_grasps_of_another_hand_are_refused(shared_assets: Path):
+    chosen = load_grasps(shared_assets / "grasps" / "normalised" / "leap_cube.npz").select([0])
+    hand = load_hand(shared_assets / "hands" / "allegro" / "allegro_right.urdf", candidates=64)
+    with pytest.raises(GraspFileError, match=r"^the grasps are for another hand \('leap'\): hand 'allegro"):
+        match_joints(chosen, hand)
+
+
+# -- rows ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def mixed() -> GraspSet:
+    grasps = grasp_set(("a",), np.arange(5.0)[:, None])
+    return GraspSet(
+        grasps.hand,
+        grasps.base_link,
+        grasps.joint_names,
+        np.array(["mug", "can", "mug", "can", "mug"]),
+        grasps.scale,
+        grasps.hand_pose,
+        grasps.q,
+    )
+
+
+def test_rows_of_one_object(mixed: GraspSet):
+    assert choose_rows(mixed, object_name="mug", index=None).tolist() == [0, 2, 4]
+    assert choose_rows(mixed, object_name="can", index=None).tolist() == [1, 3]
+
+
+def test_an_index_counts_the_grasps_of_the_object(mixed: GraspSet):
+    assert choose_rows(mixed, object_name="mug", index=[2, 0]).tolist() == [4, 0]
+
+
+def test_a_file_of_one_object_needs_no_name(mixed: GraspSet):
+    mugs = mixed.select([0, 2, 4])
+    assert choose_rows(mugs, object_name=None, index=None).tolist() == [0, 1, 2]
+    assert choose_rows(mugs, object_name=None, index=[1]).tolist() == [1]
+
+
+@pytest.mark.parametrize(
+    ("object_name", "index", "message"),
+    [
+        (None, None, "the grasps are of 2 objects, choose one by name: can (2), mug (3)"),
+        (None, [0], "the grasps are of 2 objects, choose one by name: can (2), mug (3)"),
+        ("jar", None, "no grasp of object 'jar'; there are grasps of can (2), mug (3)"),
+        ("mug", [0, 3, -1], "grasp index 3, -1 is out of range: 'mug' has 3 grasps, 0 to 2"),
+    ],
+)
+def test_rows_that_do_not_exist(mixed: GraspSet, object_name, index, message: str):
+    with pytest.raises(GraspFileError, match=f"^{re.escape(message)}$"):
+        choose_rows(mixed, object_name=object_name, index=index)

@@ -1,0 +1,418 @@
+"""Hands: ours against the published facts, five others, mimic joints, subtrees, and hand.toml."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grasp_refine.assets import resource_dir
+from grasp_refine.description.urdf import read_urdf
+from grasp_refine.errors import AssetError, HandError
+from grasp_refine.hand import Contact, Coupled, Hand, list_hands, load_hand
+
+FINGERTIPS = {
+    "allegro": ["link_3.0_tip", "link_7.0_tip", "link_11.0_tip", "link_15.0_tip"],
+    "leap": ["fingertip", "fingertip_2", "fingertip_3", "thumb_fingertip"],
+    "shadow": ["ffdistal", "mfdistal", "rfdistal", "lfdistal", "thdistal"],
+    "barrett": ["finger_1_dist_link", "finger_2_dist_link", "finger_3_dist_link"],
+    "robotiq3f": ["finger_1_link_3", "finger_2_link_3", "finger_middle_link_3"],
+}
+"""Contact links of the hands in the shared assets, as its README lists them."""
+
+JOINTS = {"allegro": 16, "leap": 16, "shadow": 24, "barrett": 8, "robotiq3f": 11}
+"""Independent joints of each."""
+
+TIP = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
+
+
+def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: str = "") -> str:
+    inside += '<limit lower="-1" upper="2" effort="3"/>'
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>'
+    )
+
+
+def write(folder: Path, links: dict[str, str], *joints: str, toml: str | None = None) -> Path:
+    folder.mkdir(exist_ok=True)
+    path = folder / "hand.urdf"
+    elements = "".join(f'<link name="{name}">{inside}</link>' for name, inside in links.items())
+    path.write_text(f'<robot name="r">{elements}{"".join(joints)}</robot>')
+    if toml is not None:
+        (folder / "hand.toml").write_text(toml)
+    return path
+
+
+def finger(folder: Path, toml: str | None = None) -> Path:
+    """A palm on a wrist, with a finger of joints 1, 2 and a frame at its end; returns the URDF file."""
+    links = {"arm": "", "palm": TIP, "near": TIP, "tip": TIP, "frame": ""}
+    chain = [joint("wrist", "arm", "palm"), joint("1", "palm", "near"), joint("2", "near", "tip")]
+    return write(folder, links, *chain, joint("end", "tip", "frame", "fixed"), toml=toml)
+
+
+def rpy_matrix(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+# --- hands that come with the program
+
+
+@pytest.mark.parametrize("name", list_hands())
+def test_our_hands_have_the_published_kinematics(name: str, shared_assets: Path) -> None:
+    facts = json.loads((shared_assets / f"facts/{name}.json").read_text())["urdf"]
+    hand = load_hand(name)
+    assert [hand.base_link] == facts["root"]
+    assert {j.name for j in hand.joints} == {fact["name"] for fact in facts["joints"]}
+    for fact in facts["joints"]:
+        ours = hand.joints_by_name[fact["name"]]
+        assert (ours.kind, ours.parent, ours.child) == (fact["type"], fact["parent"], fact["child"])
+        np.testing.assert_allclose(ours.T_parent_child[:3, 3], fact["xyz"], atol=1e-12)
+        np.testing.assert_allclose(ours.T_parent_child[:3, :3], rpy_matrix(*fact["rpy"]), atol=1e-12)
+        if fact["type"] != "fixed":
+            np.testing.assert_allclose(ours.axis, fact["axis"], atol=1e-12)
+            assert (ours.lower, ours.upper, ours.effort) == (fact["lower"], fact["upper"], fact["effort"])
+    for fact in facts["links"]:
+        assert hand.links_by_name[fact["name"]].mass == fact["mass"]
+
+
+@pytest.mark.parametrize("name", list_hands())
+def test_our_hands_have_inertias_that_matter_can_have(name: str) -> None:
+    import yourdfpy
+
+    hand = load_hand(name)
+    raw = yourdfpy.URDF.load(str(hand.urdf), build_scene_graph=False, load_meshes=False).robot
+    for link in raw.links:
+        if link.inertial is None:
+            assert hand.links_by_name[link.name].body is None
+            continue
+        low, middle, high = np.linalg.eigvalsh(link.inertial.inertia)
+        assert low > 0 and low + middle >= high, link.name
+        bounds = np.stack([piece.bounds for piece in hand.links_by_name[link.name].body.pieces])
+        center, half = (
+            link.inertial.origin[:3, 3],
+            np.ptp([bounds[:, 0].min(0), bounds[:, 1].max(0)], axis=0) / 2,
+        )
+        assert (center > bounds[:, 0].min(0)).all() and (center < bounds[:, 1].max(0)).all(), link.name
+        assert high < link.inertial.mass * np.sort(half)[1:] @ np.sort(half)[1:], (
+            "no mass is outside the shape"
+        )
+        assert len(link.visuals) == len(link.collisions), "one looks at what collides"
+
+
+@pytest.mark.parametrize("name", list_hands())
+def test_our_hands_compile_in_mujoco_as_they_are(name: str) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    hand = load_hand(name)
+    assert mujoco.MjModel.from_xml_path(str(hand.urdf)).nq == len(hand.joint_names)
+
+
+def test_allegro_touches_with_round_fingertips_of_the_published_size(shared_assets: Path) -> None:
+    hand, other = load_hand("allegro"), load_hand(shared_assets / "hands/allegro")
+    assert [(c.link, c.group) for c in hand.contacts] == list(
+        zip(FINGERTIPS["allegro"], ["index", "middle", "ring", "thumb"], strict=True)
+    )
+    assert hand.notes == () and hand.name == "allegro" and hand.joint_names == other.joint_names
+    for contact in hand.contacts:
+        body = hand.links_by_name[contact.link].body
+        ball = next(piece for piece in body.pieces if piece.radius > 0)
+        np.testing.assert_allclose(
+            contact.point, ball.vertices[0] + ball.radius * np.array(contact.normal), atol=1e-6
+        )
+        assert contact.normal[0] > 0.5, "the pad looks the way that the finger closes"
+        # How far each of the two reaches in any direction.
+        theirs = other.links_by_name[contact.link].body.pieces[0].vertices
+        directions = np.random.default_rng(0).normal(size=(500, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        ours = np.max(
+            [(directions @ piece.vertices.T).max(1) + piece.radius for piece in body.pieces], axis=0
+        )
+        difference = np.abs(ours - (directions @ theirs.T).max(1))
+        assert difference[directions[:, 2] > 0].max() < 1e-4 and difference.max() < 1e-3
+    np.testing.assert_array_equal(hand.actuator.kp, 5.0)
+    np.testing.assert_array_equal(hand.actuator.damping, 0.1)
+    np.testing.assert_array_equal(hand.actuator.force_limit, 10.0)
+    assert ((hand.lower < hand.rest) & (hand.rest < hand.upper)).all()
+
+
+def test_allegro_collides_where_the_published_boxes_are(shared_assets: Path) -> None:
+    hand, other = load_hand("allegro"), load_hand(shared_assets / "hands/allegro")
+    for link in hand.links:
+        if link.name not in FINGERTIPS["allegro"] and link.body is not None:
+            for ours, theirs in zip(
+                link.body.pieces, other.links_by_name[link.name].body.pieces, strict=True
+            ):
+                np.testing.assert_allclose(ours.bounds, theirs.bounds, atol=1e-12)
+
+
+# --- hands of others
+
+
+@pytest.mark.parametrize("name", FINGERTIPS)
+def test_bare_urdfs_load_with_their_fingertips_guessed(name: str, shared_assets: Path) -> None:
+    hand = load_hand(shared_assets / "hands" / name)
+    assert hand.name == name and len(hand.joint_names) == JOINTS[name]
+    assert [contact.link for contact in hand.contacts] == FINGERTIPS[name]
+    assert [contact.group for contact in hand.contacts] == FINGERTIPS[name]
+    assert any("contact links guessed" in note and FINGERTIPS[name][-1] in note for note in hand.notes)
+    np.testing.assert_array_equal(hand.rest, (hand.lower + hand.upper) / 2)
+    known = {hand.base_link}
+    for j in hand.joints:
+        assert j.parent in known, "parents come before children"
+        known.add(j.child)
+    assert [link.name for link in hand.links] == [hand.base_link, *(j.child for j in hand.joints)]
+
+
+def test_facts_of_other_hands_agree_too(shared_assets: Path) -> None:
+    for name in ("leap", "shadow"):
+        hand = load_hand(shared_assets / "hands" / name)
+        for fact in json.loads((shared_assets / f"facts/{name}.json").read_text())["urdf"]["joints"]:
+            ours = hand.joints_by_name[fact["name"]]
+            np.testing.assert_allclose(ours.T_parent_child[:3, :3], rpy_matrix(*fact["rpy"]), atol=1e-9)
+            np.testing.assert_allclose(ours.T_parent_child[:3, 3], fact["xyz"], atol=1e-12)
+
+
+def test_shadow_without_its_forearm_and_wrist(shared_assets: Path) -> None:
+    whole = load_hand(shared_assets / "hands/shadow/shadow_right.urdf")
+    hand = load_hand(shared_assets / "hands/shadow/shadow_right.urdf", base_link="palm")
+    assert hand.base_link == hand.links[0].name == "palm" and hand.name == "shadow_right"
+    assert hand.joint_names == tuple(n for n in whole.joint_names if not n.startswith("WR"))
+    assert len(hand.joint_names) == 22
+    assert {"forearm", "wrist", "world"}.isdisjoint(hand.links_by_name)
+    assert [contact.link for contact in hand.contacts] == FINGERTIPS["shadow"]
+    tips = [hand.links_by_name[name].body.pieces[0].vertices for name in FINGERTIPS["shadow"]]
+    assert [len(vertices) for vertices in tips] == [1065, 526, 526, 526, 1164]
+    assert all(0.01 < np.ptp(vertices, axis=0).max() < 0.04 for vertices in tips), "millimetres became metres"
+    assert (
+        hand.joints_by_name["THJ5"].effort == 5.0 == hand.actuator.force_limit[hand.joint_names.index("THJ5")]
+    )
+
+
+def test_joint_names_are_in_file_order_though_joints_are_not(shared_assets: Path) -> None:
+    hand = load_hand(shared_assets / "hands/leap")
+    assert hand.joint_names == tuple(str(i) for i in range(16))
+    movable = [j.name for j in hand.joints if j.movable]
+    assert movable[:4] == ["1", "0", "2", "3"]
+    matrix, offset, names = hand.mimic_map()
+    assert list(names) == movable and not offset.any()
+    np.testing.assert_array_equal(matrix @ np.arange(16.0), [float(name) for name in movable])
+
+
+# --- mimic joints
+
+
+def test_chains_of_mimic_joints_are_resolved(tmp_path: Path) -> None:
+    follows = '<mimic joint="{}" multiplier="{}" offset="{}"/>'
+    path = write(
+        tmp_path,
+        dict.fromkeys("abcdef", ""),
+        joint("c", "a", "b", inside=follows.format("b", 3, 0.5)),
+        joint("b", "b", "c", inside=follows.format("a", -2, 0.25)),
+        joint("f", "c", "d", "fixed"),
+        joint("a", "d", "e"),
+        joint("lone", "e", "f", "continuous", '<mimic joint="a"/>'),
+    )
+    hand = load_hand(path)
+    matrix, offset, names = hand.mimic_map()
+    assert hand.joint_names == ("a",) and names == ("c", "b", "a", "lone")
+    np.testing.assert_array_equal(matrix, [[-6], [-2], [1], [1]])
+    np.testing.assert_array_equal(offset, [1.25, 0.25, 0, 0])
+    assert [j.lower for j in hand.joints if j.mimic] == [-1, -1, -np.inf]
+    np.testing.assert_array_equal((hand.lower, hand.upper, hand.rest), [[-1], [2], [0.5]])
+
+
+def test_mimic_joints_that_follow_each_other_are_refused(tmp_path: Path) -> None:
+    follows = '<mimic joint="{}"/>'
+    loop = [
+        joint("1", "a", "b", inside=follows.format("2")),
+        joint("2", "b", "c", inside=follows.format("1")),
+    ]
+    with pytest.raises(HandError, match="joint '2' mimics '1', which makes a cycle: 1 -> 2 -> 1"):
+        load_hand(write(tmp_path, dict.fromkeys("abc", ""), *loop))
+
+
+# --- what is guessed
+
+
+def test_continuous_joints_rest_at_zero_and_locked_ones_are_noted(tmp_path: Path) -> None:
+    locked = joint("2", "b", "c").replace('upper="2"', 'upper="-1"')
+    hand = load_hand(write(tmp_path, dict.fromkeys("abc", ""), joint("1", "a", "b", "continuous"), locked))
+    np.testing.assert_array_equal(hand.rest, [0, -1])
+    assert "joint '2' cannot move: its limits are equal" in hand.notes
+
+
+def test_contact_links_are_the_last_solid_ones_that_move(tmp_path: Path) -> None:
+    links = {"palm": TIP, "a1": TIP, "sensor": "", "pad": TIP, "frame": "", "b1": TIP, "mount": TIP, "c1": ""}
+    path = write(
+        tmp_path,
+        links,
+        joint("a", "palm", "a1"),
+        joint("as", "a1", "sensor", "fixed"),
+        joint("ap", "sensor", "pad", "fixed"),
+        joint("af", "pad", "frame", "fixed"),
+        joint("b", "palm", "b1"),
+        joint("m", "palm", "mount", "fixed"),
+        joint("c", "palm", "c1"),
+    )
+    assert load_hand(path).contacts == (Contact("pad", "pad"), Contact("b1", "b1"))
+
+
+def test_a_hand_without_solid_links_has_no_contacts_and_says_so(tmp_path: Path) -> None:
+    hand = load_hand(write(tmp_path, dict.fromkeys("ab", ""), joint("1", "a", "b")))
+    assert hand.contacts == () and "none, no link with collision geometry moves" in hand.notes[0]
+
+
+def test_bodies_and_masses_are_in_place(tmp_path: Path) -> None:
+    links = {
+        "a": TIP + TIP.replace("sphere radius", 'box size="1 1 1" x'),
+        "b": '<inertial><mass value="2"/></inertial>',
+    }
+    hand = load_hand(write(tmp_path, links, joint("1", "a", "b")), candidates=100)
+    a, b = hand.links
+    assert len(a.body.pieces) == 2 and len(a.body.candidates.points) == 100 and a.mass is None
+    assert b.body is None and b.mass == 2
+
+
+# --- hand.toml
+
+
+def test_hand_toml_is_held_against_the_urdf(tmp_path: Path) -> None:
+    toml = """
+    base_link = "palm"
+    rest_pose = { "2" = 1.5 }
+    actuator = { kp = { default = 4, "1" = 7 }, force_limit = { "2" = 9 }, armature = 0 }
+    contact = [{ link = "near", group = "index", normal = [0, 0, 2] }]
+    coupled = [{ joints = ["1", "2"], ratio = [1, 2] }]
+    """
+    hand = load_hand(finger(tmp_path / "mine", toml))
+    assert (hand.name, hand.base_link, hand.joint_names) == ("mine", "palm", ("1", "2"))
+    np.testing.assert_array_equal(hand.rest, [0.5, 1.5])
+    np.testing.assert_array_equal(hand.actuator.kp, [4, 7][::-1])
+    np.testing.assert_array_equal(hand.actuator.force_limit, [3, 9])
+    np.testing.assert_array_equal(hand.actuator.armature, 0)
+    np.testing.assert_array_equal(hand.actuator.damping, 0.1)
+    assert hand.contacts == (Contact("near", "index", None, (0, 0, 1)),)
+    assert hand.coupled == (Coupled(("1", "2"), (1, 2)),) and hand.notes == ()
+
+
+def test_what_hand_toml_says_of_links_above_the_base_is_left_out(tmp_path: Path) -> None:
+    toml = """
+    rest_pose = { wrist = 1.5, "1" = 0.25 }
+    actuator = { kp = { wrist = 7 } }
+    contact = [{ link = "palm" }, { link = "tip" }]
+    coupled = [{ joints = ["wrist", "1"] }]
+    """
+    path = finger(tmp_path, toml)
+    assert load_hand(path).joint_names == ("wrist", "1", "2")
+    hand = load_hand(path, base_link="near")
+    assert hand.joint_names == ("2",) and hand.rest == [0.5] and hand.coupled == ()
+    assert hand.contacts == (Contact("tip", "tip"),)
+    assert hand.notes == ("contact link 'palm' is left out: it does not hang from the base link",)
+
+
+@pytest.mark.parametrize(
+    ("toml", "message"),
+    [
+        ("base_link = 'wrist'", r"hand.urdf: no link 'wrist'; its links: arm, palm, near, tip, frame"),
+        ("rest_pose = {x = 1}", r"\[rest_pose\]: no independent joint 'x'; valid: wrist, 1, 2"),
+        ("rest_pose = {end = 0}", r"\[rest_pose\]: no independent joint 'end'; valid: wrist, 1, 2"),
+        ("rest_pose = {wrist = 2.5}", r"\[rest_pose\]: wrist = 2.5 is outside its limits, -1 to 2"),
+        (
+            "contact = [{link = 'x'}]",
+            r"\[\[contact\]\]: no link with collision geometry 'x'; valid: palm, near, tip",
+        ),
+        ("contact = [{link = 'frame'}]", r"no link with collision geometry 'frame'; valid: palm, near, tip"),
+        (
+            "contact = [{link = 'tip'}, {link = 'tip'}]",
+            r"\[\[contact\]\]: link 'tip' comes twice with the same point",
+        ),
+        ("actuator = {kp = {x = 1}}", r"\[actuator\] kp: no independent joint 'x'; valid: wrist, 1, 2"),
+        (
+            "coupled = [{joints = ['1', 'x']}]",
+            r"\[\[coupled\]\]: no independent joint 'x'; valid: wrist, 1, 2",
+        ),
+        (
+            "coupled = [{joints = ['1', '2']}, {joints = ['2', 'wrist']}]",
+            r"\[\[coupled\]\]: joint '2' is in several groups",
+        ),
+        (
+            "kp = 5",
+            r"hand.toml: unknown key 'kp'; valid: urdf, base_link, mjcf, collision, rest_pose, contact",
+        ),
+    ],
+)
+def test_hand_toml_that_names_nothing(tmp_path: Path, toml: str, message: str) -> None:
+    with pytest.raises(HandError, match=message) as caught:
+        load_hand(finger(tmp_path, toml))
+    assert "\n" not in str(caught.value)
+
+
+# --- where hands are found
+
+
+def test_a_hand_is_a_name_a_folder_a_urdf_or_a_hand_toml(tmp_path: Path) -> None:
+    path = finger(tmp_path / "bare")
+    named = finger(tmp_path / "named", toml="urdf = 'hand.urdf'\nbase_link = 'palm'")
+    other = named.with_name("other.urdf")
+    other.write_text(named.read_text())
+    assert load_hand("allegro").urdf == resource_dir("robots") / "allegro/allegro.urdf"
+    assert [load_hand(source).name for source in (path, str(path), path.parent)] == ["hand", "hand", "bare"]
+    for source in (named, named.parent, str(named.parent / "hand.toml")):
+        hand = load_hand(source)
+        assert (hand.name, hand.base_link) == ("named", "palm")
+    assert (load_hand(other).name, load_hand(other).base_link) == ("other", "arm"), (
+        "hand.toml names another URDF"
+    )
+    assert load_hand(named, base_link="near").base_link == "near", "the argument wins"
+
+
+def test_unknown_hands_are_answered_with_those_there_are(tmp_path: Path) -> None:
+    with pytest.raises(
+        AssetError, match="no hand is called 'alegro'; the hands here are allegro.*; or give a folder"
+    ):
+        load_hand("alegro")
+    with pytest.raises(HandError, match="none.urdf: no such file or folder; the hands here are allegro"):
+        load_hand(tmp_path / "none.urdf")
+    with pytest.raises(
+        HandError, match=r"one .urdf file is needed, or a hand.toml that names one; here: none"
+    ):
+        load_hand(tmp_path)
+    for name in ("a.urdf", "b.urdf"):
+        (tmp_path / name).touch()
+    with pytest.raises(HandError, match=r"one .urdf file is needed, .* here: a.urdf, b.urdf"):
+        load_hand(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("link", "message"),
+    [
+        ('<inertial><mass value="-1"/></inertial>', "link 'a' has the mass -1 kg"),
+        (
+            '<collision><geometry><mesh filename="no.stl"/></geometry></collision>',
+            "link 'a': mesh 'no.stl' not found",
+        ),
+        (TIP + TIP.replace("0.01", "1"), None),
+    ],
+)
+def test_links_that_cannot_be_built_are_named(tmp_path: Path, link: str, message: str | None) -> None:
+    path = write(tmp_path, {"a": link})
+    if message is None:
+        assert isinstance(load_hand(path), Hand), "a piece inside another is no mistake"
+    else:
+        with pytest.raises(HandError, match=f"hand.urdf: {message}"):
+            load_hand(path)
+
+
+def test_yourdfpy_reads_no_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import trimesh
+
+    for name in ("load", "load_mesh", "load_scene"):
+        monkeypatch.setattr(trimesh, name, lambda *_, **__: pytest.fail("a mesh was read"))
+    path = write(tmp_path, {"a": '<visual><geometry><mesh filename="v.stl"/></geometry></visual>'})
+    assert read_urdf(path).links[0].visuals == []

@@ -1,0 +1,157 @@
+"""The wheel, the wheel built from the sdist, and an editable install hold robots, manifests and apps."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("scikit_build_core", reason="the build backend comes with the extra 'test'")
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDERS = ("grasp_refine", "robots", "assets_manifest", "apps")
+
+
+def build(source: Path, hook: str, target: Path) -> Path:
+    """Call a hook of the build backend on `source`, as pip does, without fetching anything."""
+    code = f"import scikit_build_core.build as b, sys; sys.stdout = sys.stderr; b.{hook}({str(target)!r})"
+    target.mkdir()
+    result = subprocess.run([sys.executable, "-c", code], cwd=source, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    (built,) = target.iterdir()
+    return built
+
+
+def wanted(source: Path) -> set[str]:
+    """Where each source file belongs in the wheel."""
+    return {
+        str((Path() if folder == "grasp_refine" else Path("grasp_refine")) / path.relative_to(source))
+        for folder in FOLDERS
+        for path in (source / folder).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+
+
+def contents(wheel: Path) -> set[str]:
+    with zipfile.ZipFile(wheel) as archive:
+        return {name for name in archive.namelist() if ".dist-info/" not in name}
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    """A copy of the sources: building in the checkout would leave files there."""
+    copy = tmp_path / "source"
+    copy.mkdir()
+    for name in ("pyproject.toml", "README.md", "LICENSE", ".gitignore"):
+        shutil.copy(ROOT / name, copy)
+    for folder in FOLDERS:
+        shutil.copytree(ROOT / folder, copy / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    return copy
+
+
+def test_the_wheel_holds_everything_under_the_package(source: Path, tmp_path: Path):
+    wheel = build(source, "build_wheel", tmp_path / "wheel")
+    assert wheel.name == "grasp_refine-0.1.0-py3-none-any.whl"
+    assert contents(wheel) == wanted(source)
+    assert {"grasp_refine/apps/__init__.py", "grasp_refine/py.typed"} <= contents(wheel)
+    for kind in ("hands", "objects", "grasps"):
+        assert f"grasp_refine/assets_manifest/{kind}.toml" in contents(wheel)
+    assert any(name.startswith("grasp_refine/robots/allegro/") for name in contents(wheel))
+
+
+def test_the_wheel_names_its_command_and_licence(source: Path, tmp_path: Path):
+    with zipfile.ZipFile(build(source, "build_wheel", tmp_path / "wheel")) as archive:
+        info = {Path(name).name: name for name in archive.namelist() if ".dist-info/" in name}
+        commands = archive.read(info["entry_points.txt"]).decode().replace(" ", "")
+        assert "refine-grasp=grasp_refine.cli:main" in commands
+        metadata = archive.read(info["METADATA"]).decode()
+        assert "License-Expression: Apache-2.0" in metadata
+        assert "Requires-Python: >=3.11" in metadata
+        assert b"Apache License" in archive.read(info["LICENSE"])
+
+
+def test_the_sdist_builds_the_same_wheel(source: Path, tmp_path: Path):
+    sdist = build(source, "build_sdist", tmp_path / "sdist")
+    with tarfile.open(sdist) as archive:
+        archive.extractall(tmp_path / "unpacked", filter="data")
+    (unpacked,) = (tmp_path / "unpacked").iterdir()
+    assert contents(build(unpacked, "build_wheel", tmp_path / "wheel")) == wanted(source)
+
+
+def installed(site: Path, *, editable: bool = False) -> dict[str, str]:
+    """What a fresh interpreter with nothing but `site` on its path sees."""
+    code = """
+import json, site, sys
+site.addsitedir(sys.argv[1])
+import grasp_refine, grasp_refine.apps
+from grasp_refine.assets import resource_dir
+found = {name: str(resource_dir(name)) for name in ("robots", "assets_manifest", "apps")}
+found["version"] = grasp_refine.__version__
+found["package"] = grasp_refine.__file__
+found["module"] = grasp_refine.apps.__file__
+if len(sys.argv) > 2:
+    from grasp_refine import added_later
+    found["added"] = added_later.__file__
+print(json.dumps(found))
+"""
+    arguments = [sys.executable, "-I", "-S", "-c", code, str(site), *(["added"] if editable else [])]
+    result = subprocess.run(arguments, cwd=site, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+def test_an_installed_wheel_finds_its_folders(source: Path, tmp_path: Path):
+    site = tmp_path / "site"
+    with zipfile.ZipFile(build(source, "build_wheel", tmp_path / "wheel")) as archive:
+        archive.extractall(site)
+    package = site / "grasp_refine"
+    assert installed(site) == {
+        "version": "0.1.0",
+        "package": str(package / "__init__.py"),
+        "module": str(package / "apps" / "__init__.py"),
+        **{name: str(package / name) for name in FOLDERS[1:]},
+    }
+
+
+def test_an_editable_install_sees_the_checkout(source: Path, tmp_path: Path):
+    site = tmp_path / "site"
+    with zipfile.ZipFile(build(source, "build_editable", tmp_path / "wheel")) as archive:
+        archive.extractall(site)
+    later = source / "grasp_refine" / "added_later.py"
+    later.write_text("")
+    assert installed(site, editable=True) == {
+        "version": "0.1.0",
+        "package": str(source / "grasp_refine" / "__init__.py"),
+        "module": str(source / "apps" / "__init__.py"),
+        "added": str(later),
+        **{name: str(source / name) for name in FOLDERS[1:]},
+    }
+
+
+def test_importing_the_package_loads_nothing_else():
+    code = """
+import sys
+before = set(sys.modules)
+import grasp_refine
+print(sorted(set(sys.modules) - before))
+"""
+    result = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r}){code}"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert result.stdout.strip() == "['grasp_refine']"
+
+
+def test_an_unknown_attribute_of_the_package_is_an_error():
+    import grasp_refine
+
+    with pytest.raises(AttributeError, match="module 'grasp_refine' has no attribute 'nonsense'"):
+        grasp_refine.nonsense  # noqa: B018
