@@ -38,7 +38,9 @@ class Kinematics:
         known = {link.name for link in hand.links}
         unknown = [link for link in links if link not in known]
         if unknown:
-            raise HandError(f"hand {hand.name} has no link {', '.join(unknown)}; it has {', '.join(sorted(known))}")
+            raise HandError(
+                f"hand {hand.name} has no link {', '.join(unknown)}; it has {', '.join(sorted(known))}"
+            )
         wanted: set[str] = set()
         for link in links:
             while link in parent_joint:
@@ -52,7 +54,9 @@ class Kinematics:
             kind = "revolute" if joint.kind == "continuous" else joint.kind
             axis = None if kind == "fixed" else torch.as_tensor(joint.axis, dtype=torch.float64)
             frame = Frame(
-                joint.child, Link(joint.child), Joint(joint.name, offset, kind, axis, dtype=torch.float64, limits=(0, 0))
+                joint.child,
+                Link(joint.child),
+                Joint(joint.name, offset, kind, axis, dtype=torch.float64, limits=(0, 0)),
             )
             frames[joint.child] = frame
             frames[joint.parent].add_child(frame)

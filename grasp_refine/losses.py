@@ -26,12 +26,18 @@ class Weights:
 
 
 def contact_targets(
-    witness: Witness, T_world_a: Tensor, T_world_b: Tensor, target_a: Tensor, target_b: Tensor, margin: float = 0.0
+    witness: Witness,
+    T_world_a: Tensor,
+    T_world_b: Tensor,
+    target_a: Tensor,
+    target_b: Tensor,
+    margin: float = 0.0,
 ) -> Tensor:
-    """Contact residuals (..., pair, 9) in metres: gap, and miss of the target on either body.
+    """Contact residuals (..., pair, 7) in metres: gap, and miss of the target on either body.
 
-    r = [x_a - x_b + beta n, x_a - t_a, x_b - t_b] (arXiv 2511.06267, Eq. 5). Zero where a pair has no target
-    (NaN) or no witness points.
+    r = [d - beta, x_a - t_a, x_b - t_b]. Its square is that of arXiv 2511.06267, Eq. 5, because
+    |x_a - x_b + beta n|^2 = (d - beta)^2; written with the signed distance, the gap's gradient is exact and
+    needs no smoothing. Zero where a pair has no target (NaN) or no witness points.
 
     Args:
         witness: Witness points of the contact pairs, world frame.
@@ -41,14 +47,13 @@ def contact_targets(
         target_b: Where body b should be touched (..., pair, 3), its own frame, metres.
         margin: Contact margin beta in metres: the signed distance that is aimed at.
     """
-    wanted = ~(target_a.isnan().any(-1) | target_b.isnan().any(-1)) & torch.as_tensor(
-        witness.valid, device=target_a.device
-    )
-    t_a = transform_points(T_world_a, target_a.nan_to_num())
-    t_b = transform_points(T_world_b, target_b.nan_to_num())
-    gap = witness.point_a - witness.point_b + margin * witness.normal
-    residuals = torch.cat([gap, witness.point_a - t_a, witness.point_b - t_b], dim=-1)
-    return torch.where(wanted[..., None], residuals, residuals.new_zeros(()))
+    valid = torch.as_tensor(witness.valid, device=target_a.device)
+    wanted = (valid & ~(target_a.isnan().any(-1) | target_b.isnan().any(-1)))[..., None]
+    zero = target_a.new_zeros(())
+    gap = torch.where(wanted, witness.distance[..., None], zero + margin) - margin
+    miss_a = witness.point_a - transform_points(T_world_a, target_a.nan_to_num())
+    miss_b = witness.point_b - transform_points(T_world_b, target_b.nan_to_num())
+    return torch.cat([gap, torch.where(wanted, miss_a, zero), torch.where(wanted, miss_b, zero)], dim=-1)
 
 
 def penetration(witness: Witness) -> Tensor:

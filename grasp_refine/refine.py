@@ -19,6 +19,7 @@ from grasp_refine.solvers.descent import Descent
 from grasp_refine.solvers.status import Status
 from grasp_refine.targets import automatic_targets
 from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.transport import EquivalentTransport
 
@@ -29,7 +30,7 @@ class Config:
 
     solver: Descent = field(default_factory=Descent)
     """How the hand moves."""
-    derivative: Distance = field(default_factory=Distance)
+    derivative: ContactKinematics | Distance = field(default_factory=ContactKinematics)
     """How witness points are differentiated."""
     weights: Weights = field(default_factory=Weights)
     """How much each term of the loss counts."""
@@ -64,7 +65,10 @@ class Scene:
     def links(self) -> tuple[str, ...]:
         """Links with collision geometry, the columns of every per-link array; contact links come first."""
         first = [contact.link for contact in self.hand.contacts]
-        return (*first, *(link.name for link in self.hand.links if link.body is not None and link.name not in first))
+        return (
+            *first,
+            *(link.name for link in self.hand.links if link.body is not None and link.name not in first),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +155,9 @@ class Objective:
         # Links without a target matter only where they penetrate.
         aimed = ~torch.isnan(target_link[..., 0])
         cutoff = np.where(aimed.cpu().numpy(), np.inf, 0.0)
-        witness = self.layer(T_link, T_object, target_link, target_object, cutoff=cutoff, key=key, previous=previous)
+        witness = self.layer(
+            T_link, T_object, target_link, target_object, cutoff=cutoff, key=key, previous=previous
+        )
         weights = self.config.weights
         contact = contact_targets(witness, T_link, T_object, target_link, target_object, self.config.margin)
         depth = torch.where(aimed, torch.zeros_like(witness.distance), penetration(witness))
@@ -235,7 +241,9 @@ class _Run:
         value = loss.double().cpu().numpy()
         ended = self._judge(value, iteration)
         stage = torch.as_tensor(self.stage[active], device=self.T.device)
-        T, q = solver.step(self.T, self.q, twist, q_gradient, stage, self.objective.lower, self.objective.upper)
+        T, q = solver.step(
+            self.T, self.q, twist, q_gradient, stage, self.objective.lower, self.objective.upper
+        )
         self.iterations[active] += 1
         self.queries[active] += witness.asked.sum(axis=1)
         keep = np.flatnonzero(~ended)

@@ -17,6 +17,7 @@ ORDER = (
     "assets",
     "geometry.mesh",
     "geometry.cache",
+    "geometry.decomposition",
     "geometry.pieces",
     "geometry.sampling",
     "geometry.body",

@@ -107,7 +107,12 @@ class NarrowPhase:
         failed = np.zeros(count, dtype=bool)
         pairs, cold, warm, slack = self._pairs, self._request, self._warm_request, self._slack
         result, T = coal.DistanceResult(), coal.Transform3s()
-        start_list, pair_list, bound_list, limit_list = starts.tolist(), pair.tolist(), bound.tolist(), limit.tolist()
+        start_list, pair_list, bound_list, limit_list = (
+            starts.tolist(),
+            pair.tolist(),
+            bound.tolist(),
+            limit.tolist(),
+        )
         warm_list = guess_valid.tolist() if guess_valid is not None else None
         for i in range(count):
             T.setRotation(R[i])
@@ -156,10 +161,15 @@ def _shape(piece: Piece) -> tuple[coal.CollisionGeometry, coal.Transform3s | Non
     if len(vertices) == 2:
         axis = vertices[1] - vertices[0]
         length = float(np.linalg.norm(axis))
-        return coal.Capsule(piece.radius, length), coal.Transform3s(_frame(axis / length), vertices.mean(axis=0))
+        return coal.Capsule(piece.radius, length), coal.Transform3s(
+            _frame(axis / length), vertices.mean(axis=0)
+        )
     points = coal.StdVec_Vec3s()
     points.extend(list(vertices))
-    edges = np.unique(np.sort(np.concatenate([piece.faces[:, [0, 1]], piece.faces[:, [1, 2]], piece.faces[:, [2, 0]]])), axis=0)
+    edges = np.unique(
+        np.sort(np.concatenate([piece.faces[:, [0, 1]], piece.faces[:, [1, 2]], piece.faces[:, [2, 0]]])),
+        axis=0,
+    )
     if np.bincount(edges.ravel()).max() <= _MAX_NEIGHBOURS // 2:
         shape = coal.Convex.convexHull(points, True, "Qt")
     else:

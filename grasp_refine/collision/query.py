@@ -87,7 +87,9 @@ class Pairs:
 
     def __post_init__(self) -> None:
         if len(self.a) != len(self.b) or not self.a:
-            raise CollisionError(f"pairs need equally many bodies on both sides, got {len(self.a)} and {len(self.b)}")
+            raise CollisionError(
+                f"pairs need equally many bodies on both sides, got {len(self.a)} and {len(self.b)}"
+            )
 
     @staticmethod
     def against(bodies: Sequence[Body], other: Body) -> "Pairs":
@@ -126,7 +128,10 @@ class _PieceTable:
         ids = np.full((len(pairs), width), -1)
         pieces_a, pieces_b, taken_a, taken_b = [], [], [], []
         for p, (a, b) in enumerate(zip(pairs.a, pairs.b, strict=True)):
-            i, j = (grid.ravel() for grid in np.meshgrid(range(len(a.pieces)), range(len(b.pieces)), indexing="ij"))
+            i, j = (
+                grid.ravel()
+                for grid in np.meshgrid(range(len(a.pieces)), range(len(b.pieces)), indexing="ij")
+            )
             ids[p, : len(i)] = len(pieces_a) + np.arange(len(i))
             pieces_a += [a.pieces[k] for k in i]
             pieces_b += [b.pieces[k] for k in j]
@@ -208,7 +213,9 @@ def _minimum(
     body_pair = item % table.id.shape[0]
     tight = np.maximum(
         bound[item, col],
-        box_bound(table.bounds_a.take((body_pair, col)), table.bounds_b.take((body_pair, col)), R[item], t[item]),
+        box_bound(
+            table.bounds_a.take((body_pair, col)), table.bounds_b.take((body_pair, col)), R[item], t[item]
+        ),
     )
     open_ = tight < best[item]
     item, col, tight = item[open_], col[open_], tight[open_]
@@ -237,7 +244,9 @@ def _hint(
     column = np.where(has, winner - ids[:, 0], -1)
     difference = np.asarray(previous.point_a) - np.asarray(previous.point_b)
     guess = np.einsum("bpji,bpj->bpi", T_a[..., :3, :3], difference).reshape(-1, 3)
-    apart = (np.asarray(previous.status).reshape(-1) == QueryStatus.SEPARATED) & np.isfinite(guess).all(axis=1)
+    apart = (np.asarray(previous.status).reshape(-1) == QueryStatus.SEPARATED) & np.isfinite(guess).all(
+        axis=1
+    )
     return column, np.ascontiguousarray(guess), apart
 
 
@@ -264,4 +273,6 @@ def _witness(found: Closest, T_a: np.ndarray, limit: np.ndarray, finite: np.ndar
 
 
 def _stack(bounds: list[Bounds]) -> Bounds:
-    return Bounds(*(np.stack([getattr(b, name) for b in bounds]) for name in ("center", "radius", "axes", "half")))
+    return Bounds(
+        *(np.stack([getattr(b, name) for b in bounds]) for name in ("center", "radius", "axes", "half"))
+    )

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry import cache as disk
+from grasp_refine.geometry.decomposition import Decomposition, decompose
 from grasp_refine.geometry.mesh import check_solid, is_convex
 
 if TYPE_CHECKING:
@@ -143,60 +144,6 @@ def cylinder(radius: float, length: float, T: np.ndarray | None = None, sides: i
     return hull(_placed(np.concatenate([ring, ring * [1, 1, -1]]), T), name="cylinder")
 
 
-_RANGES = {
-    "threshold": (0.01, 1),
-    "preprocess_resolution": (20, 100),
-    "resolution": (1000, 10000),
-    "mcts_nodes": (10, 40),
-    "mcts_iterations": (60, 2000),
-    "mcts_max_depth": (2, 7),
-    "seed": (0, 2**32 - 1),
-}
-
-
-@dataclass(frozen=True)
-class Decomposition:
-    """Settings of CoACD (Wei et al. 2022, collision-aware convex decomposition); its own defaults."""
-
-    threshold: float = 0.05
-    """Largest concavity of a piece, 0.01 to 1, the mesh being 2 long: lower is finer, with more pieces."""
-    max_pieces: int = -1
-    """Most pieces, merged beyond the threshold if need be; -1: as many as the threshold takes."""
-    preprocess: Literal["auto", "on", "off"] = "auto"
-    """Whether the mesh is remeshed first: auto does so where it is not manifold."""
-    preprocess_resolution: int = 50
-    """Voxels along a side of that remeshing, 20 to 100."""
-    resolution: int = 2000
-    """Surface samples by which concavity is measured, 1000 to 10000."""
-    mcts_nodes: int = 20
-    """Candidate cutting planes per step of the tree search, 10 to 40."""
-    mcts_iterations: int = 150
-    """Iterations of the tree search for each cut, 60 to 2000."""
-    mcts_max_depth: int = 3
-    """Cuts that the tree search looks ahead, 2 to 7."""
-    merge: bool = True
-    """Whether pieces whose common hull stays below the threshold are merged again."""
-    seed: int = 0
-    """Seed of the search; same seed, same pieces."""
-
-    def __post_init__(self) -> None:
-        """Nothing.
-
-        Raises:
-            MeshError: a setting is outside its range.
-        """
-        # CoACD ends the whole process on some of these.
-        for field, (low, high) in _RANGES.items():
-            if not low <= getattr(self, field) <= high:
-                raise MeshError(
-                    f"decomposition: {field} must be {low:g} to {high:g}, got {getattr(self, field)}"
-                )
-        if not (self.max_pieces == -1 or self.max_pieces >= 1):
-            raise MeshError(
-                f"decomposition: max_pieces must be -1 (any number) or at least 1, got {self.max_pieces}"
-            )
-
-
 def convex_pieces(
     mesh: trimesh.Trimesh,
     config: Decomposition | None = None,
@@ -212,7 +159,7 @@ def convex_pieces(
     and one after a decomposition.
 
     Raises:
-        MeshError: nothing solid came out.
+        MeshError: CoACD fails on it, or nothing solid came out.
     """
     config = config or Decomposition()
     report = progress or (lambda line: None)
@@ -227,7 +174,13 @@ def convex_pieces(
     if parts is None:
         report(f"decomposing {name} ({len(faces)} faces) with CoACD, threshold {config.threshold:g} ...")
         start = time.perf_counter()
-        parts, dropped = _decompose(vertices, faces, config)
+        single = bool(mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1)
+        try:
+            found = decompose(vertices, faces, config, single=single)
+        except MeshError as error:
+            raise MeshError(f"{name}: {error}") from None
+        parts = _solid(found)
+        dropped = len(found) - len(parts)
         if not parts:
             raise MeshError(f"{name}: CoACD found no solid piece in it ({dropped} flat ones)")
         flat = f", {dropped} flat ones dropped" if dropped else ""
@@ -240,36 +193,20 @@ def convex_pieces(
     return tuple(Piece(corners * diagonal, triangles) for corners, triangles in parts)
 
 
-def _decompose(
-    vertices: np.ndarray, faces: np.ndarray, config: Decomposition
-) -> tuple[list[disk.Polytope], int]:
-    """The solid pieces (vertices, faces) of a mesh of diagonal 1, and how many flat ones were dropped."""
-    import coacd
+def _solid(parts: Sequence[np.ndarray]) -> list[disk.Polytope]:
+    """The hulls of those parts of a mesh of diagonal 1 that have a volume.
 
-    coacd.set_log_level("error")
-    parts = coacd.run_coacd(
-        coacd.Mesh(vertices, faces),
-        threshold=config.threshold,
-        max_convex_hull=config.max_pieces,
-        preprocess_mode=config.preprocess,
-        preprocess_resolution=config.preprocess_resolution,
-        resolution=config.resolution,
-        mcts_nodes=config.mcts_nodes,
-        mcts_iterations=config.mcts_iterations,
-        mcts_max_depth=config.mcts_max_depth,
-        merge=config.merge,
-        seed=config.seed,
-    )
+    A cut along a wall can leave a sheet behind: nothing of the body is lost with it.
+    """
     solid = []
-    for corners, _ in parts:
-        # A cut along a wall can leave a sheet behind: nothing of the body is lost with it.
+    for corners in parts:
         try:
             piece = hull(corners)
         except MeshError:
             continue
         if piece.mesh().volume > NEGLIGIBLE:
             solid.append((piece.vertices, piece.faces))
-    return solid, len(parts) - len(solid)
+    return solid
 
 
 def _rounded(radius: float, points: Sequence[ArrayLike], name: str) -> Piece:

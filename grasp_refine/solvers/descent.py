@@ -21,15 +21,15 @@ class Descent:
     """Most iterations per grasp."""
     step_translation: float = 1e-3
     """s_t in metres."""
-    step_rotation: float = 2e-3
-    """s_r in radians."""
-    step_joints: float = 1e-2
-    """s_q in radians (metres for prismatic joints)."""
+    step_rotation: float = 1e-2
+    """s_r in radians (the paper takes 0.002)."""
+    step_joints: float = 2e-2
+    """s_q in radians, metres for prismatic joints (the paper takes 0.01)."""
     shares: tuple[float, ...] = (0.5, 0.8)
     """Shares of the iterations after which the steps shrink."""
     factors: tuple[float, ...] = (0.1, 0.01)
     """What the steps shrink to then."""
-    patience: int = 60
+    patience: int = 200
     """Iterations without progress after which a grasp goes on with shorter steps, or ends after the last."""
     progress: float = 0.01
     """Smallest relative fall of the loss that counts as progress."""
@@ -41,7 +41,14 @@ class Descent:
         return sum(iteration >= share * self.iterations for share in self.shares)
 
     def step(
-        self, T: Tensor, q: Tensor, twist: Tensor, q_gradient: Tensor, stage: Tensor, lower: Tensor, upper: Tensor
+        self,
+        T: Tensor,
+        q: Tensor,
+        twist: Tensor,
+        q_gradient: Tensor,
+        stage: Tensor,
+        lower: Tensor,
+        upper: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """The next root poses and joint values.
 
@@ -58,10 +65,14 @@ class Descent:
         v, w = _unit(twist[:, :3]), _unit(twist[:, 3:])
         move = torch.cat([-v * self.step_translation, -w * self.step_rotation], dim=1) * scale
         moved = q - _unit(q_gradient) * self.step_joints * scale
-        return retract(T, move), torch.minimum(torch.maximum(moved, torch.minimum(q, lower)), torch.maximum(q, upper))
+        return retract(T, move), torch.minimum(
+            torch.maximum(moved, torch.minimum(q, lower)), torch.maximum(q, upper)
+        )
 
 
 def _unit(vector: Tensor) -> Tensor:
     """Vectors (batch, n) at unit length; zero stays zero."""
     norm = vector.norm(dim=1, keepdim=True)
-    return torch.where(norm > 0, vector / torch.where(norm > 0, norm, torch.ones_like(norm)), torch.zeros_like(vector))
+    return torch.where(
+        norm > 0, vector / torch.where(norm > 0, norm, torch.ones_like(norm)), torch.zeros_like(vector)
+    )

@@ -13,19 +13,26 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from grasp_refine.collision.query import Pairs, Witness, query
-from grasp_refine.se3 import ambient_gradient, cross
+from grasp_refine.se3 import ambient_gradient
 from grasp_refine.witness.neighborhood import Surfaces
 from grasp_refine.witness.scene import WitnessScene
-from grasp_refine.witness.slip import Coupling, Slip, pull_back, wrench
+from grasp_refine.witness.slip import wrench
 
 
-class SlipMethod(Protocol):
-    """A smoothing method: it only has to say how far each witness point slips when the other one moves."""
+class Derivative(Protocol):
+    """A derivative method: how witness points and normals follow the motion of the two bodies."""
 
-    coupling: Coupling
+    def pull_back(
+        self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Covectors on the bodies' spatial twists (f, m) (batch, pair, 6): dL = f . v + m . w.
 
-    def slip(self, scene: WitnessScene) -> Slip:
-        """Slip matrices of all pairs of the scene."""
+        Args:
+            scene: Poses and the witness points found there.
+            force_a: dL/dx_a (batch, pair, 3), world frame.
+            force_b: dL/dx_b.
+            force_n: dL/dn, or None where the loss does not look at the normal.
+        """
         ...
 
 
@@ -33,12 +40,11 @@ class WitnessLayer:
     """Differentiable witness points of body pairs.
 
     What is exact: the signed distance's gradient, d' = n . (V_b(x_b) - V_a(x_a)), wherever the witness pair is
-    unique; it needs no smoothing. What is approximated: how the points slip along their surfaces, by `method`.
-    The normal turns with the points' difference where they are apart by more than the candidate spacing, and
-    with the mean rotation of the two bodies where they touch. Poses get gradients once (no double backward).
+    unique; it needs no smoothing. What is approximated, by `method`: how points and normals slip along the
+    surfaces. Poses get gradients once (no double backward).
     """
 
-    def __init__(self, pairs: Pairs, method: SlipMethod) -> None:
+    def __init__(self, pairs: Pairs, method: Derivative) -> None:
         """Prepare the pairs; `method` is used in backward passes only."""
         self.pairs = pairs
         self.method = method
@@ -76,7 +82,9 @@ class WitnessLayer:
                 f"{tuple(T_world_b.shape)}"
             )
         found = query(self.pairs, _array(T_world_a), _array(T_world_b), cutoff=cutoff, previous=previous)
-        points = _WitnessFunction.apply(T_world_a, T_world_b, self, found, _target(target_a), _target(target_b), key)
+        points = _WitnessFunction.apply(
+            T_world_a, T_world_b, self, found, _target(target_a), _target(target_b), key
+        )
         return Witness(*points, found.status, found.winner, found.asked)
 
     def surfaces(self, columns: np.ndarray) -> Surfaces:
@@ -113,7 +121,11 @@ class _WitnessFunction(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(  # noqa: D102
-        ctx: Any, grad_a: Tensor | None, grad_b: Tensor | None, grad_normal: Tensor | None, grad_distance: Tensor | None
+        ctx: Any,
+        grad_a: Tensor | None,
+        grad_b: Tensor | None,
+        grad_normal: Tensor | None,
+        grad_distance: Tensor | None,
     ) -> tuple[Tensor | None, Tensor | None, None, None, None, None, None]:
         T_a, T_b = ctx.saved_tensors
         found = ctx.found
@@ -158,22 +170,7 @@ def _pull_back_points(
     surfaces = layer.surfaces(columns)
     targets = (None if target is None else target[:, columns] for target in ctx.targets)
     scene = WitnessScene(surfaces, T_a[:, columns], T_b[:, columns], found, *targets, ctx.key)
-    mean_moment = None
-    if g_n is not None:
-        g_n = g_n[:, columns]
-        spacing = surfaces.spacing.reshape(2, -1).mean(axis=0)
-        d = found.distance
-        stiffness = (d / (d * d + spacing**2))[..., None]
-        tangential = g_n - (g_n * found.normal).sum(axis=-1, keepdims=True) * found.normal
-        g_a, g_b = g_a - stiffness * tangential, g_b + stiffness * tangential
-        mean_moment = 0.5 * cross(found.normal, tangential) * (1.0 - stiffness * d[..., None])
-    wrench_a, wrench_b = pull_back(
-        layer.method.slip(scene), found.point_a, found.point_b, g_a, g_b, layer.method.coupling
-    )
-    if mean_moment is not None:
-        wrench_a[..., 3:] += mean_moment
-        wrench_b[..., 3:] += mean_moment
-    return wrench_a, wrench_b
+    return layer.method.pull_back(scene, g_a, g_b, None if g_n is None else g_n[:, columns])
 
 
 def _cotangent(gradient: Tensor | None, valid: np.ndarray) -> np.ndarray | None:

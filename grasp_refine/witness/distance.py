@@ -7,7 +7,7 @@ import numpy as np
 from grasp_refine.se3 import transform_points
 from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors, choose, draw_offset
 from grasp_refine.witness.scene import WitnessScene
-from grasp_refine.witness.slip import Coupling, Slip
+from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,12 @@ class Distance:
         """Slip matrices (batch, pair, 3, 3) of both bodies, world frame."""
         sides = scene.sides()
         near = choose(
-            self.neighborhood, scene.surfaces, sides.point, sides.normal, sides.target, draw_offset(self.seed, scene.key)
+            self.neighborhood,
+            scene.surfaces,
+            sides.point,
+            sides.normal,
+            sides.target,
+            draw_offset(self.seed, scene.key),
         )
         smoothed, slip = smooth(near, sides.other)
         slip = (sides.rotation @ slip @ sides.rotation.mT).swapaxes(0, 1)
@@ -43,6 +48,12 @@ class Distance:
             self_a = transform_points(scene.T_world_a, smoothed[:, :count])
             self_b = transform_points(scene.T_world_b, smoothed[:, count:])
         return Slip(slip[:, :count], slip[:, count:], self_a, self_b)
+
+    def pull_back(
+        self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Wrenches (batch, pair, 6) on the two bodies of covectors on witness points and normal."""
+        return pull_back_witness(self.slip(scene), scene, force_a, force_b, force_n, self.coupling)
 
 
 def smooth(near: Neighbors, y: np.ndarray, tau: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

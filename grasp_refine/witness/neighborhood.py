@@ -78,6 +78,8 @@ class Neighbors:
 
     points: np.ndarray
     """(S, B, K, 3) in the body frames, metres."""
+    normals: np.ndarray
+    """Outward normals of the candidates, without the witness (S, B, K - 1, 3), body frames."""
     mask: np.ndarray
     """(S, B, K): false pads."""
     radius: np.ndarray
@@ -173,9 +175,12 @@ def choose(
     if len(few):
         index[few], mask[few] = rows.nearest(few, rule.minimum, width)
     points = np.concatenate([x.reshape(S * B, 1, 3), surfaces.points[body[:, None], index]], axis=1)
+    normals = surfaces.normals[body[:, None], index]
     mask = np.concatenate([np.ones((S * B, 1), dtype=bool), mask], axis=1)
     floor = np.broadcast_to(_SMALLEST_SPREAD * surfaces.spacing[:, None] ** 2, (S, B))
-    return Neighbors(points.reshape(S, B, -1, 3), mask.reshape(S, B, -1), radius, floor)
+    return Neighbors(
+        points.reshape(S, B, -1, 3), normals.reshape(S, B, -1, 3), mask.reshape(S, B, -1), radius, floor
+    )
 
 
 @dataclass(frozen=True, eq=False)

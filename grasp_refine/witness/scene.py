@@ -33,7 +33,11 @@ class WitnessScene:
         T = _stacked(self.T_world_a, self.T_world_b)
         R, p = T[..., :3, :3], T[..., :3, 3]
         world = np.stack(
-            [_stacked(w.point_a, w.point_b) - p, _stacked(w.point_b, w.point_a) - p, _stacked(w.normal, -w.normal)],
+            [
+                _stacked(w.point_a, w.point_b) - p,
+                _stacked(w.point_b, w.point_a) - p,
+                _stacked(w.normal, -w.normal),
+            ],
             axis=2,
         )
         local = world @ R  # rows times R: each vector times R^T

@@ -16,6 +16,7 @@ from typing import Literal
 from array_api_compat import array_namespace
 
 from grasp_refine.se3 import Array, cross, matvec
+from grasp_refine.witness.scene import WitnessScene
 
 Coupling = Literal["coupled", "one-sided"]
 
@@ -81,6 +82,36 @@ def pull_back(
         lambda_b = force_b + matvec(A_transposed, lambda_a)
     wrench_a = wrench(slip.self_a, lambda_a) - wrench(point_b, matvec(A_transposed, lambda_a))
     wrench_b = wrench(slip.self_b, lambda_b) - wrench(point_a, matvec(B_transposed, lambda_b))
+    return wrench_a, wrench_b
+
+
+def pull_back_witness(
+    slip: Slip, scene: WitnessScene, force_a: Array, force_b: Array, force_n: Array | None, coupling: Coupling
+) -> tuple[Array, Array]:
+    """Wrenches on the two bodies of covectors on witness points and normal; arguments as in `pull_back`.
+
+    The normal is that of the points' difference, dn = P (dx_b - dx_a) / d, where they are apart by more than the
+    candidate spacing h; towards contact that becomes undefined and goes over, with weight h^2 / (d^2 + h^2), into
+    a turn with the mean rotation of the two bodies. Both parts are exact when the bodies move together.
+    """
+    w = scene.witness
+    if force_n is None:
+        return pull_back(slip, w.point_a, w.point_b, force_a, force_b, coupling)
+    spacing = scene.surfaces.spacing.reshape(2, -1).mean(axis=0)
+    d = w.distance
+    per_metre = (d / (d * d + spacing**2))[..., None]
+    tangential = force_n - (force_n * w.normal).sum(axis=-1, keepdims=True) * w.normal
+    wrench_a, wrench_b = pull_back(
+        slip,
+        w.point_a,
+        w.point_b,
+        force_a - per_metre * tangential,
+        force_b + per_metre * tangential,
+        coupling,
+    )
+    moment = 0.5 * cross(w.normal, tangential) * (1.0 - per_metre * d[..., None])
+    wrench_a[..., 3:] += moment
+    wrench_b[..., 3:] += moment
     return wrench_a, wrench_b
 
 

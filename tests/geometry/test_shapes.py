@@ -80,11 +80,8 @@ def test_concave_objects_come_apart_into_few_pieces(name, most):
     body = build_body(name, pieces)
     assert body.area == pytest.approx(mesh.area, rel=0.1)
     assert body.diagonal == pytest.approx(np.linalg.norm(mesh.extents), rel=0.02)
-    np.testing.assert_allclose(
-        winding(mesh, body.candidates.points - 1e-6 * body.candidates.normals).clip(0, 1).mean(),
-        0.5,
-        atol=0.5,
-    )
+    ahead = winding(mesh, body.candidates.points + 2e-3 * body.candidates.normals)
+    assert (ahead < 0.5).mean() > 0.98
 
 
 def test_primitives_are_exact():

@@ -1,0 +1,98 @@
+"""Geometric measures of grasps by a plain query: no smoothing, no memory of how the grasp was found."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.hand import Hand
+from grasp_refine.kinematics import Kinematics
+from grasp_refine.objects import Object
+from grasp_refine.se3 import log_so3, transform_points
+
+LIMIT_TOLERANCE = 1e-6
+"""Joint values this far (rad or m) beyond a limit do not count as violations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """Measures of N grasps over L links (the columns are the links that were given)."""
+
+    distance: np.ndarray
+    """Signed distance (N, L) in metres of each link to the object; NaN where no query could answer."""
+    contact_error: np.ndarray
+    """Largest of gap |d| and target misses (N, L) in metres; NaN for links without a target."""
+    penetration: np.ndarray
+    """Deepest penetration (N,) over all links, in metres."""
+    limits_violated: np.ndarray
+    """Number of joints beyond their limits (N,)."""
+    witness: Witness
+    """The witness points themselves."""
+
+
+@dataclass(frozen=True, eq=False)
+class Movement:
+    """How far N grasps moved."""
+
+    palm_m: np.ndarray
+    """Distance of the base link's origin (N,), metres."""
+    palm_rad: np.ndarray
+    """Rotation of the base link (N,), radians."""
+    joints_rad: np.ndarray
+    """Largest joint movement (N,), radians (metres for prismatic joints)."""
+
+
+def measure(
+    hand: Hand,
+    obj: Object,
+    links: tuple[str, ...],
+    T_world_root: np.ndarray,
+    q: np.ndarray,
+    target_link: np.ndarray,
+    target_object: np.ndarray,
+    margin: float = 0.0,
+) -> Geometry:
+    """Measures of grasps (N poses (N, 4, 4) and joint values (N, n)) on one object at the world's origin.
+
+    Args:
+        hand: The hand.
+        obj: The object.
+        links: Links with collision geometry to look at.
+        T_world_root: Poses of the base link in the object's frame.
+        q: Joint values.
+        target_link: Where links should touch (N, L, 3), link frames; NaN: nowhere.
+        target_object: Where the object should be touched (N, L, 3), object frame.
+        margin: Gap in metres that contact links should keep.
+    """
+    bodies = hand.links_by_name
+    pairs = Pairs.against([bodies[name].body for name in links], obj.body)
+    kinematics = Kinematics(hand, links)
+    T_link = kinematics(torch.as_tensor(T_world_root), torch.as_tensor(q)).numpy()
+    witness = query(pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape))
+    valid = witness.valid
+    distance = np.where(valid, witness.distance, np.nan)
+    miss_link = np.linalg.norm(witness.point_a - transform_points(T_link, target_link), axis=-1)
+    miss_object = np.linalg.norm(witness.point_b - target_object, axis=-1)
+    error = np.maximum(np.abs(distance - margin), np.maximum(miss_link, miss_object))
+    deepest = np.where(valid, witness.distance, np.inf).min(axis=1)
+    return Geometry(
+        distance=distance,
+        contact_error=error,
+        penetration=np.where(valid.any(axis=1), np.maximum(-deepest, 0.0), np.nan),
+        limits_violated=((q > hand.upper + LIMIT_TOLERANCE) | (q < hand.lower - LIMIT_TOLERANCE)).sum(axis=1),
+        witness=witness,
+    )
+
+
+def movement(
+    T_before: np.ndarray, q_before: np.ndarray, T_after: np.ndarray, q_after: np.ndarray
+) -> Movement:
+    """How far root poses (N, 4, 4) and joint values (N, n) moved; NaN where they are not finite."""
+    finite = np.isfinite(T_before).all(axis=(1, 2)) & np.isfinite(T_after).all(axis=(1, 2))
+    eye = np.eye(4)
+    before, after = (np.where(finite[:, None, None], T, eye) for T in (T_before, T_after))
+    turned = np.linalg.norm(log_so3(before[:, :3, :3].mT @ after[:, :3, :3]), axis=1)
+    moved = np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1)
+    joints = np.abs(q_after - q_before).max(axis=1, initial=0.0)
+    return Movement(np.where(finite, moved, np.nan), np.where(finite, turned, np.nan), joints)

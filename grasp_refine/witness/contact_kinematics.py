@@ -1,0 +1,123 @@
+"""Witness derivatives from contact kinematics: both surfaces as quadrics fitted to sampled normals.
+
+Montana's contact equations (Montana 1988, "The kinematics of contact and grasp") for two smooth surfaces at
+signed distance d. Unlike the slip equations they stay well conditioned as d -> 0.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from grasp_refine.se3 import cross, matvec
+from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors, choose, draw_offset
+from grasp_refine.witness.scene import WitnessScene
+from grasp_refine.witness.slip import wrench
+
+_EYE = np.eye(2)
+_RIM = 1.0001
+"""Keeps the outermost sample of a neighbourhood that is wider than its radius at a weight above zero."""
+_RIDGE = 1e-3
+"""Of the least squares, as a fraction of rho^2: without it, samples on a line would leave K undetermined."""
+
+
+@dataclass(frozen=True)
+class ContactKinematics:
+    """Sliding and rolling of the witness points on two surfaces with fitted curvature.
+
+    With (v, w) = twist of b relative to a, V its velocity field and E a tangent basis:
+
+        S = K_a + K_b + d K_b K_a,     u = S^-1 [E^T (w x n) + K_b E^T V(x_b)],
+        dx_a = V_a(x_a) + E u,         dn = w_a x n + E K_a u,
+        dx_b = V_a(x_b) + n (n . V(x_b)) + E (I + d K_a) u.
+
+    Exact for smooth surfaces with the true curvatures K (2x2, positive for convex). Approximated: K, by a fit
+    E^T n_j = b + K E^T (v_j - x) to the normals n_j of nearby samples v_j.
+    """
+
+    neighborhood: Adaptive | Fixed = field(default_factory=Adaptive)
+    """Which surface samples stand for the surface near a witness point."""
+    smallest_curvature: float = 5.0
+    """Floor of the eigenvalues of K_a + K_b, over the mean of the two bodies' diagonals."""
+    seed: int = 0
+    """Seed of the random choice of samples."""
+
+    def pull_back(
+        self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Wrenches (batch, pair, 6) on the two bodies of covectors on witness points and normal."""
+        w, d = scene.witness, scene.witness.distance[..., None, None]
+        E = _tangents(w.normal)
+        K_a, K_b = self.curvatures(scene, E)
+        # The equations of the class transposed; `slide` is the covector on u.
+        in_plane = matvec(E.mT, force_a) + matvec(_EYE + d * K_a, matvec(E.mT, force_b))
+        if force_n is not None:
+            in_plane = in_plane + matvec(K_a, matvec(E.mT, force_n))
+        S = K_a + K_b + d * (K_b @ K_a)
+        slide = np.linalg.solve(S.mT, in_plane[..., None])[..., 0]
+        along = (force_b * w.normal).sum(axis=-1, keepdims=True) * w.normal
+        relative = wrench(w.point_b, along + matvec(E, matvec(K_b, slide)))
+        relative[..., 3:] += cross(w.normal, matvec(E, slide))
+        wrench_a = wrench(w.point_a, force_a) + wrench(w.point_b, force_b) - relative
+        if force_n is not None:
+            wrench_a[..., 3:] += cross(w.normal, force_n)
+        return wrench_a, relative
+
+    def curvatures(self, scene: WitnessScene, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Fitted K_a and K_b (batch, pair, 2, 2) in 1/m, in the tangent basis E (batch, pair, 3, 2)."""
+        sides = scene.sides()
+        near = choose(
+            self.neighborhood,
+            scene.surfaces,
+            sides.point,
+            sides.normal,
+            sides.target,
+            draw_offset(self.seed, scene.key),
+        )
+        basis = np.concatenate([E, E], axis=1).swapaxes(0, 1)
+        K = _fit(near, sides.rotation.mT @ basis).swapaxes(0, 1)
+        count = E.shape[1]
+        diagonal = scene.surfaces.diagonal
+        floor = self.smallest_curvature / (0.5 * (diagonal[:count] + diagonal[count:]))
+        return _raised(K[:, :count], K[:, count:], floor)
+
+
+def _tangents(normal: np.ndarray) -> np.ndarray:
+    """Two unit tangents (..., 3, 2) of each unit normal (..., 3)."""
+    x, y, z = normal[..., 0], normal[..., 1], normal[..., 2]
+    sign = np.where(z < 0, -1.0, 1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    first = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=-1)
+    second = np.stack([b, sign + y * y * a, -y], axis=-1)
+    return np.stack([first, second], axis=-1)
+
+
+def _fit(near: Neighbors, E: np.ndarray) -> np.ndarray:
+    """Symmetric curvatures K (S, B, 2, 2) with E^T n_j = b + K E^T (v_j - x), by weighted least squares.
+
+    Weights fall to zero at the radius rho; eigenvalues are clipped to [-1/rho, 4/rho], what samples of that
+    spread can tell.
+    """
+    offset = near.points[..., 1:, :] - near.points[..., :1, :]
+    squared = np.where(near.mask[..., 1:], (offset * offset).sum(axis=-1), 0.0)
+    rho_squared = np.maximum(near.radius**2, _RIM * squared.max(axis=-1))[..., None]
+    weight = np.where(near.mask[..., 1:], 1.0 - squared / rho_squared, 0.0)
+    weight /= np.maximum(weight.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
+    e, n = offset @ E, near.normals @ E
+    e = e - (weight[..., None, :] @ e)
+    n = n - (weight[..., None, :] @ n)
+    weighted = (weight[..., None] * e).mT
+    ridge = _RIDGE * rho_squared[..., None] * _EYE
+    K = np.linalg.solve(weighted @ e + ridge, weighted @ n)
+    values, vectors = np.linalg.eigh(0.5 * (K + K.mT))
+    rho = np.sqrt(rho_squared)
+    values = np.clip(values, -1.0 / rho, 4.0 / rho)
+    return (vectors * values[..., None, :]) @ vectors.mT
+
+
+def _raised(K_a: np.ndarray, K_b: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same curvatures with the eigenvalues of K_a + K_b lifted to the floor (pair,), half by each body."""
+    values, vectors = np.linalg.eigh(K_a + K_b)
+    lift = np.maximum(floor[:, None] - values, 0.0)
+    half = 0.5 * (vectors * lift[..., None, :]) @ vectors.mT
+    return K_a + half, K_b + half

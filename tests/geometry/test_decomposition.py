@@ -1,0 +1,76 @@
+"""CoACD in its own process: what it is asked for, and what becomes of its failures."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from grasp_refine.errors import MeshError
+from grasp_refine.geometry import decomposition
+from grasp_refine.geometry.decomposition import Decomposition, decompose
+from grasp_refine.geometry.pieces import convex_pieces
+
+TUBE = trimesh.creation.annulus(0.2, 0.4, 0.5, sections=12)
+VERTICES, FACES = np.asarray(TUBE.vertices), np.asarray(TUBE.faces, dtype=np.int64)
+
+
+def test_parts_cover_the_mesh():
+    parts = decompose(VERTICES, FACES, Decomposition(mcts_iterations=60), single=True)
+    volume = sum(trimesh.convex.convex_hull(corners).volume for corners in parts)
+    assert len(parts) > 3
+    assert volume == pytest.approx(TUBE.volume, rel=0.1)
+
+
+def test_the_most_pieces_can_be_set():
+    assert len(decompose(VERTICES, FACES, Decomposition(max_pieces=3), single=True)) == 3
+
+
+@pytest.mark.parametrize(
+    ("preprocess", "single", "modes"),
+    [
+        ("auto", True, ["off", "auto"]),
+        ("auto", False, ["auto"]),
+        ("on", True, ["on"]),
+        ("off", False, ["off"]),
+    ],
+)
+def test_one_closed_part_is_remeshed_only_after_a_failure(monkeypatch, preprocess, single, modes):
+    asked = []
+
+    def fail(vertices, faces, settings):
+        asked.append(settings["preprocess"])
+        return None, "exit code -11"
+
+    monkeypatch.setattr(decomposition, "_run", fail)
+    with pytest.raises(MeshError, match=r"CoACD ended without a result \(exit code -11\)"):
+        decompose(VERTICES, FACES, Decomposition(preprocess=preprocess), single=single)
+    assert asked == modes
+
+
+def test_the_second_attempt_can_succeed(monkeypatch):
+    def fail_once(vertices, faces, settings):
+        return (None, "exit code -11") if settings["preprocess"] == "off" else ([VERTICES], "")
+
+    monkeypatch.setattr(decomposition, "_run", fail_once)
+    assert len(decompose(VERTICES, FACES, Decomposition(), single=True)) == 1
+
+
+def test_an_abort_inside_coacd_is_an_error_here():
+    config = Decomposition()
+    object.__setattr__(config, "threshold", 2.0)
+    with pytest.raises(MeshError, match="tube: CoACD ended without a result .*threshold > 1"):
+        convex_pieces(TUBE, config, name="tube")
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        ({"threshold": 1.5}, "threshold must be 0.01 to 1, got 1.5"),
+        ({"threshold": np.nan}, "threshold must be 0.01 to 1, got nan"),
+        ({"preprocess_resolution": 2000}, "preprocess_resolution must be 20 to 100, got 2000"),
+        ({"max_pieces": 0}, "max_pieces must be -1 .* or at least 1, got 0"),
+        ({"seed": -1}, "seed must be 0 to"),
+    ],
+)
+def test_settings_out_of_range_are_refused(settings, reason):
+    with pytest.raises(MeshError, match=reason):
+        Decomposition(**settings)
