@@ -25,7 +25,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def hat(w: Array) -> Array:
-    """The skew matrix [w] (..., 3, 3) with [w] p = w x p, of a vector w (..., 3)."""
+    """Skew matrices [w] (..., 3, 3) of vectors (..., 3): [w] p = w x p."""
     xp = array_namespace(w)
     x, y, z = w[..., 0], w[..., 1], w[..., 2]
     zero = xp.zeros_like(x)
@@ -43,12 +43,12 @@ def vee(matrix: Array) -> Array:
 
 
 def matvec(matrix: Array, vector: Array) -> Array:
-    """Matrix-vector product of (..., m, n) and (..., n) with broadcasting."""
+    """Products of matrices (..., m, n) and vectors (..., n), with broadcasting."""
     return (matrix @ vector[..., None])[..., 0]
 
 
 def _sinc_coefficients(angle_squared: Array) -> tuple[Array, Array, Array]:
-    """sin(x)/x, (1 - cos x)/x^2 and (x - sin x)/x^3 as functions of x^2, smooth at zero."""
+    """The coefficients sin(x)/x, (1 - cos x)/x^2 and (x - sin x)/x^3 as functions of x^2, smooth at zero."""
     xp = array_namespace(angle_squared)
     small = angle_squared < _SMALL_ANGLE_SQUARED
     # The guarded angle keeps the branch that is not taken finite, and with it its gradient.

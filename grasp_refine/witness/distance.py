@@ -79,7 +79,7 @@ def smooth(near: Neighbors, y: np.ndarray, tau: np.ndarray | None = None) -> tup
 
 
 def temperature(near: Neighbors, y: np.ndarray) -> np.ndarray:
-    """tau (S, B): the standard deviation of the scores -|v_j - y|^2 over the samples, floored, in square metres."""
+    """Tau (S, B): the standard deviation of the scores -|v_j - y|^2 over the samples, floored, in square metres."""
     scores = _scores(near, y)
     count = near.mask.sum(axis=2)
     mean = np.where(near.mask, scores, 0.0).sum(axis=2) / count

@@ -131,7 +131,7 @@ class Fixed:
     """With fewer candidates inside, the nearest ones are taken."""
 
     def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
-        """fraction x diagonal."""
+        """Fraction x diagonal."""
         return np.broadcast_to(self.fraction * surfaces.diagonal[:, None], x.shape[:2])
 
 
