@@ -62,7 +62,7 @@ class Objective:
         key: int,
         previous: Witness | None,
     ) -> tuple[Tensor, Tensor, Tensor, Witness]:
-        """Loss (batch,), its gradient at the root (body twist, (batch, 6)) and in q (batch, n), and the witness points."""
+        """Loss (batch,), its gradient at the root (body twist, (batch, 6)) and in q (batch, n), and the witnesses."""
         T_world_root = T_world_root.detach().requires_grad_()
         q = q.detach().requires_grad_()
         T_link = self.kinematics(T_world_root, q)

@@ -43,19 +43,20 @@ class Refinement:
 
 
 def refine(
-    scene: Scene, config: Config = Config(), progress: Callable[[int, int, float], None] | None = None
+    scene: Scene, config: Config | None = None, progress: Callable[[int, int, float], None] | None = None
 ) -> Refinement:
     """Refine all grasps of a scene.
 
     Args:
         scene: Hand, object, initial grasps and, optionally, targets.
-        config: All settings.
+        config: All settings; the defaults when None.
         progress: Called after each iteration with the number of finished grasps, the iteration, and the mean loss
             of the grasps still running (m^2).
 
     Returns:
         The best iterate of each grasp by true loss. Not converging is a status, never an exception.
     """
+    config = config or Config()
     objective = Objective(scene, config)
     target_link, target_object, queries = objective.targets()
     run = _Run(objective, target_link, target_object, queries)

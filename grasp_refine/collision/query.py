@@ -12,7 +12,6 @@ from grasp_refine.collision.broadphase import Bounds, ball_bound, bounds_of, box
 from grasp_refine.collision.narrowphase import Closest, NarrowPhase, Tolerances
 from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.body import Body
-from grasp_refine.se3 import inverse
 
 
 class QueryStatus(IntEnum):
@@ -165,12 +164,15 @@ def query(
     table = pairs._table
     batch, count = T_world_a.shape[:2]
     T_a, T_b = np.asarray(T_world_a, dtype=np.float64), np.asarray(T_world_b, dtype=np.float64)
-    T_a_b = inverse(T_a) @ T_b
-    finite = np.isfinite(T_a_b).all(axis=(-1, -2))
-    T_a_b[~finite] = np.eye(4)
-    items = T_a_b.reshape(batch * count, 4, 4)
-    R, t = np.ascontiguousarray(items[:, :3, :3]), np.ascontiguousarray(items[:, :3, 3])
-    limit = np.broadcast_to(np.asarray(cutoff, dtype=np.float64), (batch, count)).reshape(-1)
+    # Rows times R_a: each column of R_b, and the offset of the origins, seen from body a.
+    with np.errstate(invalid="ignore", over="ignore"):
+        relative = np.concatenate([T_b[..., :3, :3].mT, (T_b - T_a)[..., None, :3, 3]], axis=-2) @ T_a[..., :3, :3]
+    finite = np.isfinite(relative).all(axis=(-1, -2))
+    if not finite.all():
+        relative[~finite] = np.eye(4)[:, :3]
+    items = relative.reshape(batch * count, 4, 3)
+    R, t = items[:, :3].mT, items[:, 3]
+    limit = np.full((batch, count), cutoff, dtype=np.float64).reshape(-1)
     ids = np.broadcast_to(table.id, (batch, *table.id.shape)).reshape(batch * count, -1)
 
     if ids.shape[1] == 1 and np.isinf(limit).all():
@@ -178,9 +180,9 @@ def query(
         bound = np.full(ids.shape, -np.inf)
     else:
         with np.errstate(invalid="ignore", over="ignore"):
-            bound = ball_bound(table.bounds_a, table.bounds_b, T_a_b[..., :3, :3], T_a_b[..., :3, 3])
+            bound = ball_bound(table.bounds_a, table.bounds_b, relative[..., :3, :].mT, relative[..., 3, :])
         bound = bound.reshape(ids.shape)
-    bound = np.where((ids < 0) | ~finite.reshape(-1, 1), np.inf, bound)
+    bound[(ids < 0) | ~finite.reshape(-1, 1)] = np.inf
     found = _minimum(pairs, R, t, ids, bound, limit, _hint(previous, T_a, ids))
     return _witness(found, T_a, limit, finite)
 

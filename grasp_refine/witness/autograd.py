@@ -131,24 +131,24 @@ class _WitnessFunction(torch.autograd.Function):
         found = ctx.found
         valid = np.asarray(found.valid)[..., None]
         g_a, g_b, g_n = (_cotangent(g, valid) for g in (grad_a, grad_b, grad_normal))
-        wrench_a = np.zeros((*found.distance.shape, 6))
-        wrench_b = np.zeros_like(wrench_a)
+        wrenches = np.zeros((2, *found.distance.shape, 6))
         if grad_distance is not None:
-            force = _cotangent(grad_distance[..., None], valid) * found.normal
-            wrench_a -= wrench(found.point_a, force)
-            wrench_b += wrench(found.point_b, force)
+            # Both witness points lie on the line of the normal, so both bodies feel the same wrench, reversed.
+            wrenches[1] = wrench(found.point_b, _cotangent(grad_distance[..., None], valid) * found.normal)
+            wrenches[0] = -wrenches[1]
         wanted = [g for g in (g_a, g_b, g_n) if g is not None]
         if wanted:
             # The derivative is taken only where the loss looks.
             columns = np.flatnonzero(sum(np.abs(g).max(axis=(0, 2), initial=0.0) for g in wanted) > 0)
             if len(columns):
-                extra_a, extra_b = _pull_back_points(ctx, columns, g_a, g_b, g_n, _array(T_a), _array(T_b))
-                wrench_a[:, columns] += extra_a
-                wrench_b[:, columns] += extra_b
+                extra = _pull_back_points(ctx, columns, g_a, g_b, g_n, _array(T_a), _array(T_b))
+                wrenches[:, :, columns] += np.stack(extra)
+        gradient = ambient_gradient(np.stack([_array(T_a), _array(T_b)]), wrenches)
+        gradient = torch.as_tensor(gradient, dtype=T_a.dtype, device=T_a.device)
         need_a, need_b = ctx.needs_input_grad[:2]
         return (
-            _pose_gradient(T_a, wrench_a) if need_a else None,
-            _pose_gradient(T_b, wrench_b) if need_b else None,
+            gradient[0] if need_a else None,
+            gradient[1] if need_b else None,
             None, None, None, None, None,
         )  # fmt: skip
 
@@ -177,13 +177,8 @@ def _cotangent(gradient: Tensor | None, valid: np.ndarray) -> np.ndarray | None:
     return None if gradient is None else np.where(valid, _array(gradient), 0.0)
 
 
-def _pose_gradient(T: Tensor, wrenches: np.ndarray) -> Tensor:
-    gradient = ambient_gradient(_array(T), wrenches)
-    return torch.as_tensor(gradient, dtype=T.dtype, device=T.device)
-
-
 def _array(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().to(device="cpu", dtype=torch.float64).numpy()
+    return tensor.detach().to("cpu", torch.float64).numpy()
 
 
 def _target(target: Tensor | np.ndarray | None) -> np.ndarray | None:

@@ -68,7 +68,7 @@ def smooth(near: Neighbors, y: np.ndarray, tau: np.ndarray | None = None) -> tup
         x* = sum w_j v_j (S, B, 3), and dx*/dy = (2 / tau) Cov_w(v) (S, B, 3, 3) with samples and tau held fixed.
     """
     scores = _scores(near, y)
-    tau = temperature(near, y) if tau is None else tau
+    tau = _spread(near, scores) if tau is None else tau
     scores = np.where(near.mask, scores, -np.inf)
     weights = np.exp((scores - scores.max(axis=2, keepdims=True)) / tau[..., None])
     weights /= weights.sum(axis=2, keepdims=True)
@@ -80,13 +80,16 @@ def smooth(near: Neighbors, y: np.ndarray, tau: np.ndarray | None = None) -> tup
 
 def temperature(near: Neighbors, y: np.ndarray) -> np.ndarray:
     """Tau (S, B): the standard deviation of the scores -|v_j - y|^2 over the samples, floored, in square metres."""
-    scores = _scores(near, y)
+    return _spread(near, _scores(near, y))
+
+
+def _spread(near: Neighbors, scores: np.ndarray) -> np.ndarray:
     count = near.mask.sum(axis=2)
-    mean = np.where(near.mask, scores, 0.0).sum(axis=2) / count
-    deviation = np.where(near.mask, scores - mean[..., None], 0.0)
-    return np.maximum(np.sqrt((deviation**2).sum(axis=2) / count), near.floor)
+    mean = (scores * near.mask).sum(axis=2) / count
+    deviation = (scores - mean[..., None]) * near.mask
+    return np.maximum(np.sqrt((deviation * deviation).sum(axis=2) / count), near.floor)
 
 
 def _scores(near: Neighbors, y: np.ndarray) -> np.ndarray:
     offset = near.points - y[..., None, :]
-    return -(offset * offset).sum(axis=3)
+    return -np.einsum("sbki,sbki->sbk", offset, offset)

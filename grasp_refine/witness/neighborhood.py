@@ -18,7 +18,7 @@ from grasp_refine.geometry.body import Body
 _COS_NORMALS = -0.5
 """Normals within 120 degrees of the contact normal."""
 
-_WINDOW = 256
+_WINDOW = 128
 """How many candidates are looked at first when only a few are drawn."""
 
 _SMALLEST_SPREAD = 0.05
@@ -79,7 +79,7 @@ class Neighbors:
     points: np.ndarray
     """(S, B, K, 3) in the body frames, metres."""
     normals: np.ndarray
-    """Outward normals of the candidates, without the witness (S, B, K - 1, 3), body frames."""
+    """Outward normals (S, B, K - 1, 3) of the candidates, body frames; the witness has none of its own."""
     mask: np.ndarray
     """(S, B, K): false pads."""
     radius: np.ndarray
@@ -166,16 +166,14 @@ def choose(
     width = N if rule.samples is None else max(rule.samples, rule.minimum)
     # A window of the random order is enough for wide neighbourhoods, which hold most of the candidates.
     window = N if rule.samples is None else min(N, _WINDOW)
-    index, mask, inside = rows.draw(x, radius, offset % N, window, width)
+    index, normals, mask, inside = rows.draw(x, radius, offset % N, window, width)
     if window < N and inside.min() < width:
-        short = (inside < width)[:, None]
-        full_index, full_mask, _ = rows.draw(x, radius, offset % N, N, width)
-        index, mask = np.where(short, full_index, index), np.where(short, full_mask, mask)
+        # Rows that are full already keep what they have: their draw begins with the same candidates.
+        index, normals, mask, _ = rows.draw(x, radius, offset % N, N, width)
     few = np.flatnonzero(mask.sum(axis=1) < rule.minimum)
     if len(few):
-        index[few], mask[few] = rows.nearest(few, rule.minimum, width)
+        index[few], normals[few], mask[few] = rows.nearest(few, rule.minimum, width)
     points = np.concatenate([x.reshape(S * B, 1, 3), surfaces.points[body[:, None], index]], axis=1)
-    normals = surfaces.normals[body[:, None], index]
     mask = np.concatenate([np.ones((S * B, 1), dtype=bool), mask], axis=1)
     floor = np.broadcast_to(_SMALLEST_SPREAD * surfaces.spacing[:, None] ** 2, (S, B))
     return Neighbors(
@@ -194,10 +192,10 @@ class _Rows:
 
     def draw(
         self, x: np.ndarray, radius: np.ndarray, first: int, window: int, width: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Up to `width` candidates inside the radius (M, width) from a window of the random order.
 
-        Also which of them are real, and how many the window has inside each radius (M,).
+        Also their normals (M, width, 3), which of them are real, and how many the window has inside (M,).
         """
         squared, x_squared = self.surfaces.offsets(x, first, window)
         inside = squared <= (radius * radius - x_squared).astype(np.float32)[..., None]
@@ -213,9 +211,9 @@ class _Rows:
         mask[row, rank] = True
         normals = self.surfaces.normals[self.body[:, None], index]
         mask &= (normals @ self.normal[:, :, None])[..., 0] >= _COS_NORMALS
-        return index, mask, count
+        return index, normals, mask, count
 
-    def nearest(self, rows: np.ndarray, count: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    def nearest(self, rows: np.ndarray, count: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The `count` nearest candidates of some rows whose normals agree; same shapes as from `draw`."""
         body = self.body[rows]
         squared = ((self.surfaces.points[body] - self.x[rows, None]) ** 2).sum(axis=2)
@@ -225,4 +223,4 @@ class _Rows:
         mask = np.zeros(index.shape, dtype=bool)
         index[:, :count] = np.argpartition(squared, count - 1, axis=1)[:, :count]
         mask[:, :count] = np.isfinite(np.take_along_axis(squared, index[:, :count], axis=1))
-        return index, mask
+        return index, self.surfaces.normals[body[:, None], index], mask

@@ -13,9 +13,7 @@ self term is held fixed, dx_a = V_a(x_a) - A V_a(x_b) + A [V_b(x_b) - B V_b(x_a)
 from dataclasses import dataclass
 from typing import Literal
 
-from array_api_compat import array_namespace
-
-from grasp_refine.se3 import Array, cross, matvec
+from grasp_refine.se3 import Array, array_namespace, cross, matvec
 from grasp_refine.witness.scene import WitnessScene
 
 Coupling = Literal["coupled", "one-sided"]
@@ -80,9 +78,11 @@ def pull_back(
         right = (force_a + matvec(B_transposed, force_b))[..., None]
         lambda_a = xp.linalg.solve(_identity_minus(B_transposed @ A_transposed), right)[..., 0]
         lambda_b = force_b + matvec(A_transposed, lambda_a)
-    wrench_a = wrench(slip.self_a, lambda_a) - wrench(point_b, matvec(A_transposed, lambda_a))
-    wrench_b = wrench(slip.self_b, lambda_b) - wrench(point_a, matvec(B_transposed, lambda_b))
-    return wrench_a, wrench_b
+    points = xp.stack([slip.self_a, slip.self_b, point_b, point_a])
+    forces = xp.stack([lambda_a, lambda_b, -matvec(A_transposed, lambda_a), -matvec(B_transposed, lambda_b)])
+    wrenches = wrench(points, forces)
+    both = wrenches[:2] + wrenches[2:]
+    return both[0], both[1]
 
 
 def pull_back_witness(
@@ -117,7 +117,7 @@ def pull_back_witness(
 
 def wrench(point: Array, force: Array) -> Array:
     """Wrench (f, p x f) (..., 6) at the world origin of a force (..., 3) at a point (..., 3)."""
-    return array_namespace(point, force).concat([force, cross(point, force)], axis=-1)
+    return array_namespace(point).concat([force, cross(point, force)], axis=-1)
 
 
 def contract(matrix: Array) -> Array:

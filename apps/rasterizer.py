@@ -1,0 +1,174 @@
+"""Pictures of triangle meshes in NumPy alone: a z-buffer, one light with a shadow, and dark outlines.
+
+It needs neither a screen nor a graphics driver, which is why the README's picture can be made anywhere.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+LIGHT = 0.62
+"""Share of the directional light; the rest comes from all sides, more of it from above."""
+SHADOW_SIZE = 1400
+"""Pixels along each side of the shadow map."""
+SHADOW_BIAS = 0.0012
+"""How much farther from the light than the shadow map says (metres) a point must be to lie in shadow."""
+OUTLINE = 0.006
+"""Depth step between neighbouring pixels (metres) that is drawn as an outline."""
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A coloured mesh in world coordinates."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    """(V, 3) in metres."""
+    normals: Float[np.ndarray, "V 3"]
+    """Unit normals (V, 3) of the vertices; shading is smooth between them."""
+    faces: Int[np.ndarray, "F 3"]
+    """(F, 3) indices of vertices."""
+    color: tuple[float, float, float]
+    """Red, green and blue in [0, 1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera, or a parallel projection when `focal` is infinite."""
+
+    eye: np.ndarray
+    """Where it stands (3,), metres."""
+    target: np.ndarray
+    """What it looks at (3,), metres; lies in the middle of the picture."""
+    width: int
+    """Pixels."""
+    height: int
+    """Pixels."""
+    extent: float
+    """Height in metres of what is visible at the target's distance."""
+    perspective: bool = True
+    """False: a parallel projection."""
+
+    @property
+    def axes(self) -> Float[np.ndarray, "3 3"]:
+        """Unit vectors to the right, down and forward, as rows, world frame; world z is up in the picture."""
+        forward = (self.target - self.eye) / np.linalg.norm(self.target - self.eye)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        return np.stack([right, np.cross(forward, right), forward])
+
+    def project(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Pixel coordinates x (right) and y (down), and depth in metres, of world points."""
+        local = (points - self.eye) @ self.axes.T
+        distance = np.linalg.norm(self.target - self.eye)
+        depth = local[..., 2]
+        scale = self.height / self.extent * (distance / depth if self.perspective else np.ones_like(depth))
+        x, y = scale * local[..., 0] + 0.5 * self.width, scale * local[..., 1] + 0.5 * self.height
+        return np.stack([x, y, depth], axis=-1)
+
+    def unproject(self, depth: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W 3"]:
+        """World points seen at the centres of all pixels, at the given depths in metres."""
+        distance = np.linalg.norm(self.target - self.eye)
+        y, x = np.mgrid[: self.height, : self.width] + 0.5
+        scale = self.extent / self.height * (depth / distance if self.perspective else np.ones_like(depth))
+        local = np.stack([(x - 0.5 * self.width) * scale, (y - 0.5 * self.height) * scale, depth], axis=-1)
+        return local @ self.axes + self.eye
+
+
+def render(models: Sequence[Model], camera: Camera, light: np.ndarray) -> Float[np.ndarray, "H W 4"]:
+    """The picture of `models`: red, green, blue in [0, 1] and 1 where there is a model, else 0.
+
+    Args:
+        models: What is shown; surfaces seen from behind are lit as from the front.
+        camera: From where; render at twice the wanted size and average for smooth edges.
+        light: Direction towards the light (3,), world frame.
+    """
+    vertices = np.concatenate([model.vertices for model in models])
+    normals = np.concatenate([model.normals for model in models])
+    starts = np.cumsum([0, *(len(model.vertices) for model in models)])
+    faces = np.concatenate([model.faces + start for model, start in zip(models, starts[:-1], strict=True)])
+    owner = np.repeat(np.arange(len(models)), [len(model.faces) for model in models])
+    light = np.asarray(light, dtype=float) / np.linalg.norm(light)
+
+    face, weight, depth = _rasterize(vertices, faces, camera)
+    seen = face >= 0
+    point = camera.unproject(np.where(seen, depth, 1.0))[seen]
+    normal = np.einsum("nk,nkc->nc", weight[seen], normals[faces[face[seen]]])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    view = camera.eye - point
+    view /= np.linalg.norm(view, axis=1, keepdims=True)
+    normal *= np.where((normal * view).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
+
+    lit = np.clip(normal @ light, 0.0, 1.0) * _unshadowed(vertices, faces, point, normal, light)
+    halfway = view + light
+    halfway /= np.linalg.norm(halfway, axis=1, keepdims=True)
+    shine = 0.12 * lit * np.clip((normal * halfway).sum(axis=1), 0.0, 1.0) ** 30
+    brightness = LIGHT * lit + (1.0 - LIGHT) * (0.8 + 0.25 * normal[:, 2])
+    colors = np.array([model.color for model in models])[owner[face[seen]]]
+
+    image = np.zeros((*face.shape, 4))
+    image[seen, :3] = np.clip(colors * brightness[:, None] + shine[:, None], 0.0, 1.0)
+    image[seen, 3] = 1.0
+    image[_outline(np.where(seen, owner[face], -1), np.where(seen, depth, np.inf)), :3] *= 0.45
+    return image
+
+
+def _rasterize(
+    vertices: np.ndarray, faces: np.ndarray, camera: Camera
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nearest face (H, W), -1 for none, its barycentric weights (H, W, 3), and depth (H, W) in metres."""
+    shape = camera.height, camera.width
+    nearest, weights, depths = np.full(shape, -1), np.zeros((*shape, 3)), np.full(shape, np.inf)
+    corners = camera.project(vertices)[faces]
+    size = (camera.width, camera.height)
+    low = np.clip(np.floor(corners[:, :, :2].min(axis=1)), 0, size).astype(int)
+    high = np.clip(np.ceil(corners[:, :, :2].max(axis=1)) + 1, 0, size).astype(int)
+    for index, ((ax, ay, az), (bx, by, bz), (cx, cy, cz)) in enumerate(corners):
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        (x0, y0), (x1, y1) = low[index], high[index]
+        if abs(area) < 1e-9 or x0 >= x1 or y0 >= y1:
+            continue
+        x, y = np.arange(x0, x1) + 0.5, np.arange(y0, y1)[:, None] + 0.5
+        u = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area  # of b
+        v = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area  # of c
+        weight = np.stack([1.0 - u - v, u, v], axis=-1)
+        # In a perspective picture the inverse of the depth, not the depth, is linear in pixels.
+        depth = 1.0 / (weight @ [1 / az, 1 / bz, 1 / cz]) if camera.perspective else weight @ [az, bz, cz]
+        window = np.s_[y0:y1, x0:x1]
+        front = (weight.min(axis=-1) >= -1e-9) & (depth < depths[window])
+        depths[window][front] = depth[front]
+        nearest[window][front] = index
+        weights[window][front] = weight[front]
+    return nearest, weights, depths
+
+
+def _unshadowed(
+    vertices: np.ndarray, faces: np.ndarray, point: np.ndarray, normal: np.ndarray, light: np.ndarray
+) -> np.ndarray:
+    """How much of the light reaches each point, 0 to 1, from a shadow map that looks along the light."""
+    center = vertices.mean(axis=0)
+    reach = float(np.linalg.norm(vertices - center, axis=1).max())
+    eye = center + 2.0 * reach * light
+    camera = Camera(eye, center, SHADOW_SIZE, SHADOW_SIZE, 2.0 * reach, perspective=False)
+    depths = _rasterize(vertices, faces, camera)[2]
+    x, y, depth = camera.project(point + SHADOW_BIAS * normal).T
+    reached = np.zeros(len(point))
+    # Nine neighbours soften the edge.
+    offsets = [(dx, dy) for dx in (-1.5, 0.0, 1.5) for dy in (-1.5, 0.0, 1.5)]
+    for dx, dy in offsets:
+        column = np.clip(x + dx, 0, SHADOW_SIZE - 1).astype(int)
+        row = np.clip(y + dy, 0, SHADOW_SIZE - 1).astype(int)
+        reached += depth < depths[row, column] + SHADOW_BIAS
+    return reached / len(offsets)
+
+
+def _outline(owner: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Mask (H, W) of pixels beside another model or a step in depth; the nearer side is marked."""
+    mask = np.zeros(owner.shape, dtype=bool)
+    for axis in (0, 1):
+        for step in (1, -1):
+            other, behind = np.roll(owner, step, axis), np.roll(depth, step, axis)
+            with np.errstate(invalid="ignore"):
+                mask |= (owner >= 0) & (behind >= depth) & ((other != owner) | (behind - depth > OUTLINE))
+    return mask
