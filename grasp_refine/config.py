@@ -5,6 +5,7 @@ from typing import Literal
 
 from grasp_refine.losses import Weights
 from grasp_refine.solvers.descent import Descent
+from grasp_refine.targets import REACH
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.distance import Distance
 
@@ -21,6 +22,8 @@ class Config:
     """How much each term of the loss counts."""
     margin: float = 0.0
     """Contact margin in metres: the gap that contact links should keep."""
+    reach: float = REACH
+    """Without targets, contact links within this signed distance (metres) of the object are meant to touch it."""
     tolerance: float = 1e-8
     """A grasp has converged when its loss (m^2) is below this; 1e-8 is a tenth of a millimetre."""
     seed: int = 0

@@ -50,7 +50,7 @@ class Objective:
         T_object = np.broadcast_to(np.eye(4), T.shape)
         cutoff = np.where(np.arange(len(self.links)) < contacts, np.inf, -np.inf)
         witness = query(self.pairs, T, T_object, cutoff=cutoff)
-        target_link, target_object = automatic_targets(witness, T, T_object)
+        target_link, target_object = automatic_targets(witness, T, T_object, self.config.reach)
         return target_link, target_object, witness.asked.sum(axis=1)
 
     def evaluate(

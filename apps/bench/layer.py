@@ -1,9 +1,9 @@
 """What one pass of the witness layer costs: 64 pairs, forward and backward, in CPU milliseconds.
 
 Run `python -m grasp_refine.apps.bench.layer`. Poses are random, then moved along the witness normal so that the
-signed distance is uniform in [-2, 8] mm: where refinement spends its time. Both bodies get gradients, points,
-normal and distance all have random cotangents, and every call is cold (no `previous`). The peer, timed in the same run, is
-a plain loop of `coal.distance` over the pieces that a brute-force minimum would have to ask.
+signed distance is uniform in [-2, 8] mm, which is where refinement spends its time. Both bodies get gradients,
+points, normal and distance all have random cotangents, and every call is cold (no `previous`). The peer, timed
+in the same run, is a plain loop of `coal.distance` over the pieces that a brute-force minimum would have to ask.
 """
 
 import argparse

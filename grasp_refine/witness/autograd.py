@@ -129,7 +129,7 @@ class _WitnessFunction(torch.autograd.Function):
     ) -> tuple[Tensor | None, Tensor | None, None, None, None, None, None]:
         T_a, T_b = ctx.saved_tensors
         found = ctx.found
-        valid = np.asarray(found.valid)[..., None]
+        valid = None if (mask := np.asarray(found.valid)).all() else mask[..., None]
         g_a, g_b, g_n = (_cotangent(g, valid) for g in (grad_a, grad_b, grad_normal))
         wrenches = np.zeros((2, *found.distance.shape, 6))
         if grad_distance is not None:
@@ -139,10 +139,12 @@ class _WitnessFunction(torch.autograd.Function):
         wanted = [g for g in (g_a, g_b, g_n) if g is not None]
         if wanted:
             # The derivative is taken only where the loss looks.
-            columns = np.flatnonzero(sum(np.abs(g).max(axis=(0, 2), initial=0.0) for g in wanted) > 0)
+            columns = np.flatnonzero(np.logical_or.reduce([g.any(axis=(0, 2)) for g in wanted]))
             if len(columns):
-                extra = _pull_back_points(ctx, columns, g_a, g_b, g_n, _array(T_a), _array(T_b))
-                wrenches[:, :, columns] += np.stack(extra)
+                index = slice(None) if len(columns) == found.distance.shape[1] else columns
+                extra = _pull_back_points(ctx, columns, index, g_a, g_b, g_n, _array(T_a), _array(T_b))
+                wrenches[0][:, index] += extra[0]
+                wrenches[1][:, index] += extra[1]
         gradient = ambient_gradient(np.stack([_array(T_a), _array(T_b)]), wrenches)
         gradient = torch.as_tensor(gradient, dtype=T_a.dtype, device=T_a.device)
         need_a, need_b = ctx.needs_input_grad[:2]
@@ -156,25 +158,29 @@ class _WitnessFunction(torch.autograd.Function):
 def _pull_back_points(
     ctx: Any,
     columns: np.ndarray,
+    index: np.ndarray | slice,
     g_a: np.ndarray | None,
     g_b: np.ndarray | None,
     g_n: np.ndarray | None,
     T_a: np.ndarray,
     T_b: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Wrenches on the bodies of covectors on points and normals, for some of the pairs."""
+    """Wrenches on the bodies of covectors on points and normals, for the pairs `columns`, which `index` selects."""
     layer: WitnessLayer = ctx.layer
-    found = ctx.found.pairs(columns)
+    found = ctx.found.pairs(index)
     zero = np.zeros_like(found.point_a)
-    g_a, g_b = (zero if g is None else g[:, columns] for g in (g_a, g_b))
+    g_a, g_b = (zero if g is None else g[:, index] for g in (g_a, g_b))
     surfaces = layer.surfaces(columns)
-    targets = (None if target is None else target[:, columns] for target in ctx.targets)
-    scene = WitnessScene(surfaces, T_a[:, columns], T_b[:, columns], found, *targets, ctx.key)
-    return layer.method.pull_back(scene, g_a, g_b, None if g_n is None else g_n[:, columns])
+    targets = (None if target is None else target[:, index] for target in ctx.targets)
+    scene = WitnessScene(surfaces, T_a[:, index], T_b[:, index], found, *targets, ctx.key)
+    return layer.method.pull_back(scene, g_a, g_b, None if g_n is None else g_n[:, index])
 
 
-def _cotangent(gradient: Tensor | None, valid: np.ndarray) -> np.ndarray | None:
-    return None if gradient is None else np.where(valid, _array(gradient), 0.0)
+def _cotangent(gradient: Tensor | None, valid: np.ndarray | None) -> np.ndarray | None:
+    """An incoming gradient as an array, zero where there are no witness points (`valid` None: everywhere are)."""
+    if gradient is None or valid is None:
+        return None if gradient is None else _array(gradient)
+    return np.where(valid, _array(gradient), 0.0)
 
 
 def _array(tensor: Tensor) -> np.ndarray:
