@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-LIGHT = 0.62
+LIGHT = 0.5
 """Share of the directional light; the rest comes from all sides, more of it from above."""
 SHADOW_SIZE = 1400
 """Pixels along each side of the shadow map."""
 SHADOW_BIAS = 0.0012
 """How much farther from the light than the shadow map says (metres) a point must be to lie in shadow."""
-OUTLINE = 0.006
-"""Depth step between neighbouring pixels (metres) that is drawn as an outline."""
+OUTLINE, CREASE = 0.006, 0.0005
+"""Depth step between neighbouring pixels (metres) that is drawn as an outline: in a model, between two models."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ def render(models: Sequence[Model], camera: Camera, light: np.ndarray) -> Float[
     halfway = view + light
     halfway /= np.linalg.norm(halfway, axis=1, keepdims=True)
     shine = 0.12 * lit * np.clip((normal * halfway).sum(axis=1), 0.0, 1.0) ** 30
-    brightness = LIGHT * lit + (1.0 - LIGHT) * (0.8 + 0.25 * normal[:, 2])
+    brightness = LIGHT * lit + (1.0 - LIGHT) * (0.95 + 0.2 * normal[:, 2])
     colors = np.array([model.color for model in models])[owner[face[seen]]]
 
     image = np.zeros((*face.shape, 4))
@@ -114,9 +114,7 @@ def render(models: Sequence[Model], camera: Camera, light: np.ndarray) -> Float[
     return image
 
 
-def _rasterize(
-    vertices: np.ndarray, faces: np.ndarray, camera: Camera
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _rasterize(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Nearest face (H, W), -1 for none, its barycentric weights (H, W, 3), and depth (H, W) in metres."""
     shape = camera.height, camera.width
     nearest, weights, depths = np.full(shape, -1), np.zeros((*shape, 3)), np.full(shape, np.inf)
@@ -164,11 +162,11 @@ def _unshadowed(
 
 
 def _outline(owner: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Mask (H, W) of pixels beside another model or a step in depth; the nearer side is marked."""
+    """Mask (H, W) of the nearer pixels at steps in depth; a smaller step suffices where two models meet."""
     mask = np.zeros(owner.shape, dtype=bool)
     for axis in (0, 1):
         for step in (1, -1):
             other, behind = np.roll(owner, step, axis), np.roll(depth, step, axis)
             with np.errstate(invalid="ignore"):
-                mask |= (owner >= 0) & (behind >= depth) & ((other != owner) | (behind - depth > OUTLINE))
+                mask |= (owner >= 0) & (behind - depth > np.where(other != owner, CREASE, OUTLINE))
     return mask

@@ -24,8 +24,8 @@ class Config:
     """Contact margin in metres: the gap that contact links should keep."""
     reach: float = REACH
     """Without targets, contact links within this signed distance (metres) of the object are meant to touch it."""
-    tolerance: float = 1e-8
-    """A grasp has converged when its loss (m^2) is below this; 1e-8 is a tenth of a millimetre."""
+    tolerance: float = 1e-7
+    """A grasp has converged when its loss (m^2) is below this; 1e-7 is a third of a millimetre."""
     seed: int = 0
     """Seed of everything that is drawn."""
     dtype: Literal["float64", "float32"] = "float64"

@@ -61,8 +61,8 @@ class Objective:
         target_object: Tensor,
         key: int,
         previous: Witness | None,
-    ) -> tuple[Tensor, Tensor, Tensor, Witness]:
-        """Loss (batch,), its gradient at the root (body twist, (batch, 6)) and in q (batch, n), and the witnesses."""
+    ) -> tuple[Tensor, Tensor, Witness]:
+        """Loss (batch,), its gradient (batch, 6 + n) at the root (as a body twist) and in q, and the witness points."""
         T_world_root = T_world_root.detach().requires_grad_()
         q = q.detach().requires_grad_()
         T_link = self.kinematics(T_world_root, q)
@@ -88,4 +88,4 @@ class Objective:
         G, q_gradient = torch.autograd.grad(loss.sum(), (T_world_root, q), allow_unused=True)
         twist = body_gradient(T_world_root.detach(), torch.zeros_like(T_world_root) if G is None else G)
         q_gradient = torch.zeros_like(q) if q_gradient is None else q_gradient
-        return loss.detach(), twist, q_gradient, witness.detached()
+        return loss.detach(), torch.cat([twist, q_gradient], dim=1), witness.detached()

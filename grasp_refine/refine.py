@@ -98,6 +98,7 @@ class _Run:
     def _load(self, T: np.ndarray, q: np.ndarray) -> None:
         tensor = self.objective.tensor
         self.T, self.q = tensor(T), tensor(q)
+        self.average = self.q.new_zeros(len(q), 6 + q.shape[1])
         self.target_link, self.target_object = (tensor(target[self.active]) for target in self.targets)
 
     def iterate(self, iteration: int) -> float:
@@ -105,20 +106,20 @@ class _Run:
         solver = self.objective.config.solver
         wall, cpu = time.perf_counter(), time.process_time()
         active = self.active
-        loss, twist, q_gradient, witness = self.objective.evaluate(
+        loss, gradient, witness = self.objective.evaluate(
             self.T, self.q, self.target_link, self.target_object, iteration, self.previous
         )
         value = loss.double().cpu().numpy()
         ended = self._judge(value, iteration)
         stage = torch.as_tensor(self.stage[active], device=self.T.device)
-        T, q = solver.step(
-            self.T, self.q, twist, q_gradient, stage, self.objective.lower, self.objective.upper
+        T, q, average = solver.step(
+            self.T, self.q, gradient, self.average, stage, self.objective.lower, self.objective.upper
         )
         self.iterations[active] += 1
         self.queries[active] += witness.asked.sum(axis=1)
         keep = np.flatnonzero(~ended)
         rows = torch.as_tensor(keep, device=self.T.device)
-        self.T, self.q = T[rows], q[rows]
+        self.T, self.q, self.average = T[rows], q[rows], average[rows]
         if len(keep) < len(active):
             self.active = active[keep]
             self.target_link, self.target_object = self.target_link[rows], self.target_object[rows]

@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[1] / PACKAGE
 
 ORDER = (
     "errors",
+    "versions",
     "se3",
     "assets",
     "geometry.mesh",
@@ -42,11 +43,24 @@ ORDER = (
     "validation",
     "report",
     "apps",
+    "commands",
     "cli",
 )
 """Files and folders of the package, each after what it may import; inside a folder there is only no cycle."""
 
-LIGHT = ("errors", "se3", "assets", "geometry", "description", "hand", "objects", "npz", "grasps", "cli")
+LIGHT = (
+    "errors",
+    "versions",
+    "se3",
+    "assets",
+    "geometry",
+    "description",
+    "hand",
+    "objects",
+    "npz",
+    "grasps",
+    "cli",
+)
 """What must answer before torch is loaded: listing hands, `--help`, reading files."""
 
 HEAVY = {"torch", "coal", "coacd", "pytorch_kinematics"}

@@ -161,9 +161,7 @@ def _shape(piece: Piece) -> tuple[coal.CollisionGeometry, coal.Transform3s | Non
     if len(vertices) == 2:
         axis = vertices[1] - vertices[0]
         length = float(np.linalg.norm(axis))
-        return coal.Capsule(piece.radius, length), coal.Transform3s(
-            _frame(axis / length), vertices.mean(axis=0)
-        )
+        return coal.Capsule(piece.radius, length), coal.Transform3s(_frame(axis / length), vertices.mean(axis=0))
     points = coal.StdVec_Vec3s()
     points.extend(list(vertices))
     edges = np.unique(

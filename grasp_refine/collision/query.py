@@ -12,6 +12,7 @@ from grasp_refine.collision.broadphase import Bounds, ball_bound, bounds_of, box
 from grasp_refine.collision.narrowphase import Closest, NarrowPhase, Tolerances
 from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.body import Body
+from grasp_refine.geometry.pieces import Piece
 
 
 class QueryStatus(IntEnum):
@@ -86,9 +87,7 @@ class Pairs:
 
     def __post_init__(self) -> None:
         if len(self.a) != len(self.b) or not self.a:
-            raise CollisionError(
-                f"pairs need equally many bodies on both sides, got {len(self.a)} and {len(self.b)}"
-            )
+            raise CollisionError(f"pairs need equally many bodies on both sides, got {len(self.a)} and {len(self.b)}")
 
     @staticmethod
     def against(bodies: Sequence[Body], other: Body) -> "Pairs":
@@ -102,6 +101,20 @@ class Pairs:
     def _table(self) -> "_PieceTable":
         return _PieceTable.build(self)
 
+    def take(self, index: np.ndarray) -> "Pairs":
+        """Some of the pairs."""
+        return Pairs(tuple(self.a[p] for p in index), tuple(self.b[p] for p in index), self.tolerances)
+
+    @property
+    def piece_pairs(self) -> tuple[list[Piece], list[Piece]]:
+        """The pieces of both sides of every piece pair, which `Witness.winner` indexes."""
+        return self._table.pieces_a, self._table.pieces_b
+
+    @property
+    def first_piece_pair(self) -> np.ndarray:
+        """Index (P,) of the first piece pair of each body pair."""
+        return self._table.id[:, 0]
+
     @cached_property
     def narrow_phase(self) -> NarrowPhase:
         """The narrow phase over all piece pairs of all body pairs."""
@@ -113,8 +126,8 @@ class Pairs:
 class _PieceTable:
     """All piece pairs, padded to the largest number K of any body pair."""
 
-    pieces_a: list
-    pieces_b: list
+    pieces_a: list[Piece]
+    pieces_b: list[Piece]
     id: np.ndarray
     """Index into pieces_a and pieces_b (P, K); -1 pads."""
     bounds_a: Bounds
@@ -127,10 +140,7 @@ class _PieceTable:
         ids = np.full((len(pairs), width), -1)
         pieces_a, pieces_b, taken_a, taken_b = [], [], [], []
         for p, (a, b) in enumerate(zip(pairs.a, pairs.b, strict=True)):
-            i, j = (
-                grid.ravel()
-                for grid in np.meshgrid(range(len(a.pieces)), range(len(b.pieces)), indexing="ij")
-            )
+            i, j = (grid.ravel() for grid in np.meshgrid(range(len(a.pieces)), range(len(b.pieces)), indexing="ij"))
             ids[p, : len(i)] = len(pieces_a) + np.arange(len(i))
             pieces_a += [a.pieces[k] for k in i]
             pieces_b += [b.pieces[k] for k in j]
@@ -215,9 +225,7 @@ def _minimum(
     body_pair = item % table.id.shape[0]
     tight = np.maximum(
         bound[item, col],
-        box_bound(
-            table.bounds_a.take((body_pair, col)), table.bounds_b.take((body_pair, col)), R[item], t[item]
-        ),
+        box_bound(table.bounds_a.take((body_pair, col)), table.bounds_b.take((body_pair, col)), R[item], t[item]),
     )
     open_ = tight < best[item]
     item, col, tight = item[open_], col[open_], tight[open_]
@@ -246,9 +254,7 @@ def _hint(
     column = np.where(has, winner - ids[:, 0], -1)
     difference = np.asarray(previous.point_a) - np.asarray(previous.point_b)
     guess = np.einsum("bpji,bpj->bpi", T_a[..., :3, :3], difference).reshape(-1, 3)
-    apart = (np.asarray(previous.status).reshape(-1) == QueryStatus.SEPARATED) & np.isfinite(guess).all(
-        axis=1
-    )
+    apart = (np.asarray(previous.status).reshape(-1) == QueryStatus.SEPARATED) & np.isfinite(guess).all(axis=1)
     return column, np.ascontiguousarray(guess), apart
 
 
@@ -275,6 +281,4 @@ def _witness(found: Closest, T_a: np.ndarray, limit: np.ndarray, finite: np.ndar
 
 
 def _stack(bounds: list[Bounds]) -> Bounds:
-    return Bounds(
-        *(np.stack([getattr(b, name) for b in bounds]) for name in ("center", "radius", "axes", "half"))
-    )
+    return Bounds(*(np.stack([getattr(b, name) for b in bounds]) for name in ("center", "radius", "axes", "half")))

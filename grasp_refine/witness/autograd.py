@@ -4,7 +4,7 @@ The forward pass asks the collision query and lets its values through; the backw
 of a derivative method with the incoming gradients. This file holds the only autograd.Function of the layer.
 """
 
-from collections.abc import Hashable
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -48,7 +48,7 @@ class WitnessLayer:
         """Prepare the pairs; `method` is used in backward passes only."""
         self.pairs = pairs
         self.method = method
-        self._surfaces: dict[Hashable, Surfaces] = {}
+        self._columns: dict[bytes, tuple[Pairs, Surfaces]] = {}
 
     def __call__(
         self,
@@ -82,18 +82,16 @@ class WitnessLayer:
                 f"{tuple(T_world_b.shape)}"
             )
         found = query(self.pairs, _array(T_world_a), _array(T_world_b), cutoff=cutoff, previous=previous)
-        points = _WitnessFunction.apply(
-            T_world_a, T_world_b, self, found, _target(target_a), _target(target_b), key
-        )
+        points = _WitnessFunction.apply(T_world_a, T_world_b, self, found, _target(target_a), _target(target_b), key)
         return Witness(*points, found.status, found.winner, found.asked)
 
-    def surfaces(self, columns: np.ndarray) -> Surfaces:
-        """Candidates of the first and then the second bodies of the pairs `columns`, stacked once."""
+    def columns(self, columns: np.ndarray) -> tuple[Pairs, Surfaces]:
+        """The pairs `columns`, and the candidates of their first and then their second bodies; built once."""
         name = columns.tobytes()
-        if name not in self._surfaces:
-            bodies = [self.pairs.a[p] for p in columns] + [self.pairs.b[p] for p in columns]
-            self._surfaces[name] = Surfaces.of(bodies)
-        return self._surfaces[name]
+        if name not in self._columns:
+            pairs = self.pairs if len(columns) == len(self.pairs) else self.pairs.take(columns)
+            self._columns[name] = pairs, Surfaces.of((*pairs.a, *pairs.b))
+        return self._columns[name]
 
 
 class _WitnessFunction(torch.autograd.Function):
@@ -167,12 +165,16 @@ def _pull_back_points(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Wrenches on the bodies of covectors on points and normals, for the pairs `columns`, which `index` selects."""
     layer: WitnessLayer = ctx.layer
+    pairs, surfaces = layer.columns(columns)
     found = ctx.found.pairs(index)
+    if pairs is not layer.pairs:
+        # A winner counts from the first piece pair of its body pair.
+        shift = pairs.first_piece_pair - layer.pairs.first_piece_pair[columns]
+        found = replace(found, winner=np.where(found.winner >= 0, found.winner + shift, -1))
     zero = np.zeros_like(found.point_a)
     g_a, g_b = (zero if g is None else g[:, index] for g in (g_a, g_b))
-    surfaces = layer.surfaces(columns)
     targets = (None if target is None else target[:, index] for target in ctx.targets)
-    scene = WitnessScene(surfaces, T_a[:, index], T_b[:, index], found, *targets, ctx.key)
+    scene = WitnessScene(pairs, surfaces, T_a[:, index], T_b[:, index], found, *targets, ctx.key)
     return layer.method.pull_back(scene, g_a, g_b, None if g_n is None else g_n[:, index])
 
 

@@ -176,9 +176,7 @@ def choose(
     points = np.concatenate([x.reshape(S * B, 1, 3), surfaces.points[body[:, None], index]], axis=1)
     mask = np.concatenate([np.ones((S * B, 1), dtype=bool), mask], axis=1)
     floor = np.broadcast_to(_SMALLEST_SPREAD * surfaces.spacing[:, None] ** 2, (S, B))
-    return Neighbors(
-        points.reshape(S, B, -1, 3), normals.reshape(S, B, -1, 3), mask.reshape(S, B, -1), radius, floor
-    )
+    return Neighbors(points.reshape(S, B, -1, 3), normals.reshape(S, B, -1, 3), mask.reshape(S, B, -1), radius, floor)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_refine.collision.query import Witness
+from grasp_refine.collision.query import Pairs, Witness
 from grasp_refine.witness.neighborhood import Surfaces
 
 
@@ -12,6 +12,8 @@ from grasp_refine.witness.neighborhood import Surfaces
 class WitnessScene:
     """Poses of a batch of body pairs with the witness points found there; all arrays float64."""
 
+    pairs: Pairs
+    """The body pairs."""
     surfaces: Surfaces
     """Candidates of all first bodies, then of all second bodies: S = 2 P of them."""
     T_world_a: np.ndarray
@@ -26,6 +28,11 @@ class WitnessScene:
     """The same of the second bodies."""
     key: int
     """Number of the iteration: methods that draw samples draw others at another key."""
+
+    @property
+    def length(self) -> np.ndarray:
+        """Mean bounding-box diagonal (P,) of the two bodies of each pair, in metres."""
+        return self.surfaces.diagonal.reshape(2, -1).mean(axis=0)
 
     def sides(self) -> "Sides":
         """Every pair seen from each of its bodies: first all a, then all b (S = 2 P)."""

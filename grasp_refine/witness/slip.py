@@ -34,6 +34,8 @@ class Slip:
     """Point (..., 3) that moves rigidly with body a in its self term: x_a, or the smoothed point x_a*."""
     self_b: Array
     """The same of body b."""
+    sampled: bool = True
+    """A and B are estimates: the coupled solve then clips their eigenvalues to [0, 1)."""
 
 
 def push_forward(
@@ -146,7 +148,7 @@ def _positive_definite(M: Array, floor: float) -> Array:
 
 
 def _used(slip: Slip, coupling: Coupling) -> tuple[Array, Array]:
-    if coupling == "one-sided":
+    if coupling == "one-sided" or not slip.sampled:
         return slip.A, slip.B
     both = contract(array_namespace(slip.A).stack([slip.A, slip.B]))
     return both[0], both[1]

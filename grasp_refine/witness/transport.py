@@ -42,9 +42,7 @@ class _Transport(torch.autograd.Function):
     """Identity on poses; its backward pass moves the gradient of the resting body over to the moving one."""
 
     @staticmethod
-    def forward(
-        ctx, T_moving: Tensor, T_resting: Tensor, steps: EquivalentTransport
-    ) -> tuple[Tensor, Tensor]:  # noqa: ANN001
+    def forward(ctx, T_moving: Tensor, T_resting: Tensor, steps: EquivalentTransport) -> tuple[Tensor, Tensor]:  # noqa: ANN001
         ctx.save_for_backward(T_moving, T_resting)
         ctx.steps = steps
         return T_moving.view_as(T_moving), T_resting.view_as(T_resting)

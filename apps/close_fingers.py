@@ -1,0 +1,208 @@
+"""Make the example grasps of robots/allegro: put the hand before an object, close its fingers, disturb the result.
+
+Run `python -m grasp_refine.apps.close_fingers`. Each grasp starts from a pose given here by hand, the palm facing
+the object. The fingers close joint by joint until their tips almost touch. A small seeded disturbance then makes
+the grasp only *almost* right, with some tips a centimetre away and some inside the object: what a grasp from a
+generator or a demonstration looks like, and what refinement is for.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from grasp_refine.assets import resource_dir
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.grasps import GraspSet, save_npz
+from grasp_refine.hand import Hand, load_hand
+from grasp_refine.kinematics import Kinematics
+from grasp_refine.objects import Object, load_object
+from grasp_refine.se3 import exp_se3, exp_so3, pose_from_transform, transform
+
+GRASP_CENTER = (0.085, 0.005, 0.028)
+"""Where the object should be, between thumb and fingers: base_link's frame, metres."""
+OPEN = {
+    "joint_0.0": -0.15, "joint_1.0": 0.25, "joint_2.0": 0.3, "joint_3.0": 0.9,
+    "joint_4.0": 0.0, "joint_5.0": 0.25, "joint_6.0": 0.3, "joint_7.0": 0.9,
+    "joint_8.0": 0.15, "joint_9.0": 0.25, "joint_10.0": 0.3, "joint_11.0": 0.9,
+    "joint_12.0": 1.35, "joint_13.0": 0.45, "joint_14.0": 0.0, "joint_15.0": 0.5,
+}  # fmt: skip
+"""The shape before closing, in radians: thumb opposite the fingers, outer fingers turned inwards."""
+CLOSING = {
+    "link_3.0_tip": ("joint_1.0", "joint_2.0", "joint_3.0"),
+    "link_7.0_tip": ("joint_5.0", "joint_6.0", "joint_7.0"),
+    "link_11.0_tip": ("joint_9.0", "joint_10.0", "joint_11.0"),
+    "link_15.0_tip": ("joint_14.0", "joint_15.0"),
+}
+"""Fingertip -> the joints that close its finger, from the palm outwards."""
+STEP = 0.005
+"""Radians by which a joint closes at a time; moves a tip by at most 1.5 mm."""
+CLEARANCE = 0.002
+"""A link stops within this distance of the object (metres)."""
+
+SHIFT, TURN, BEND = 0.006, np.radians(4.0), 0.09
+"""Largest disturbance of the hand (metres and radians along each axis) and of each joint (radians)."""
+GAP, DEPTH = (0.007, 0.015), (0.001, 0.0035)
+"""Wanted after the disturbance, metres: largest distance of a fingertip, and deepest penetration of any link."""
+DRAWS = 512
+"""Disturbances drawn for a grasp; the first that does what is wanted is taken."""
+
+
+@dataclass(frozen=True)
+class Approach:
+    """From where a hand takes hold of an object."""
+
+    point: tuple[float, float, float]
+    """Where the grasp's centre goes, object frame, metres."""
+    azimuth: float
+    """Direction from the point to the palm, in degrees about the object's z axis from its x axis."""
+    elevation: float = 0.0
+    """Degrees by which the palm stands higher than the point."""
+    roll: float = 0.0
+    """Degrees about the palm's normal; at 0 the index finger is the uppermost, at 180 the lowest."""
+
+    def pose(self) -> Float[np.ndarray, "4 4"]:
+        """The pose of base_link in the object frame."""
+        up, side = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
+        # x of base_link looks out of the palm, z towards the fingertips, y towards the index finger.
+        facing = np.stack([[-1.0, 0.0, 0.0], up, side], axis=1)
+        R = (
+            exp_so3(np.radians(self.azimuth) * up)
+            @ exp_so3(-np.radians(self.elevation) * side)
+            @ facing
+            @ exp_so3(np.radians(self.roll) * np.array([1.0, 0.0, 0.0]))
+        )
+        return transform(R, np.array(self.point) - R @ np.array(GRASP_CENTER))
+
+
+EXAMPLES = {
+    "mug": (
+        Approach((0, 0, 0.05), azimuth=180),
+        Approach((0, 0, 0.045), azimuth=205, roll=180),
+        Approach((0, 0, 0.055), azimuth=155, elevation=25),
+        Approach((0, 0, 0.075), azimuth=270, elevation=90),
+    ),
+    "bottle": (
+        Approach((0, 0, 0.07), azimuth=0),
+        Approach((0, 0, 0.05), azimuth=90, roll=180),
+        Approach((0, 0, 0.06), azimuth=200, elevation=15),
+        Approach((0, 0, 0.06), azimuth=300, roll=-15),
+    ),
+    "rounded_box": (
+        Approach((0, 0, 0), azimuth=0),
+        Approach((0, 0, 0), azimuth=90),
+        Approach((0, 0, 0), azimuth=180, roll=180),
+        Approach((0, 0, 0.02), azimuth=0, elevation=90),
+    ),
+}
+"""Embedded object -> how the hand comes to each of its grasps."""
+
+
+class HandAround:
+    """Distances of the links of a hand to an object, for a batch of grasps."""
+
+    def __init__(self, hand: Hand, obj: Object) -> None:
+        """Prepare the queries of all links that have geometry."""
+        self.links = tuple(link.name for link in hand.links if link.body is not None)
+        bodies = hand.links_by_name
+        self._pairs = Pairs.against([bodies[name].body for name in self.links], obj.body)
+        self._kinematics = Kinematics(hand, self.links)
+
+    def distances(
+        self, T_object_root: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]
+    ) -> Float[np.ndarray, "N L"]:
+        """Signed distance (N, L) in metres of each of `links` to the object."""
+        T = self._kinematics(torch.as_tensor(T_object_root), torch.as_tensor(q)).numpy()
+        return query(self._pairs, T, np.broadcast_to(np.eye(4), T.shape)).distance
+
+
+def close(
+    hand: Hand, around: HandAround, T_object_root: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]
+) -> Float[np.ndarray, "N n"]:
+    """The joint values (N, n) after closing: a joint stops when a link that it moves comes within CLEARANCE."""
+    names = [joint for joints in CLOSING.values() for joint in joints]
+    columns = [hand.joint_names.index(name) for name in names]
+    moves = np.array([[link in _below(hand, name) for link in around.links] for name in names])
+    q = q.copy()
+    while True:
+        near = around.distances(T_object_root, q) < CLEARANCE
+        target = np.minimum(q[:, columns] + STEP, hand.upper[columns])
+        target = np.where(near @ moves.T, q[:, columns], target)
+        if (target == q[:, columns]).all():
+            return q
+        q[:, columns] = target
+
+
+def disturb(
+    hand: Hand,
+    around: HandAround,
+    T_object_root: Float[np.ndarray, "4 4"],
+    q: Float[np.ndarray, " n"],
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, " n"]]:
+    """Pose (4, 4) and joint values (n,) of one grasp moved a little, so that it is only almost right."""
+    size = np.repeat([SHIFT, TURN], 3)
+    twist = rng.uniform(-size, size, (DRAWS, 6))
+    T = T_object_root @ exp_se3(twist)
+    angles = np.clip(q + rng.uniform(-BEND, BEND, (DRAWS, len(q))), hand.lower, hand.upper)
+    distance = around.distances(T, angles)
+    gap = distance[:, [around.links.index(link) for link in CLOSING]].max(axis=1)
+    depth = -distance.min(axis=1)
+    wanted = (GAP[0] <= gap) & (gap <= GAP[1]) & (DEPTH[0] <= depth) & (depth <= DEPTH[1])
+    if not wanted.any():
+        raise RuntimeError("no disturbance leaves the gaps and depths that are wanted: change the approach")
+    first = int(np.argmax(wanted))
+    return T[first], angles[first]
+
+
+def example_grasps(hand: Hand, obj: Object, approaches: tuple[Approach, ...], seed: int = 0) -> GraspSet:
+    """Grasps of `obj` that are almost right, one for each approach."""
+    around = HandAround(hand, obj)
+    T = np.stack([approach.pose() for approach in approaches])
+    opened = np.array([OPEN[name] for name in hand.joint_names])
+    q = close(hand, around, T, np.tile(opened, (len(T), 1)))
+    # The object's name is part of the seed: objects do not depend on which others there are.
+    rng = np.random.default_rng([seed, *obj.name.encode()])
+    rows = [disturb(hand, around, *grasp, rng) for grasp in zip(T, q, strict=True)]
+    return GraspSet(
+        hand=hand.name,
+        base_link=hand.base_link,
+        joint_names=hand.joint_names,
+        object=np.full(len(rows), obj.name),
+        scale=np.ones(len(rows)),
+        hand_pose=pose_from_transform(np.stack([T for T, _ in rows])),
+        q=np.stack([q for _, q in rows]),
+    )
+
+
+def _below(hand: Hand, joint: str) -> set[str]:
+    """Names of the links that a joint moves."""
+    below = {hand.joints_by_name[joint].child}
+    for other in hand.joints:  # parents before children
+        if other.parent in below:
+            below.add(other.child)
+    return below
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Write example_<object>.npz for each embedded example."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=None, help="folder to write to [robots/allegro]")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the disturbances [0]")
+    options = parser.parse_args(arguments)
+    folder = options.out or resource_dir("robots") / "allegro"
+    hand = load_hand("allegro")
+    for name, approaches in EXAMPLES.items():
+        grasps = example_grasps(hand, load_object(name), approaches, options.seed)
+        path = folder / f"example_{name}.npz"
+        save_npz(path, grasps.arrays())
+        print(f"{path}: {len(grasps)} grasps")
+
+
+if __name__ == "__main__":
+    main()

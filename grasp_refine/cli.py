@@ -1,0 +1,104 @@
+"""The console script `refine-grasp`: finds the command, runs it, and turns errors into one line and an exit code.
+
+Only names and one-line descriptions of the commands are known here, so that `--help` is instant. A command is a
+module of `commands`, loaded when it was chosen; its class of the same name holds the options and has `execute`.
+
+Exit codes: 0 done, 1 nothing usable came out, 2 bad input, 130 interrupted, 141 nobody reads the output any more.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from difflib import get_close_matches
+from importlib import import_module
+from io import TextIOWrapper
+
+from grasp_refine.errors import GraspRefineError
+
+PROGRAM = "refine-grasp"
+
+COMMANDS = {
+    "run": "refine grasps of a hand on an object; without options, an embedded example",
+    "hands": "the hands that come with the program, or what a URDF is read as",
+    "doctor": "what is installed here, what is missing, and what this machine can do",
+}
+"""Name of each command -> what it does."""
+
+BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
+
+THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Matrices are small here, so that a second thread of linear algebra costs more than it brings. Not
+OMP_NUM_THREADS: the child process that decomposes meshes would inherit it, and it does gain by threads."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line (by default that of the process); returns its exit code."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    if isinstance(sys.stdout, TextIOWrapper):
+        # Where the terminal has no such letter, an arrow is not worth an error.
+        sys.stdout.reconfigure(errors="replace")
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(_usage())
+        return 0
+    if arguments[0] == "--version":
+        from grasp_refine import __version__
+
+        print(f"{PROGRAM} {__version__}")
+        return 0
+    name, *rest = arguments
+    if name not in COMMANDS:
+        return _fail(_unknown(name), BAD_INPUT)
+    for variable in THREADS:
+        os.environ.setdefault(variable, "1")
+    try:
+        command = getattr(import_module(f"grasp_refine.commands.{name}"), name.capitalize())
+        from grasp_refine.commands.options import parse
+
+        code = parse(command, f"{PROGRAM} {name}", rest).execute()
+        sys.stdout.flush()
+        return code
+    except GraspRefineError as error:
+        return _fail(" ".join(str(error).split()), BAD_INPUT)
+    except KeyboardInterrupt:
+        return _fail("interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        # Or Python would complain once more when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+
+
+def _usage() -> str:
+    width = max(map(len, COMMANDS))
+    return "\n".join(
+        [
+            f"usage: {PROGRAM} COMMAND [OPTIONS]",
+            "",
+            "Refine grasps of robot hands: a hand that almost grasps goes in, a hand that grasps comes out.",
+            "",
+            "commands:",
+            *(f"  {name:<{width}}  {what}" for name, what in COMMANDS.items()),
+            "",
+            f"{PROGRAM} COMMAND --help shows the options of a command; {PROGRAM} --version the version.",
+        ]
+    )
+
+
+def _unknown(name: str) -> str:
+    kind = "option" if name.startswith("-") else "command"
+    close = get_close_matches(name.lstrip("-"), [*COMMANDS, "help", "version"], n=1)
+    known = f"the commands are {', '.join(COMMANDS)}"
+    if not close:
+        return f"no {kind} '{name}'; {known}"
+    meant = close[0] if close[0] in COMMANDS else f"--{close[0]}"
+    return f"no {kind} '{name}', did you mean {meant}? {known}"
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"{PROGRAM}: {'' if code == INTERRUPTED else 'error: '}{message}", file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,163 @@
+"""`refine-grasp doctor`: what is installed here, what is missing, and what this machine can do."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from tyro.conf import DisallowNone, arg
+
+from grasp_refine import __version__
+from grasp_refine.errors import AssetError
+from grasp_refine.geometry.cache import default_cache
+from grasp_refine.hand import list_hands
+from grasp_refine.report.screen import screen
+from grasp_refine.report.writing import SCHEMA, check_writable, save_json
+from grasp_refine.versions import NAME, Requirement, requirements, versions
+
+BROKEN = 1
+"""Exit code when something that is always needed is missing or too old."""
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+"""Programs that the viewer's tests can use."""
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Say what is installed here, what is missing, and what this machine can do."""
+
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = (
+        None
+    )
+    """Write what was found to this file."""
+
+    def execute(self) -> int:
+        """Do it; returns the exit code: 0 also when what is optional lacks."""
+        if self.json is not None:
+            check_writable(self.json)
+        found = examine()
+        if self.json is not None:
+            save_json(self.json, {"schema": SCHEMA, "command": "doctor", "versions": versions(), **found})
+        _show(found, screen())
+        return BROKEN if found["problems"] else 0
+
+
+def examine() -> dict[str, Any]:
+    """Everything that is found, for JSON; `problems` holds what keeps the program from working."""
+    packages = [_package(need) for need in requirements()]
+    problems = [
+        f"{package['name']} is {package['state']}, {package['range']} is needed"
+        for package in packages
+        if package["extra"] is None and package["state"] in ("missing", "too old")
+    ]
+    if not packages:
+        problems.append("grasp-refine is not installed: what it needs is not known")
+    devices, fault = _devices()
+    if fault:
+        problems.append(f"torch does not load: {fault}")
+    try:
+        hands = list(list_hands())
+    except AssetError as error:
+        hands = []
+        problems.append(str(error))
+    return {
+        "platform": platform.platform(),
+        "cpu_count": os.cpu_count(),
+        "packages": packages,
+        "devices": devices,
+        "gpu": any(device["name"] != "cpu" for device in devices),
+        "cache": _cache(),
+        "hands": hands,
+        "mujoco": Requirement("mujoco", "").installed,
+        "browser": next(filter(None, map(shutil.which, BROWSERS)), None),
+        "problems": problems,
+    }
+
+
+def _package(need: Requirement) -> dict[str, Any]:
+    return {
+        "name": need.name,
+        "range": need.range,
+        "extra": need.extra,
+        "installed": need.installed,
+        "state": need.problem or "ok",
+    }
+
+
+def _devices() -> tuple[list[dict[str, str]], str]:
+    """The devices that torch can use, and why it cannot be loaded."""
+    try:
+        import torch
+    except (ImportError, OSError) as error:
+        return [], str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+    devices = [{"name": "cpu", "what": platform.processor() or platform.machine()}]
+    if torch.cuda.is_available():
+        for i in range(torch.cuda.device_count()):
+            devices.append({"name": f"cuda:{i}", "what": torch.cuda.get_device_name(i)})
+    if torch.backends.mps.is_available():
+        devices.append({"name": "mps", "what": "Apple GPU, float32 only"})
+    return devices, ""
+
+
+def _cache() -> dict[str, Any]:
+    """Where decompositions are kept, how many and how large."""
+    folder = default_cache()
+    sizes = [path.stat().st_size for path in folder.glob("*.npz")] if folder.is_dir() else []
+    return {"folder": folder, "entries": len(sizes), "bytes": sum(sizes)}
+
+
+def _show(found: dict[str, Any], console: Console) -> None:
+    python = f"Python {platform.python_version()}"
+    console.print(
+        f"[bold]{NAME} {__version__}[/]  {python}, {found['platform']}, {found['cpu_count']} CPUs\n"
+    )
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0), header_style="dim")
+    for column in ("package", "installed", "needed", "state", "for"):
+        table.add_column(column)
+    for package in sorted(found["packages"], key=lambda package: package["extra"] or ""):
+        optional = package["extra"]
+        state = package["state"]
+        color = "green" if state == "ok" else "yellow" if optional or state == "too new" else "red"
+        what = "not installed" if optional and state == "missing" else state
+        table.add_row(
+            package["name"],
+            package["installed"] or "-",
+            package["range"],
+            f"[{color}]{'untested, too new' if state == 'too new' else what}[/]",
+            f"extra '{optional}'" if optional else "",
+        )
+    console.print(table, "")
+    for line in _lines(found):
+        console.print(line, markup=False, soft_wrap=True)
+    for problem in found["problems"]:
+        console.print(f"[red]problem[/]: {escape(problem)}")
+    if found["problems"]:
+        console.print(f"install again: pip install --upgrade {NAME}")
+    else:
+        console.print("[green]everything that is needed is here[/]")
+
+
+def _lines(found: dict[str, Any]) -> list[str]:
+    cache = found["cache"]
+    devices = [f"{device['name']} ({device['what']})" for device in found["devices"]]
+    lacking = sorted({p["extra"] for p in found["packages"] if p["extra"] and p["state"] == "missing"})
+    mujoco = found["mujoco"] or "not installed; simulation needs it, pip install mujoco"
+    browser = found["browser"] or "none; the viewer's tests need chromium, apt install chromium"
+    lines = [
+        f"devices: {', '.join(devices) or 'none'}" + ("" if found["gpu"] else "; no GPU, none is needed"),
+        f"cache:   {cache['folder']}, {cache['entries']} decompositions, {cache['bytes'] / 1e6:.1f} MB",
+        f"hands:   {', '.join(found['hands']) or 'none'}",
+        f"mujoco:  {mujoco}",
+        f"browser: {browser}",
+    ]
+    if lacking:
+        lines.append(f'optional: pip install "{NAME}[{",".join(lacking)}]"')
+    return lines

@@ -1,0 +1,257 @@
+"""The options that say what is refined, and the scenes that they mean; every command on grasps has them."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import DisallowNone, arg
+
+from grasp_refine.assets import resource_dir
+from grasp_refine.description.tree import read_tree
+from grasp_refine.errors import AssetError, GraspFileError, GraspRefineError, HandError
+from grasp_refine.geometry.decomposition import Decomposition
+from grasp_refine.geometry.shapes import EMBEDDED
+from grasp_refine.grasps import GraspSet, Targets, choose_rows, load_grasps, match_joints
+from grasp_refine.hand import Hand, list_hands, load_hand
+from grasp_refine.objects import PRIMITIVE_FORMS, find_object, load_object
+from grasp_refine.scene import Scene
+from grasp_refine.se3 import transform_from_pose
+
+AUTO = "auto"
+"""The value of --targets that takes the targets of the grasp file, or else finds some."""
+
+EXAMPLE_OBJECT = "mug"
+"""The object of the example that is refined when nobody says what."""
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """N grasps on one object at one scale."""
+
+    object: str
+    """Name of the object, as the grasp file says it."""
+    scale: float
+    """Factor that takes the object's mesh to metres."""
+    scene: Scene
+    """What is refined."""
+    rows: np.ndarray
+    """Rows of the grasps (N,) in their file."""
+    index: np.ndarray
+    """Numbers of the grasps (N,) among those of their object."""
+    place: np.ndarray
+    """Where the grasps (N,) stand among all that were asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """All grasps that were asked for."""
+
+    hand: Hand
+    """The hand, below the base link that the grasp file names."""
+    path: Path
+    """The grasp file."""
+    groups: tuple[Group, ...]
+    """The grasps, by object and scale."""
+    notes: tuple[str, ...]
+    """What a user should know about how hand, objects and grasps were read."""
+
+    def __len__(self) -> int:
+        """Return the number of grasps."""
+        return sum(len(group.rows) for group in self.groups)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What is refined."""
+
+    hand: str = "allegro"
+    """A name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF, or a .urdf file."""
+    object: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of --grasps)")] = None
+    """An embedded object (mug, bottle, bowl, rounded_box), box:x,y,z, sphere:r, cylinder:r,h, or a mesh file."""
+    object_name: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: the only one)")] = None
+    """Which object of the grasp file; needed when it holds several."""
+    objects: Annotated[DisallowNone[Path | None], arg(help_behavior_hint="(default: none)")] = None
+    """All objects of the grasp file: a folder of meshes named like them, or a TOML file of lines name = "path"."""
+    scale: float = 1.0
+    """Multiplies the scale that the grasp file gives for the mesh."""
+    grasps: Annotated[DisallowNone[Path | None], arg(help_behavior_hint="(default: the hand's example)")] = (
+        None
+    )
+    """Grasp file (.npz)."""
+    index: Annotated[tuple[int, ...], arg(metavar="I [I ...]", help_behavior_hint="(default: all)")] = ()
+    """Which grasps of the object; 0 is its first one in the file."""
+    targets: str = AUTO
+    """A grasp file with targets, or auto: those of --grasps, or else where contact links are near the object."""
+    threshold: float = Decomposition.threshold
+    """Largest concavity, 0.01 to 1, of the pieces that CoACD cuts a concave object into; lower is finer."""
+
+    def load(self, seed: int, say: Callable[[str], None]) -> Problem:
+        """The grasps that the options mean; `say` gets a line when a decomposition starts and when it is done.
+
+        Raises:
+            GraspRefineError: something is missing, cannot be used, or does not fit the rest.
+        """
+        if not (np.isfinite(self.scale) and self.scale > 0):
+            raise GraspRefineError(f"--scale must be positive and finite, got {self.scale:g}")
+        decomposition = Decomposition(threshold=self.threshold)
+        path = self.grasps if self.grasps is not None else self._example()
+        grasps = load_grasps(path)
+        names = self._names(grasps, path)
+        chosen = {name: choose_rows(grasps, object_name=name, index=self.index or None) for name in names}
+        sources = {name: self._source(name, path) for name in names}
+        targets = self._targets(grasps, path)
+        hand = _hand_of(self.hand, grasps, path)
+        q, notes = match_joints(grasps, hand)
+        notes = [*hand.notes, *notes]
+        groups, count = [], 0
+        for name, rows in chosen.items():
+            index = np.asarray(self.index) if self.index else np.arange(len(rows))
+            place, count = np.arange(count, count + len(rows)), count + len(rows)
+            scales = grasps.scale[rows] * self.scale
+            for scale in np.unique(scales):
+                at = np.flatnonzero(scales == scale)
+                obj = load_object(
+                    sources[name], scale=float(scale), decomposition=decomposition, seed=seed, progress=say
+                )
+                notes += [f"{name}: {note}" for note in obj.notes]
+                T = transform_from_pose(grasps.hand_pose[rows[at]])
+                scene = _aimed(Scene(hand, obj, T, q[rows[at]]), targets, rows[at])
+                groups.append(Group(name, float(scale), scene, rows[at], index[at], place[at]))
+        return Problem(hand, path, tuple(groups), tuple(dict.fromkeys(notes)))
+
+    def _example(self) -> Path:
+        """The example grasps of the hand on the object that is meant."""
+        if self.hand not in list_hands():
+            load_hand(self.hand)
+            raise GraspRefineError(
+                f"--grasps FILE is needed: only hands that come with the program ({', '.join(list_hands())}) "
+                f"have example grasps, '{self.hand}' has none"
+            )
+        examples = {}
+        for path in sorted((resource_dir("robots") / self.hand).glob("*.npz")):
+            examples |= dict.fromkeys(load_grasps(path).object.tolist(), path)
+        wanted = self.object_name or self.object
+        if wanted is None and not examples:
+            raise GraspRefineError(
+                f"--grasps FILE is needed: hand '{self.hand}' comes without example grasps"
+            )
+        if wanted is None:
+            return examples.get(EXAMPLE_OBJECT) or next(iter(examples.values()))
+        if wanted not in examples:
+            raise GraspRefineError(
+                f"--grasps FILE is needed: there are no example grasps of hand '{self.hand}' on '{wanted}', "
+                f"only on {', '.join(examples) or 'nothing'}"
+            )
+        return examples[wanted]
+
+    def _names(self, grasps: GraspSet, path: Path) -> list[str]:
+        """Names of the objects whose grasps are meant, in the order of the file."""
+        if self.object is not None and self.objects is not None:
+            raise GraspRefineError("--object and --objects exclude each other: give one of them")
+        if self.object_name is not None:
+            return [self.object_name]
+        names = list(dict.fromkeys(grasps.object.tolist()))
+        if len(names) > 1 and self.objects is None:
+            listing = ", ".join(f"{name} ({np.count_nonzero(grasps.object == name)})" for name in names)
+            raise GraspFileError(
+                f"{path}: has grasps of {len(names)} objects; choose one with --object-name, or give all their "
+                f"meshes with --objects: {listing}"
+            )
+        return names
+
+    def _source(self, name: str, path: Path) -> str | Path:
+        """What `load_object` should load for the object `name` of the grasp file."""
+        if self.object is not None:
+            return self.object
+        if self.objects is None:
+            # Names that a file gives are never taken as paths.
+            if name in EMBEDDED or ":" in name:
+                return name
+            raise AssetError(
+                f"{path}: its object '{name}' is none of the embedded ones ({', '.join(EMBEDDED)}); give its mesh "
+                f"with --object, a folder of meshes with --objects, or a primitive ({PRIMITIVE_FORMS})"
+            )
+        if self.objects.is_dir():
+            return find_object(name, self.objects)
+        listed = _read_objects(self.objects)
+        if name not in listed:
+            raise AssetError(f"{self.objects}: no object '{name}'; it names {', '.join(listed) or 'nothing'}")
+        return listed[name]
+
+    def _targets(self, grasps: GraspSet, path: Path) -> Targets | None:
+        """The targets of all rows of the grasp file; None: they are to be found."""
+        if self.targets == AUTO:
+            return grasps.targets
+        aimed = load_grasps(self.targets)
+        if aimed.targets is None:
+            raise GraspFileError(
+                f"{self.targets}: has no targets (target_link, target_point_link, target_point_object)"
+            )
+        if len(aimed) != len(grasps) or (aimed.object != grasps.object).any():
+            raise GraspFileError(
+                f"{self.targets}: its rows must be those of {path}: {len(aimed)} against {len(grasps)} grasps"
+                + ("" if len(aimed) != len(grasps) else ", of other objects")
+            )
+        return aimed.targets
+
+
+def _hand_of(source: str, grasps: GraspSet, path: Path) -> Hand:
+    """The hand below the base link that the grasp file names."""
+    try:
+        hand = load_hand(source, base_link=grasps.base_link)
+    except HandError:
+        whole = load_hand(source)
+        links = read_tree(whole.urdf).links
+        if grasps.base_link in links:
+            raise
+        raise GraspFileError(
+            f"{path}: the grasps are for another hand ('{grasps.hand}'): their base_link '{grasps.base_link}' "
+            f"is no link of hand '{whole.name}'; its links are {', '.join(links)}"
+        ) from None
+    if not any(link.body is not None for link in hand.links):
+        raise GraspFileError(
+            f"{path}: the grasps are for another hand ('{grasps.hand}'): from their base_link "
+            f"'{grasps.base_link}' on, no link of hand '{hand.name}' has collision geometry"
+        )
+    return hand
+
+
+def _aimed(scene: Scene, targets: Targets | None, rows: np.ndarray) -> Scene:
+    """The scene with the targets of some rows of a grasp file, one column per link of the scene."""
+    if targets is None:
+        return scene
+    columns = list(scene.links)
+    points = np.full((2, len(rows), len(columns), 3), np.nan)
+    for k, link in enumerate(targets.links):
+        if link not in columns:
+            raise GraspFileError(
+                f"target link '{link}' is no link with collision geometry of hand '{scene.hand.name}', or comes more "
+                f"often than its contact points; there are {', '.join(scene.links)}"
+            )
+        at = columns.index(link)
+        # A link with several contact points has as many columns.
+        columns[at] = ""
+        points[0, :, at], points[1, :, at] = targets.point_link[rows, k], targets.point_object[rows, k]
+    return replace(scene, target_link=points[0], target_object=points[1])
+
+
+def _read_objects(path: Path) -> Mapping[str, str | Path]:
+    """Object name -> what to load, from a TOML file; paths are relative to it."""
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise AssetError(f"{path}: no such file or folder of objects") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise AssetError(f'{path}: cannot be read as TOML lines name = "path" ({error})') from None
+    for name, value in raw.items():
+        if not isinstance(value, str) or not value:
+            raise AssetError(f"{path}: {name} must be a path in quotes, got {value!r}")
+    return {
+        name: value if value in EMBEDDED or ":" in value else path.parent / value
+        for name, value in raw.items()
+    }

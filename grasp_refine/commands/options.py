@@ -1,0 +1,90 @@
+"""Options from the command line into the dataclass of a command, and the ranges of the numbers in them."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+from math import isfinite
+from typing import Any, TypeVar
+
+import tyro
+
+from grasp_refine.errors import GraspRefineError
+
+Command = TypeVar("Command")
+
+LARGEST_SEED = 2**32 - 1
+
+_BOX = "│╭╮╰╯─ "
+_ANSI = re.compile(r"\x1b\[[0-9;]*m")
+_PUNCTUATION = re.compile(r"[.;:?]$")
+
+
+def parse(command: type[Command], program: str, arguments: Sequence[str]) -> Command:
+    """The options of a command.
+
+    Raises:
+        GraspRefineError: options that do not exist, lack a value or have a wrong one.
+        SystemExit: with code 0, after `--help` was printed.
+    """
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            parsed = tyro.cli(command, prog=program, args=arguments)
+    except SystemExit as end:
+        if not end.code:
+            raise
+        raise GraspRefineError(f"{_one_line(said.getvalue())}; see {program} --help") from None
+    sys.stderr.write(said.getvalue())
+    return parsed
+
+
+def _one_line(box: str) -> str:
+    """What tyro says in a box of several paragraphs: the complaint, and the options that may have been meant."""
+    paragraphs: list[list[str]] = [[]]
+    for line in _ANSI.sub("", box).splitlines()[1:]:
+        text = line.strip("│ \n")
+        if text.strip(_BOX):
+            paragraphs[-1].append(text)
+        else:
+            paragraphs.append([])
+    complaint = " ".join(paragraphs[0]) or " ".join(box.split())
+    complaint = complaint[0].lower() + complaint[1:]
+    meant = [
+        text.split()[0].rstrip(",")
+        for paragraph in paragraphs[1:]
+        if paragraph and paragraph[0].startswith("Perhaps")
+        for text in paragraph[1:]
+        if text.startswith("--")
+    ]
+    guess = f"; perhaps {' or '.join(dict.fromkeys(meant))}" if meant else ""
+    return _PUNCTUATION.sub("", complaint) + guess
+
+
+def check_numbers(options: Any, prefix: str = "--") -> None:
+    """Nothing, when the numbers in a dataclass, and in those inside it, are such as settings can be.
+
+    Floats are finite and not negative, whole numbers at least 1, seeds at least 0.
+
+    Raises:
+        GraspRefineError: names the option, its value and what it may be.
+    """
+    for field in fields(options):
+        value = getattr(options, field.name)
+        flag = prefix + field.name.replace("_", "-")
+        if is_dataclass(value):
+            check_numbers(value, f"{flag}.")
+            continue
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, float) and not (isfinite(number) and number >= 0):
+                raise GraspRefineError(f"{flag} must be finite and not negative, got {number:g}")
+            if type(number) is not int:
+                continue
+            if field.name == "seed" and not 0 <= number <= LARGEST_SEED:
+                raise GraspRefineError(f"{flag} must be 0 to {LARGEST_SEED}, got {number}")
+            if field.name != "seed" and number < 1:
+                raise GraspRefineError(f"{flag} must be at least 1, got {number}")

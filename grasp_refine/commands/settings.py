@@ -1,0 +1,141 @@
+"""The options that say how grasps are refined; every command that refines has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Literal, TypeVar, get_args, get_type_hints
+
+import torch
+from tyro.conf import Suppress
+
+from grasp_refine.commands.options import check_numbers
+from grasp_refine.config import Config
+from grasp_refine.errors import GraspRefineError
+from grasp_refine.losses import Weights
+from grasp_refine.solvers.descent import Descent
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.distance import Distance
+from grasp_refine.witness.neighborhood import Adaptive, Fixed
+
+Method = TypeVar("Method", Descent, ContactKinematics, Distance)
+
+
+# What has an option of its own, without a prefix, is left out of the options of a method.
+@dataclass(frozen=True)
+class DescentOptions(Descent):
+    """The options of normalised gradient descent."""
+
+    iterations: Suppress[int] = Descent.iterations
+    transport: Suppress[bool] = Descent.transport
+
+
+@dataclass(frozen=True)
+class ContactKinematicsOptions(ContactKinematics):
+    """The options of contact kinematics."""
+
+    neighborhood: Suppress[Adaptive | Fixed] = field(default_factory=Adaptive)
+    seed: Suppress[int] = ContactKinematics.seed
+
+
+@dataclass(frozen=True)
+class DistanceOptions(Distance):
+    """The options of distance smoothing."""
+
+    neighborhood: Suppress[Adaptive | Fixed] = field(default_factory=Adaptive)
+    seed: Suppress[int] = Distance.seed
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How grasps are refined. A method that is chosen by name has its options in the field of that name."""
+
+    solver: Literal["descent"] = "descent"
+    """How the hand moves: normalised gradient descent."""
+    derivative: Literal["contact-kinematics", "distance"] = "contact-kinematics"
+    """How witness points are differentiated: by fitted curvatures, or by the paper's distance smoothing."""
+    neighborhood: Literal["adaptive", "fixed"] = "adaptive"
+    """Which samples stand for the surface near a witness: as far as the target is, or a fixed fraction of the body."""
+    iterations: int = Descent.iterations
+    """Most iterations per grasp."""
+    tolerance: float = Config.tolerance
+    """Converged when the loss (m^2) is below this; 1e-7 is a third of a millimetre."""
+    margin: float = Config.margin
+    """Gap in metres that contact links should keep."""
+    reach: float = Config.reach
+    """Automatic targets: contact links within this distance (metres) of the object are meant to touch it."""
+    transport: bool = Descent.transport
+    """Equivalent gradient transport: the object's gradient acts through the links."""
+    seed: int = Config.seed
+    """Seed of everything that is drawn."""
+    dtype: Literal["float64", "float32"] = Config.dtype
+    """Number type of kinematics and losses; collision queries always run in double precision."""
+    device: str = Config.device
+    """Torch device of kinematics and losses, such as cuda; collision queries always run on the CPU."""
+    descent: DescentOptions = field(default_factory=DescentOptions)
+    """With --solver descent."""
+    contact_kinematics: ContactKinematicsOptions = field(default_factory=ContactKinematicsOptions)
+    """With --derivative contact-kinematics."""
+    distance: DistanceOptions = field(default_factory=DistanceOptions)
+    """With --derivative distance."""
+    adaptive: Adaptive = field(default_factory=Adaptive)
+    """With --neighborhood adaptive."""
+    fixed: Fixed = field(default_factory=Fixed)
+    """With --neighborhood fixed."""
+    weights: Weights = field(default_factory=Weights)
+    """How much each term of the loss, a sum of squares, counts."""
+
+    def config(self) -> Config:
+        """The settings of the refinement.
+
+        Raises:
+            GraspRefineError: a number out of its range, options of a method that was not chosen, or a device that
+                is not here.
+        """
+        check_numbers(self)
+        for choice in ("solver", "derivative", "neighborhood"):
+            self._check_unused(choice)
+        if len(self.descent.shares) != len(self.descent.factors):
+            raise GraspRefineError(
+                f"--descent.shares and --descent.factors belong together: {len(self.descent.shares)} and "
+                f"{len(self.descent.factors)} numbers were given"
+            )
+        self._check_device()
+        solver, derivative, neighborhood = (
+            getattr(self, name.replace("-", "_"))
+            for name in (self.solver, self.derivative, self.neighborhood)
+        )
+        return Config(
+            solver=_method(solver, iterations=self.iterations, transport=self.transport),
+            derivative=_method(derivative, neighborhood=neighborhood, seed=self.seed),
+            weights=self.weights,
+            margin=self.margin,
+            reach=self.reach,
+            tolerance=self.tolerance,
+            seed=self.seed,
+            dtype=self.dtype,
+            device=self.device,
+        )
+
+    def _check_unused(self, choice: str) -> None:
+        """Refuse options of the methods that were not chosen, which would be ignored."""
+        chosen = getattr(self, choice)
+        for name in get_args(get_type_hints(Settings)[choice]):
+            options = getattr(self, name.replace("-", "_"))
+            if name != chosen and options != type(options)():
+                raise GraspRefineError(f"options --{name}.* need --{choice} {name}; it is {chosen}")
+
+    def _check_device(self) -> None:
+        try:
+            torch.zeros(1, dtype=getattr(torch, self.dtype), device=self.device).item()
+        except (RuntimeError, AssertionError, TypeError, NotImplementedError) as error:
+            reason = str(error).strip().splitlines()[0]
+            raise GraspRefineError(
+                f"--device {self.device} with --dtype {self.dtype} does not work here ({reason}); "
+                "`refine-grasp doctor` lists the devices"
+            ) from None
+
+
+def _method(options: Method, **others: object) -> Method:
+    """The method that `options` describe, with the values of what has options of its own."""
+    given = {field.name: getattr(options, field.name) for field in fields(options)}
+    return type(options).__base__(**{**given, **others})

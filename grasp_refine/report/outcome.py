@@ -1,0 +1,181 @@
+"""The outcome of a refinement: grasps before and after, measured by one plain query each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+
+from grasp_refine.kinematics import Kinematics
+from grasp_refine.refine import Refinement
+from grasp_refine.scene import Scene
+from grasp_refine.se3 import inverse, pose_from_transform, transform_points
+from grasp_refine.solvers.status import Status
+from grasp_refine.validation.geometry import measure, movement
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """N grasps before and after; every array has one row per grasp, and per-link ones a column for each of L links."""
+
+    object: np.ndarray
+    """Name of the object (N,)."""
+    scale: np.ndarray
+    """Factor that takes the object's mesh to metres (N,)."""
+    row: np.ndarray
+    """Row in the grasp file (N,)."""
+    index: np.ndarray
+    """Number among the grasps of the object (N,)."""
+    hand_pose: np.ndarray
+    """Refined poses (N, 7) of the base link, x y z qw qx qy qz, object frame, metres."""
+    q: np.ndarray
+    """Refined joint values (N, n)."""
+    status: np.ndarray
+    """A `Status` (N,)."""
+    loss: np.ndarray
+    """Loss in m^2 before and after (N, 2)."""
+    iterations: np.ndarray
+    """Iterations (N,)."""
+    queries: np.ndarray
+    """Narrow-phase queries (N,)."""
+    wall_s: np.ndarray
+    """Share of the wall time of the refinement (N,), seconds."""
+    cpu_s: np.ndarray
+    """Share of its CPU time (N,), seconds."""
+    contact_error: np.ndarray
+    """Largest of gap and target misses, before and after (N, 2, L), metres; NaN for links without a target."""
+    penetration: np.ndarray
+    """Deepest penetration over all links, before and after (N, 2), metres."""
+    limits_violated: np.ndarray
+    """Number of refined joint values beyond their limits (N,)."""
+    palm_m: np.ndarray
+    """How far the base link moved (N,), metres."""
+    palm_rad: np.ndarray
+    """How far it turned (N,), radians."""
+    joints_rad: np.ndarray
+    """Largest joint movement (N,), radians (metres for prismatic joints)."""
+    target_link: np.ndarray
+    """Where links should touch (N, L, 3), link frames, metres; NaN: nowhere."""
+    target_object: np.ndarray
+    """Where the object should be touched (N, L, 3), object frame, metres."""
+    contact_link: np.ndarray
+    """Refined witness points on links with a target (N, L, 3), link frames, metres; NaN for other links."""
+    contact_object: np.ndarray
+    """The same on the object (N, L, 3), object frame."""
+    contact_normal: np.ndarray
+    """Unit normals from link to object there (N, L, 3), object frame."""
+    contact_distance: np.ndarray
+    """Signed distances there (N, L), metres."""
+
+    def __len__(self) -> int:
+        """Return the number of grasps."""
+        return len(self.status)
+
+    @property
+    def usable(self) -> np.ndarray:
+        """Which grasps (N,) were refined at all: they had a target and their queries were answered."""
+        return ~np.isin(self.status, (Status.NO_TARGET, Status.NOT_FINITE))
+
+    @property
+    def worst_error(self) -> np.ndarray:
+        """Worst contact error before and after (N, 2), metres; NaN for grasps without a target."""
+        return np.where(
+            np.isnan(self.contact_error).all(axis=2),
+            np.nan,
+            np.nan_to_num(self.contact_error, nan=-1.0).max(axis=2),
+        )
+
+    @property
+    def mean_error(self) -> np.ndarray:
+        """Mean contact error over the targets before and after (N, 2), metres; NaN for grasps without a target."""
+        aimed = ~np.isnan(self.contact_error)
+        count = aimed.sum(axis=2)
+        total = np.where(aimed, self.contact_error, 0.0).sum(axis=2)
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+    def select(self, rows: np.ndarray) -> Outcome:
+        """The grasps `rows`, in that order."""
+        return Outcome(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    @staticmethod
+    def join(parts: Sequence[Outcome]) -> Outcome:
+        """The grasps of all parts, which are of one hand."""
+        return Outcome(
+            *(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Outcome))
+        )
+
+
+def compare(
+    scene: Scene,
+    refinement: Refinement,
+    *,
+    margin: float,
+    name: str,
+    scale: float,
+    row: np.ndarray,
+    index: np.ndarray,
+) -> Outcome:
+    """The outcome of refining a scene.
+
+    Args:
+        scene: What was refined.
+        refinement: What came out.
+        margin: Gap in metres that contact links should keep.
+        name: The object's name in results.
+        scale: Factor that took the object's mesh to metres.
+        row: Rows of the grasps (N,) in their file.
+        index: Their numbers (N,) among the grasps of the object.
+    """
+    count = len(scene.q)
+    T_before, T_after = scene.T_world_root, refinement.T_world_root
+    geometry = measure(
+        scene.hand,
+        scene.object,
+        scene.links,
+        np.concatenate([T_before, T_after]),
+        np.concatenate([scene.q, refinement.q]),
+        np.concatenate([refinement.target_link, refinement.target_link]),
+        np.concatenate([refinement.target_object, refinement.target_object]),
+        margin,
+    )
+    witness = geometry.witness.rows(slice(count, None))
+    aimed = ~np.isnan(refinement.target_link[..., 0]) & witness.valid
+    T_link = Kinematics(scene.hand, scene.links)(
+        torch.as_tensor(T_after), torch.as_tensor(refinement.q)
+    ).numpy()
+    moved = movement(T_before, scene.q, T_after, refinement.q)
+
+    def before_after(values: np.ndarray) -> np.ndarray:
+        return np.stack([values[:count], values[count:]], axis=1)
+
+    def at_targets(values: np.ndarray) -> np.ndarray:
+        return np.where(aimed.reshape(aimed.shape + (1,) * (values.ndim - 2)), values, np.nan)
+
+    return Outcome(
+        object=np.full(count, name),
+        scale=np.full(count, scale),
+        row=row,
+        index=index,
+        hand_pose=pose_from_transform(T_after),
+        q=refinement.q,
+        status=refinement.status,
+        loss=refinement.loss,
+        iterations=refinement.iterations,
+        queries=refinement.queries,
+        wall_s=refinement.wall_s,
+        cpu_s=refinement.cpu_s,
+        contact_error=before_after(geometry.contact_error),
+        penetration=before_after(geometry.penetration),
+        limits_violated=geometry.limits_violated[count:],
+        palm_m=moved.palm_m,
+        palm_rad=moved.palm_rad,
+        joints_rad=moved.joints_rad,
+        target_link=refinement.target_link,
+        target_object=refinement.target_object,
+        contact_link=at_targets(transform_points(inverse(T_link), witness.point_a)),
+        contact_object=at_targets(witness.point_b),
+        contact_normal=at_targets(witness.normal),
+        contact_distance=at_targets(witness.distance),
+    )

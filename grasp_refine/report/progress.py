@@ -1,0 +1,69 @@
+"""What is said while grasps are refined: a bar in a terminal, single lines elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import TracebackType
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+
+class Reporter:
+    """Tells on a console how far a refinement of several groups of grasps is; a context manager."""
+
+    def __init__(self, console: Console) -> None:
+        """Say nothing yet."""
+        self.console = console
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=None),
+            TextColumn("{task.fields[said]}"),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._finished = self._total = self._iterations = 0
+        self._task = self._bar.add_task("", total=None, visible=False, said="")
+
+    def __enter__(self) -> Reporter:
+        """Show the bar, once there is something to show."""
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Take the bar away."""
+        self._bar.stop()
+
+    def say(self, line: str) -> None:
+        """Print a line above the bar."""
+        self.console.print(escape(line), style="dim", soft_wrap=not self.console.is_terminal)
+
+    def start(self, hand: str, total: int, iterations: int) -> None:
+        """Announce the refinement of `total` grasps, each of at most so many `iterations`."""
+        if not self.console.is_terminal:
+            self.say(
+                f"refining {total} grasp{'' if total == 1 else 's'} with {hand}, at most {iterations} iterations"
+            )
+        self._iterations, self._total = iterations, total
+        self._bar.update(self._task, description="refining", total=total, visible=True)
+
+    def group(self, name: str, count: int) -> Callable[[int, int, float], None]:
+        """The `progress` of `refine` for a group of `count` grasps on the object `name`."""
+        before, self._finished = self._finished, self._finished + count
+
+        def progress(finished: int, iteration: int, mean_loss: float) -> None:
+            # Most grasps finish late: those that run count by how far they are.
+            running = (count - finished) * iteration / self._iterations
+            self._bar.update(
+                self._task,
+                completed=before + finished + running,
+                description=f"refining {escape(name)}",
+                said=f"{before + finished}/{self._total} done, iteration {iteration}, mean loss {mean_loss:.1e} m²",
+            )
+
+        return progress

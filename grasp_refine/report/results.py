@@ -1,0 +1,92 @@
+"""Result files: refined grasps in the format of grasp files, with their contacts, measures and provenance."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from grasp_refine.grasps import GraspSet, Targets, save_npz
+from grasp_refine.hand import Hand
+from grasp_refine.report.outcome import Outcome
+from grasp_refine.report.writing import dumps
+from grasp_refine.solvers.status import Status
+
+
+def result_paths(folder: Path, hand: str, objects: tuple[str, ...]) -> dict[str, Path]:
+    """Object name -> path of its result file, <hand>_<object>.npz with whatever is unusual in a name replaced."""
+    paths: dict[str, Path] = {}
+    for name in objects:
+        stem = re.sub(r"[^\w.,=+-]+", "_", f"{hand}_{name}")
+        while folder / f"{stem}.npz" in paths.values():
+            stem += "_"
+        paths[name] = folder / f"{stem}.npz"
+    return paths
+
+
+def save_results(
+    path: Path, hand: Hand, links: tuple[str, ...], outcome: Outcome, provenance: Mapping[str, Any]
+) -> None:
+    """Write the grasps of one object, whole or not at all, as a grasp file that holds more.
+
+        contact_link                        (K,)       links with a target, the same as target_link
+        contact_point_link                  (N, K, 3)  witness point on the link, link frame, metres
+        contact_point_object                (N, K, 3)  the same on the object, object frame
+        contact_normal                      (N, K, 3)  unit normal from link to object, object frame
+        contact_distance                    (N, K)     signed distance, metres
+        contact_error_before, _after        (N,)       worst of gap and target misses, metres
+        penetration_before, _after          (N,)       deepest of all links, metres
+        status                              (N,)       how the refinement ended
+        iterations                          (N,)
+        loss                                (N,)       after refinement, m^2
+        provenance                          ()         JSON: versions, seed, config, source, index and row
+
+    NaN stands where a grasp has no such target.
+
+    Raises:
+        GraspFileError: the file cannot be written.
+    """
+    aimed = np.flatnonzero(~np.isnan(outcome.target_link[..., 0]).all(axis=0))
+    names = tuple(links[k] for k in aimed)
+    targets = (
+        Targets(names, outcome.target_link[:, aimed], outcome.target_object[:, aimed]) if names else None
+    )
+    grasps = GraspSet(
+        hand=hand.name,
+        base_link=hand.base_link,
+        joint_names=hand.joint_names,
+        object=outcome.object,
+        scale=outcome.scale,
+        hand_pose=outcome.hand_pose,
+        q=outcome.q,
+        targets=targets,
+    )
+    error = outcome.worst_error
+    save_npz(
+        path,
+        {
+            **grasps.arrays(),
+            "contact_link": np.array(names, dtype=str),
+            "contact_point_link": outcome.contact_link[:, aimed],
+            "contact_point_object": outcome.contact_object[:, aimed],
+            "contact_normal": outcome.contact_normal[:, aimed],
+            "contact_distance": outcome.contact_distance[:, aimed],
+            "contact_error_before": error[:, 0],
+            "contact_error_after": error[:, 1],
+            "penetration_before": outcome.penetration[:, 0],
+            "penetration_after": outcome.penetration[:, 1],
+            "status": np.array([Status(status).label for status in outcome.status]),
+            "iterations": outcome.iterations,
+            "loss": np.where(np.isfinite(outcome.loss[:, 1]), outcome.loss[:, 1], np.nan),
+            "provenance": np.array(dumps({**provenance, "index": outcome.index, "row": outcome.row})),
+        },
+    )
+
+
+def fingerprint(path: Path) -> dict[str, str]:
+    """Path and sha256 of a file, for provenance."""
+    return {"path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}

@@ -1,0 +1,96 @@
+"""Versions: which packages the program needs, and which are installed."""
+
+from __future__ import annotations
+
+import platform
+import re
+import tomllib
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+
+from grasp_refine import __version__
+
+NAME = "grasp-refine"
+
+_REQUIREMENT = re.compile(r"\s*([A-Za-z0-9._-]+)\s*(?:\[[^]]*\])?\s*([^;]*?)\s*(?:;\s*(.*))?$")
+_EXTRA = re.compile(r"extra\s*==\s*['\"]([^'\"]+)['\"]")
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A package that the program needs."""
+
+    name: str
+    """Name of the distribution."""
+    range: str
+    """Versions that will do, such as ">=2.6,<2.14"."""
+    extra: str | None = None
+    """The extra that asks for it; None: it is always needed."""
+
+    @property
+    def installed(self) -> str | None:
+        """The version that is installed; None: none is."""
+        try:
+            return version(self.name)
+        except PackageNotFoundError:
+            return None
+
+    @property
+    def problem(self) -> str:
+        """What is wrong with the installed version: "missing", "too old", "too new"; empty when nothing is."""
+        installed = self.installed
+        if installed is None:
+            return "missing"
+        have = _release(installed)
+        for bound in filter(None, self.range.split(",")):
+            if bound.startswith(">=") and have < _release(bound[2:]):
+                return "too old"
+            if bound.startswith("<") and not bound.startswith("<=") and have >= _release(bound[1:]):
+                return "too new"
+        return ""
+
+
+def requirements() -> tuple[Requirement, ...]:
+    """What the program needs, as its installed metadata or, in a checkout that is not installed, pyproject.toml say."""
+    try:
+        lines = requires(NAME) or []
+    except PackageNotFoundError:
+        lines = _checkout()
+    found = []
+    for line in lines:
+        name, bounds, marker = _REQUIREMENT.match(line).groups()
+        extra = _EXTRA.search(marker or "")
+        # Metadata sorts the bounds by their text, which puts the upper one first.
+        bounds = sorted((bound.strip() for bound in bounds.split(",") if bound.strip()), reverse=True)
+        found.append(Requirement(name, ",".join(bounds), extra[1] if extra else None))
+    return tuple(found)
+
+
+def versions() -> dict[str, str]:
+    """Name -> installed version of Python, the program and what it always needs; for results."""
+    packages = {need.name: need.installed for need in requirements() if need.extra is None}
+    return {
+        NAME: __version__,
+        "python": platform.python_version(),
+        **{name: installed for name, installed in packages.items() if installed is not None},
+    }
+
+
+def _checkout() -> list[str]:
+    file = Path(__file__).resolve().parent.parent / "pyproject.toml"
+    if not file.is_file():
+        return []
+    project = tomllib.loads(file.read_text(encoding="utf-8"))["project"]
+    extras = project.get("optional-dependencies", {})
+    return project["dependencies"] + [
+        f"{line}; extra == '{extra}'" for extra, lines in extras.items() for line in lines
+    ]
+
+
+def _release(text: str) -> tuple[int, ...]:
+    """The numbers of a version, those of a pre-release or local version left out: "2.6.0+cpu" -> (2, 6)."""
+    numbers = [int(number) for number in re.match(r"[0-9.]*", text.strip())[0].split(".") if number]
+    while numbers and numbers[-1] == 0:
+        numbers.pop()
+    return tuple(numbers)

@@ -1,0 +1,70 @@
+"""Analytical witness derivatives: the polytopes' own features, without any smoothing."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from grasp_refine.geometry.pieces import Piece
+from grasp_refine.witness.scene import WitnessScene
+from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness
+
+
+@dataclass(frozen=True)
+class Analytical:
+    """The slip along the feature that carries the witness point: face, edge or vertex.
+
+    A = I - n n^T on a face, e e^T on an edge, 0 at a vertex: the projection onto the directions that no active
+    face forbids. Round pieces (radius r) add r / (r + d) across. Exact while the feature stays the same; blind to
+    the next one, so zero at a vertex.
+    """
+
+    tolerance: float = 1e-6
+    """A face is active when the witness lies in its plane to within this fraction of the piece's size."""
+    coupling: Coupling = "coupled"
+    """Solve both slips together, or hold the other witness point fixed."""
+
+    def slip(self, scene: WitnessScene) -> Slip:
+        """Slip matrices (batch, pair, 3, 3) of both bodies, world frame."""
+        sides = scene.sides()
+        w = scene.witness
+        count = scene.T_world_a.shape[1]
+        local = np.zeros((*sides.point.shape, 3))
+        pieces_a, pieces_b = scene.pairs.piece_pairs
+        for side, pieces in ((slice(0, count), pieces_a), (slice(count, None), pieces_b)):
+            point, normal = sides.point[side], sides.normal[side]
+            for winner in np.unique(w.winner[w.winner >= 0]):
+                here = (w.winner == winner).T
+                local[side][here] = self._feature(pieces[winner], point[here], normal[here], w.distance.T[here])
+        slip = (sides.rotation @ local @ sides.rotation.mT).swapaxes(0, 1)
+        return Slip(slip[:, :count], slip[:, count:], w.point_a, w.point_b, sampled=False)
+
+    def pull_back(
+        self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Wrenches (batch, pair, 6) on the two bodies of covectors on witness points and normal."""
+        return pull_back_witness(self.slip(scene), scene, force_a, force_b, force_n, self.coupling)
+
+    def _feature(self, piece: Piece, x: np.ndarray, normal: np.ndarray, distance: np.ndarray) -> np.ndarray:
+        """Slip matrices (M, 3, 3) at points x (M, 3) of one piece with outward normals (M, 3), body frame."""
+        core = x - piece.radius * normal
+        if len(piece.vertices) == 1:
+            along = np.zeros((len(x), 3, 3))
+        elif len(piece.vertices) == 2:
+            start, stop = piece.vertices
+            length = np.linalg.norm(stop - start)
+            axis = (stop - start) / length
+            inside = np.abs((core - (start + stop) / 2) @ axis) < (0.5 - self.tolerance) * length
+            along = inside[:, None, None] * np.outer(axis, axis)
+        else:
+            normals, offsets = piece.planes
+            size = np.linalg.norm(np.ptp(piece.vertices, axis=0))
+            active = np.abs(core @ normals.T - offsets) < self.tolerance * size
+            # The null space of the active normals; nearly parallel ones count as one face.
+            gram = np.einsum("mf,fi,fj->mij", active.astype(np.float64), normals, normals)
+            values, vectors = np.linalg.eigh(gram)
+            free = values < 1e-9 * np.maximum(values[:, -1:], 1.0)
+            along = (vectors * free[:, None, :]) @ vectors.mT
+        if piece.radius == 0.0:
+            return along
+        across = np.eye(3) - normal[:, :, None] * normal[:, None, :] - along
+        return along + (piece.radius / (piece.radius + distance))[:, None, None] * across

@@ -1,0 +1,74 @@
+"""Direction-based randomized smoothing of witness points (Montaut et al. 2022, arXiv 2209.09012)."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from grasp_refine.witness.neighborhood import Adaptive, Fixed, choose, draw_offset
+from grasp_refine.witness.scene import WitnessScene
+from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness
+
+
+@dataclass(frozen=True)
+class Direction:
+    """The witness point as a soft support point of nearby samples v_j in the direction of the other one.
+
+    w_j = softmax(<v_j, s (x_b - x_a)> / eps), s = +1 apart and -1 penetrating. With C = Cov_w(v) / eps the
+    support point follows its direction by C, hence A = (I + s C)^-1 s C. Held fixed: the samples and eps. Its
+    blind spot: the scores vanish with the gap, so that close to contact all samples weigh the same.
+    """
+
+    neighborhood: Adaptive | Fixed = field(default_factory=Adaptive)
+    """Which surface samples stand for the surface near a witness point."""
+    coupling: Coupling = "coupled"
+    """Solve both slips together, or hold the other witness point fixed."""
+    epsilon: float | None = None
+    """Temperature eps in square metres; none: the standard deviation of the scores."""
+    seed: int = 0
+    """Seed of the random choice of samples."""
+
+    def slip(self, scene: WitnessScene) -> Slip:
+        """Slip matrices (batch, pair, 3, 3) of both bodies, world frame."""
+        sides = scene.sides()
+        near = choose(
+            self.neighborhood,
+            scene.surfaces,
+            sides.point,
+            sides.normal,
+            sides.target,
+            draw_offset(self.seed, scene.key),
+        )
+        sign = np.where(scene.witness.distance > 0, 1.0, -1.0)
+        sign = np.concatenate([sign, sign], axis=1).T
+        direction = sign[..., None] * (sides.other - sides.point)
+        scores = (near.points @ direction[..., None])[..., 0]
+        count = near.mask.sum(axis=2)
+        if self.epsilon is None:
+            mean = (scores * near.mask).sum(axis=2) / count
+            spread = np.sqrt((((scores - mean[..., None]) * near.mask) ** 2).sum(axis=2) / count)
+            # Scores are at most |x_b - x_a| times the spread of the samples; rounding bounds them from below.
+            eps = np.maximum(spread, np.finfo(np.float64).eps * near.floor)
+        else:
+            eps = np.full(scores.shape[:2], self.epsilon)
+        scores = np.where(near.mask, scores, -np.inf)
+        weights = np.exp((scores - scores.max(axis=2, keepdims=True)) / eps[..., None])
+        weights /= weights.sum(axis=2, keepdims=True)
+        centered = near.points - weights[..., None, :] @ near.points
+        C = (weights[..., None] * centered).mT @ centered * (sign / eps)[..., None, None]
+        # (I + s C)^-1 s C on the eigenvectors of C; -1 is a pole that only penetration can reach.
+        values, vectors = np.linalg.eigh(C)
+        away = np.where(np.abs(1.0 + values) < _POLE, np.copysign(_POLE, 1.0 + values), 1.0 + values)
+        slip = (vectors * (values / away)[..., None, :]) @ vectors.mT
+        slip = (sides.rotation @ slip @ sides.rotation.mT).swapaxes(0, 1)
+        pairs = scene.T_world_a.shape[1]
+        return Slip(slip[:, :pairs], slip[:, pairs:], scene.witness.point_a, scene.witness.point_b)
+
+    def pull_back(
+        self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Wrenches (batch, pair, 6) on the two bodies of covectors on witness points and normal."""
+        return pull_back_witness(self.slip(scene), scene, force_a, force_b, force_n, self.coupling)
+
+
+_POLE = 1e-3
+"""Smallest distance of 1 + eigenvalue from zero."""

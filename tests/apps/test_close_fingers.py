@@ -1,0 +1,156 @@
+"""The example grasps are what the script makes, almost right, and good after refinement."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from apps.close_fingers import (
+    CLEARANCE,
+    CLOSING,
+    EXAMPLES,
+    OPEN,
+    Approach,
+    HandAround,
+    close,
+    disturb,
+    example_grasps,
+    main,
+)
+from grasp_refine.assets import resource_dir
+from grasp_refine.config import Config
+from grasp_refine.geometry.shapes import EMBEDDED
+from grasp_refine.grasps import GraspSet, load_grasps, match_joints
+from grasp_refine.hand import Hand, load_hand
+from grasp_refine.objects import Object, load_object
+from grasp_refine.refine import Scene, refine
+from grasp_refine.se3 import transform_from_pose
+from grasp_refine.solvers.descent import Descent
+from grasp_refine.validation.geometry import measure
+
+HAND = load_hand("allegro")
+
+
+def example(name: str) -> GraspSet:
+    return load_grasps(resource_dir("robots") / "allegro" / f"example_{name}.npz")
+
+
+@cache
+def embedded(name: str) -> Object:
+    return load_object(name)
+
+
+def test_every_example_file_has_its_script():
+    files = {path.name for path in (resource_dir("robots") / "allegro").glob("*.npz")}
+    assert files == {f"example_{name}.npz" for name in EXAMPLES}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_files_belong_to_the_embedded_hand_and_objects(name: str):
+    grasps = example(name)
+    assert name in EMBEDDED
+    assert (grasps.hand, grasps.base_link, grasps.joint_names) == (HAND.name, HAND.base_link, HAND.joint_names)
+    assert set(grasps.object) == {name} and (grasps.scale == 1).all() and len(grasps) == 4
+    q, notes = match_joints(grasps, HAND)
+    assert not notes
+    assert ((HAND.lower <= q) & (q <= HAND.upper)).all()
+
+
+def test_the_script_makes_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    main(["--out", str(tmp_path)])
+    assert capsys.readouterr().out.count("4 grasps") == len(EXAMPLES)
+    for name in EXAMPLES:
+        made, stored = load_grasps(tmp_path / f"example_{name}.npz"), example(name)
+        message = f"{name}: run apps/close_fingers.py again, and look at the grasps"
+        np.testing.assert_allclose(made.hand_pose, stored.hand_pose, rtol=0, atol=1e-9, err_msg=message)
+        np.testing.assert_allclose(made.q, stored.q, rtol=0, atol=1e-9, err_msg=message)
+
+
+def test_another_seed_makes_other_grasps():
+    name = "rounded_box"
+    made = example_grasps(HAND, embedded(name), EXAMPLES[name], seed=1)
+    assert np.abs(made.q - example(name).q).max() > 0.01
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_they_are_almost_right_and_refinement_makes_them_right(name: str):
+    grasps, obj = example(name), embedded(name)
+    scene = Scene(HAND, obj, transform_from_pose(grasps.hand_pose), grasps.q)
+    # Less than a third of the usual iterations suffices.
+    result = refine(scene, Config(solver=Descent(iterations=600)))
+    before, after = (
+        measure(HAND, obj, scene.links, T, q, result.target_link, result.target_object)
+        for T, q in ((scene.T_world_root, scene.q), (result.T_world_root, result.q))
+    )
+    tips = before.distance[:, : len(HAND.contacts)]
+    assert (tips.max(axis=1) > 0.005).all() and (tips.max(axis=1) < 0.015).all()
+    assert (before.penetration > 0.001).all() and (before.penetration < 0.004).all()
+    assert np.median(np.nanmax(after.contact_error, axis=1)) < 1e-3
+    assert (after.penetration < 0.5e-3).all()
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_thumb_opposes_the_fingers(name: str):
+    """Contact forces along the normals nearly cancel: the thumb's against the mean of the fingers'."""
+    grasps, obj = example(name), embedded(name)
+    scene = Scene(HAND, obj, transform_from_pose(grasps.hand_pose), grasps.q)
+    nowhere = np.full((len(grasps), len(scene.links), 3), np.nan)
+    measured = measure(HAND, obj, scene.links, scene.T_world_root, scene.q, nowhere, nowhere)
+    normals = measured.witness.normal[:, : len(HAND.contacts)]
+    groups = [contact.group for contact in HAND.contacts]
+    thumb = normals[:, groups.index("thumb")]
+    fingers = normals[:, [k for k, group in enumerate(groups) if group != "thumb"]].mean(axis=1)
+    assert ((thumb * fingers).sum(axis=1) < -0.7).all()
+
+
+def test_the_palm_comes_from_where_the_approach_says():
+    point = (0.01, 0.02, 0.03)
+    for approach, outward, index_finger in (
+        (Approach(point, azimuth=0), [1, 0, 0], [0, 0, 1]),
+        (Approach(point, azimuth=90), [0, 1, 0], [0, 0, 1]),
+        (Approach(point, azimuth=90, roll=180), [0, 1, 0], [0, 0, -1]),
+        (Approach(point, azimuth=0, elevation=90), [0, 0, 1], [-1, 0, 0]),
+    ):
+        T = approach.pose()
+        np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(T[:3, :3]) == pytest.approx(1)
+        np.testing.assert_allclose(T[:3, 0], -np.array(outward), atol=1e-12)
+        np.testing.assert_allclose(T[:3, 1], index_finger, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def around() -> HandAround:
+    return HandAround(HAND, embedded("rounded_box"))
+
+
+def opened(hand: Hand) -> np.ndarray:
+    return np.array([[OPEN[name] for name in hand.joint_names]])
+
+
+def test_closing_stops_at_the_object(around: HandAround):
+    T, q = EXAMPLES["rounded_box"][0].pose()[None], opened(HAND)
+    closed = close(HAND, around, T, q)
+    distance = dict(zip(around.links, around.distances(T, closed)[0], strict=True))
+    assert all(0 < distance[link] < CLEARANCE for link in CLOSING)
+    assert min(distance.values()) > 0
+    assert (closed >= q).all()
+
+
+def test_closing_on_nothing_ends_at_the_limits(around: HandAround):
+    T = np.eye(4)[None]
+    T[0, 0, 3] = 10.0
+    closed = dict(zip(HAND.joint_names, close(HAND, around, T, opened(HAND))[0], strict=True))
+    upper = dict(zip(HAND.joint_names, HAND.upper, strict=True))
+    moving = [joint for joints in CLOSING.values() for joint in joints]
+    assert all(closed[name] == upper[name] for name in moving)
+    assert all(closed[name] == OPEN[name] for name in HAND.joint_names if name not in moving)
+
+
+def test_a_hopeless_approach_is_an_error(around: HandAround):
+    T = np.eye(4)
+    T[0, 3] = 10.0
+    with pytest.raises(RuntimeError, match="change the approach"):
+        disturb(HAND, around, T, opened(HAND)[0], np.random.default_rng(0))

@@ -1,0 +1,527 @@
+"""The command line as a user meets it: exit codes, one-line errors, files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import grasp_refine
+from grasp_refine.assets import resource_dir
+from grasp_refine.cli import COMMANDS, main
+from grasp_refine.grasps import load_grasps
+
+PROGRAM = "import sys; from grasp_refine.cli import main; sys.exit(main())"
+EXAMPLE = resource_dir("robots") / "allegro" / "example_rounded_box.npz"
+QUICK = ("run", "--object", "rounded_box", "--iterations", "30")
+"""A run on the one embedded object that needs no decomposition."""
+GRASP_KEYS = {
+    "index", "row", "object", "status", "advice", "iterations", "queries", "wall_s", "cpu_s", "quality",
+    "contact_error_m", "penetration_m", "self_penetration_m", "wrench_residual", "limits_violated", "moved",
+    "simulation",
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to run in, with a cache of its own."""
+    folder = tmp_path / "workplace"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("GRASP_REFINE_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("COLUMNS", "80")
+    for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        monkeypatch.setenv(variable, "1")  # what main would set, undone after the test
+    return folder
+
+
+@pytest.fixture
+def inputs(tmp_path: Path) -> Path:
+    """A folder for input files."""
+    folder = tmp_path / "inputs"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture
+def grasp_file(inputs: Path) -> Callable[..., Path]:
+    """Write the example with the given entries changed (None: left out); returns its path."""
+
+    def write(name: str = "grasps.npz", **changes: object) -> Path:
+        with np.load(EXAMPLE) as example:
+            arrays = {**example, **changes}
+        path = inputs / name
+        np.savez(path, **{key: np.asarray(value) for key, value in arrays.items() if value is not None})
+        return path
+
+    return write
+
+
+def subprocess_environment() -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": str(Path(grasp_refine.__file__).parents[1])}
+
+
+def call(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own."""
+    command = [sys.executable, "-c", PROGRAM, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, env=subprocess_environment())
+
+
+def refused(capfd: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
+    """The one line on stderr with which a command line is refused, without its prefix."""
+    before = set(Path().rglob("*"))
+    assert main([str(argument) for argument in arguments]) == 2
+    out, error = capfd.readouterr()
+    assert out == ""
+    assert error.count("\n") == 1, error
+    assert error.startswith("refine-grasp: error: ")
+    assert set(Path().rglob("*")) == before, "bad input must leave no file"
+    return error.removeprefix("refine-grasp: error: ").rstrip("\n")
+
+
+# The top level
+
+
+def test_help_is_instant_and_loads_nothing_heavy():
+    code = (
+        "import sys; from grasp_refine.cli import main; code = main(['--help']);"
+        "print(sorted({'torch', 'numpy', 'tyro', 'rich', 'trimesh'} & set(sys.modules)), code)"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=subprocess_environment()
+    )
+    assert result.stdout.splitlines()[-1] == "[] 0"
+    assert all(f"  {name} " in result.stdout for name in COMMANDS)
+    seconds = []
+    for _ in range(3):
+        start = time.perf_counter()
+        assert call("--help").returncode == 0
+        seconds.append(time.perf_counter() - start)
+    assert min(seconds) < 0.5
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"refine-grasp {grasp_refine.__version__}\n"
+
+
+def test_without_a_command_the_commands_are_shown(capsys: pytest.CaptureFixture[str]):
+    assert main([]) == 0
+    assert "commands:" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "answer"),
+    [
+        ("runn", "no command 'runn', did you mean run? the commands are run, hands, doctor"),
+        ("xyz", "no command 'xyz'; the commands are run, hands, doctor"),
+        ("--versoin", "no option '--versoin', did you mean --version? the commands are run, hands, doctor"),
+    ],
+)
+def test_an_unknown_command_names_the_commands(name: str, answer: str, capfd: pytest.CaptureFixture[str]):
+    assert refused(capfd, name) == answer
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_command_explains_its_options(command: str, capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as end:
+        main([command, "--help"])
+    assert not end.value.code
+    out = capsys.readouterr().out
+    assert f"usage: refine-grasp {command}" in out and "--json FILE" in out
+
+
+def test_hands_and_doctor_need_no_torch_to_start():
+    for command in ("hands", "doctor"):
+        code = f"import sys, grasp_refine.commands.{command}; print('torch' in sys.modules)"
+        result = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, env=subprocess_environment()
+        )
+        assert result.stdout == "False\n", result.stderr
+
+
+# run
+
+
+def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixture[str]):
+    assert main([*QUICK, "--out", "results", "--json", "deep/report.json"]) == 0
+    assert {str(path) for path in Path().rglob("*") if path.is_file()} == {
+        "results/allegro_rounded_box.npz",
+        "deep/report.json",
+    }
+    captured = capsys.readouterr()
+    assert captured.err.splitlines() == ["refining 4 grasps with allegro, at most 30 iterations"]
+    assert "allegro on rounded_box: 4 grasps" in captured.out
+    assert max(map(len, captured.out.splitlines())) <= 80
+
+    document = json.loads(Path("deep/report.json").read_text())
+    assert list(document) == ["schema", "command", "versions", "config", "seed", "totals", "grasps"]
+    assert (document["schema"], document["command"], document["seed"]) == (1, "run", 0)
+    assert document["versions"]["grasp-refine"] == grasp_refine.__version__
+    assert document["config"]["refine"]["solver"]["type"] == "Descent"
+    assert document["config"]["refine"]["solver"]["iterations"] == 30
+    assert set(document["totals"]) == {
+        "n", "converged", "success_before", "success_after", "wall_s", "cpu_s"
+    }  # fmt: skip
+    assert document["totals"]["n"] == len(document["grasps"]) == 4
+    for grasp in document["grasps"]:
+        assert set(grasp) == GRASP_KEYS
+        assert [key for key in grasp if grasp[key] is None] == [
+            "quality", "self_penetration_m", "wrench_residual", "simulation"
+        ]  # fmt: skip
+        assert grasp["contact_error_m"]["after"]["max"] < grasp["contact_error_m"]["before"]["max"]
+        assert set(grasp["moved"]) == {"palm_m", "palm_rad", "joints_rad"}
+
+    before, after = load_grasps(EXAMPLE), load_grasps("results/allegro_rounded_box.npz")
+    assert len(after) == 4
+    assert (after.hand, after.base_link, after.joint_names) == ("allegro", "base_link", before.joint_names)
+    assert after.targets is not None and len(after.targets.links) == 4
+    moved = np.linalg.norm(after.hand_pose[:, :3] - before.hand_pose[:, :3], axis=1)
+    np.testing.assert_allclose(moved, [grasp["moved"]["palm_m"] for grasp in document["grasps"]], atol=1e-12)
+    with np.load("results/allegro_rounded_box.npz") as arrays:
+        assert arrays["contact_link"].tolist() == arrays["target_link"].tolist()
+        np.testing.assert_allclose(np.linalg.norm(arrays["contact_normal"], axis=-1), 1.0)
+        errors = [grasp["contact_error_m"]["after"]["max"] for grasp in document["grasps"]]
+        np.testing.assert_array_equal(arrays["contact_error_after"], errors)
+        assert (np.abs(arrays["contact_distance"]).max(axis=1) <= arrays["contact_error_after"] + 1e-12).all()
+        provenance = json.loads(str(arrays["provenance"]))
+    assert provenance["source"]["path"] == str(EXAMPLE) and len(provenance["source"]["sha256"]) == 64
+    assert provenance["index"] == provenance["row"] == [0, 1, 2, 3]
+
+
+def test_a_result_can_be_refined_further_but_not_overwritten(capfd: pytest.CaptureFixture[str]):
+    assert main([*QUICK, "--index", "0"]) == 0
+    result = "grasp-refine-results/allegro_rounded_box.npz"
+    capfd.readouterr()
+    assert "would overwrite" in refused(capfd, *QUICK, "--grasps", result)
+    assert main([*QUICK, "--grasps", result, "--out", "again", "--json", "again.json"]) == 0
+    first, again = load_grasps(result), load_grasps("again/allegro_rounded_box.npz")
+    np.testing.assert_array_equal(first.targets.point_link, again.targets.point_link)
+    np.testing.assert_array_equal(first.targets.point_object, again.targets.point_object)
+
+
+def test_the_same_seed_gives_the_same_numbers():
+    def numbers(*options: str) -> list:
+        assert main([*QUICK, "--index", "0", "2", "--json", "report.json", *options]) == 0
+        grasps = json.loads(Path("report.json").read_text())["grasps"]
+        return [{key: grasp[key] for key in grasp if not key.endswith("_s")} for grasp in grasps]
+
+    assert numbers() == numbers()
+    assert numbers("--seed", "7") != numbers()
+
+
+def test_index_counts_the_grasps_of_the_object(grasp_file: Callable[..., Path]):
+    grasps = grasp_file(object=["mug", "rounded_box", "mug", "rounded_box"])
+    chosen = ("--grasps", str(grasps), "--object-name", "rounded_box", "--index", "1", "0")
+    assert main([*QUICK, *chosen, "--json", "report.json"]) == 0
+    report = json.loads(Path("report.json").read_text())["grasps"]
+    assert [(grasp["index"], grasp["row"]) for grasp in report] == [(1, 3), (0, 1)]
+    result = load_grasps("grasp-refine-results/allegro_rounded_box.npz")
+    asked = load_grasps(grasps).select([3, 1])
+    assert np.linalg.norm(result.hand_pose[:, :3] - asked.hand_pose[:, :3], axis=1).max() < 0.03
+
+
+def test_several_objects_and_scales_are_refined_together(grasp_file: Callable[..., Path], inputs: Path):
+    grasps = grasp_file(object=["block", "rounded_box", "block", "block"], scale=[1.0, 1.0, 0.9, 1.0])
+    trimesh.creation.box((0.07, 0.07, 0.09)).export(inputs / "block.obj")
+    (inputs / "objects.toml").write_text('block = "block.obj"\nrounded_box = "rounded_box"\n')
+    objects = ("--objects", str(inputs / "objects.toml"))
+    arguments = ["run", "--grasps", str(grasps), *objects, "--iterations", "10", "--json", "report.json"]
+    assert main(arguments) == 0
+    report = json.loads(Path("report.json").read_text())["grasps"]
+    assert [(grasp["object"], grasp["index"], grasp["row"]) for grasp in report] == [
+        ("block", 0, 0), ("block", 1, 2), ("block", 2, 3), ("rounded_box", 0, 1)
+    ]  # fmt: skip
+    assert load_grasps("grasp-refine-results/allegro_block.npz").scale.tolist() == [1.0, 0.9, 1.0]
+    assert len(load_grasps("grasp-refine-results/allegro_rounded_box.npz")) == 1
+
+
+def test_targets_of_a_file_are_aimed_at(grasp_file: Callable[..., Path]):
+    links, n = ["link_7.0_tip", "link_15.0_tip"], 4
+    point_object = np.full((n, 2, 3), 0.02)
+    point_object[1] = np.nan
+    point_link = np.where(np.isnan(point_object), np.nan, 0.01)
+    targets = {"target_link": links, "target_point_link": point_link, "target_point_object": point_object}
+    aimed = grasp_file("targets.npz", **targets)
+    assert main([*QUICK, "--targets", str(aimed), "--json", "report.json"]) == 0
+    used = load_grasps("grasp-refine-results/allegro_rounded_box.npz").targets
+    assert used.links == tuple(links)
+    np.testing.assert_array_equal(used.point_object, point_object)
+    statuses = [grasp["status"] for grasp in json.loads(Path("report.json").read_text())["grasps"]]
+    assert [status == "no target" for status in statuses] == [False, True, False, False]
+
+
+def test_the_methods_are_those_that_were_asked_for():
+    options = "--derivative distance --neighborhood fixed --distance.coupling one-sided --fixed.fraction 0.2"
+    others = "--transport --seed 3 --weights.penetration 2 --descent.shares 0.6 --descent.factors 0.1"
+    assert main([*QUICK, "--index", "0", *options.split(), *others.split(), "--json", "report.json"]) == 0
+    refine = json.loads(Path("report.json").read_text())["config"]["refine"]
+    assert refine["derivative"]["type"] == "Distance"
+    assert refine["derivative"]["coupling"] == "one-sided"
+    assert refine["derivative"]["seed"] == refine["seed"] == 3
+    assert refine["derivative"]["neighborhood"] == {
+        "type": "Fixed", "fraction": 0.2, "samples": 16, "minimum": 8
+    }  # fmt: skip
+    assert refine["weights"]["penetration"] == 2.0
+    assert refine["solver"]["transport"] is True
+    assert refine["solver"]["shares"] == [0.6]
+
+
+def test_nothing_usable_is_exit_code_1(grasp_file: Callable[..., Path], capsys: pytest.CaptureFixture[str]):
+    with np.load(EXAMPLE) as example:
+        away = example["hand_pose"] + np.array([1.0, 0, 0, 0, 0, 0, 0])
+    far = grasp_file(hand_pose=away)
+    assert main([*QUICK, "--grasps", str(far), "--json", "report.json"]) == 1
+    assert not Path("grasp-refine-results").exists()
+    assert "nothing usable" in capsys.readouterr().out
+    grasp = json.loads(Path("report.json").read_text())["grasps"][0]
+    assert grasp["status"] == "no target" and grasp["advice"]
+    assert grasp["contact_error_m"] == {
+        "before": {"max": None, "mean": None}, "after": {"max": None, "mean": None}
+    }  # fmt: skip
+
+
+# Bad input
+
+
+def write_mesh(path: Path, vertices: np.ndarray) -> Path:
+    faces = trimesh.creation.box().faces + 1
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in faces]
+    path.write_text("\n".join(lines))
+    return path
+
+
+def test_bad_meshes_are_refused(inputs: Path, capfd: pytest.CaptureFixture[str]):
+    box = trimesh.creation.box((0.05, 0.05, 0.05)).vertices
+    empty = inputs / "empty.obj"
+    empty.write_text("")
+    lost, flat = box.copy(), box * [1, 1, 0]
+    lost[0] = np.nan
+    for mesh, complaint in (
+        (inputs / "missing.obj", "no such mesh file"),
+        (empty, "empty, it has no faces"),
+        (write_mesh(inputs / "nan.obj", lost), "1 of its 8 vertices are not finite"),
+        (write_mesh(inputs / "flat.obj", flat), "flat"),
+        (inputs / "thing.xyz", "unknown mesh type '.xyz'"),
+    ):
+        answer = refused(capfd, "run", "--object", mesh, "--object-name", "rounded_box", "--json", "r.json")
+        assert mesh.name in answer and complaint in answer
+
+
+@pytest.mark.parametrize("scale", ["0", "-1", "nan", "inf"])
+def test_a_scale_is_positive(scale: str, capfd: pytest.CaptureFixture[str]):
+    answer = refused(capfd, *QUICK, "--scale", scale)
+    assert answer == f"--scale must be positive and finite, got {float(scale):g}"
+
+
+def test_bad_grasp_files_are_refused(
+    grasp_file: Callable[..., Path], inputs: Path, capfd: pytest.CaptureFixture[str]
+):
+    text = inputs / "text.npz"
+    text.write_text("hello")
+    for path, complaint in (
+        (inputs / "missing.npz", "no such grasp file"),
+        (text, "not an .npz grasp file"),
+        (grasp_file("width.npz", q=np.zeros((4, 15))), "q must have shape (4, 16)"),
+        (grasp_file("keys.npz", hand_pose=None), "lacks hand_pose"),
+        (
+            grasp_file("joints.npz", joint_names=[f"x{i}" for i in range(16)]),
+            "the grasps are for another hand ('allegro'): hand 'allegro' has no joint x0",
+        ),
+        (
+            grasp_file("base.npz", hand="claw", base_link="mount"),
+            "the grasps are for another hand ('claw'): their base_link 'mount' is no link of hand 'allegro'",
+        ),
+        (
+            grasp_file("empty_base.npz", hand="claw", base_link="palm"),
+            "for another hand ('claw'): from their base_link 'palm' on, no link of hand 'allegro' has",
+        ),
+    ):
+        answer = refused(capfd, *QUICK, "--grasps", path, "--json", "report.json")
+        assert complaint in answer
+
+
+def test_real_grasps_of_another_hand_are_refused(shared_assets: Path, capfd: pytest.CaptureFixture[str]):
+    for name, thing in (("leap_cube", "cube_75mm"), ("dexgraspnet_shadow", "ddg-gd_banana_poisson_002")):
+        path = shared_assets / "grasps" / "normalised" / f"{name}.npz"
+        answer = refused(capfd, *QUICK, "--grasps", path, "--object-name", thing)
+        assert "the grasps are for another hand" in answer
+
+
+def test_several_objects_need_a_choice(grasp_file: Callable[..., Path], capfd: pytest.CaptureFixture[str]):
+    many = grasp_file(object=["mug", "mug", "can", "rounded_box"])
+    answer = refused(capfd, "run", "--grasps", many)
+    assert answer.endswith(
+        "has grasps of 3 objects; choose one with --object-name, or give all their meshes with --objects: "
+        "mug (2), can (1), rounded_box (1)"
+    )
+    answer = refused(capfd, "run", "--grasps", many, "--object-name", "cans")
+    assert answer == "no grasp of object 'cans'; there are grasps of can (1), mug (2), rounded_box (1)"
+    answer = refused(capfd, "run", "--grasps", many, "--object-name", "can")
+    assert "its object 'can' is none of the embedded ones" in answer and "--object" in answer
+
+
+def test_objects_must_be_found(
+    grasp_file: Callable[..., Path], inputs: Path, capfd: pytest.CaptureFixture[str]
+):
+    many = grasp_file(object=["mug", "mug", "can", "rounded_box"])
+    listed = inputs / "objects.toml"
+    for text, complaint in (
+        ('mug = "mug"', "no object 'can'; it names mug"),
+        ("mug = 3", "mug must be a path in quotes, got 3"),
+        ("mug", "cannot be read as TOML"),
+    ):
+        listed.write_text(text)
+        assert complaint in refused(capfd, "run", "--grasps", many, "--objects", listed)
+    assert "no such file or folder of objects" in refused(
+        capfd, "run", "--grasps", many, "--objects", inputs / "nowhere"
+    )
+    assert "no mesh of object 'mug'" in refused(capfd, "run", "--grasps", many, "--objects", inputs)
+    answer = refused(capfd, "run", "--grasps", many, "--objects", listed, "--object", "mug")
+    assert answer == "--object and --objects exclude each other: give one of them"
+
+
+@pytest.mark.parametrize("index", ["4", "-1"])
+def test_an_index_lies_in_the_range(index: str, capfd: pytest.CaptureFixture[str]):
+    answer = refused(capfd, *QUICK, "--index", index)
+    assert answer == f"grasp index {index} is out of range: 'rounded_box' has 4 grasps, 0 to 3"
+
+
+def test_targets_must_fit_the_grasps(grasp_file: Callable[..., Path], capfd: pytest.CaptureFixture[str]):
+    points = {"target_point_link": np.zeros((4, 1, 3)), "target_point_object": np.zeros((4, 1, 3))}
+    assert "has no targets" in refused(capfd, *QUICK, "--targets", grasp_file("none.npz"))
+    wrong = grasp_file("wrong.npz", target_link=["nose"], **points)
+    assert "target link 'nose' is no link" in refused(capfd, *QUICK, "--targets", wrong)
+    other = grasp_file("other.npz", object="mug", target_link=["link_3.0_tip"], **points)
+    assert "its rows must be those of" in refused(capfd, *QUICK, "--targets", other)
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ("--itertions 5", "unrecognized options: --itertions, 5; perhaps --iterations; see refine-grasp run --help"),
+        ("--derivative dist", "invalid choice 'dist' for argument '--derivative'"),
+        ("--index x", "error parsing --index"),
+        ("--json", "missing value for argument '--json'"),
+        ("--iterations 0", "--iterations must be at least 1, got 0"),
+        ("--tolerance -1", "--tolerance must be finite and not negative, got -1"),
+        ("--weights.contact nan", "--weights.contact must be finite and not negative, got nan"),
+        ("--seed -1", "--seed must be 0 to 4294967295, got -1"),
+        ("--descent.shares 0.5", "--descent.shares and --descent.factors belong together: 1 and 2 numbers"),
+        ("--distance.coupling one-sided", "options --distance.* need --derivative distance; it is contact-kin"),
+        ("--threshold 2", "threshold must be 0.01 to 1, got 2"),
+        ("--device nonsense", "--device nonsense with --dtype float64 does not work here"),
+        ("--hand claw", "no hand is called 'claw'; the hands here are"),
+        ("--hand claw.urdf", "claw.urdf: no such file or folder"),
+        ("--object bowl", "there are no example grasps of hand 'allegro' on 'bowl', only on bottle, mug, rounded_box"),
+        ("--json .", "is a folder"),
+    ],
+)  # fmt: skip
+def test_bad_options_are_refused(options: str, complaint: str, capfd: pytest.CaptureFixture[str]):
+    assert complaint in refused(capfd, "run", *options.split())
+
+
+def test_only_embedded_hands_have_examples(inputs: Path, capfd: pytest.CaptureFixture[str]):
+    shutil.copy(resource_dir("robots") / "allegro" / "allegro.urdf", inputs / "mine.urdf")
+    answer = refused(capfd, "run", "--hand", inputs / "mine.urdf")
+    assert answer.startswith("--grasps FILE is needed: only hands that come with the program (allegro")
+
+
+# Interruption
+
+
+def test_ctrl_c_leaves_one_line_and_no_files():
+    command = [sys.executable, "-c", PROGRAM, "run", "--object", "rounded_box", "--tolerance", "0"]
+    process = subprocess.Popen(
+        [*command, "--descent.patience", "100000", "--iterations", "1000000"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=subprocess_environment(),
+    )  # fmt: skip
+    assert process.stderr is not None and process.stderr.readline().startswith("refining 4 grasps")
+    process.send_signal(signal.SIGINT)
+    out, error = process.communicate(timeout=20)
+    assert (process.returncode, out, error) == (130, "", "refine-grasp: interrupted\n")
+    assert list(Path().iterdir()) == []
+
+
+def test_nobody_reads_the_output():
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-c", PROGRAM, "hands"]
+    result = subprocess.run(
+        command, stdout=write, stderr=subprocess.PIPE, text=True, env=subprocess_environment()
+    )
+    os.close(write)
+    assert (result.returncode, result.stderr) == (141, "")
+
+
+# hands and doctor
+
+
+def test_hands_lists_what_comes_with_the_program(capsys: pytest.CaptureFixture[str]):
+    assert main(["hands", "--json", "hands.json"]) == 0
+    out = capsys.readouterr().out
+    assert "allegro" in out and "Apache-2.0" in out
+    document = json.loads(Path("hands.json").read_text())
+    assert (document["schema"], document["command"]) == (1, "hands")
+    (allegro,) = [hand for hand in document["hands"] if hand["name"] == "allegro"]
+    assert len(allegro["joints"]) == 16 and len(allegro["contacts"]) == 4
+    assert "example_mug.npz" in allegro["examples"]
+    assert not any(contact["guessed"] for contact in allegro["contacts"])
+
+
+def test_hands_shows_one_hand_in_full(capsys: pytest.CaptureFixture[str]):
+    assert main(["hands", "allegro"]) == 0
+    out = capsys.readouterr().out
+    assert all(word in out for word in ("joint_15.0", "link_15.0_tip", "thumb", "hull of", "example_mug.npz"))
+
+
+def test_hands_reads_a_bare_urdf(shared_assets: Path, capsys: pytest.CaptureFixture[str]):
+    urdf = shared_assets / "hands" / "barrett" / "barrett.urdf"
+    assert main(["hands", str(urdf), "--json", "hand.json"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "8 joints" in out and "contact links guessed from the URDF" in out
+    (hand,) = json.loads(Path("hand.json").read_text())["hands"]
+    assert hand["licence"] == "see LICENSE"
+
+
+def test_an_unknown_hand_is_bad_input(capfd: pytest.CaptureFixture[str]):
+    assert refused(capfd, "hands", "claw").startswith("no hand is called 'claw'; the hands here are allegro")
+
+
+def test_the_doctor_finds_a_working_installation(capsys: pytest.CaptureFixture[str]):
+    assert main(["doctor", "--json", "doctor.json"]) == 0
+    out = capsys.readouterr().out
+    assert "everything that is needed is here" in out and "cpu" in out and "allegro" in out
+    document = json.loads(Path("doctor.json").read_text())
+    assert document["problems"] == []
+    assert document["cache"]["entries"] == 0
+    assert {package["name"] for package in document["packages"]} >= {"torch", "coal", "coacd", "viser"}
+
+
+def test_the_doctor_names_what_is_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    from grasp_refine.commands import doctor
+    from grasp_refine.versions import Requirement
+
+    needs = (
+        Requirement("no-such-package", ">=1"),
+        Requirement("numpy", ">=999"),
+        Requirement("nor-this", "", "x"),
+    )
+    monkeypatch.setattr(doctor, "requirements", lambda: needs)
+    assert main(["doctor"]) == 1
+    out = " ".join(capsys.readouterr().out.split())
+    assert "no-such-package is missing, >=1 is needed" in out
+    assert "numpy is too old, >=999 is needed" in out
+    assert "nor-this is missing" not in out and 'pip install "grasp-refine[x]"' in out

@@ -1,0 +1,307 @@
+"""Reports on made-up outcomes: what a person reads, and what programs read."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from grasp_refine.errors import GraspRefineError
+from grasp_refine.hand import load_hand
+from grasp_refine.objects import load_object
+from grasp_refine.refine import Config, Scene, refine
+from grasp_refine.report.document import run_document, settings
+from grasp_refine.report.outcome import Outcome, compare
+from grasp_refine.report.progress import Reporter
+from grasp_refine.report.results import result_paths
+from grasp_refine.report.screen import screen
+from grasp_refine.report.table import grasp_table
+from grasp_refine.report.writing import check_writable, dumps, save_json
+from grasp_refine.solvers.descent import Descent
+from grasp_refine.solvers.status import Status
+from grasp_refine.versions import Requirement, requirements, versions
+
+
+def made_up(count: int, objects: tuple[str, ...] = ("mug",)) -> Outcome:
+    """Grasp i has a contact error of i mm after and 10 i mm before, and converged; all else is the same for all."""
+    links = 3
+    error = np.full((count, 2, links), np.nan)
+    error[:, 0, 0], error[:, 1, 0] = 1e-2 * np.arange(count), 1e-3 * np.arange(count)
+    error[:, :, 1] = 0.0
+    points, ones = np.zeros((count, links, 3)), np.ones(count)
+    return Outcome(
+        object=np.resize(np.array(objects), count),
+        scale=ones,
+        row=np.arange(count) + 100,
+        index=np.arange(count),
+        hand_pose=np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)),
+        q=np.zeros((count, 2)),
+        status=np.full(count, Status.CONVERGED),
+        loss=np.tile([1e-4, 1e-9], (count, 1)),
+        iterations=np.full(count, 123),
+        queries=np.full(count, 456),
+        wall_s=0.25 * ones,
+        cpu_s=0.5 * ones,
+        contact_error=error,
+        penetration=np.tile([2e-3, 1e-4], (count, 1)),
+        limits_violated=np.zeros(count, dtype=int),
+        palm_m=4e-3 * ones,
+        palm_rad=np.radians(5.0) * ones,
+        joints_rad=np.radians(6.0) * ones,
+        target_link=points,
+        target_object=points,
+        contact_link=points,
+        contact_object=points,
+        contact_normal=points,
+        contact_distance=np.zeros((count, links)),
+    )
+
+
+def with_status(outcome: Outcome, **grasps: Status) -> Outcome:
+    """The outcome with the status of grasps changed, such as g3=Status.STALLED."""
+    status = outcome.status.copy()
+    for name, value in grasps.items():
+        status[int(name[1:])] = value
+    return replace(outcome, status=status)
+
+
+def text(outcome: Outcome, *, width: int = 80, verbose: bool = False) -> list[str]:
+    stream = io.StringIO()
+    Console(file=stream, width=width, emoji=False).print(grasp_table(outcome, "claw", verbose=verbose))
+    return stream.getvalue().splitlines()
+
+
+# The table
+
+
+def test_the_table_speaks_millimetres_and_degrees():
+    lines = text(made_up(3))
+    assert lines[0].startswith("claw on mug: 3 grasps")
+    (row,) = [line for line in lines if line.split()[:1] == ["2"]]
+    assert " ".join(row.split()) == "2 20.00 → 2.00 2.00 → 0.10 4.0 5.0 6.0 123 0.25 s converged"
+    (median,) = [line for line in lines if "median" in line]
+    assert " ".join(median.split()) == "median 10.00 → 1.00 2.00 → 0.10 4.0 5.0 6.0 123 0.25 s"
+    assert "3 of 3 grasps converged" in lines
+
+
+@pytest.mark.parametrize("width", [80, 100])
+def test_the_table_loses_nothing_at_80_columns(width: int):
+    outcome = with_status(made_up(5), g0=Status.NOT_FINITE, g1=Status.NO_TARGET)
+    outcome = replace(outcome, contact_error=outcome.contact_error * 40, penetration=outcome.penetration * 50)
+    lines = text(outcome, width=width)
+    assert max(map(len, lines)) <= width
+    assert not any("…" in line for line in lines)
+    assert any("1600.0 → 160.0" in line for line in lines)
+
+
+def test_each_status_comes_with_its_advice():
+    lines = text(with_status(made_up(4), g1=Status.BUDGET, g2=Status.BUDGET, g3=Status.NO_TARGET), width=100)
+    assert "1 of 4 grasps converged" in lines
+    assert f"2 budget: {Status.BUDGET.advice}" in lines
+    assert f"1 no target: {Status.NO_TARGET.advice}" in lines
+
+
+def test_of_many_grasps_the_worst_are_listed():
+    outcome = with_status(made_up(41), g7=Status.NO_TARGET)
+    indices = [line.split()[0] for line in text(outcome) if line.split() and line.split()[0].isdigit()]
+    assert indices[:10] == ["7", *(str(i) for i in range(40, 31, -1))]
+    assert "41 grasps, the worst 10 (--verbose: all)" in text(outcome)[0]
+    shown = [line for line in text(outcome, verbose=True) if "→" in line]
+    assert len(shown) == 41 + 2
+    assert len([line for line in text(made_up(40)) if "→" in line]) == 40 + 2
+
+
+def test_each_object_has_its_table_and_all_have_one():
+    lines = text(made_up(5, ("mug", "[bold]can")))
+    titles = [line.strip() for line in lines if "grasps" in line]
+    assert titles == [
+        "claw on mug: 3 grasps", "claw on [bold]can: 2 grasps", "all 2 objects: 5 grasps", "5 of 5 grasps converged"
+    ]  # fmt: skip
+
+
+def test_what_there_is_none_of_is_a_dash():
+    outcome = with_status(made_up(1), g0=Status.NO_TARGET)
+    outcome = replace(outcome, contact_error=np.full((1, 2, 3), np.nan), palm_m=np.array([np.nan]))
+    (row,) = [line for line in text(outcome) if "no target" in line and "→" in line]
+    assert row.split()[:4] == ["0", "-", "→", "-"]
+
+
+def test_the_screen_is_80_to_100_columns(monkeypatch: pytest.MonkeyPatch):
+    for columns, width in (("40", 80), ("90", 90), ("200", 100)):
+        monkeypatch.setenv("COLUMNS", columns)
+        assert screen().width == width
+
+
+# The outcome
+
+
+def test_worst_and_mean_errors_look_at_links_with_targets():
+    outcome = made_up(3)
+    np.testing.assert_allclose(outcome.worst_error[2], [0.02, 0.002])
+    np.testing.assert_allclose(outcome.mean_error[2], [0.01, 0.001])
+    aimless = replace(outcome, contact_error=np.full((3, 2, 3), np.nan))
+    assert np.isnan(aimless.worst_error).all() and np.isnan(aimless.mean_error).all()
+
+
+def test_join_and_select_keep_grasps_whole():
+    first, second = made_up(2), made_up(3, ("can",))
+    joined = Outcome.join([first, second]).select(np.array([4, 0]))
+    assert joined.object.tolist() == ["can", "mug"]
+    assert joined.index.tolist() == [2, 0]
+    np.testing.assert_array_equal(joined.contact_error[0], second.contact_error[2])
+
+
+def test_the_outcome_measures_a_refinement():
+    """A hand far from its targets: errors, points and movement against what they are by definition."""
+    hand, ball = load_hand("allegro", candidates=64), load_object("sphere:0.04", candidates=64)
+    T = np.eye(4)
+    T[:3, 3] = (-0.09, 0.0, -0.03)
+    scene = Scene(hand, ball, T[None], hand.rest[None])
+    config = Config(solver=Descent(iterations=40), reach=0.2)
+    refinement = refine(scene, config)
+    outcome = compare(
+        scene, refinement, margin=0.0, name="ball", scale=2.0, row=np.array([5]), index=np.array([1])
+    )
+    assert outcome.usable.all()
+    assert (outcome.object[0], outcome.scale[0], outcome.row[0], outcome.index[0]) == ("ball", 2.0, 5, 1)
+    aimed = ~np.isnan(outcome.target_link[0, :, 0])
+    # Witness points on a ball lie on it, along the normal that looks into it.
+    on_ball = outcome.contact_object[0, aimed]
+    np.testing.assert_allclose(np.linalg.norm(on_ball, axis=1), 0.04)
+    np.testing.assert_allclose(outcome.contact_normal[0, aimed], -on_ball / 0.04, atol=1e-9)
+    assert np.isnan(outcome.contact_object[0, ~aimed]).all()
+    np.testing.assert_allclose(
+        outcome.palm_m[0], np.linalg.norm(refinement.T_world_root[0, :3, 3] - T[:3, 3]), rtol=1e-12
+    )
+    miss = np.linalg.norm(outcome.contact_link - outcome.target_link, axis=-1)[0, aimed]
+    assert (miss <= outcome.contact_error[0, 1, aimed] + 1e-12).all()
+    assert outcome.worst_error[0, 1] < outcome.worst_error[0, 0]
+
+
+# JSON
+
+
+def test_a_document_has_si_units_and_null_for_nan():
+    outcome = with_status(made_up(2), g1=Status.NO_TARGET)
+    outcome = replace(outcome, palm_m=np.array([0.004, np.nan]))
+    document = run_document(outcome, config={"a": Path("b")}, seed=3, wall_s=1.5, cpu_s=2.0)
+    read = json.loads(dumps(document), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    assert read["config"] == {"a": "b"}
+    assert read["totals"] == {
+        "n": 2, "converged": 1, "success_before": None, "success_after": None, "wall_s": 1.5, "cpu_s": 2.0
+    }  # fmt: skip
+    first, second = read["grasps"]
+    assert (first["index"], first["row"], first["status"], first["advice"]) == (0, 100, "converged", "")
+    assert second["contact_error_m"] == {
+        "before": {"max": 0.01, "mean": 0.005}, "after": {"max": 0.001, "mean": 0.0005}
+    }  # fmt: skip
+    assert second["penetration_m"] == {"before": 0.002, "after": 0.0001}
+    assert second["moved"] == {
+        "palm_m": None, "palm_rad": pytest.approx(np.radians(5)), "joints_rad": pytest.approx(np.radians(6))
+    }  # fmt: skip
+
+
+def test_settings_name_the_method_that_was_chosen():
+    described = settings(Config())
+    assert described["solver"]["type"] == "Descent"
+    assert described["derivative"]["neighborhood"]["type"] == "Adaptive"
+    json.loads(dumps(described))
+
+
+def test_json_appears_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "a" / "report.json"
+    save_json(path, {"x": 1})
+    assert json.loads(path.read_text()) == {"x": 1}
+
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(GraspRefineError, match="report.json: cannot be written .No space left on device"):
+        save_json(path, {"x": 2})
+    assert json.loads(path.read_text()) == {"x": 1}
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_json_goes_through_links_and_pipes(tmp_path: Path):
+    """Replacing them would, as root, replace /dev/null."""
+    target, link, pipe = tmp_path / "target.json", tmp_path / "link.json", tmp_path / "pipe"
+    link.symlink_to(target)
+    save_json(link, {"x": 1})
+    assert link.is_symlink() and json.loads(target.read_text()) == {"x": 1}
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    save_json(pipe, {"x": 2})
+    assert json.loads(os.read(reader, 1000)) == {"x": 2}
+    os.close(reader)
+    assert pipe.is_fifo()
+
+
+def test_unwritable_places_are_found_out_before_the_work(tmp_path: Path):
+    check_writable(tmp_path / "new" / "folder" / "file.json")
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(GraspRefineError, match="is a folder"):
+        check_writable(tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(GraspRefineError, match="is no folder"):
+        check_writable(tmp_path / "file" / "other")
+
+
+# Names, progress and versions
+
+
+def test_result_files_have_names_that_any_file_system_takes(tmp_path: Path):
+    paths = result_paths(tmp_path, "claw", ("mug", "box:1,2,3", "a/b", "a b"))
+    assert [path.name for path in paths.values()] == [
+        "claw_mug.npz", "claw_box_1,2,3.npz", "claw_a_b.npz", "claw_a_b_.npz"
+    ]  # fmt: skip
+
+
+def test_progress_is_single_lines_without_a_terminal():
+    stream = io.StringIO()
+    with Reporter(Console(file=stream, width=40)) as reporter:
+        reporter.say("note: a line that is longer than the console is wide, kept in one piece")
+        reporter.start("claw", 3, 100)
+        progress = reporter.group("mug", 3)
+        progress(0, 1, 1e-4)
+        progress(3, 2, 0.0)
+    assert stream.getvalue().splitlines() == [
+        "note: a line that is longer than the console is wide, kept in one piece",
+        "refining 3 grasps with claw, at most 100 iterations",
+    ]
+
+
+def test_progress_is_a_bar_in_a_terminal():
+    stream = io.StringIO()
+    with Reporter(Console(file=stream, width=100, force_terminal=True)) as reporter:
+        reporter.start("claw", 4, 100)
+        reporter.group("mug", 2)(2, 10, 1e-4)
+        reporter.group("can", 2)(1, 20, 2.5e-5)
+        reporter._bar.refresh()
+    assert "refining can" in stream.getvalue()
+    assert "3/4 done, iteration 20, mean loss 2.5e-05 m²" in stream.getvalue()
+
+
+def test_requirements_are_those_of_the_project():
+    needs = {need.name: need for need in requirements()}
+    assert needs["torch"].range == ">=2.6,<2.14" and needs["torch"].extra is None
+    assert needs["viser"].extra == "viewer"
+    assert versions()["numpy"] == np.__version__
+
+
+@pytest.mark.parametrize(
+    ("bounds", "problem"),
+    [(">=1.26,<3", ""), (">=999", "too old"), ("<1", "too new"), ("", ""), (f">={np.__version__}", "")],
+)
+def test_versions_are_compared_as_numbers(bounds: str, problem: str):
+    assert Requirement("numpy", bounds).problem == problem
+
+
+def test_a_missing_package_is_missing():
+    assert Requirement("no-such-package", ">=1").problem == "missing"
