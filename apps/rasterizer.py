@@ -54,7 +54,8 @@ class Camera:
     def axes(self) -> Float[np.ndarray, "3 3"]:
         """Unit vectors to the right, down and forward, as rows, world frame; world z is up in the picture."""
         forward = (self.target - self.eye) / np.linalg.norm(self.target - self.eye)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
+        # Straight up or down, y is up in the picture.
+        right = np.cross(forward, [0.0, 0.0, 1.0] if abs(forward[2]) < 0.999 else [0.0, 1.0, 0.0])
         right /= np.linalg.norm(right)
         return np.stack([right, np.cross(forward, right), forward])
 

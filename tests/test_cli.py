@@ -203,7 +203,9 @@ def test_a_result_can_be_refined_further_but_not_overwritten(capfd: pytest.Captu
     assert main([*QUICK, "--index", "0"]) == 0
     result = "grasp-refine-results/allegro_rounded_box.npz"
     capfd.readouterr()
-    assert "would overwrite" in refused(capfd, *QUICK, "--grasps", result)
+    assert "would overwrite an input" in refused(capfd, *QUICK, "--grasps", result)
+    elsewhere = ("--grasps", result, "--out", "again", "--json", result)
+    assert "would overwrite an input" in refused(capfd, *QUICK, *elsewhere)
     assert main([*QUICK, "--grasps", result, "--out", "again", "--json", "again.json"]) == 0
     first, again = load_grasps(result), load_grasps("again/allegro_rounded_box.npz")
     np.testing.assert_array_equal(first.targets.point_link, again.targets.point_link)

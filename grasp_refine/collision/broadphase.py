@@ -32,7 +32,7 @@ class Bounds:
     half: np.ndarray
     """Half side lengths of the boxes (K, 3)."""
 
-    def take(self, index: np.ndarray) -> "Bounds":
+    def take(self, index: np.ndarray | tuple[np.ndarray, ...]) -> "Bounds":
         """The bounds of the pieces `index`, in any shape."""
         return Bounds(self.center[index], self.radius[index], self.axes[index], self.half[index])
 

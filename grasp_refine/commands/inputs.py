@@ -53,8 +53,8 @@ class Problem:
 
     hand: Hand
     """The hand, below the base link that the grasp file names."""
-    path: Path
-    """The grasp file."""
+    files: tuple[Path, ...]
+    """The grasp file, and that of the targets if it is another."""
     groups: tuple[Group, ...]
     """The grasps, by object and scale."""
     notes: tuple[str, ...]
@@ -122,7 +122,8 @@ class Inputs:
                 T = transform_from_pose(grasps.hand_pose[rows[at]])
                 scene = _aimed(Scene(hand, obj, T, q[rows[at]]), targets, rows[at])
                 groups.append(Group(name, float(scale), scene, rows[at], index[at], place[at]))
-        return Problem(hand, path, tuple(groups), tuple(dict.fromkeys(notes)))
+        files = (path,) if self.targets == AUTO else (path, Path(self.targets))
+        return Problem(hand, files, tuple(groups), tuple(dict.fromkeys(notes)))
 
     def _example(self) -> Path:
         """The example grasps of the hand on the object that is meant."""

@@ -19,7 +19,8 @@ Command = TypeVar("Command")
 
 LARGEST_SEED = 2**32 - 1
 
-_BOX = "│╭╮╰╯─ "
+_FRAME, _RULE = "│| \n", "│╭╮╰╯─|+- "
+"""What tyro draws its boxes with, also where it has only ASCII."""
 _ANSI = re.compile(r"\x1b\[[0-9;]*m")
 _PUNCTUATION = re.compile(r"[.;:?]$")
 
@@ -47,13 +48,13 @@ def _one_line(box: str) -> str:
     """What tyro says in a box of several paragraphs: the complaint, and the options that may have been meant."""
     paragraphs: list[list[str]] = [[]]
     for line in _ANSI.sub("", box).splitlines()[1:]:
-        text = line.strip("│ \n")
-        if text.strip(_BOX):
+        text = line.strip(_FRAME)
+        if text.strip(_RULE):
             paragraphs[-1].append(text)
         else:
             paragraphs.append([])
     complaint = " ".join(paragraphs[0]) or " ".join(box.split())
-    complaint = complaint[0].lower() + complaint[1:]
+    complaint = complaint[:1].lower() + complaint[1:]
     meant = [
         text.split()[0].rstrip(",")
         for paragraph in paragraphs[1:]

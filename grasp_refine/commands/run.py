@@ -39,7 +39,7 @@ class Output:
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = (
         None
     )
-    """Write everything that is known about each grasp to this file, in SI units."""
+    """Write what was measured of each grasp to this file, in SI units."""
     verbose: bool = False
     """List all grasps, also when there are more than 40."""
 
@@ -94,21 +94,22 @@ class Run:
         return 0
 
     def _paths(self, problem: Problem) -> dict[str, Path]:
-        """Object name -> result file, none of which is the input."""
+        """Object name -> result file; nothing that is written takes the place of an input."""
         names = tuple(dict.fromkeys(group.object for group in problem.groups))
         paths = result_paths(self.output.out, problem.hand.name, names)
         for path in paths.values():
             check_writable(path)
-            if path.exists() and path.samefile(problem.path):
+        for path in [*paths.values(), *([self.output.json] if self.output.json else [])]:
+            if path.exists() and any(path.samefile(file) for file in problem.files):
                 raise GraspRefineError(
-                    f"{path}: the results would overwrite the grasps; give another folder to --out"
+                    f"{path}: the results would overwrite an input; give another --out or --json"
                 )
         return paths
 
     def _save(
         self, problem: Problem, outcome: Outcome, paths: dict[str, Path], provenance: dict[str, object]
     ) -> None:
-        provenance = {"versions": versions(), **provenance, "source": fingerprint(problem.path)}
+        provenance = {"versions": versions(), **provenance, "source": fingerprint(problem.files[0])}
         links = problem.groups[0].scene.links
         for name, path in paths.items():
             rows = np.flatnonzero(outcome.object == name)

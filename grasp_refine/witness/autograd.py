@@ -5,7 +5,7 @@ of a derivative method with the incoming gradients. This file holds the only aut
 """
 
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
 
 
+@runtime_checkable
 class Derivative(Protocol):
     """A derivative method: how witness points and normals follow the motion of the two bodies."""
 
@@ -125,9 +126,15 @@ class _WitnessFunction(torch.autograd.Function):
         grad_normal: Tensor | None,
         grad_distance: Tensor | None,
     ) -> tuple[Tensor | None, Tensor | None, None, None, None, None, None]:
-        T_a, T_b = ctx.saved_tensors
-        found = ctx.found
-        valid = None if (mask := np.asarray(found.valid)).all() else mask[..., None]
+        tensor_a, tensor_b = ctx.saved_tensors
+        poses = np.stack([_array(tensor_a), _array(tensor_b)])
+        found, valid = ctx.found, None
+        if not found.valid.all():
+            # Harmless stand-ins keep the arithmetic finite; these pairs have no cotangents.
+            valid = found.valid[..., None]
+            poses = np.where(valid[..., None], poses, np.eye(4))
+            normal = np.where(valid, found.normal, [0.0, 0.0, 1.0])
+            found = replace(found, normal=normal, distance=np.where(found.valid, found.distance, 1.0))
         g_a, g_b, g_n = (_cotangent(g, valid) for g in (grad_a, grad_b, grad_normal))
         wrenches = np.zeros((2, *found.distance.shape, 6))
         if grad_distance is not None:
@@ -140,11 +147,11 @@ class _WitnessFunction(torch.autograd.Function):
             columns = np.flatnonzero(np.logical_or.reduce([g.any(axis=(0, 2)) for g in wanted]))
             if len(columns):
                 index = slice(None) if len(columns) == found.distance.shape[1] else columns
-                extra = _pull_back_points(ctx, columns, index, g_a, g_b, g_n, _array(T_a), _array(T_b))
+                extra = _pull_back_points(ctx, found, columns, index, g_a, g_b, g_n, *poses)
                 wrenches[0][:, index] += extra[0]
                 wrenches[1][:, index] += extra[1]
-        gradient = ambient_gradient(np.stack([_array(T_a), _array(T_b)]), wrenches)
-        gradient = torch.as_tensor(gradient, dtype=T_a.dtype, device=T_a.device)
+        gradient = ambient_gradient(poses, wrenches)
+        gradient = torch.as_tensor(gradient, dtype=tensor_a.dtype, device=tensor_a.device)
         need_a, need_b = ctx.needs_input_grad[:2]
         return (
             gradient[0] if need_a else None,
@@ -155,6 +162,7 @@ class _WitnessFunction(torch.autograd.Function):
 
 def _pull_back_points(
     ctx: Any,
+    found: Witness,
     columns: np.ndarray,
     index: np.ndarray | slice,
     g_a: np.ndarray | None,
@@ -166,7 +174,7 @@ def _pull_back_points(
     """Wrenches on the bodies of covectors on points and normals, for the pairs `columns`, which `index` selects."""
     layer: WitnessLayer = ctx.layer
     pairs, surfaces = layer.columns(columns)
-    found = ctx.found.pairs(index)
+    found = found.pairs(index)
     if pairs is not layer.pairs:
         # A winner counts from the first piece pair of its body pair.
         shift = pairs.first_piece_pair - layer.pairs.first_piece_pair[columns]

@@ -9,7 +9,7 @@ is a random choice that does not depend on what else is in the batch.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -88,6 +88,7 @@ class Neighbors:
     """Smallest sensible spread of squared distances (S, B), in square metres."""
 
 
+@runtime_checkable
 class Neighborhood(Protocol):
     """A rule that says how wide the neighbourhood of a witness point is, and how many candidates it uses."""
 

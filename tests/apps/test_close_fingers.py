@@ -94,16 +94,16 @@ def test_they_are_almost_right_and_refinement_makes_them_right(name: str):
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_the_thumb_opposes_the_fingers(name: str):
-    """Contact forces along the normals nearly cancel: the thumb's against the mean of the fingers'."""
-    grasps, obj = example(name), embedded(name)
-    scene = Scene(HAND, obj, transform_from_pose(grasps.hand_pose), grasps.q)
-    nowhere = np.full((len(grasps), len(scene.links), 3), np.nan)
-    measured = measure(HAND, obj, scene.links, scene.T_world_root, scene.q, nowhere, nowhere)
-    normals = measured.witness.normal[:, : len(HAND.contacts)]
-    groups = [contact.group for contact in HAND.contacts]
-    thumb = normals[:, groups.index("thumb")]
-    fingers = normals[:, [k for k, group in enumerate(groups) if group != "thumb"]].mean(axis=1)
-    assert ((thumb * fingers).sum(axis=1) < -0.7).all()
+    """Before the disturbance, the thumb's contact normal points against the mean of the fingers'."""
+    obj = embedded(name)
+    T = np.stack([approach.pose() for approach in EXAMPLES[name]])
+    q = close(HAND, HandAround(HAND, obj), T, np.repeat(opened(HAND), len(T), axis=0))
+    links = tuple(contact.link for contact in HAND.contacts)
+    nowhere = np.full((len(T), len(links), 3), np.nan)
+    normals = measure(HAND, obj, links, T, q, nowhere, nowhere).witness.normal
+    thumb = [contact.group for contact in HAND.contacts].index("thumb")
+    fingers = np.delete(normals, thumb, axis=1).mean(axis=1)
+    assert ((normals[:, thumb] * fingers).sum(axis=1) < -0.7).all()
 
 
 def test_the_palm_comes_from_where_the_approach_says():

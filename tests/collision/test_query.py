@@ -1,0 +1,258 @@
+"""The collision query against brute force, closed forms and the traps of coal."""
+
+import gc
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+from twists import random_poses
+
+from grasp_refine.collision.broadphase import ball_bound, bounds_of, box_bound
+from grasp_refine.collision.narrowphase import Tolerances
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
+from grasp_refine.errors import CollisionError
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, hull, sphere
+from grasp_refine.se3 import inverse, transform_points
+
+
+def cluster(seed: int, pieces: int = 8) -> Body:
+    """A concave body of overlapping hulls, boxes, spheres and capsules."""
+    rng = np.random.default_rng(seed)
+    parts: list[Piece] = []
+    for index, center in enumerate(rng.normal(size=(pieces, 3)) * 0.04):
+        if index % 4 == 0:
+            parts.append(sphere(0.012, center))
+        elif index % 4 == 1:
+            parts.append(capsule(0.006, center, center + rng.normal(size=3) * 0.02))
+        else:
+            parts.append(hull(rng.normal(size=(24, 3)) * 0.012 + center))
+    return build_body(f"cluster {seed}", parts, candidates=64)
+
+
+def single(piece: Piece) -> Body:
+    return build_body("piece", [piece], candidates=16)
+
+
+def scattered(count: int, seed: int, spread: float) -> tuple[np.ndarray, np.ndarray]:
+    return random_poses(count, seed, 0.01), random_poses(count, seed + 1, spread)
+
+
+@pytest.mark.parametrize(("spread", "penetrating"), [(0.03, True), (0.2, False)])
+def test_the_minimum_over_pieces_is_that_of_brute_force(spread: float, penetrating: bool) -> None:
+    a, b = cluster(0), cluster(1)
+    T_a, T_b = scattered(150, 5, spread)
+    found = query(Pairs((a,), (b,)), T_a, T_b)
+    assert (found.distance < 0).mean() > 0.9 if penetrating else (found.distance > 0).mean() > 0.5
+    brute = np.full(150, np.inf)
+    for p, q in product(a.pieces, b.pieces):
+        brute = np.minimum(brute, query(Pairs((single(p),), (single(q),)), T_a, T_b).distance[:, 0])
+    np.testing.assert_allclose(found.distance[:, 0], brute, atol=1e-8)
+    assert found.asked.mean() < 0.5 * len(a.pieces) * len(b.pieces)
+
+
+def test_signed_bounds_never_exceed_the_signed_distance() -> None:
+    rng = np.random.default_rng(2)
+    pieces = [
+        sphere(0.02),
+        capsule(0.01, (0, 0, 0), (0, 0.05, 0)),
+        box([0.05, 0.02, 0.08]),
+        hull(rng.normal(size=(30, 3)) * 0.02),
+    ]
+    for p, q in product(pieces, pieces):
+        T_a, T_b = scattered(60, 7, 0.05)
+        distance = query(Pairs((single(p),), (single(q),)), T_a, T_b).distance[:, 0]
+        relative = (inverse(T_a) @ T_b)[:, 0]
+        R, t = relative[:, :3, :3], relative[:, :3, 3]
+        index = np.zeros(60, dtype=int)
+        a, b = bounds_of([p]).take(index), bounds_of([q]).take(index)
+        boxes = box_bound(a, b, R, t)
+        balls = ball_bound(bounds_of([p]), bounds_of([q]), R, t)[:, 0]
+        assert (boxes <= distance + 1e-8).all()
+        assert (balls <= distance + 1e-8).all()
+
+
+def test_the_cutoff_hides_only_what_is_farther() -> None:
+    a, b = cluster(0), cluster(1)
+    T_a, T_b = scattered(200, 9, 0.15)
+    pairs = Pairs((a,), (b,))
+    full, cut = query(pairs, T_a, T_b), query(pairs, T_a, T_b, cutoff=0.01)
+    near = full.distance < 0.01
+    assert near.any() and not near.all()
+    np.testing.assert_array_equal(cut.status[near], full.status[near])
+    np.testing.assert_allclose(cut.distance[near], full.distance[near], atol=1e-12)
+    assert (cut.status[~near] == QueryStatus.FAR).all()
+    assert not cut.valid[~near].any() and not cut.point_a[~near].any()
+    assert cut.asked.sum() < full.asked.sum()
+
+
+def test_the_last_answer_changes_the_work_and_not_the_result() -> None:
+    a, b = cluster(0), cluster(1)
+    T_a, T_b = scattered(100, 11, 0.1)
+    pairs = Pairs((a,), (b,))
+    last = query(pairs, T_a, T_b)
+    T_b[..., :3, 3] += 1e-3
+    cold, warm = query(pairs, T_a, T_b), query(pairs, T_a, T_b, previous=last)
+    np.testing.assert_allclose(warm.distance, cold.distance, atol=1e-8)
+    assert warm.asked.sum() <= cold.asked.sum()
+
+
+def test_an_item_does_not_depend_on_its_batch() -> None:
+    a, b = cluster(0), cluster(1)
+    T_a, T_b = scattered(20, 13, 0.08)
+    pairs = Pairs((a, b), (b, b))
+    T_a, T_b = np.repeat(T_a, 2, axis=1), np.repeat(T_b, 2, axis=1)
+    together = query(pairs, T_a, T_b)
+    for i in range(20):
+        alone = query(pairs, T_a[i : i + 1], T_b[i : i + 1])
+        for name in ("distance", "point_a", "point_b", "normal", "status", "winner"):
+            np.testing.assert_array_equal(getattr(alone, name)[0], getattr(together, name)[i])
+
+
+def test_a_pose_that_is_not_finite_spoils_only_itself() -> None:
+    pairs = Pairs((cluster(0),), (cluster(1),))
+    T_a, T_b = scattered(6, 17, 0.1)
+    clean = query(pairs, T_a, T_b)
+    T_a[2, 0, 1, 1], T_b[4, 0, 0, 3] = np.nan, np.inf
+    found = query(pairs, T_a, T_b)
+    bad = np.array([2, 4])
+    assert (found.status[bad] == QueryStatus.NOT_FINITE).all() and np.isnan(found.distance[bad]).all()
+    good = np.setdiff1d(np.arange(6), bad)
+    np.testing.assert_array_equal(found.distance[good], clean.distance[good])
+    np.testing.assert_array_equal(found.point_b[good], clean.point_b[good])
+
+
+def surface_residual(piece: Piece, points: np.ndarray) -> np.ndarray:
+    """Signed distance of points (N, 3) to the planes of a polytope: zero on its surface."""
+    normals, offsets = piece.planes
+    return (points @ normals.T - offsets).max(axis=1)
+
+
+def test_witness_points_lie_on_both_surfaces_and_on_the_normal() -> None:
+    rng = np.random.default_rng(3)
+    p, q = (hull(rng.normal(size=(40, 3)) * 0.02) for _ in range(2))
+    T_a, T_b = scattered(100, 19, 0.06)
+    w = query(Pairs((single(p),), (single(q),)), T_a, T_b)
+    assert (w.distance > 0).any() and (w.distance < 0).any()
+    for piece, T, points in ((p, T_a, w.point_a), (q, T_b, w.point_b)):
+        local = transform_points(inverse(T), points)[:, 0]
+        np.testing.assert_allclose(surface_residual(piece, local), 0.0, atol=2e-8)
+    np.testing.assert_allclose(np.linalg.norm(w.normal, axis=-1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(((w.point_b - w.point_a) * w.normal).sum(-1), w.distance, atol=1e-15)
+
+
+def test_closed_forms_of_round_pieces() -> None:
+    segment = capsule(0.01, (0, 0, -0.03), (0, 0, 0.03))
+    pairs = Pairs((single(sphere(0.02, (0.01, 0, 0))),), (single(segment),))
+    T_a, T_b = scattered(50, 23, 0.05)
+    centers = transform_points(inverse(T_b) @ T_a, np.broadcast_to([0.01, 0, 0], (50, 1, 3)))
+    nearest = np.clip(centers[..., 2], -0.03, 0.03)[..., None] * [0, 0, 1]
+    expected = np.linalg.norm(centers - nearest, axis=-1) - 0.03
+    np.testing.assert_allclose(query(pairs, T_a, T_b).distance, expected, atol=1e-9)
+
+
+def test_far_translations_keep_their_digits() -> None:
+    pairs = Pairs((single(sphere(0.02)),), (single(box([0.04, 0.04, 0.04])),))
+    T_a = np.tile(np.eye(4), (1, 1, 1, 1))
+    T_b = T_a.copy()
+    T_b[..., 0, 3] = 0.05
+    for T in (T_a, T_b):
+        T[..., :3, 3] += 1e6
+    assert query(pairs, T_a, T_b).distance.item() == pytest.approx(0.01, abs=1e-9)
+
+
+def test_a_hull_with_hundreds_of_neighbours_at_a_vertex() -> None:
+    disc = cylinder(0.03, 0.02, sides=400)
+    assert np.bincount(disc.faces.ravel()).max() > 255
+    pairs = Pairs((single(disc),), (single(sphere(0.005)),))
+    T_a, T_b = scattered(30, 29, 0.06)
+    found = query(pairs, T_a, T_b)
+    local = transform_points(inverse(T_a), T_b[..., :3, 3])[:, 0]
+    radial = np.maximum(np.hypot(local[:, 0], local[:, 1]) - 0.03, 0.0)
+    axial = np.maximum(np.abs(local[:, 2]) - 0.01, 0.0)
+    outside = np.hypot(radial, axial) > 0
+    expected = np.hypot(radial, axial) - 0.005
+    np.testing.assert_allclose(found.distance[outside, 0], expected[outside], atol=2e-6)
+
+
+def test_penetration_depth_of_polytopes_is_the_smallest_translation() -> None:
+    rng = np.random.default_rng(4)
+    p, q = (hull(rng.normal(size=(12, 3)) * 0.02) for _ in range(2))
+    T_a, T_b = scattered(10, 31, 0.004)
+    w = query(Pairs((single(p),), (single(q),)), T_a, T_b)
+    assert (w.distance < 0).all()
+    for i in range(10):
+        a, b = transform_points(T_a[i], p.vertices), transform_points(T_b[i], q.vertices)
+        difference = (b[:, None] - a[None]).reshape(-1, 3)
+        normals, offsets = hull(difference).planes
+        assert w.distance[i, 0] == pytest.approx(-offsets.min(), abs=1e-7)
+
+
+def test_bodies_are_kept_alive_and_normals_are_copies() -> None:
+    pairs = Pairs((cluster(0),), (cluster(1),))
+    T_a, T_b = scattered(20, 37, 0.1)
+    first = query(pairs, T_a, T_b)
+    kept = first.normal.copy()
+    gc.collect()
+    again = query(pairs, T_a, T_b)
+    query(pairs, T_b, T_a)
+    np.testing.assert_array_equal(first.normal, kept)
+    np.testing.assert_array_equal(again.distance, first.distance)
+
+
+def wild_first(pairs: Pairs, wild_answers: int) -> Witness:
+    """A query whose first answers are the wild number that EPA was once seen to give."""
+    narrow = pairs.narrow_phase
+    compute, T_a, T_b = narrow._pairs[0]
+    left = [wild_answers]
+
+    def sometimes(*arguments: object) -> float:
+        left[0] -= 1
+        return -1.8e308 if left[0] >= 0 else compute(*arguments)
+
+    narrow._pairs[0] = (sometimes, T_a, T_b)
+    T = np.tile(np.eye(4), (2, 1, 1, 1, 1))
+    T[1, ..., 0, 3] = 0.035
+    return query(pairs, T[0], T[1], cutoff=1.0)
+
+
+def test_a_wild_answer_is_asked_again() -> None:
+    pairs = Pairs((single(box([0.04] * 3)),), (single(box([0.04] * 3)),))
+    found = wild_first(pairs, 1)
+    assert found.distance.item() == pytest.approx(-0.005, abs=1e-6)
+    assert found.status.item() == QueryStatus.PENETRATING
+
+
+def test_two_wild_answers_are_a_failure_that_is_said() -> None:
+    pairs = Pairs((single(box([0.04] * 3)),), (single(box([0.04] * 3)),))
+    found = wild_first(pairs, 2)
+    assert found.status.item() == QueryStatus.FAILED
+    assert not found.valid.any() and np.isnan(found.distance).all()
+
+
+def test_pairs_need_two_sides_of_equal_length() -> None:
+    body = single(sphere(0.01))
+    with pytest.raises(CollisionError, match="equally many bodies"):
+        Pairs((body,), (body, body))
+
+
+def test_default_tolerances_are_those_measured() -> None:
+    assert Tolerances() == Tolerances(gjk=1e-9, epa=1e-8, retry=1e-6, slack=1e-6)
+
+
+def test_separated_distance_agrees_with_a_linear_program() -> None:
+    """Apart exactly if a separating plane exists: an independent check of the sign."""
+    rng = np.random.default_rng(6)
+    p, q = (hull(rng.normal(size=(15, 3)) * 0.02) for _ in range(2))
+    T_a, T_b = scattered(60, 41, 0.05)
+    w = query(Pairs((single(p),), (single(q),)), T_a, T_b)
+    for i in range(60):
+        a, b = transform_points(T_a[i], p.vertices), transform_points(T_b[i], q.vertices)
+        if abs(w.distance[i, 0]) < 1e-6:
+            continue
+        rows = np.concatenate([np.c_[a, -np.ones(len(a))], np.c_[-b, np.ones(len(b))]])
+        separable = (
+            linprog(np.zeros(4), rows, -1e-7 * np.ones(len(rows)), bounds=[(-1, 1)] * 3 + [(None, None)]).status == 0
+        )
+        assert separable == (w.distance[i, 0] > 0)

@@ -1,0 +1,77 @@
+"""One finite-difference checker over twist directions, which every derivative of the witness layer passes through."""
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.se3 import exp_se3, hat
+
+Loss = Callable[[Witness], np.ndarray]
+
+
+def random_poses(count: int, seed: int, spread: float = 0.05) -> np.ndarray:
+    """Poses (count, 1, 4, 4) with any orientation and positions of the given spread."""
+    rng = np.random.default_rng(seed)
+    return exp_se3(rng.normal(size=(count, 1, 6)) * [spread, spread, spread, 1.5, 1.5, 1.5])
+
+
+def poses_at_gap(pairs: Pairs, count: int, gap: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Random poses of both bodies whose signed distance is `gap`."""
+    # Several times as many as wanted: concave bodies do not all come to rest at the gap.
+    T_a, T_b = random_poses(4 * count, seed), random_poses(4 * count, seed + 1)
+    for _ in range(12):
+        found = query(pairs, T_a, T_b)
+        T_b[..., :3, 3] += (gap - found.distance)[..., None] * found.normal
+    settled = np.flatnonzero(np.abs(query(pairs, T_a, T_b).distance[:, 0] - gap) < 1e-6)[:count]
+    assert len(settled) == count
+    return T_a[settled], T_b[settled]
+
+
+def slopes_along_twists(
+    value: Callable[[np.ndarray, np.ndarray], np.ndarray], T_a: np.ndarray, T_b: np.ndarray, step: float
+) -> np.ndarray:
+    """Central differences (12, ...) of value(T_a, T_b) along the six spatial twists of a, then of b."""
+    rows = []
+    for k in range(12):
+        motions = [exp_se3(sign * step * np.eye(6)[k % 6]) for sign in (1.0, -1.0)]
+        moved = [value(M @ T_a, T_b) if k < 6 else value(T_a, M @ T_b) for M in motions]
+        rows.append((moved[0] - moved[1]) / (2.0 * step))
+    return np.array(rows)
+
+
+def gradient_along_twists(G: np.ndarray, T: np.ndarray) -> np.ndarray:
+    """<G, d/dt exp(t xi) T> (6, batch) for six spatial twists xi and an entry-wise gradient G (batch, ..., 4, 4)."""
+    rows = []
+    for k in range(6):
+        generator = np.zeros((4, 4))
+        generator[:3, :3], generator[:3, 3] = hat(np.eye(6)[k, 3:]), np.eye(6)[k, :3]
+        rows.append((G * (generator @ T)).sum(axis=tuple(range(1, G.ndim))))
+    return np.array(rows)
+
+
+def layer_gradient(
+    layer: Callable[..., Witness], T_a: np.ndarray, T_b: np.ndarray, cotangents: dict[str, np.ndarray]
+) -> np.ndarray:
+    """Derivative (12, batch) along twists of sum(cotangent * field) over the witness fields named, by backward."""
+    tensors = [torch.from_numpy(T.copy()).requires_grad_() for T in (T_a, T_b)]
+    witness = layer(*tensors)
+    loss = sum((getattr(witness, name) * torch.from_numpy(c)).sum() for name, c in cotangents.items())
+    loss.backward()
+    return np.concatenate([gradient_along_twists(t.grad.numpy(), T) for t, T in zip(tensors, (T_a, T_b), strict=True)])
+
+
+def random_cotangents(witness: Witness, names: tuple[str, ...], seed: int) -> dict[str, np.ndarray]:
+    """Normally distributed cotangents for the named fields."""
+    rng = np.random.default_rng(seed)
+    return {name: rng.normal(size=np.shape(getattr(witness, name))) for name in names}
+
+
+def contracted(witness: Witness, cotangents: dict[str, np.ndarray]) -> np.ndarray:
+    """sum(cotangent * field) (batch,) over the fields named."""
+    total = 0.0
+    for name, cotangent in cotangents.items():
+        product = getattr(witness, name) * cotangent
+        total = total + product.sum(axis=tuple(range(1, product.ndim)))
+    return total
