@@ -85,7 +85,7 @@ EXAMPLES = {
         Approach((0, 0, 0.05), azimuth=180),
         Approach((0, 0, 0.045), azimuth=205, roll=180),
         Approach((0, 0, 0.055), azimuth=155, elevation=25),
-        Approach((0, 0, 0.075), azimuth=270, elevation=90),
+        Approach((0, 0, 0.075), azimuth=180, elevation=90),
     ),
     "bottle": (
         Approach((0, 0, 0.07), azimuth=0),

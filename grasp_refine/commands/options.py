@@ -53,11 +53,11 @@ def _one_line(box: str) -> str:
             paragraphs[-1].append(text)
         else:
             paragraphs.append([])
-    complaint = " ".join(paragraphs[0]) or " ".join(box.split())
+    complaint = " ".join(next(filter(None, paragraphs), box.split()))
     complaint = complaint[:1].lower() + complaint[1:]
     meant = [
         text.split()[0].rstrip(",")
-        for paragraph in paragraphs[1:]
+        for paragraph in paragraphs
         if paragraph and paragraph[0].startswith("Perhaps")
         for text in paragraph[1:]
         if text.startswith("--")

@@ -13,6 +13,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.body import Body
 
 _COS_NORMALS = -0.5
@@ -40,7 +41,17 @@ class Surfaces:
 
     @staticmethod
     def of(bodies: Sequence[Body]) -> "Surfaces":
-        """The stacked candidates of `bodies`."""
+        """The stacked candidates of `bodies`.
+
+        Raises:
+            CollisionError: the bodies were built with different numbers of candidates.
+        """
+        counts = {len(body.candidates.points) for body in bodies}
+        if len(counts) > 1:
+            raise CollisionError(
+                f"bodies of one scene need equally many surface candidates, got {', '.join(map(str, sorted(counts)))}: "
+                "load hand and object with the same `candidates`"
+            )
         points = np.stack([body.candidates.points for body in bodies])
         normals = np.stack([body.candidates.normals for body in bodies])
         spacing = np.array([2.0 * np.sqrt(body.area / len(body.candidates.points)) for body in bodies])

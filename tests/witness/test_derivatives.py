@@ -16,6 +16,7 @@ from twists import (
 )
 
 from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import box, capsule, hull, sphere
 from grasp_refine.se3 import cross, exp_se3, inverse, matvec, transform_points
@@ -384,6 +385,12 @@ def test_wrong_shapes_are_refused() -> None:
     pairs = Pairs((rounded(0),), (rounded(1),))
     with pytest.raises(ValueError, match=r"poses must have shape \(batch, 1, 4, 4\)"):
         WitnessLayer(pairs, Distance())(torch.eye(4)[None], torch.eye(4)[None])
+
+
+def test_bodies_with_different_numbers_of_candidates_are_refused() -> None:
+    few = build_body("few", [sphere(0.01)], candidates=64)
+    with pytest.raises(CollisionError, match="equally many surface candidates, got 64, 1024"):
+        WitnessLayer(Pairs((few,), (rounded(0),)), Distance()).columns(np.array([0]))
 
 
 def test_cross_matches_numpy() -> None:

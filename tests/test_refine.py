@@ -1,0 +1,152 @@
+"""The loop: it converges, ends with a status, and no grasp depends on another."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from grasp_refine.assets import resource_dir
+from grasp_refine.config import Config
+from grasp_refine.grasps import load_grasps
+from grasp_refine.hand import load_hand
+from grasp_refine.objects import load_object
+from grasp_refine.refine import refine
+from grasp_refine.scene import Scene
+from grasp_refine.se3 import exp_se3, transform_from_pose
+from grasp_refine.solvers.descent import Descent
+from grasp_refine.solvers.status import Status
+from grasp_refine.validation.geometry import measure, movement
+from grasp_refine.witness.distance import Distance
+
+SHORT = Config(solver=Descent(iterations=60))
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """The four example grasps of the embedded hand on the embedded box, one of the fastest objects."""
+    grasps = load_grasps(resource_dir("robots") / "allegro/example_rounded_box.npz")
+    return Scene(
+        load_hand("allegro", candidates=256),
+        load_object("rounded_box", candidates=256),
+        transform_from_pose(grasps.hand_pose),
+        grasps.q,
+    )
+
+
+def rows(scene: Scene, index: list[int]) -> Scene:
+    return replace(scene, T_world_root=scene.T_world_root[index], q=scene.q[index])
+
+
+@pytest.mark.parametrize("derivative", [Config().derivative, Distance()], ids=["contact-kinematics", "distance"])
+def test_contact_error_and_penetration_fall(scene: Scene, derivative: object) -> None:
+    result = refine(scene, Config(solver=Descent(iterations=300), derivative=derivative))
+    errors, depths = [], []
+    for T, q in ((scene.T_world_root, scene.q), (result.T_world_root, result.q)):
+        found = measure(scene.hand, scene.object, scene.links, T, q, result.target_link, result.target_object)
+        errors.append(np.nanmax(found.contact_error, axis=1))
+        depths.append(found.penetration)
+    assert np.median(errors[0]) > 5e-3
+    # Distance smoothing is biased close to contact and in penetration; it gets nearer, and not much more.
+    assert np.median(errors[1]) < (1e-3 if derivative == Config().derivative else 0.75 * np.median(errors[0]))
+    assert np.median(depths[1]) < 5e-4
+    assert (result.loss[:, 1] < result.loss[:, 0]).all()
+    assert (result.q >= scene.hand.lower).all() and (result.q <= scene.hand.upper).all()
+
+
+def test_the_result_does_not_depend_on_the_batch(scene: Scene) -> None:
+    together = refine(scene, SHORT)
+    for i in (0, 3):
+        alone = refine(rows(scene, [i]), SHORT)
+        np.testing.assert_allclose(alone.T_world_root[0], together.T_world_root[i], atol=1e-9)
+        np.testing.assert_allclose(alone.q[0], together.q[i], atol=1e-9)
+        assert alone.status[0] == together.status[i]
+
+
+def test_one_bad_member_spoils_only_itself(scene: Scene) -> None:
+    clean = refine(scene, SHORT)
+    T, q = scene.T_world_root.copy(), scene.q.copy()
+    T[1, 0, 3] = np.nan
+    q[2, 4] = np.inf
+    found = refine(replace(scene, T_world_root=T, q=q), SHORT)
+    assert found.status[1] == found.status[2] == Status.NOT_FINITE
+    for i in (0, 3):
+        np.testing.assert_allclose(found.T_world_root[i], clean.T_world_root[i], atol=1e-9)
+        assert found.status[i] == clean.status[i]
+
+
+def test_a_grasp_far_away_has_no_target(scene: Scene) -> None:
+    T = scene.T_world_root[:2].copy()
+    T[0, 0, 3] += 1.0
+    found = refine(replace(scene, T_world_root=T, q=scene.q[:2]), SHORT)
+    assert found.status[0] == Status.NO_TARGET and "--targets" in Status.NO_TARGET.advice
+    np.testing.assert_array_equal(found.T_world_root[0], T[0])
+    assert found.status[1] != Status.NO_TARGET
+
+
+def test_same_seed_same_result(scene: Scene) -> None:
+    one, two = refine(rows(scene, [0, 1]), SHORT), refine(rows(scene, [0, 1]), SHORT)
+    np.testing.assert_array_equal(one.T_world_root, two.T_world_root)
+    np.testing.assert_array_equal(one.q, two.q)
+
+
+def test_converged_grasps_leave(scene: Scene) -> None:
+    finished: list[int] = []
+    result = refine(scene, Config(tolerance=2e-5), lambda done, *_: finished.append(done))
+    assert (result.status == Status.CONVERGED).all()
+    assert finished[-1] == 4 and len(finished) == result.iterations.max() > result.iterations.min()
+    assert (result.loss[:, 1] < 2e-5).all()
+
+
+def test_given_targets_are_used(scene: Scene) -> None:
+    links = len(scene.links)
+    target_link, target_object = np.full((2, 4, links, 3), np.nan)
+    target_link[:, 0], target_object[:, 0] = [0.0, 0.0, 0.012], [0.0, 0.0, 0.045]
+    found = refine(replace(scene, target_link=target_link, target_object=target_object), SHORT)
+    np.testing.assert_array_equal(found.target_link, target_link)
+    assert (found.loss[:, 1] < found.loss[:, 0]).all()
+
+
+@pytest.mark.parametrize("transport", [False, True])
+def test_single_precision_and_transport_run(scene: Scene, transport: bool) -> None:
+    result = refine(scene, Config(solver=Descent(iterations=60, transport=transport), dtype="float32"))
+    assert (result.loss[:, 1] < 0.5 * result.loss[:, 0]).all()
+    R = result.T_world_root[:, :3, :3]
+    np.testing.assert_allclose(R @ R.mT, np.broadcast_to(np.eye(3), R.shape), atol=1e-5)
+
+
+def test_steps_have_their_length_and_joints_stay_within_limits() -> None:
+    solver = Descent(momentum=0.0)
+    T, q = torch.eye(4).double().expand(2, 4, 4), torch.tensor([[0.99, 0.0], [1.5, 0.0]]).double()
+    gradient = torch.cat([torch.randn(2, 6), torch.tensor([[-1.0, 0.0], [-1.0, 0.0]])], dim=1).double()
+    stage = torch.tensor([0, 1])
+    lower, upper = -torch.ones(2).double(), torch.ones(2).double()
+    moved, joints, _ = solver.step(T, q, gradient, torch.zeros_like(gradient), stage, lower, upper)
+    distance = moved[:, :3, 3].norm(dim=1)
+    torch.testing.assert_close(distance, torch.tensor([1e-3, 1e-4]).double(), rtol=1e-4, atol=0)
+    assert joints[0, 0] == 1.0  # stopped at the limit
+    assert joints[1, 0] == 1.5  # began beyond it: not pushed farther, pulled in by its loss term
+    still, same, _ = solver.step(T, q, 0 * gradient, 0 * gradient, stage, lower, upper)
+    torch.testing.assert_close(still, T)
+    torch.testing.assert_close(same, q)
+
+
+def test_measures_in_closed_form(scene: Scene) -> None:
+    ball = load_object("sphere:0.05", candidates=256)
+    hand = scene.hand
+    T = np.tile(np.eye(4), (1, 1, 1))
+    q = hand.rest[None]
+    none = np.full((1, len(scene.links), 3), np.nan)
+    # The object far below the hand: each distance is that of the link's nearest point to the ball.
+    T[0, 2, 3] = 1.0
+    found = measure(hand, ball, scene.links, T, q, none, none)
+    assert (found.distance > 0.7).all() and found.penetration[0] == 0.0
+    assert np.isnan(found.contact_error).all() and found.limits_violated[0] == 0
+    T[0, 2, 3] = 0.0
+    deep = measure(hand, ball, scene.links, T, q + 10, none, none)
+    assert deep.penetration[0] > 0.0 and deep.limits_violated[0] == len(hand.joint_names)
+    turned = T @ exp_se3(np.array([0, 0, 0, 0, 0, 0.3]))
+    turned[0, :3, 3] += [0.03, 0.04, 0.0]
+    moved = movement(T, q, turned, q - 0.2)
+    assert moved.palm_m[0] == pytest.approx(0.05) and moved.palm_rad[0] == pytest.approx(0.3)
+    assert moved.joints_rad[0] == pytest.approx(0.2)
