@@ -94,11 +94,6 @@ class Settings:
         check_numbers(self)
         for choice in ("solver", "derivative", "neighborhood"):
             self._check_unused(choice)
-        if len(self.descent.shares) != len(self.descent.factors):
-            raise GraspRefineError(
-                f"--descent.shares and --descent.factors belong together: {len(self.descent.shares)} and "
-                f"{len(self.descent.factors)} numbers were given"
-            )
         self._check_device()
         solver, derivative, neighborhood = (
             getattr(self, name.replace("-", "_"))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from grasp_refine.errors import GraspRefineError
 from grasp_refine.se3 import retract
 
 
@@ -38,6 +39,19 @@ class Descent:
     """Smallest relative fall of the loss that counts as progress."""
     transport: bool = False
     """Equivalent gradient transport: the object's gradient acts through the links (not a gradient any more)."""
+
+    def __post_init__(self) -> None:
+        """Refuse a schedule that cannot run.
+
+        Raises:
+            GraspRefineError: momentum outside [0, 1), or not one factor for each share.
+        """
+        if not 0.0 <= self.momentum < 1.0:
+            raise GraspRefineError(f"descent: momentum must be at least 0 and below 1, got {self.momentum:g}")
+        if len(self.shares) != len(self.factors):
+            raise GraspRefineError(
+                f"descent: shares and factors belong together, got {len(self.shares)} and {len(self.factors)} numbers"
+            )
 
     def first_stage(self, iteration: int) -> int:
         """The earliest stage of the schedule at an iteration."""

@@ -116,7 +116,7 @@ class Adaptive:
     """As wide as the witness is from its target, so that smoothing fades out as the goal is reached (the paper's)."""
 
     samples: int | None = 16
-    """Candidates drawn at random from the neighbourhood; none: all of them."""
+    """Candidates drawn at random from the neighbourhood; None: all of them."""
     minimum: int = 8
     """With fewer candidates inside, the nearest ones are taken."""
     without_target: float = 4.0
@@ -138,7 +138,7 @@ class Fixed:
     fraction: float = 0.1
     """Radius as a fraction of the body's bounding-box diagonal."""
     samples: int | None = 16
-    """Candidates drawn at random from the neighbourhood; none: all of them."""
+    """Candidates drawn at random from the neighbourhood; None: all of them."""
     minimum: int = 8
     """With fewer candidates inside, the nearest ones are taken."""
 
@@ -175,16 +175,17 @@ def choose(
     radius = rule.radius(surfaces, x, target)
     body = np.repeat(np.arange(S), B)
     rows = _Rows(surfaces, body, x.reshape(S * B, 3), normal.reshape(S * B, 3))
-    width = N if rule.samples is None else max(rule.samples, rule.minimum)
+    minimum = min(rule.minimum, N)
+    width = N if rule.samples is None else max(rule.samples, minimum)
     # A window of the random order is enough for wide neighbourhoods, which hold most of the candidates.
     window = N if rule.samples is None else min(N, _WINDOW)
     index, normals, mask, inside = rows.draw(x, radius, offset % N, window, width)
     if window < N and inside.min() < width:
         # Rows that are full already keep what they have: their draw begins with the same candidates.
         index, normals, mask, _ = rows.draw(x, radius, offset % N, N, width)
-    few = np.flatnonzero(mask.sum(axis=1) < rule.minimum)
+    few = np.flatnonzero(mask.sum(axis=1) < minimum)
     if len(few):
-        index[few], normals[few], mask[few] = rows.nearest(few, rule.minimum, width)
+        index[few], normals[few], mask[few] = rows.nearest(few, minimum, width)
     points = np.concatenate([x.reshape(S * B, 1, 3), surfaces.points[body[:, None], index]], axis=1)
     mask = np.concatenate([np.ones((S * B, 1), dtype=bool), mask], axis=1)
     floor = np.broadcast_to(_SMALLEST_SPREAD * surfaces.spacing[:, None] ** 2, (S, B))
