@@ -1,0 +1,165 @@
+"""The other derivative methods of the paper: what each is exact for, and its blind spot."""
+
+import numpy as np
+import pytest
+import torch
+from twists import (
+    contracted,
+    gradient_along_twists,
+    layer_gradient,
+    poses_at_gap,
+    random_cotangents,
+    slopes_along_twists,
+)
+
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.pieces import box, capsule, hull, sphere
+from grasp_refine.witness.analytical import Analytical
+from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.direction import Direction
+from grasp_refine.witness.finite_difference import FiniteDifference
+from grasp_refine.witness.neighborhood import choose, draw_offset
+from grasp_refine.witness.rigid import Rigid
+from grasp_refine.witness.scene import WitnessScene
+from grasp_refine.witness.zeroth_order import ZerothOrder
+
+POINTS = ("point_a", "point_b")
+METHODS = {
+    "analytical": Analytical(),
+    "direction": Direction(),
+    "finite difference": FiniteDifference(),
+    "rigid": Rigid(),
+    "zeroth order": ZerothOrder(),
+}
+
+
+def body(*pieces: object) -> Body:
+    return build_body("body", pieces, candidates=256)
+
+
+def ball_and_capsule() -> Pairs:
+    return Pairs((body(sphere(0.03, (0.01, 0, 0))),), (body(capsule(0.02, (0, 0, -0.02), (0, 0, 0.02))),))
+
+
+def lumps(seed: int) -> Body:
+    rng = np.random.default_rng(seed)
+    return body(*(hull(rng.normal(size=(20, 3)) * 0.015 + center) for center in rng.normal(size=(4, 3)) * 0.04))
+
+
+@pytest.mark.parametrize("gap", [0.02, 0.002, -0.004])
+@pytest.mark.parametrize("method", [Analytical(), FiniteDifference(step=1e-4)], ids=["analytical", "finite difference"])
+def test_round_bodies_are_followed_exactly(method: Analytical | FiniteDifference, gap: float) -> None:
+    pairs = ball_and_capsule()
+    T_a, T_b = poses_at_gap(pairs, 8, gap, seed=1)
+    cotangents = random_cotangents(query(pairs, T_a, T_b), (*POINTS, "distance"), seed=2)
+    expected = slopes_along_twists(lambda a, b: contracted(query(pairs, a, b), cotangents), T_a, T_b, 1e-5)
+    found = layer_gradient(WitnessLayer(pairs, method), T_a, T_b, cotangents)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_finite_differences_follow_the_normal_too() -> None:
+    pairs = ball_and_capsule()
+    T_a, T_b = poses_at_gap(pairs, 8, 0.003, seed=3)
+    cotangents = random_cotangents(query(pairs, T_a, T_b), ("normal",), seed=4)
+    expected = slopes_along_twists(lambda a, b: contracted(query(pairs, a, b), cotangents), T_a, T_b, 1e-5)
+    found = layer_gradient(WitnessLayer(pairs, FiniteDifference(step=1e-4)), T_a, T_b, cotangents)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-2)
+
+
+def test_zeroth_order_estimates_the_smooth_derivative() -> None:
+    pairs = ball_and_capsule()
+    T_a, T_b = poses_at_gap(pairs, 8, 0.01, seed=5)
+    cotangents = random_cotangents(query(pairs, T_a, T_b), POINTS, seed=6)
+    expected = slopes_along_twists(lambda a, b: contracted(query(pairs, a, b), cotangents), T_a, T_b, 1e-5)
+    errors = []
+    for samples in (20, 2000):
+        found = layer_gradient(WitnessLayer(pairs, ZerothOrder(sigma=1e-3, samples=samples)), T_a, T_b, cotangents)
+        errors.append(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+    assert errors[1] < 0.1 and errors[1] < errors[0] / 3  # falls as the square root of the samples
+
+
+def scene_of(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> WitnessScene:
+    columns = WitnessLayer(pairs, Rigid()).columns(np.array([0]))
+    return WitnessScene(*columns, T_a, T_b, query(pairs, T_a, T_b), None, None, 0)
+
+
+@pytest.mark.parametrize(
+    ("center", "expected"),
+    [
+        ((0.05, 0.001, 0.002), np.diag([0.0, 1.0, 1.0])),  # above a face
+        ((0.05, 0.05, 0.002), np.diag([0.0, 0.0, 1.0])),  # beside an edge
+        ((0.05, 0.05, 0.05), np.zeros((3, 3))),  # at a vertex: blind
+    ],
+)
+def test_analytical_slip_is_that_of_the_feature(center: tuple[float, float, float], expected: np.ndarray) -> None:
+    pairs = Pairs((body(box([0.04] * 3)),), (body(sphere(0.005)),))
+    T_a = np.tile(np.eye(4), (1, 1, 1, 1))
+    T_b = T_a.copy()
+    T_b[0, 0, :3, 3] = center
+    slip = Analytical().slip(scene_of(pairs, T_a, T_b))
+    np.testing.assert_allclose(slip.A[0, 0], expected, atol=1e-9)
+
+
+def test_direction_smoothing_differentiates_its_soft_support_point() -> None:
+    """dx = sC (dx_b - dx_a): with the temperature given, against differences of the softmax over all samples."""
+    pairs = Pairs((body(hull(np.random.default_rng(0).normal(size=(60, 3)) * 0.02)),), (body(sphere(0.01)),))
+    T_a, T_b = poses_at_gap(pairs, 1, 0.01, seed=7)
+    eps = 1e-5
+    method = Direction(epsilon=eps, coupling="one-sided")
+    scene = scene_of(pairs, T_a, T_b)
+    A = method.slip(scene).A[0, 0]
+    w = scene.witness
+    sides = scene.sides()
+    near = choose(method.neighborhood, scene.surfaces, sides.point, sides.normal, None, draw_offset(0, 0))
+    points = (sides.rotation[0, 0] @ near.points[0, 0][near.mask[0, 0]].T).T
+
+    def support(direction: np.ndarray) -> np.ndarray:
+        scores = points @ direction / eps
+        weights = np.exp(scores - scores.max())
+        return weights @ points / weights.sum()
+
+    direction = (w.point_b - w.point_a)[0, 0]
+    C = np.stack([(support(direction + 1e-7 * e) - support(direction - 1e-7 * e)) / 2e-7 for e in np.eye(3)], axis=1)
+    np.testing.assert_allclose(A, np.linalg.solve(np.eye(3) + C, C), atol=1e-6)
+
+
+@pytest.mark.parametrize("gap", [0.01, 1e-9, -0.004])
+@pytest.mark.parametrize("name", METHODS)
+def test_derivatives_are_finite_and_ignore_a_common_motion(name: str, gap: float) -> None:
+    pairs = Pairs((lumps(0),), (lumps(1),))
+    T_a, T_b = poses_at_gap(pairs, 6, gap, seed=8)
+    tensors = [torch.from_numpy(T).requires_grad_() for T in (T_a, T_b)]
+    w = WitnessLayer(pairs, METHODS[name])(*tensors)
+    ((w.point_a - tensors[0][..., :3, 3]).square().sum() + (w.point_b - w.point_a).square().sum()).backward()
+    gradients = [gradient_along_twists(t.grad.numpy(), t.detach().numpy()) for t in tensors]
+    assert all(np.isfinite(g).all() for g in gradients)
+    if name != "rigid":  # its points do not follow each other, but they do follow a common motion
+        assert np.abs(gradients[0]).max() > 0
+    np.testing.assert_allclose(gradients[0] + gradients[1], 0.0, atol=1e-8)
+
+
+def test_direction_smoothing_loses_the_neighbourhood_as_the_gap_vanishes() -> None:
+    """Towards contact its slip no longer depends on curvature: that of a ball tends to a wrong limit."""
+    pairs = Pairs((body(sphere(0.03)),), (body(sphere(0.02)),))
+    errors = []
+    for gap in (0.02, 1e-6):
+        T_a, T_b = poses_at_gap(pairs, 6, gap, seed=9)
+        slip = Direction().slip(scene_of(pairs, T_a, T_b))
+        n = query(pairs, T_a, T_b).normal
+        exact = 0.03 / (0.03 + gap) * (np.eye(3) - n[..., :, None] * n[..., None, :])
+        errors.append(np.abs(slip.A - exact).max())
+    assert np.isfinite(errors).all() and errors[1] > 0.05
+
+
+def test_rigid_points_stay_on_their_bodies() -> None:
+    pairs = ball_and_capsule()
+    T_a, T_b = poses_at_gap(pairs, 3, 0.01, seed=10)
+    w = query(pairs, T_a, T_b)
+    f = random_cotangents(w, ("point_a",), seed=11)
+    found = layer_gradient(WitnessLayer(pairs, Rigid()), T_a, T_b, f)
+    for k in range(6):
+        xi = np.eye(6)[k]
+        move = np.einsum("bpi,bpi->b", f["point_a"], xi[:3] + np.cross(xi[3:], w.point_a))
+        np.testing.assert_allclose(found[k], move, atol=1e-12)
+    assert not found[6:].any()
