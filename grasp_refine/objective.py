@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.config import Config
 from grasp_refine.kinematics import Kinematics
 from grasp_refine.losses import contact_targets, joint_limits, penetration
@@ -43,7 +43,11 @@ class Objective:
         """Targets on links and object (N, L, 3), and queries asked for them (N,)."""
         scene = self.scene
         if scene.target_link is not None and scene.target_object is not None:
-            return scene.target_link, scene.target_object, np.zeros(len(scene.q), dtype=np.int64)
+            given = scene.target_link, scene.target_object
+            # A point on one side only is no target.
+            missing = np.logical_or(*(np.isnan(target).any(axis=-1, keepdims=True) for target in given))
+            target_link, target_object = (np.where(missing, np.nan, target) for target in given)
+            return target_link, target_object, np.zeros(len(scene.q), dtype=np.int64)
         with torch.no_grad():
             T = self.kinematics(self.tensor(scene.T_world_root), self.tensor(scene.q)).double().cpu().numpy()
         contacts = len(scene.hand.contacts)
@@ -62,7 +66,10 @@ class Objective:
         key: int,
         previous: Witness | None,
     ) -> tuple[Tensor, Tensor, Witness]:
-        """Loss (batch,), its gradient (batch, 6 + n) at the root (as a body twist) and in q, and the witness points."""
+        """Loss (batch,), its gradient (batch, 6 + n) at the root (as a body twist) and in q, and the witness points.
+
+        The loss is NaN where a query could not be answered.
+        """
         T_world_root = T_world_root.detach().requires_grad_()
         q = q.detach().requires_grad_()
         T_link = self.kinematics(T_world_root, q)
@@ -88,4 +95,7 @@ class Objective:
         G, q_gradient = torch.autograd.grad(loss.sum(), (T_world_root, q), allow_unused=True)
         twist = body_gradient(T_world_root.detach(), torch.zeros_like(T_world_root) if G is None else G)
         q_gradient = torch.zeros_like(q) if q_gradient is None else q_gradient
-        return loss.detach(), torch.cat([twist, q_gradient], dim=1), witness.detached()
+        # A pair that no query could answer counts nothing above: what the grasp is worth is not known.
+        unknown = torch.as_tensor((witness.status > QueryStatus.FAR).any(axis=1), device=loss.device)
+        loss = loss.detach().masked_fill(unknown, torch.nan)
+        return loss, torch.cat([twist, q_gradient], dim=1), witness.detached()

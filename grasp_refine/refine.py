@@ -128,7 +128,8 @@ class _Run:
         share = 1.0 / len(active)
         self.wall[active] += (time.perf_counter() - wall) * share
         self.cpu[active] += (time.process_time() - cpu) * share
-        return float(np.nanmean(value)) if len(value) else 0.0
+        known = value[np.isfinite(value)]
+        return float(known.mean()) if len(known) else 0.0
 
     def _judge(self, value: np.ndarray, iteration: int) -> np.ndarray:
         """Keep the best iterates, advance the schedule, and say which grasps end here (active,)."""

@@ -85,6 +85,6 @@ def test_the_options_are_those_of_the_command():
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     known = set(re.findall(r"--[a-z][\w.-]*", run.stdout))
     named = set(re.findall(r"`(--[a-z][\w.-]*)", TEXT)) | set(re.findall(r" (--[a-z][\w.]*-?[\w.]*) ", TEXT))
-    elsewhere = {"--help", "--index-url"}
+    elsewhere = {"--help"}
     assert {"--hand", "--transport", "--distance.coupling"} <= named
     assert named - elsewhere <= known

@@ -80,5 +80,6 @@ def box_bound(a: Bounds, b: Bounds, R: np.ndarray, t: np.ndarray) -> np.ndarray:
     along_b = offset_b - b.half - np.einsum("mij,mi->mj", cosines, a.half)
     length = np.sqrt(np.einsum("mi,mi->m", offset, offset))
     reach = np.einsum("mi,mi->m", offset_a, a.half) + np.einsum("mi,mi->m", offset_b, b.half)
-    along_line = length - reach / np.maximum(length, np.finfo(np.float64).tiny)
+    # Boxes with one centre have no such line.
+    along_line = np.where(length > 0, length - reach / np.maximum(length, np.finfo(np.float64).tiny), -np.inf)
     return np.maximum(np.maximum(along_a.max(axis=-1), along_b.max(axis=-1)), along_line)

@@ -183,7 +183,7 @@ def query(
     items = relative.reshape(batch * count, 4, 3)
     R, t = items[:, :3].mT, items[:, 3]
     limit = np.full((batch, count), cutoff, dtype=np.float64).reshape(-1)
-    ids = np.broadcast_to(table.id, (batch, *table.id.shape)).reshape(batch * count, -1)
+    ids = np.broadcast_to(table.id, (batch, *table.id.shape)).reshape(batch * count, table.id.shape[1])
 
     if ids.shape[1] == 1 and np.isinf(limit).all():
         # Nothing can be pruned: each body pair is one piece pair, and all of them are wanted.
@@ -262,7 +262,7 @@ def _witness(found: Closest, T_a: np.ndarray, limit: np.ndarray, finite: np.ndar
     """World coordinates and a status for each pair."""
     shape = T_a.shape[:2]
     distance = found.distance.reshape(shape)
-    status = np.where(distance > 0, QueryStatus.SEPARATED, QueryStatus.PENETRATING).astype(np.int8)
+    status = (distance <= 0).astype(np.int8)  # SEPARATED or PENETRATING
     valid = (found.winner >= 0) & ~found.failed & finite.reshape(-1)
     if not valid.all():
         status[(found.winner < 0).reshape(shape)] = QueryStatus.FAR

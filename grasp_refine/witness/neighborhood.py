@@ -94,9 +94,9 @@ class Neighbors:
     mask: np.ndarray
     """(S, B, K): false pads."""
     radius: np.ndarray
-    """Radius (S, B) of each neighbourhood in metres."""
+    """Radius (S, B) of each neighbourhood in metres; (S, 1) where it is that of the body."""
     floor: np.ndarray
-    """Smallest sensible spread of squared distances (S, B), in square metres."""
+    """Smallest sensible spread of squared distances (S, 1), in square metres."""
 
 
 @runtime_checkable
@@ -107,7 +107,7 @@ class Neighborhood(Protocol):
     minimum: int
 
     def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
-        """Radius (S, B) in metres for witness points x (S, B, 3) with targets (S, B, 3; NaN: none) or no targets."""
+        """Radius (S, B), or (S, 1) for all, in metres for witness points x (S, B, 3) with targets (NaN: none) or none."""
         ...
 
 
@@ -124,7 +124,7 @@ class Adaptive:
 
     def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
         """max(|t - x|, eps), and 4 eps where there is no target."""
-        eps = np.broadcast_to(surfaces.spacing[:, None], x.shape[:2])
+        eps = surfaces.spacing[:, None]
         if target is None:
             return self.without_target * eps
         away = np.sqrt(((target - x) ** 2).sum(axis=2))
@@ -186,10 +186,13 @@ def choose(
     few = np.flatnonzero(mask.sum(axis=1) < minimum)
     if len(few):
         index[few], normals[few], mask[few] = rows.nearest(few, minimum, width)
-    points = np.concatenate([x.reshape(S * B, 1, 3), surfaces.points[body[:, None], index]], axis=1)
-    mask = np.concatenate([np.ones((S * B, 1), dtype=bool), mask], axis=1)
-    floor = np.broadcast_to(_SMALLEST_SPREAD * surfaces.spacing[:, None] ** 2, (S, B))
-    return Neighbors(points.reshape(S, B, -1, 3), normals.reshape(S, B, -1, 3), mask.reshape(S, B, -1), radius, floor)
+    points = np.empty((S * B, width + 1, 3))
+    points[:, 0] = rows.x
+    points[:, 1:] = surfaces.points[body[:, None], index]
+    with_witness = np.ones((S * B, width + 1), dtype=bool)
+    with_witness[:, 1:] = mask
+    floor = _SMALLEST_SPREAD * surfaces.spacing[:, None] ** 2
+    return Neighbors(points.reshape(S, B, -1, 3), normals.reshape(S, B, -1, 3), with_witness.reshape(S, B, -1), radius, floor)
 
 
 @dataclass(frozen=True, eq=False)

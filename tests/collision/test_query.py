@@ -256,3 +256,72 @@ def test_separated_distance_agrees_with_a_linear_program() -> None:
             linprog(np.zeros(4), rows, -1e-7 * np.ones(len(rows)), bounds=[(-1, 1)] * 3 + [(None, None)]).status == 0
         )
         assert separable == (w.distance[i, 0] > 0)
+
+
+def test_pieces_with_one_centre_are_not_forgotten() -> None:
+    """Two boxes about one point have no line between their centres; its bound once read 0 for a depth of 35 mm."""
+
+    def rod(z: float, *extents: float) -> Piece:
+        T = np.eye(4)
+        T[2, 3] = z
+        return box(extents, T)
+
+    # The rods overlap by 1 mm and, with the larger balls, are asked first.
+    a = build_body("a", [box([0.04] * 3), rod(0.05, 0.3, 0.004, 0.004)], candidates=16)
+    b = build_body("b", [box([0.03] * 3), rod(0.053, 0.004, 0.3, 0.004)], candidates=16)
+    here = np.eye(4)[None, None]
+    found = query(Pairs((a,), (b,)), here, here)
+    assert found.distance.item() == pytest.approx(-0.035, abs=1e-8)
+    assert found.asked.item() == 2
+
+
+def test_an_empty_batch_has_an_empty_answer() -> None:
+    for pairs in (Pairs((cluster(0),), (cluster(1),)), Pairs((single(sphere(0.01)),), (single(sphere(0.01)),))):
+        nothing = np.zeros((0, 1, 4, 4))
+        found = query(pairs, nothing, nothing)
+        assert found.distance.shape == (0, 1) and found.point_a.shape == (0, 1, 3)
+        assert query(pairs, nothing, nothing, cutoff=0.01, previous=found).valid.shape == (0, 1)
+
+
+def test_pairs_of_bodies_with_other_numbers_of_pieces_do_not_disturb_each_other() -> None:
+    bodies = [cluster(0, 8), single(sphere(0.02)), cluster(1, 3), single(capsule(0.01, (0, 0, 0), (0.05, 0, 0)))]
+    a, b = (bodies[0], bodies[1], bodies[2], bodies[3]), (bodies[2], bodies[0], bodies[2], bodies[1])
+    together = Pairs(a, b)
+    T_a, T_b = (np.concatenate([random_poses(30, 4 * seed + p, 0.05) for p in range(4)], axis=1) for seed in (1, 2))
+    found = query(together, T_a, T_b)
+    for p in range(4):
+        alone = query(Pairs(a[p : p + 1], b[p : p + 1]), T_a[:, p : p + 1], T_b[:, p : p + 1])
+        np.testing.assert_allclose(found.distance[:, p : p + 1], alone.distance, atol=1e-12)
+        np.testing.assert_array_equal(found.winner[:, p : p + 1], alone.winner + together.first_piece_pair[p])
+        pieces_a, pieces_b = together.piece_pairs
+        assert all(pieces_a[w] in a[p].pieces and pieces_b[w] in b[p].pieces for w in found.winner[:, p])
+
+
+def test_every_pair_and_item_may_have_a_cutoff_of_its_own() -> None:
+    pairs = Pairs((cluster(0), cluster(0)), (cluster(1), single(sphere(0.02))))
+    T_a, T_b = (np.concatenate([random_poses(80, seed + p, 0.06) for p in range(2)], axis=1) for seed in (51, 61))
+    full = query(pairs, T_a, T_b)
+    for cutoff in (np.array([0.02, -np.inf]), np.random.default_rng(0).uniform(-0.03, 0.05, (80, 2))):
+        found = query(pairs, T_a, T_b, cutoff=cutoff)
+        limit = np.broadcast_to(cutoff, (80, 2))
+        near = full.distance < limit
+        assert near.any() and not near.all()
+        # What is deeper than the cutoff is found in full, apart and in penetration.
+        np.testing.assert_array_equal(found.valid, near)
+        np.testing.assert_allclose(found.distance[near], full.distance[near], atol=1e-8)
+        np.testing.assert_array_equal(found.distance[~near], limit[~near])
+        assert (found.status[~near] == QueryStatus.FAR).all()
+        assert (found.asked[:, 1] == 0).all() == np.isinf(limit).any()
+
+
+def test_an_answer_from_elsewhere_as_the_last_one_does_no_harm() -> None:
+    pairs = Pairs((cluster(0),), (cluster(1),))
+    near, far = scattered(60, 71, 0.03), scattered(60, 81, 0.2)
+    T = np.full((60, 1, 4, 4), np.nan)
+    wrong = [query(pairs, *far), query(pairs, *near), query(pairs, T, T), query(pairs, *far, cutoff=0.0)]
+    for T_a, T_b in (near, far):
+        cold = query(pairs, T_a, T_b)
+        for previous in wrong:
+            warm = query(pairs, T_a, T_b, previous=previous)
+            np.testing.assert_allclose(warm.distance, cold.distance, atol=1e-8)
+            np.testing.assert_array_equal(warm.status, cold.status)

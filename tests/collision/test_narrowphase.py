@@ -1,0 +1,299 @@
+"""The narrow phase: closed forms, proofs of optimality, and every trap of coal that it guards against."""
+
+import gc
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from shapes_for_tests import ellipsoid_hull
+from twists import random_poses
+
+from grasp_refine.collision.narrowphase import Closest, NarrowPhase, Tolerances, _few_neighbours
+from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, hull, sphere
+from grasp_refine.se3 import exp_so3, inverse
+
+NOWHERE = -1.8e308  # minus infinity: what EPA was once seen to return
+
+
+def closest(
+    narrow: NarrowPhase, T: np.ndarray, pairs: int = 1, limit: float = np.inf, bound: float = -np.inf
+) -> Closest:
+    """Ask all `pairs` piece pairs for body b at the poses T (M, 4, 4) in the frame of body a."""
+    count = len(T)
+    return narrow.closest(
+        np.ascontiguousarray(T[:, :3, :3]),
+        T[:, :3, 3],
+        pairs * np.arange(count + 1),
+        np.tile(np.arange(pairs), count),
+        np.full(count * pairs, bound),
+        np.full(count, limit),
+    )
+
+
+def ask(a: Piece, b: Piece, T: np.ndarray, tolerances: Tolerances | None = None) -> Closest:
+    return closest(NarrowPhase([a], [b], tolerances or Tolerances()), T)
+
+
+def poses(count: int, seed: int, spread: float) -> np.ndarray:
+    return random_poses(count, seed, spread)[:, 0]
+
+
+def placed(*offsets: tuple[float, float, float]) -> np.ndarray:
+    T = np.tile(np.eye(4), (len(offsets), 1, 1))
+    T[:, :3, 3] = offsets
+    return T
+
+
+def on_b(found: Closest, T: np.ndarray) -> np.ndarray:
+    """The witness point on body b, in its own frame."""
+    point = found.point + found.distance[:, None] * found.normal
+    return np.einsum("mji,mj->mi", T[:, :3, :3], point - T[:, :3, 3])
+
+
+def support_gap(a: Piece, b: Piece, T: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """min over b of u . y minus max over a of u . x: a lower bound of the signed distance for every unit u (M, 3)."""
+    y = b.vertices @ T[:, :3, :3].mT + T[:, None, :3, 3]
+    return (y @ u[:, :, None]).min(axis=(1, 2)) - (u @ a.vertices.T).max(axis=1) - a.radius - b.radius
+
+
+def outside_by(piece: Piece, points: np.ndarray) -> np.ndarray:
+    """Largest signed distance (M,) of points to the planes of a polytope: zero on its surface."""
+    normals, offsets = piece.planes
+    return (points @ normals.T - offsets).max(axis=1)
+
+
+# closed forms
+
+
+def test_spheres() -> None:
+    a, b = sphere(0.02, [0.01, 0.02, 0.03]), sphere(0.03, [0, -0.01, 0])
+    T = poses(50, 1, 0.04)
+    found = ask(a, b, T)
+    offset = T[:, :3, :3] @ b.vertices[0] + T[:, :3, 3] - a.vertices[0]
+    length = np.linalg.norm(offset, axis=1)
+    assert (length > 0.05).any() and (length < 0.05).any()
+    np.testing.assert_allclose(found.distance, length - 0.05, atol=1e-15)
+    np.testing.assert_allclose(found.normal, offset / length[:, None], atol=1e-12)
+    np.testing.assert_allclose(found.point, a.vertices[0] + 0.02 * offset / length[:, None], atol=1e-12)
+
+
+def segments_distance(p: np.ndarray, q: np.ndarray) -> float:
+    """Distance of two segments (2, 3), by the four ends and the common perpendicular."""
+
+    def to_segment(x: np.ndarray, s: np.ndarray) -> float:
+        axis = s[1] - s[0]
+        return float(np.linalg.norm(x - s[0] - np.clip((x - s[0]) @ axis / (axis @ axis), 0, 1) * axis))
+
+    ends = min([to_segment(x, q) for x in p] + [to_segment(x, p) for x in q])
+    (u, v), w = (p[1] - p[0], q[1] - q[0]), p[0] - q[0]
+    s, t = np.linalg.lstsq(np.stack([u, -v], axis=1), -w, rcond=None)[0]
+    if 0 <= s <= 1 and 0 <= t <= 1:
+        return min(ends, float(np.linalg.norm(w + s * u - t * v)))
+    return ends
+
+
+def test_capsules() -> None:
+    a = capsule(0.01, [0.01, 0, -0.03], [0.02, 0.01, 0.04])
+    b = capsule(0.015, [-0.02, 0, 0], [0.01, 0.03, 0.02])
+    T = poses(100, 2, 0.04)
+    found = ask(a, b, T)
+    expected = [segments_distance(a.vertices, b.transformed(pose).vertices) - 0.025 for pose in T]
+    assert np.min(expected) < -0.01 and np.max(expected) > 0.02
+    np.testing.assert_allclose(found.distance, expected, atol=1e-8)
+
+
+def test_a_sphere_in_and_outside_of_a_box() -> None:
+    half = np.array([0.03, 0.02, 0.05])
+    centers = np.random.default_rng(3).uniform(-1.6, 1.6, (200, 3)) * half
+    found = ask(box(2 * half), sphere(0.01), placed(*centers))
+    beyond = np.abs(centers) - half
+    outside = np.linalg.norm(np.maximum(beyond, 0), axis=1)
+    expected = np.where(outside > 0, outside, beyond.max(axis=1)) - 0.01
+    assert (beyond.max(axis=1) < 0).any() and (expected > 0).any()
+    np.testing.assert_allclose(found.distance, expected, atol=2e-8)
+
+
+@pytest.mark.parametrize("depth", [0.004, 1e-6, 1e-9, 0.0, -1e-9, -1e-6, -0.004])
+def test_boxes_face_to_face_at_and_around_contact(depth: float) -> None:
+    a, b = box([0.1, 0.1, 0.02]), box([0.04, 0.04, 0.04])
+    found = ask(a, b, placed((0.01, 0.0, 0.03 - depth)))
+    assert found.distance[0] == pytest.approx(-depth, abs=2e-8)
+    np.testing.assert_allclose(found.normal, [[0, 0, 1]], atol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e-3, 1e-2, 1.0, 10.0])
+def test_accuracy_follows_the_size_of_the_bodies(scale: float) -> None:
+    a, b = (hull(ellipsoid_hull(seed, 40).vertices / 0.05 * scale) for seed in (4, 5))
+    T = poses(60, 6, 1.0)
+    T[:, :3, 3] *= scale
+    found = ask(a, b, T)
+    deep = np.flatnonzero(found.distance < 0)
+    assert 10 < len(deep) < 50
+    # The depth is the distance of the origin to the boundary of the Minkowski difference.
+    for i in deep:
+        corners = (b.vertices @ T[i, :3, :3].T + T[i, :3, 3])[:, None] - a.vertices
+        depth = scale * hull(corners.reshape(-1, 3) / scale).planes[1].min()
+        assert found.distance[i] == pytest.approx(-depth, abs=1e-2 * scale if scale < 1e-3 else 1e-6 * scale)
+    # EPA stops at 1e-8 m: on bodies of a millimetre and less that leaves the normal uncertain.
+    reach = support_gap(a, b, T, found.normal)
+    right = slice(None) if scale > 1e-3 else found.distance > 0
+    np.testing.assert_allclose(found.distance[right], reach[right], atol=max(1e-8, 1e-7 * scale))
+
+
+def test_the_normal_proves_the_distance_of_hulls_apart_and_the_points_attain_it() -> None:
+    a, b = ellipsoid_hull(7, 60), ellipsoid_hull(8, 60)
+    T = poses(300, 9, 0.05)
+    found = ask(a, b, T)
+    assert (found.distance > 0).sum() > 50 and (found.distance < 0).sum() > 50
+    np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1.0, atol=1e-12)
+    # Weak duality: the gap along any direction is at most the distance; between two points it is at least that.
+    np.testing.assert_allclose(support_gap(a, b, T, found.normal), found.distance, atol=1e-8)
+    np.testing.assert_allclose(outside_by(a, found.point), 0.0, atol=1e-8)
+    np.testing.assert_allclose(outside_by(b, on_b(found, T)), 0.0, atol=1e-8)
+
+
+def test_a_radius_moves_the_surface_out() -> None:
+    a, b = ellipsoid_hull(10, 40), ellipsoid_hull(11, 40)
+    thick = Piece(a.vertices, a.faces, radius=0.01)
+    T = poses(200, 12, 0.05)
+    plain, swept = ask(a, b, T), ask(thick, b, T)
+    # As long as the cores stay apart the radius is taken off exactly, and the point moves out by it.
+    apart = plain.distance > 1e-6
+    assert (swept.distance[apart] < 0).sum() > 10, "shallow contact is covered"
+    np.testing.assert_allclose(swept.distance[apart], plain.distance[apart] - 0.01, atol=2e-8)
+    flat = outside_by(a, swept.point - 0.01 * swept.normal)
+    np.testing.assert_allclose(flat[apart], 0.0, atol=2e-8)
+    # Where they overlap the proof is the gap along the normal.
+    np.testing.assert_allclose(support_gap(thick, b, T, swept.normal), swept.distance, atol=2e-8)
+
+
+def test_both_bodies_may_have_a_radius_and_a_place_of_their_own() -> None:
+    rod = capsule(0.01, [0.05, 0, -0.02], [0.05, 0, 0.02])
+    thick = Piece(box([0.02, 0.02, 0.02]).vertices, box([0.02, 0.02, 0.02]).faces, radius=0.005)
+    # Turned by a quarter about z, the rod stands at y = 0.05 in the frame of the box.
+    T = np.eye(4)[None].copy()
+    T[0, :3, :3] = exp_so3(np.array([0.0, 0.0, np.pi / 2]))
+    found = ask(thick, rod, T)
+    assert found.distance[0] == pytest.approx(0.05 - 0.01 - 0.01 - 0.005, abs=1e-9)
+    np.testing.assert_allclose(found.normal, [[0, 1, 0]], atol=1e-6)
+    back = ask(rod, thick, inverse(T))
+    assert back.distance[0] == pytest.approx(found.distance[0], abs=1e-9)
+
+
+# traps
+
+
+def test_shapes_live_as_long_as_their_queries() -> None:
+    narrow = NarrowPhase([ellipsoid_hull(1)], [ellipsoid_hull(2)], Tolerances())
+    T = poses(20, 13, 0.08)
+    first = closest(narrow, T)
+    for _ in range(3):
+        gc.collect()
+        # Memory that was given back is soon used again.
+        _ = [ellipsoid_hull(seed) for seed in range(20)]
+    np.testing.assert_array_equal(closest(narrow, T).distance, first.distance)
+
+
+def test_normals_are_copies() -> None:
+    T = placed((0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1), (-0.1, 0, 0))
+    narrow = NarrowPhase([sphere(0.01)], [sphere(0.01)], Tolerances())
+    found = closest(narrow, T)
+    kept = found.normal.copy()
+    closest(narrow, T[::-1])
+    np.testing.assert_array_equal(found.normal, kept)
+    np.testing.assert_allclose(found.normal, [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]], atol=1e-12)
+
+
+def test_a_hull_with_hundreds_of_neighbours_is_the_same_body() -> None:
+    disc = cylinder(0.03, 0.02, sides=400)
+    assert np.bincount(disc.faces.ravel()).max() > 255
+    faces = _few_neighbours(disc)
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    unique, times = np.unique(edges, axis=0, return_counts=True)
+    assert (times == 2).all() and len(disc.vertices) - len(unique) + len(faces) == 2
+    assert np.bincount(unique.ravel()).max() <= 8
+    again = Piece(disc.vertices, faces).mesh()
+    assert again.is_winding_consistent and again.volume == pytest.approx(disc.mesh().volume, rel=1e-12)
+
+
+def test_a_disc_of_400_sides_in_closed_form() -> None:
+    disc = cylinder(0.03, 0.02, sides=400)
+    side = 0.03 * np.cos(np.pi / 400)
+    middle = np.pi / 400
+    beyond = 0.05 * np.array([np.cos(middle), np.sin(middle), 0])
+    T = placed((0, 0, 0.02), (0.05, 0, 0), tuple(beyond), (0, 0, 0.012), (0, 0, 0.006), tuple(0.6 * beyond))
+    found = ask(disc, sphere(0.005), T)
+    expected = [0.005, 0.05 - 0.03 - 0.005, 0.05 - side - 0.005, -0.003, -0.009, 0.03 - side - 0.005]
+    np.testing.assert_allclose(found.distance, expected, atol=2e-8)
+    # And against another polytope: the gap along the normal proves it.
+    other = ellipsoid_hull(3, 60)
+    T = poses(100, 14, 0.04)
+    found = ask(disc, other, T)
+    assert (found.distance > 0).any() and (found.distance < 0).any()
+    np.testing.assert_allclose(support_gap(disc, other, T, found.normal), found.distance, atol=2e-8)
+
+
+def replace_answers(narrow: NarrowPhase, index: int, answer: Callable[[int, float], float]) -> list[float]:
+    """Pass each answer of a piece pair through `answer(call, value)`; returns the EPA tolerances it was asked with."""
+    compute, T_a, T_b = narrow._pairs[index]
+    tolerances: list[float] = []
+
+    def tampered(T_1: object, T_2: object, request: object, result: object) -> float:
+        value = compute(T_1, T_2, request, result)
+        tolerances.append(request.epa_tolerance)
+        return answer(len(tolerances) - 1, value)
+
+    narrow._pairs[index] = (tampered, T_a, T_b)
+    return tolerances
+
+
+@pytest.mark.parametrize("wild", [NOWHERE, -np.inf, np.nan, np.inf, 1.8e308, -0.2])
+def test_a_wild_answer_is_asked_again_with_the_looser_tolerance(wild: float) -> None:
+    narrow = NarrowPhase([box([0.04] * 3)], [box([0.04] * 3)], Tolerances())
+    asked_with = replace_answers(narrow, 0, lambda call, value: wild if call == 0 else value)
+    # Two cubes in balls of 3.5 cm, 2 cm apart: no penetration deeper than 5 cm can be true.
+    found = closest(narrow, placed((0.035, 0, 0)), bound=-0.05)
+    assert asked_with == [Tolerances().epa, Tolerances().retry]
+    assert found.distance[0] == pytest.approx(-0.005, abs=1e-6)
+    assert not found.failed[0] and found.winner[0] == 0 and found.asked[0] == 1
+
+
+def test_an_answer_that_stays_wild_is_a_failure_even_where_other_pieces_answer() -> None:
+    narrow = NarrowPhase([box([0.04] * 3)] * 2, [box([0.04] * 3), sphere(0.01)], Tolerances())
+    replace_answers(narrow, 0, lambda call, value: NOWHERE if call < 2 else value)
+    found = closest(narrow, placed((0.035, 0, 0), (0.06, 0, 0)), pairs=2, bound=-0.2)
+    # The first item lost a piece pair, so its minimum is not certain; the second one lost nothing.
+    np.testing.assert_array_equal(found.failed, [True, False])
+    assert found.distance[0] == pytest.approx(0.005, abs=1e-8)
+    np.testing.assert_allclose(found.distance[1], 0.02, atol=1e-8)
+
+
+def test_what_cannot_beat_the_limit_is_not_asked() -> None:
+    narrow = NarrowPhase([sphere(0.01)] * 3, [sphere(0.01), sphere(0.02), sphere(0.03)], Tolerances())
+    T = placed((0.1, 0, 0))
+    bounds = np.array([0.06, 0.07, 0.08])  # ascending; the third sphere, listed first, is at 0.06
+    arguments = np.eye(3)[None], T[:, :3, 3], np.array([0, 3]), np.array([2, 1, 0]), bounds
+    found = narrow.closest(*arguments, np.array([np.inf]))
+    assert (found.asked[0], found.winner[0], found.distance[0]) == (1, 2, pytest.approx(0.06))
+    none = narrow.closest(*arguments, np.array([0.06]))
+    assert (none.asked[0], none.winner[0], none.distance[0]) == (0, -1, np.inf)
+    beaten = narrow.closest(*arguments, np.array([0.0600001]))
+    assert (beaten.asked[0], beaten.winner[0]) == (1, 2)
+
+
+def test_a_warm_start_changes_rounding_only() -> None:
+    a, b = ellipsoid_hull(15), ellipsoid_hull(16)
+    narrow = NarrowPhase([a], [b], Tolerances())
+    T = poses(100, 17, 0.1)
+    cold = closest(narrow, T)
+    apart = cold.distance > 0
+    count = len(T)
+    for guess in (-cold.distance[:, None] * cold.normal, np.random.default_rng(0).normal(size=(count, 3))):
+        warm = narrow.closest(
+            np.ascontiguousarray(T[:, :3, :3]), T[:, :3, 3], np.arange(count + 1), np.zeros(count, dtype=int),
+            np.full(count, -np.inf), np.full(count, np.inf), guess, apart,
+        )  # fmt: skip
+        np.testing.assert_allclose(warm.distance, cold.distance, atol=1e-8)
+        # Where it is not used nothing changes at all.
+        np.testing.assert_array_equal(warm.distance[~apart], cold.distance[~apart])
+        np.testing.assert_array_equal(warm.normal[~apart], cold.normal[~apart])
