@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from grasp_refine.se3 import cross, matvec
-from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors, choose, draw_offset
+from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
 
@@ -64,15 +64,7 @@ class ContactKinematics:
 
     def curvatures(self, scene: WitnessScene, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fitted K_a and K_b (batch, pair, 2, 2) in 1/m, in the tangent basis E (batch, pair, 3, 2)."""
-        sides = scene.sides()
-        near = choose(
-            self.neighborhood,
-            scene.surfaces,
-            sides.point,
-            sides.normal,
-            sides.target,
-            draw_offset(self.seed, scene.key),
-        )
+        sides, near = scene.neighbors(self.neighborhood, self.seed)
         basis = np.concatenate([E, E], axis=1).swapaxes(0, 1)
         K = _fit(near, sides.rotation.mT @ basis).swapaxes(0, 1)
         count = E.shape[1]

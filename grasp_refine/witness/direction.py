@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from grasp_refine.witness.neighborhood import Adaptive, Fixed, choose, draw_offset
+from grasp_refine.witness.neighborhood import Adaptive, Fixed
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness
 
@@ -29,15 +29,7 @@ class Direction:
 
     def slip(self, scene: WitnessScene) -> Slip:
         """Slip matrices (batch, pair, 3, 3) of both bodies, world frame."""
-        sides = scene.sides()
-        near = choose(
-            self.neighborhood,
-            scene.surfaces,
-            sides.point,
-            sides.normal,
-            sides.target,
-            draw_offset(self.seed, scene.key),
-        )
+        sides, near = scene.neighbors(self.neighborhood, self.seed)
         sign = np.where(scene.witness.distance > 0, 1.0, -1.0)
         sign = np.concatenate([sign, sign], axis=1).T
         direction = sign[..., None] * (sides.other - sides.point)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from grasp_refine.se3 import transform_points
-from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors, choose, draw_offset
+from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness
 
@@ -30,15 +30,7 @@ class Distance:
 
     def slip(self, scene: WitnessScene) -> Slip:
         """Slip matrices (batch, pair, 3, 3) of both bodies, world frame."""
-        sides = scene.sides()
-        near = choose(
-            self.neighborhood,
-            scene.surfaces,
-            sides.point,
-            sides.normal,
-            sides.target,
-            draw_offset(self.seed, scene.key),
-        )
+        sides, near = scene.neighbors(self.neighborhood, self.seed)
         smoothed, slip = smooth(near, sides.other)
         slip = (sides.rotation @ slip @ sides.rotation.mT).swapaxes(0, 1)
         count = scene.T_world_a.shape[1]

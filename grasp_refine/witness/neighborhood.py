@@ -107,7 +107,7 @@ class Neighborhood(Protocol):
     minimum: int
 
     def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
-        """Radius (S, B), or (S, 1) for all, in metres for witness points x (S, B, 3) with targets (NaN: none) or none."""
+        """Radius (S, B), or (S, 1) for all, in metres, of witness points x (S, B, 3); their targets may be NaN or None."""
         ...
 
 
@@ -192,7 +192,9 @@ def choose(
     with_witness = np.ones((S * B, width + 1), dtype=bool)
     with_witness[:, 1:] = mask
     floor = _SMALLEST_SPREAD * surfaces.spacing[:, None] ** 2
-    return Neighbors(points.reshape(S, B, -1, 3), normals.reshape(S, B, -1, 3), with_witness.reshape(S, B, -1), radius, floor)
+    return Neighbors(
+        points.reshape(S, B, -1, 3), normals.reshape(S, B, -1, 3), with_witness.reshape(S, B, -1), radius, floor
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_refine.collision.query import Pairs, Witness
-from grasp_refine.witness.neighborhood import Surfaces
+from grasp_refine.witness.neighborhood import Neighborhood, Neighbors, Surfaces, choose, draw_offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +53,12 @@ class WitnessScene:
             none = np.full_like(w.point_a, np.nan)
             target = _stacked(*(none if side is None else side for side in (self.target_a, self.target_b)))
         return Sides(R, local[:, :, 0], local[:, :, 1], local[:, :, 2], target)
+
+    def neighbors(self, rule: Neighborhood, seed: int) -> tuple["Sides", Neighbors]:
+        """Every pair seen from each of its bodies, and the surface samples near its witness points."""
+        sides = self.sides()
+        offset = draw_offset(seed, self.key)
+        return sides, choose(rule, self.surfaces, sides.point, sides.normal, sides.target, offset)
 
 
 @dataclass(frozen=True, eq=False)
