@@ -114,9 +114,9 @@ class NarrowPhase:
             limit.tolist(),
         )
         warm_list = guess_valid.tolist() if guess_valid is not None else None
-        for i in range(count):
-            T.setRotation(R[i])
-            T.setTranslation(t[i])
+        for i, (R_i, t_i) in enumerate(zip(R, t, strict=True)):
+            T.setRotation(R_i)
+            T.setTranslation(t_i)
             request = cold
             if warm_list is not None and warm_list[i]:
                 warm.cached_gjk_guess = guess[i]

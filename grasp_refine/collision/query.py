@@ -181,7 +181,7 @@ def query(
     if not finite.all():
         relative[~finite] = np.eye(4)[:, :3]
     items = relative.reshape(batch * count, 4, 3)
-    R, t = items[:, :3].mT, items[:, 3]
+    R, t = np.ascontiguousarray(items[:, :3].mT), np.ascontiguousarray(items[:, 3])
     limit = np.full((batch, count), cutoff, dtype=np.float64).reshape(-1)
     ids = np.broadcast_to(table.id, (batch, *table.id.shape)).reshape(batch * count, table.id.shape[1])
 

@@ -107,7 +107,7 @@ class Neighborhood(Protocol):
     minimum: int
 
     def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
-        """Radius (S, B), or (S, 1) for all, in metres, of witness points x (S, B, 3); their targets may be NaN or None."""
+        """Radius in metres, (S, B) or (S, 1), of witness points x (S, B, 3) with targets (S, B, 3; NaN, None: none)."""
         ...
 
 

@@ -1,0 +1,189 @@
+"""Contact kinematics: exact with true curvatures at every signed distance; what the fit makes of samples."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from ellipsoids import Contact, Ellipsoid, at_gap, motion
+from shapes_for_tests import convex_body
+from twists import poses_at_gap
+
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import box, capsule, sphere
+from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.contact_kinematics import ContactKinematics, _fit, _raised, _tangents
+from grasp_refine.witness.neighborhood import Adaptive, Neighbors
+from grasp_refine.witness.scene import WitnessScene
+
+ALL = Adaptive(samples=None)
+
+
+@dataclass(frozen=True)
+class ExactEllipsoids(ContactKinematics):
+    """Contact kinematics with the curvatures of the ellipsoids (one pair of them per item) instead of fitted ones."""
+
+    bodies: tuple[tuple[Ellipsoid, Ellipsoid], ...] = ()
+
+    def curvatures(self, scene: WitnessScene, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        n = scene.witness.normal[:, 0]
+        K = [(a.curvature(n[i], E[i, 0]), b.curvature(-n[i], E[i, 0])) for i, (a, b) in enumerate(self.bodies)]
+        return np.array([k[0] for k in K])[:, None], np.array([k[1] for k in K])[:, None]
+
+
+def scene_of(contacts: list[Contact]) -> WitnessScene:
+    """One pair of bodies, whose poses and candidates nobody looks at, with the given witness points."""
+    pairs = Pairs((convex_body(0),), (convex_body(1),))
+    fields = [np.array([getattr(c, name) for c in contacts])[:, None] for name in ("x_a", "x_b", "n", "d")]
+    count = len(contacts)
+    status = np.where(fields[3] > 0, QueryStatus.SEPARATED, QueryStatus.PENETRATING)
+    zero = np.zeros((count, 1), dtype=int)
+    T = np.tile(np.eye(4), (count, 1, 1, 1))
+    surfaces = WitnessLayer(pairs, ContactKinematics()).columns(np.array([0]))[1]
+    return WitnessScene(pairs, surfaces, T, T, Witness(*fields, status, zero, zero), None, None, 0)
+
+
+@pytest.mark.parametrize("gap", [0.05, 0.003, 1e-9, 0.0, -1e-9, -1e-3, -0.006])
+def test_true_curvatures_of_ellipsoids_give_the_true_motion(gap: float) -> None:
+    found = [at_gap(seed, gap) for seed in range(4)]
+    scene = scene_of([c for _, _, c in found])
+    method = ExactEllipsoids(bodies=tuple((a, b) for a, b, _ in found))
+    forces = np.random.default_rng(0).normal(size=(3, 4, 1, 3))
+    wrenches = np.concatenate([w[:, 0] for w in method.pull_back(scene, *forces)], axis=1)
+    for i, (a, b, c) in enumerate(found):
+        expected = np.einsum("kij,ij->k", motion(a, b, c.n), forces[:, i, 0])
+        np.testing.assert_allclose(wrenches[i], expected, rtol=1e-6, atol=1e-6)
+
+
+def test_points_and_normal_are_each_pulled_back_on_their_own() -> None:
+    a, b, c = at_gap(7, 0.004)
+    scene, method = scene_of([c]), ExactEllipsoids(bodies=((a, b),))
+    zero, J = np.zeros((1, 1, 3)), motion(a, b, c.n)
+    for column in range(3):
+        for axis in range(3):
+            forces = [zero, zero, zero]
+            forces[column] = np.eye(3)[axis][None, None]
+            found = np.concatenate([w[0, 0] for w in method.pull_back(scene, *forces)])
+            np.testing.assert_allclose(found, J[:, column, axis], atol=1e-5)
+    # Not looking at the normal is looking at it with no weight.
+    f, g = np.random.default_rng(1).normal(size=(2, 1, 1, 3))
+    for one, two in zip(method.pull_back(scene, f, g, None), method.pull_back(scene, f, g, zero), strict=True):
+        np.testing.assert_allclose(one, two, atol=1e-12)
+
+
+# the fit
+
+
+def balls(radius_a: float, radius_b: float, candidates: int) -> Pairs:
+    pieces = sphere(radius_a, (0.01, 0, 0)), sphere(radius_b)
+    return Pairs(*((build_body("ball", [piece], candidates=candidates),) for piece in pieces))
+
+
+def curvatures(pairs: Pairs, method: ContactKinematics, gap: float) -> tuple[np.ndarray, np.ndarray]:
+    T_a, T_b = poses_at_gap(pairs, 8, gap, seed=1)
+    witness = query(pairs, T_a, T_b)
+    columns = WitnessLayer(pairs, method).columns(np.array([0]))
+    scene = WitnessScene(*columns, T_a, T_b, witness, None, None, 0)
+    return method.curvatures(scene, _tangents(witness.normal))
+
+
+@pytest.mark.parametrize("gap", [0.01, 0.0, -0.005])
+@pytest.mark.parametrize("rule", [ALL, Adaptive()], ids=["all", "16"])
+def test_fitted_curvature_of_finely_sampled_balls(
+    rule: Adaptive, gap: float, record_property: Callable[[str, object], None]
+) -> None:
+    K_a, K_b = curvatures(balls(0.03, 0.02, 8192), ContactKinematics(rule), gap)
+    for name, K, radius in (("a", K_a, 0.03), ("b", K_b, 0.02)):
+        values = np.linalg.eigvalsh(K) * radius
+        bias, spread = values.mean() - 1, values.std()
+        record_property(f"relative bias of the curvature of {name}", bias)
+        print(f"{rule.samples} samples, gap {1e3 * gap:g} mm, ball {name}: bias {bias:+.4f}, spread {spread:.4f}")
+        np.testing.assert_allclose(values, 1.0, atol=0.3)
+
+
+def test_fitted_curvatures_tell_the_axis_of_a_cylinder() -> None:
+    rod = build_body("rod", [capsule(0.02, (0, 0, -0.1), (0, 0, 0.1))], candidates=8192)
+    ball = build_body("ball", [sphere(0.03)], candidates=8192)
+    pairs = Pairs((rod,), (ball,))
+    T = np.eye(4)[None, None]
+    T_b = T.copy()
+    T_b[..., 0, 3] = 0.06
+    witness = query(pairs, T, T_b)
+    method = ContactKinematics(ALL, smallest_curvature=0.0)
+    scene = WitnessScene(*WitnessLayer(pairs, method).columns(np.array([0])), T, T_b, witness, None, None, 0)
+    E = _tangents(witness.normal)
+    K = method.curvatures(scene, E)[0][0, 0]
+    in_space = E[0, 0] @ K @ E[0, 0].T
+    np.testing.assert_allclose(in_space, np.diag([0.0, 1 / 0.02, 0.0]), atol=0.1 / 0.02)
+
+
+def quadric(K: np.ndarray, count: int, seed: int, radius: float = 0.01) -> tuple[Neighbors, np.ndarray]:
+    """Samples whose normals obey E^T n = b + K E^T (v - x) exactly, and their tangent basis E."""
+    rng = np.random.default_rng(seed)
+    E = _tangents(np.array([[[0.0, 0.6, 0.8]]]))
+    x = rng.normal(size=3)
+    e = rng.uniform(-0.7, 0.7, (count, 2)) * radius
+    points = np.concatenate([np.zeros((1, 3)), e @ E[0, 0].T]) + x
+    normals = (e @ K.T + [0.02, -0.01]) @ E[0, 0].T
+    mask = np.ones((1, 1, count + 1), dtype=bool)
+    return Neighbors(points[None, None], normals[None, None], mask, np.full((1, 1), radius), np.zeros((1, 1))), E
+
+
+@pytest.mark.parametrize("values", [(30.0, 5.0), (10.0, -20.0), (0.0, 0.0)])
+def test_the_fit_recovers_a_quadric(values: tuple[float, float]) -> None:
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    K = turn @ np.diag(values) @ turn.T
+    near, E = quadric(K, 40, seed=2)
+    # The ridge takes about rho^2 / 1000 over the mean square of the offsets.
+    np.testing.assert_allclose(_fit(near, E)[0, 0], K, atol=0.02 * np.abs(values).max() + 1e-12)
+    # Samples that are masked do not count.
+    spoiled = near.normals.copy()
+    spoiled[0, 0, 30:] = 99.0
+    mask = near.mask.copy()
+    mask[0, 0, 31:] = False
+    found = _fit(replace(near, normals=spoiled, mask=mask), E)[0, 0]
+    np.testing.assert_allclose(found, K, atol=0.02 * np.abs(values).max() + 1e-12)
+
+
+def test_the_fit_is_clipped_to_what_samples_of_that_spread_can_tell() -> None:
+    near, E = quadric(np.diag([1e5, -1e5]), 40, seed=3)
+    np.testing.assert_allclose(np.linalg.eigvalsh(_fit(near, E)[0, 0]), [-1 / 0.01, 4 / 0.01], rtol=1e-12)
+
+
+def test_samples_on_a_line_or_none_at_all_leave_the_fit_finite() -> None:
+    near, E = quadric(np.diag([20.0, 20.0]), 10, seed=4)
+    along = near.points - near.points[:, :, :1]
+    along = (along @ E[0, 0, :, :1]) @ E[0, 0, :, :1].T + near.points[:, :, :1]
+    assert np.isfinite(_fit(replace(near, points=along), E)).all()
+    only_itself = np.zeros_like(near.mask)
+    only_itself[..., 0] = True
+    np.testing.assert_array_equal(_fit(replace(near, mask=only_itself), E), 0.0)
+
+
+def test_flat_faces_get_the_smallest_curvature() -> None:
+    pairs = Pairs(*((build_body("box", [box([0.08, 0.08, 0.04])]),) for _ in range(2)))
+    T, T_b = np.eye(4)[None, None], np.eye(4)[None, None].copy()
+    T_b[..., :3, 3] = [0.001, 0.002, 0.05]
+    witness = query(pairs, T, T_b)
+    middle = replace(witness, point_a=np.array([[[0, 0, 0.02]]]), point_b=np.array([[[0, 0, 0.03]]]))
+    method = ContactKinematics(Adaptive(samples=None, without_target=1.5))
+    scene = WitnessScene(*WitnessLayer(pairs, method).columns(np.array([0])), T, T_b, middle, None, None, 0)
+    K_a, K_b = method.curvatures(scene, _tangents(witness.normal))
+    np.testing.assert_allclose(K_a + K_b, 5.0 / pairs.a[0].diagonal * np.eye(2)[None, None], rtol=1e-9)
+    np.testing.assert_allclose(K_a, K_b, rtol=1e-9)
+
+
+def test_raising_moves_small_eigenvalues_of_the_sum_and_no_others() -> None:
+    K_a, K_b = np.diag([50.0, 1.0])[None, None], np.diag([10.0, -9.0])[None, None]
+    raised_a, raised_b = _raised(K_a, K_b, np.array([20.0]))
+    np.testing.assert_allclose(raised_a[0, 0], np.diag([50.0, 15.0]), atol=1e-12)
+    np.testing.assert_allclose(raised_b[0, 0], np.diag([10.0, 5.0]), atol=1e-12)
+
+
+def test_tangents_are_a_basis_for_every_normal() -> None:
+    n = np.random.default_rng(5).normal(size=(100, 3))
+    n[:6], n[6:9] = np.concatenate([np.eye(3), -np.eye(3)]), [[0, 1e-9, -1], [1e-9, 0, 1], [1, 0, -1e-300]]
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    frame = np.concatenate([_tangents(n), n[:, :, None]], axis=2)
+    np.testing.assert_allclose(frame.mT @ frame, np.tile(np.eye(3), (100, 1, 1)), atol=1e-14)
