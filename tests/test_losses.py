@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from twists import poses_at_gap, random_poses
+from twists import gradient_along_twists, poses_at_gap, random_poses, slopes_along_twists
 
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.geometry.body import build_body
@@ -13,6 +13,7 @@ from grasp_refine.se3 import inverse, transform_points
 from grasp_refine.targets import automatic_targets
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.finite_difference import FiniteDifference
 
 
 def layer() -> WitnessLayer:
@@ -69,3 +70,45 @@ def test_automatic_targets_are_the_witness_points_within_reach() -> None:
     np.testing.assert_array_equal(np.isfinite(on_a).all(-1), near)
     np.testing.assert_allclose(transform_points(T_a, on_a)[near], w.point_a[near], atol=1e-12)
     np.testing.assert_allclose(on_b[near], transform_points(inverse(T_b), w.point_b)[near], atol=1e-12)
+
+
+@pytest.mark.parametrize("side", ["a", "b"])
+def test_a_target_on_one_side_only_is_no_target(side: str) -> None:
+    witness_layer = layer()
+    T_a, T_b = (torch.from_numpy(T).requires_grad_() for T in poses_at_gap(witness_layer.pairs, 2, 0.004, seed=4))
+    targets = {name: torch.zeros(2, 1, 3, dtype=torch.float64) for name in "ab"}
+    targets[side][0, 0, 1] = torch.nan
+    residual = contact_targets(witness_layer(T_a, T_b), T_a, T_b, targets["a"], targets["b"])
+    assert not residual[0].any() and residual[1].any()
+    residual.square().sum().backward()
+    for T in (T_a, T_b):
+        assert torch.isfinite(T.grad).all() and not T.grad[0].any() and T.grad[1].any()
+
+
+@pytest.mark.parametrize("gap", [0.004, -0.002])
+def test_terms_have_the_gradients_of_finite_differences(gap: float) -> None:
+    """Balls, whose witness points are followed exactly; each residual on its own, with random weights."""
+    pairs = Pairs((build_body("a", [sphere(0.03, (0.01, 0, 0))]),), (build_body("b", [sphere(0.02)]),))
+    witness_layer = WitnessLayer(pairs, FiniteDifference(step=1e-4))
+    T_a, T_b = poses_at_gap(pairs, 3, gap, seed=5)
+    rng = np.random.default_rng(6)
+    t_a, t_b = torch.from_numpy(rng.normal(size=(2, 3, 1, 3)) * 0.03)
+    weight = torch.from_numpy(rng.normal(size=(1, 7)))
+
+    def loss(T_a: torch.Tensor, T_b: torch.Tensor) -> torch.Tensor:
+        w = witness_layer(T_a, T_b)
+        contact = contact_targets(w, T_a, T_b, t_a, t_b, margin=1e-3) * weight
+        return contact.sum((1, 2)) + contact.square().sum((1, 2)) + 3.0 * penetration(w).sum(1)
+
+    tensors = [torch.from_numpy(T).requires_grad_() for T in (T_a, T_b)]
+    loss(*tensors).sum().backward()
+    found = np.concatenate([gradient_along_twists(t.grad.numpy(), t.detach().numpy()) for t in tensors])
+    expected = slopes_along_twists(lambda a, b: loss(*map(torch.from_numpy, (a, b))).numpy(), T_a, T_b, 1e-5)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_joint_limits_push_back_with_unit_slope() -> None:
+    q = torch.tensor([[-1.5, 0.0, 0.7]], dtype=torch.float64, requires_grad=True)
+    lower, upper = torch.tensor([-1.0, -1.0, -torch.inf]), torch.tensor([1.0, torch.inf, 0.5])
+    joint_limits(q, lower, upper).sum().backward()
+    np.testing.assert_array_equal(q.grad.numpy(), [[-1.0, 0.0, 1.0]])

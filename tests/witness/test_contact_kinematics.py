@@ -170,8 +170,8 @@ def test_flat_faces_get_the_smallest_curvature() -> None:
     method = ContactKinematics(Adaptive(samples=None, without_target=1.5))
     scene = WitnessScene(*WitnessLayer(pairs, method).columns(np.array([0])), T, T_b, middle, None, None, 0)
     K_a, K_b = method.curvatures(scene, _tangents(witness.normal))
-    np.testing.assert_allclose(K_a + K_b, 5.0 / pairs.a[0].diagonal * np.eye(2)[None, None], rtol=1e-9)
-    np.testing.assert_allclose(K_a, K_b, rtol=1e-9)
+    np.testing.assert_allclose(K_a + K_b, 5.0 / pairs.a[0].diagonal * np.eye(2)[None, None], atol=1e-9)
+    np.testing.assert_allclose(K_a, K_b, atol=1e-9)
 
 
 def test_raising_moves_small_eigenvalues_of_the_sum_and_no_others() -> None:

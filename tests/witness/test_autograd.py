@@ -1,0 +1,354 @@
+"""The layer as a torch function: no state between calls, any memory layout, gradients only where they are due."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+import torch
+from shapes_for_tests import convex_body, ring_body
+from twists import (
+    contracted,
+    gradient_along_twists,
+    layer_gradient,
+    poses_at_gap,
+    random_cotangents,
+    slopes_along_twists,
+)
+
+from grasp_refine.collision.query import Pairs, QueryStatus, query
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import sphere
+from grasp_refine.witness.analytical import Analytical
+from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.distance import Distance
+from grasp_refine.witness.neighborhood import Adaptive
+from grasp_refine.witness.scene import WitnessScene
+
+METHODS = {"distance": Distance(), "contact kinematics": ContactKinematics()}
+FIELDS = ("point_a", "point_b", "normal", "distance")
+
+
+def two_pairs() -> Pairs:
+    return Pairs((convex_body(0), ring_body(1)), (convex_body(1), convex_body(2)))
+
+
+def near_poses(pairs: Pairs, count: int, gap: float, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Poses (count, P, 4, 4) of both bodies with each pair at the gap."""
+    columns = [
+        poses_at_gap(Pairs(pairs.a[p : p + 1], pairs.b[p : p + 1]), count, gap, seed + p) for p in range(len(pairs))
+    ]
+    return tuple(torch.from_numpy(np.concatenate([column[side] for column in columns], axis=1)) for side in (0, 1))
+
+
+def scalar(witness: object, seed: int = 0) -> torch.Tensor:
+    """A loss that looks at everything, with random weights."""
+    cotangents = random_cotangents(witness, FIELDS, seed)
+    return sum((getattr(witness, name) * torch.from_numpy(c)).sum() for name, c in cotangents.items())
+
+
+def gradients(layer: WitnessLayer, T_a: torch.Tensor, T_b: torch.Tensor, **keywords: object) -> list[torch.Tensor]:
+    leaves = [T.detach().clone().requires_grad_() for T in (T_a, T_b)]
+    scalar(layer(*leaves, **keywords)).backward()
+    return [leaf.grad for leaf in leaves]
+
+
+@dataclass
+class Records:
+    """A method that only remembers what it was asked."""
+
+    seen: list[tuple[WitnessScene, np.ndarray, np.ndarray, np.ndarray | None]] = field(default_factory=list)
+
+    def pull_back(
+        self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        self.seen.append((scene, force_a, force_b, force_n))
+        zero = np.zeros((*force_a.shape[:2], 6))
+        return zero, zero
+
+
+# the whole chain
+
+
+class ExactBalls(ContactKinematics):
+    """Contact kinematics with the true curvature of balls of 3 and 2 cm."""
+
+    def curvatures(self, scene: WitnessScene, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        eye = np.broadcast_to(np.eye(2), (*E.shape[:2], 2, 2))
+        return eye / 0.03, eye / 0.02
+
+
+@pytest.mark.parametrize("gap", [0.02, 1e-6, -0.004])
+def test_a_nonlinear_loss_of_everything_has_the_gradient_of_finite_differences(gap: float) -> None:
+    pairs = Pairs((build_body("a", [sphere(0.03, (0.01, 0.02, 0))]),), (build_body("b", [sphere(0.02)]),))
+    T_a, T_b = poses_at_gap(pairs, 4, gap, seed=1)
+    layer = WitnessLayer(pairs, ExactBalls())
+    target = torch.tensor([0.1, -0.2, 0.05], dtype=torch.float64)
+
+    def loss(T_a: torch.Tensor, T_b: torch.Tensor) -> torch.Tensor:
+        w = layer(T_a, T_b)
+        # Poses also act on the loss directly, past the layer.
+        local = ((w.point_b - T_a[..., :3, 3])[..., None] * T_a[..., :3, :3]).sum(-2)
+        miss = (w.point_a - target).square().sum(-1) + local.norm(dim=-1) * w.distance.sin()
+        return (miss + (w.normal * T_b[..., :3, 0]).sum(-1) ** 2 + w.distance.exp() * w.normal[..., 2]).sum(1)
+
+    def value(T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray:
+        return loss(torch.from_numpy(T_a), torch.from_numpy(T_b)).numpy()
+
+    tensors = [torch.from_numpy(T).requires_grad_() for T in (T_a, T_b)]
+    loss(*tensors).sum().backward()
+    found = np.concatenate([gradient_along_twists(t.grad.numpy(), t.detach().numpy()) for t in tensors])
+    np.testing.assert_allclose(found, slopes_along_twists(value, T_a, T_b, 1e-5), atol=1e-6)
+
+
+def test_the_gradient_in_the_entries_stays_within_rigid_motions() -> None:
+    """It pairs with rigid motions only: R^T G_R is skew and the last row is empty."""
+    pairs = two_pairs()
+    for G, T in zip(
+        gradients(WitnessLayer(pairs, ContactKinematics()), *near_poses(pairs, 3, 0.01, 2)),
+        near_poses(pairs, 3, 0.01, 2),
+        strict=True,
+    ):
+        skew = T[..., :3, :3].mT @ G[..., :3, :3]
+        torch.testing.assert_close(skew, -skew.mT, rtol=0, atol=1e-12)
+        assert not G[..., 3, :].any() and G[..., :3, 3].any()
+
+
+# no state between calls
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_calls_do_not_know_of_each_other(name: str) -> None:
+    pairs = two_pairs()
+    layer = WitnessLayer(pairs, METHODS[name])
+    batches = [near_poses(pairs, count, gap, 3 * count) for count, gap in ((1, 0.01), (7, -0.002), (4, 0.003))]
+    expected = [gradients(WitnessLayer(two_pairs(), METHODS[name]), *poses, key=k) for k, poses in enumerate(batches)]
+    for order in ((0, 1, 2), (2, 1, 0), (1, 0, 2)):
+        leaves = [[T.clone().requires_grad_() for T in poses] for poses in batches]
+        losses = [scalar(layer(*pair, key=k)) for k, pair in enumerate(leaves)]
+        for k in order:
+            losses[k].backward()
+        for found, wanted in zip(leaves, expected, strict=True):
+            for leaf, gradient in zip(found, wanted, strict=True):
+                assert torch.equal(leaf.grad, gradient)
+    # All in one backward pass, and the same poses twice.
+    leaves = [[T.clone().requires_grad_() for T in poses] for poses in batches]
+    (scalar(layer(*leaves[1], key=1)) + scalar(layer(*leaves[1], key=1)) + scalar(layer(*leaves[0]))).backward()
+    torch.testing.assert_close(leaves[1][0].grad, 2 * expected[1][0])
+    assert torch.equal(leaves[0][1].grad, expected[0][1])
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 64])
+@pytest.mark.parametrize("name", METHODS)
+def test_any_batch_size(name: str, count: int) -> None:
+    pairs = two_pairs()
+    layer = WitnessLayer(pairs, METHODS[name])
+    T_a, T_b = near_poses(pairs, 7, 0.004, 20)
+    index = torch.arange(count) % 7
+    found = gradients(layer, T_a[index], T_b[index])
+    w = layer(T_a[index], T_b[index])
+    assert w.point_a.shape == (count, 2, 3) and w.distance.shape == (count, 2)
+    for G in found:
+        assert G.shape == (count, 2, 4, 4) and torch.isfinite(G).all()
+    # Each item gets what it would get alone.
+    leaves = [T.clone().requires_grad_() for T in (T_a[index], T_b[index])]
+    (layer(*leaves).point_a ** 2).sum().backward()
+    for item in range(min(count, 3)):
+        alone = [T[index[item], None].clone().requires_grad_() for T in (T_a, T_b)]
+        (layer(*alone).point_a ** 2).sum().backward()
+        for one, all_ in zip(alone, leaves, strict=True):
+            torch.testing.assert_close(one.grad[0], all_.grad[item], rtol=1e-12, atol=1e-15)
+
+
+def test_a_second_derivative_is_refused() -> None:
+    pairs = Pairs((convex_body(0),), (convex_body(1),))
+    T_a, T_b = (T.requires_grad_() for T in near_poses(pairs, 2, 0.01, 30))
+    loss = WitnessLayer(pairs, Distance())(T_a, T_b).distance.square().sum()
+    (G,) = torch.autograd.grad(loss, T_a, create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        G.sum().backward()
+
+
+# layouts and types
+
+
+def test_memory_layout_does_not_matter() -> None:
+    pairs = two_pairs()
+    layer = WitnessLayer(pairs, ContactKinematics())
+    T_a, T_b = near_poses(pairs, 4, 0.005, 40)
+    expected = gradients(layer, T_a, T_b)
+
+    def fortran(T: torch.Tensor) -> torch.Tensor:
+        return torch.from_numpy(np.asfortranarray(T.numpy()))
+
+    def strided(T: torch.Tensor) -> torch.Tensor:
+        wide = torch.zeros(8, 2, 6, 5, dtype=T.dtype)
+        wide[::2, :, 1:5, :4] = T
+        return wide[::2, :, 1:5, :4]
+
+    def transposed(T: torch.Tensor) -> torch.Tensor:
+        return T.mT.contiguous().mT
+
+    def reversed_pairs(T: torch.Tensor) -> torch.Tensor:
+        return T.permute(3, 1, 0, 2).contiguous().permute(2, 1, 3, 0)
+
+    for layout in (fortran, strided, transposed, reversed_pairs):
+        leaves = [layout(T).detach().requires_grad_() for T in (T_a, T_b)]
+        assert not leaves[0].is_contiguous()
+        scalar(layer(*leaves)).backward()
+        for leaf, gradient in zip(leaves, expected, strict=True):
+            torch.testing.assert_close(leaf.grad, gradient, rtol=1e-9, atol=1e-12)
+
+
+def test_one_pose_may_be_expanded_over_batch_and_pairs() -> None:
+    pairs = Pairs.against([convex_body(0), convex_body(1)], convex_body(2))
+    T_a, T_b = near_poses(pairs, 3, 0.02, 50)
+    pose = torch.eye(4, dtype=torch.float64, requires_grad=True)
+    layer = WitnessLayer(pairs, ContactKinematics())
+    scalar(layer(T_a, pose.expand(3, 2, 4, 4))).backward()
+    _, full = gradients(layer, T_a, torch.eye(4, dtype=torch.float64).repeat(3, 2, 1, 1))
+    torch.testing.assert_close(pose.grad, full.sum((0, 1)), rtol=1e-9, atol=1e-12)
+
+
+def test_single_precision_is_double_precision_rounded() -> None:
+    pairs = two_pairs()
+    layer = WitnessLayer(pairs, ContactKinematics(Adaptive(samples=None)))
+    T_a, T_b = (T.float() for T in near_poses(pairs, 3, 0.01, 60))
+    single, double = gradients(layer, T_a, T_b), gradients(layer, T_a.double(), T_b.double())
+    for one, two in zip(single, double, strict=True):
+        assert one.dtype == torch.float32
+        torch.testing.assert_close(one.double(), two, rtol=1e-5, atol=1e-5)
+    w, exact = layer(T_a, T_b), layer(T_a.double(), T_b.double())
+    assert w.distance.dtype == w.normal.dtype == torch.float32
+    np.testing.assert_allclose(w.distance.numpy(), exact.distance.numpy(), atol=1e-8)
+
+
+# gradients only where they are due
+
+
+def test_poses_that_want_no_gradient_get_none() -> None:
+    pairs = two_pairs()
+    layer = WitnessLayer(pairs, Distance())
+    T_a, T_b = near_poses(pairs, 2, 0.01, 70)
+    both = gradients(layer, T_a, T_b)
+    for wanting in (0, 1):
+        leaves = [T.clone().requires_grad_(side == wanting) for side, T in enumerate((T_a, T_b))]
+        scalar(layer(*leaves)).backward()
+        assert leaves[1 - wanting].grad is None
+        assert torch.equal(leaves[wanting].grad, both[wanting])
+    assert not layer(T_a, T_b).point_a.requires_grad
+
+
+def test_the_method_sees_only_the_pairs_and_fields_the_loss_looks_at() -> None:
+    pairs = Pairs.against([convex_body(seed) for seed in range(3)], ring_body(1))
+    T_a, T_b = (T.requires_grad_() for T in near_poses(pairs, 2, 0.01, 80))
+    target = torch.full((2, 3, 3), torch.nan, dtype=torch.float64)
+    target[:, 1] = torch.tensor([[0.01, 0.02, 0.03], [0.04, 0.05, 0.06]])
+    method = Records()
+    layer = WitnessLayer(pairs, method)
+    w = layer(T_a, T_b, target, key=5)
+    (2 * w.point_b[:, 1]).sum().backward(retain_graph=True)
+    w.normal[:, [0, 2]].sum().backward(retain_graph=True)
+    w.distance.sum().backward(retain_graph=True)
+    (0 * w.point_a).sum().backward()
+    assert len(method.seen) == 2, "neither the distance nor weights of zero take the method"
+    scene, force_a, force_b, force_n = method.seen[0]
+    assert force_n is None and not force_a.any()
+    np.testing.assert_array_equal(force_b, np.full((2, 1, 3), 2.0))
+    assert scene.pairs.a == pairs.a[1:2] and scene.key == 5 and scene.target_b is None
+    np.testing.assert_array_equal(scene.witness.point_a[:, 0], w.point_a.detach()[:, 1])
+    np.testing.assert_array_equal(scene.target_a, target[:, 1:2].numpy())
+    np.testing.assert_array_equal(scene.T_world_a, T_a.detach()[:, 1:2].numpy())
+    # The winner counts from the first piece pair of the pairs that were taken.
+    assert ((scene.witness.winner >= 0) & (scene.witness.winner < 10)).all()
+    scene, force_a, force_b, force_n = method.seen[1]
+    assert not force_a.any() and not force_b.any()
+    np.testing.assert_array_equal(force_n, np.ones((2, 2, 3)))
+    assert scene.pairs.a == (pairs.a[0], pairs.a[2]) and (scene.witness.winner[:, 1] >= 10).all()
+
+
+@pytest.mark.parametrize("method", [Distance(), ContactKinematics(), Analytical()])
+def test_looking_at_one_pair_gives_the_gradient_of_that_pair_alone(method: object) -> None:
+    pairs = Pairs.against([convex_body(0), ring_body(1), convex_body(1)], ring_body(1))
+    T_a, T_b = near_poses(pairs, 3, 0.01, 90)
+    layer = WitnessLayer(pairs, method)
+    for p in range(3):
+        leaves = [T.clone().requires_grad_() for T in (T_a, T_b)]
+        (layer(*leaves).point_a[:, p] ** 2).sum().backward()
+        alone = [T[:, p : p + 1].clone().requires_grad_() for T in (T_a, T_b)]
+        (WitnessLayer(pairs.take(np.array([p])), method)(*alone).point_a ** 2).sum().backward()
+        for leaf, single in zip(leaves, alone, strict=True):
+            torch.testing.assert_close(leaf.grad[:, p], single.grad[:, 0], rtol=1e-9, atol=1e-12)
+            others = [q for q in range(3) if q != p]
+            assert not leaf.grad[:, others].any()
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_pairs_that_were_not_answered_get_exact_zeros(name: str) -> None:
+    pairs = two_pairs()
+    layer = WitnessLayer(pairs, METHODS[name])
+    T_a, T_b = near_poses(pairs, 4, 0.01, 100)
+    clean = gradients(layer, T_a, T_b)
+    T_b[1, 0, 0, 3] += 1.0  # beyond the cutoff
+    T_b[2, 1, 2, 2] = torch.nan
+    cutoff = 0.5
+    w = layer(T_a, T_b, cutoff=cutoff)
+    assert (w.status[1, 0], w.status[2, 1]) == (QueryStatus.FAR, QueryStatus.NOT_FINITE)
+    found = gradients(layer, T_a, T_b, cutoff=cutoff)
+    for G, expected in zip(found, clean, strict=True):
+        assert not G[1, 0].any() and not G[2, 1].any()
+        same = torch.ones(4, 2, dtype=torch.bool)
+        same[1, 0] = same[2, 1] = False
+        torch.testing.assert_close(G[same], expected[same], rtol=1e-9, atol=1e-12)
+
+
+def test_all_pairs_unanswered_is_no_gradient_at_all() -> None:
+    pairs = two_pairs()
+    for G in gradients(WitnessLayer(pairs, Distance()), *near_poses(pairs, 2, 0.01, 110), cutoff=-1.0):
+        assert G.shape == (2, 2, 4, 4) and not G.any()
+
+
+def test_the_last_answer_is_taken_up_and_changes_no_gradient() -> None:
+    pairs = two_pairs()
+    layer = WitnessLayer(pairs, ContactKinematics(Adaptive(samples=None)))
+    T_a, T_b = near_poses(pairs, 4, 0.01, 120)
+    last = layer(T_a, T_b).detached()
+    T_b[..., :3, 3] += 1e-4
+    warm, cold = gradients(layer, T_a, T_b, previous=last), gradients(layer, T_a, T_b)
+    for one, two in zip(warm, cold, strict=True):
+        torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-4)
+
+
+def test_values_are_those_of_the_query() -> None:
+    pairs = two_pairs()
+    T_a, T_b = near_poses(pairs, 4, -0.002, 130)
+    w, found = WitnessLayer(pairs, Distance())(T_a, T_b), query(pairs, T_a.numpy(), T_b.numpy())
+    for name in (*FIELDS, "status", "winner", "asked"):
+        np.testing.assert_array_equal(np.asarray(getattr(w, name)), getattr(found, name))
+    detached = w.detached()
+    assert isinstance(detached.point_a, np.ndarray)
+    np.testing.assert_array_equal(detached.rows(np.array([2, 0])).distance, found.distance[[2, 0]])
+
+
+def test_distance_gradients_need_no_method_and_agree_with_the_wrench_of_the_normal() -> None:
+    pairs = Pairs((convex_body(0),), (convex_body(1),))
+    T_a, T_b = poses_at_gap(pairs, 3, 0.01, seed=140)
+    w = query(pairs, T_a, T_b)
+    method = Records()
+    found = layer_gradient(WitnessLayer(pairs, method), T_a, T_b, {"distance": np.ones((3, 1))})
+    push = np.concatenate([w.normal, np.cross(w.point_b, w.normal)], axis=-1)[:, 0].T
+    np.testing.assert_allclose(found, np.concatenate([-push, push]), atol=1e-12)
+    assert not method.seen
+    slopes = slopes_along_twists(
+        lambda a, b: contracted(query(pairs, a, b), {"distance": np.ones((3, 1))}), T_a, T_b, 1e-6
+    )
+    np.testing.assert_allclose(found, slopes, atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(4, 4), (3, 4, 4), (3, 1, 4, 4), (3, 2, 3, 4), (3, 2, 4)])
+def test_wrong_shapes_are_refused_with_both(shape: tuple[int, ...]) -> None:
+    layer = WitnessLayer(two_pairs(), Distance())
+    with pytest.raises(ValueError, match=r"poses must have shape \(batch, 2, 4, 4\), got .* and "):
+        layer(torch.zeros(shape), torch.zeros(shape))
+    with pytest.raises(ValueError, match=r"got \(3, 2, 4, 4\) and \(1, 2, 4, 4\)"):
+        layer(torch.zeros(3, 2, 4, 4), torch.zeros(1, 2, 4, 4))

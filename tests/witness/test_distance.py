@@ -1,0 +1,167 @@
+"""Distance smoothing: the softmax and its derivative, what the slip matrix is, and how large its bias is."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from shapes_for_tests import convex_body
+from twists import poses_at_gap, random_poses
+
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import box, sphere
+from grasp_refine.se3 import inverse, transform_points
+from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.distance import Distance, smooth, temperature
+from grasp_refine.witness.neighborhood import Adaptive, Neighbors
+from grasp_refine.witness.scene import WitnessScene
+
+ALL = Distance(Adaptive(samples=None))
+
+
+def cloud(count: int = 12, batch: int = 4, seed: int = 0) -> tuple[Neighbors, np.ndarray]:
+    """Random samples, some of them padding, and points above them."""
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(2, batch, count, 3)) * [0.01, 0.01, 0.002]
+    mask = rng.random((2, batch, count)) < 0.7
+    mask[..., :3] = True
+    normals = np.tile([0.0, 0.0, 1.0], (2, batch, count - 1, 1))
+    near = Neighbors(points, normals, mask, np.full((2, batch), 0.02), np.full((2, batch), 1e-9))
+    return near, rng.normal(size=(2, batch, 3)) * [0.005, 0.005, 0] + [0, 0, 0.01]
+
+
+def scene_of(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray, key: int = 0, target_a: object = None) -> WitnessScene:
+    columns = WitnessLayer(pairs, ALL).columns(np.arange(len(pairs)))
+    return WitnessScene(*columns, T_a, T_b, query(pairs, T_a, T_b), target_a, None, key)
+
+
+def test_the_smoothed_point_is_the_softmax_of_the_definition() -> None:
+    near, y = cloud()
+    smoothed, slip = smooth(near, y)
+    for s in range(2):
+        for b in range(4):
+            v = near.points[s, b][near.mask[s, b]]
+            scores = -((v - y[s, b]) ** 2).sum(axis=1)
+            tau = scores.std()
+            assert temperature(near, y)[s, b] == pytest.approx(tau, rel=1e-12)
+            w = np.exp(scores / tau) / np.exp(scores / tau).sum()
+            np.testing.assert_allclose(smoothed[s, b], w @ v, atol=1e-15)
+            centered = v - w @ v
+            np.testing.assert_allclose(slip[s, b], 2 / tau * (centered * w[:, None]).T @ centered, rtol=1e-9)
+
+
+def test_its_derivative_holds_samples_and_temperature_fixed() -> None:
+    near, y = cloud(seed=1)
+    tau = 0.3 * temperature(near, y)
+    _, slip = smooth(near, y, tau)
+    h = 1e-6
+    for k in range(3):
+        step = h * np.eye(3)[k]
+        slope = (smooth(near, y + step, tau)[0] - smooth(near, y - step, tau)[0]) / (2 * h)
+        np.testing.assert_allclose(slip[..., k], slope, atol=1e-7)
+    # With the temperature free it would be another one: what is held fixed matters.
+    free = (smooth(near, y + step)[0] - smooth(near, y - step)[0]) / (2 * h)
+    assert np.abs(smooth(near, y)[1][..., 2] - free).max() > 1e-3
+
+
+def test_the_temperature_has_a_floor() -> None:
+    near, y = cloud(seed=2)
+    np.testing.assert_array_equal(temperature(replace(near, floor=np.full((2, 4), 9.0)), y), 9.0)
+    # One sample has no spread: it is the smoothed point, and it does not move.
+    one = np.zeros_like(near.mask)
+    one[..., 0] = True
+    smoothed, slip = smooth(replace(near, mask=one), y)
+    np.testing.assert_allclose(smoothed, near.points[:, :, 0], atol=1e-15)
+    np.testing.assert_allclose(slip, 0.0, atol=1e-15)
+
+
+def test_a_far_point_does_not_underflow() -> None:
+    near, y = cloud(seed=3)
+    smoothed, slip = smooth(near, y + 1e3, np.full((2, 4), 1e-12))
+    assert np.isfinite(slip).all()
+    scores = -((near.points - y[..., None, :] - 1e3) ** 2).sum(axis=3)
+    best = np.where(near.mask, scores, -np.inf).argmax(axis=2)
+    np.testing.assert_allclose(smoothed, np.take_along_axis(near.points, best[..., None, None], 2)[:, :, 0], atol=1e-9)
+
+
+def test_slip_matrices_turn_with_their_body() -> None:
+    pairs = Pairs((convex_body(0), convex_body(2)), (convex_body(1), convex_body(1)))
+    T_a, T_b = (np.repeat(T, 2, axis=1) for T in poses_at_gap(Pairs(pairs.a[:1], pairs.b[:1]), 3, 0.005, seed=4))
+    scene = scene_of(pairs, T_a, T_b)
+    M = random_poses(1, 5)[0, 0]
+    w = scene.witness
+    # The very same witness points, moved: rounding of the query stays out of it.
+    moved = replace(
+        w,
+        point_a=transform_points(M, w.point_a),
+        point_b=transform_points(M, w.point_b),
+        normal=w.normal @ M[:3, :3].T,
+    )
+    one, two = ALL.slip(scene), ALL.slip(replace(scene, T_world_a=M @ T_a, T_world_b=M @ T_b, witness=moved))
+    for name in ("A", "B"):
+        turned = M[:3, :3] @ getattr(one, name) @ M[:3, :3].T
+        np.testing.assert_allclose(getattr(two, name), turned, atol=1e-9)
+        assert getattr(one, name).max() > 0.05
+    np.testing.assert_allclose(two.self_a, transform_points(M, one.self_a), atol=1e-12)
+
+
+def test_the_self_term_moves_the_witness_or_the_smoothed_point() -> None:
+    pairs = Pairs((convex_body(0),), (convex_body(1),))
+    scene = scene_of(pairs, *poses_at_gap(pairs, 3, 0.005, seed=6))
+    plain, smoothed = ALL.slip(scene), replace(ALL, smoothed_self=True).slip(scene)
+    np.testing.assert_array_equal(plain.self_a, scene.witness.point_a)
+    np.testing.assert_array_equal(plain.self_b, scene.witness.point_b)
+    np.testing.assert_array_equal(plain.A, smoothed.A)
+    for T, x, spacing in (
+        (scene.T_world_a, smoothed.self_a - plain.self_a, scene.surfaces.spacing[0]),
+        (scene.T_world_b, smoothed.self_b - plain.self_b, scene.surfaces.spacing[1]),
+    ):
+        away = np.linalg.norm(x, axis=-1)
+        assert (away > 0).all() and (away < 4 * spacing).all()
+        assert np.isfinite(inverse(T)).all()
+
+
+def test_the_same_iteration_draws_the_same_samples_and_the_next_one_others() -> None:
+    pairs = Pairs((convex_body(0),), (convex_body(1),))
+    poses = poses_at_gap(pairs, 3, 0.005, seed=7)
+    method = Distance(Adaptive(without_target=8.0))
+    slips = [method.slip(scene_of(pairs, *poses, key=key)).A for key in (0, 0, 1)]
+    np.testing.assert_array_equal(slips[0], slips[1])
+    assert np.abs(slips[2] - slips[0]).max() > 1e-3
+    other = replace(method, seed=1).slip(scene_of(pairs, *poses)).A
+    assert np.abs(other - slips[0]).max() > 1e-3
+
+
+def test_the_neighbourhood_narrows_as_the_target_is_reached() -> None:
+    pairs = Pairs((build_body("ball", [sphere(0.05)]),), (convex_body(1),))
+    T_a, T_b = poses_at_gap(pairs, 3, 0.01, seed=8)
+    at = transform_points(inverse(T_a), query(pairs, T_a, T_b).point_a)
+    method = Distance(Adaptive(samples=None), smoothed_self=True)
+    away = []
+    for offset in (0.0, 0.02, 0.04):
+        scene = scene_of(pairs, T_a, T_b, target_a=at + [offset, 0, 0])
+        away.append(np.linalg.norm(method.slip(scene).self_a - scene.witness.point_a, axis=-1).mean())
+    assert away[0] < away[1] < away[2] and away[0] < scene.surfaces.spacing[0]
+
+
+@pytest.mark.parametrize("gap", [0.02, 0.005, 0.001, -0.002])
+def test_bias_on_a_ball_and_a_plane(gap: float, record_property: Callable[[str, object], None]) -> None:
+    """Reported, not judged: the closed form is r / (r + d) across the normal on a ball, and 1 on a plane."""
+    ball, table = build_body("ball", [sphere(0.03)]), build_body("table", [box([0.3, 0.3, 0.02])])
+    pairs = Pairs((ball,), (table,))
+    T_a = np.tile(np.eye(4), (8, 1, 1, 1))
+    T_b = T_a.copy()
+    T_b[:, 0, :3, 3] = [[0.01 * k - 0.04, 0.005 * k, -0.03 - 0.01 - gap] for k in range(8)]
+    scene = scene_of(pairs, T_a, T_b)
+    np.testing.assert_allclose(scene.witness.distance, gap, atol=1e-8)
+    for samples in (16, None):
+        slip = Distance(Adaptive(samples=samples)).slip(scene)
+        for name, matrix, exact in (("ball", slip.A, 0.03 / (0.03 + gap)), ("plane", slip.B, 1.0)):
+            across = np.trace(matrix[:, 0, :2, :2], axis1=1, axis2=2) / 2
+            bias = float(across.mean() / exact - 1)
+            record_property(f"relative bias on a {name}, {samples or 'all'} samples, gap {gap} m", bias)
+            print(f"{name}, {samples or 'all'} samples, gap {1e3 * gap:g} mm: {across.mean():.3f} for {exact:.3f}")
+            assert np.isfinite(matrix).all() and across.mean() > 0
+            # Of the right kind, though: along the surface, not along the normal.
+            assert np.abs(matrix[:, 0, 2, 2]).max() < 0.5 * across.mean()

@@ -1,0 +1,107 @@
+"""Equivalent gradient transport: moving one body as good as moving the other."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from shapes_for_tests import convex_body
+from twists import poses_at_gap
+
+from grasp_refine.collision.query import Pairs
+from grasp_refine.se3 import body_gradient, exp_se3, inverse
+from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.transport import EquivalentTransport, _entries, transport
+
+twists = arrays(np.float64, 6, elements=st.floats(-2.0, 2.0))
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(twists, twists, twists)
+def test_the_other_body_moves_to_the_same_effect(pose_a: np.ndarray, pose_b: np.ndarray, xi_b: np.ndarray) -> None:
+    T_a, T_b = exp_se3(pose_a), exp_se3(pose_b)
+    tensors = [torch.from_numpy(x) for x in (T_b, T_a, xi_b)]
+    xi_a = transport(*tensors).numpy()
+    moved_a = inverse(T_a @ exp_se3(-xi_a)) @ T_b
+    moved_b = inverse(T_a) @ T_b @ exp_se3(-xi_b)
+    np.testing.assert_allclose(moved_a, moved_b, atol=1e-11)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(twists, twists, twists)
+def test_there_and_back_is_the_same_update(pose_a: np.ndarray, pose_b: np.ndarray, xi: np.ndarray) -> None:
+    T_a, T_b = torch.from_numpy(exp_se3(pose_a)), torch.from_numpy(exp_se3(pose_b))
+    there = transport(T_b, T_a, torch.from_numpy(xi))
+    np.testing.assert_allclose(transport(T_a, T_b, there).numpy(), xi, atol=1e-10)
+    # A body that is its own partner undoes its motion.
+    np.testing.assert_allclose(transport(T_a, T_a, torch.from_numpy(xi)).numpy(), -xi, atol=1e-12)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(twists, twists)
+def test_entries_and_body_gradient_are_inverse(pose: np.ndarray, xi: np.ndarray) -> None:
+    T = torch.from_numpy(exp_se3(pose))
+    G = _entries(T, torch.from_numpy(xi))
+    np.testing.assert_allclose(body_gradient(T, G).numpy(), xi, atol=1e-12)
+    assert not G[3].any()
+
+
+def poses(seed: int, *shape: int) -> torch.Tensor:
+    return torch.from_numpy(exp_se3(np.random.default_rng(seed).normal(size=(*shape, 6))))
+
+
+@pytest.mark.parametrize("steps", [(1.0, 1.0), (1e-3, 1e-2), (0.5, 0.01)])
+def test_the_backward_pass_adds_the_scaled_update_to_the_moving_body(steps: tuple[float, float]) -> None:
+    T_a, T_b = poses(1, 4, 3).requires_grad_(), poses(2, 4, 3).requires_grad_()
+    G_a, G_b = torch.from_numpy(np.random.default_rng(3).normal(size=(2, 4, 3, 4, 4)))
+    moving, resting = EquivalentTransport(*steps)(T_a, T_b)
+    assert torch.equal(moving, T_a) and torch.equal(resting, T_b)
+    torch.autograd.backward((moving, resting), (G_a, G_b))
+    # The resting body keeps its gradient; nothing is done to it twice.
+    assert torch.equal(T_b.grad, G_b)
+    # An update is -(v s_t, w s_r): the two together move the pair as the sum of both updates would.
+    scale = torch.tensor([steps[0]] * 3 + [steps[1]] * 3, dtype=torch.float64)
+    own = body_gradient(T_a.detach(), G_a) * scale
+    other = transport(T_b.detach(), T_a.detach(), body_gradient(T_b.detach(), G_b) * scale)
+    torch.testing.assert_close(body_gradient(T_a.detach(), T_a.grad) * scale, own + other)
+
+
+def test_the_gradient_of_the_resting_body_alone_becomes_a_step_of_the_moving_one() -> None:
+    """To first order the transported step of a changes the relative pose as the step of b would have."""
+    steps = EquivalentTransport(1e-6, 3e-6)
+    T_a, T_b = poses(4).requires_grad_(), poses(5).requires_grad_()
+    weight = torch.from_numpy(np.random.default_rng(6).normal(size=(4, 4)))
+    moving, resting = steps(T_a, T_b)
+    (weight * resting).sum().backward()
+    scale = np.array([steps.step_translation] * 3 + [steps.step_rotation] * 3)
+    a, b = T_a.detach().numpy(), T_b.detach().numpy()
+    step_a, step_b = (scale * body_gradient(T, G.grad.numpy()) for T, G in ((a, T_a), (b, T_b)))
+    assert np.abs(step_a).max() > 1e-7
+    np.testing.assert_allclose(
+        inverse(a @ exp_se3(-step_a)) @ b, inverse(a) @ b @ exp_se3(-step_b), atol=1e-14, rtol=1e-12
+    )
+
+
+def test_with_transport_both_bodies_effect_on_a_relative_loss_adds_up() -> None:
+    """What only the relative pose decides: the transported gradient is no longer the derivative of the loss."""
+    pairs = Pairs((convex_body(0),), (convex_body(1),))
+    T_a, T_b = (torch.from_numpy(T).requires_grad_() for T in poses_at_gap(pairs, 4, 0.01, seed=7))
+    layer = WitnessLayer(pairs, ContactKinematics())
+
+    def gradient(*poses: torch.Tensor) -> torch.Tensor:
+        return torch.autograd.grad(layer(*poses).distance.sum(), T_a)[0]
+
+    plain, transported = gradient(T_a, T_b), gradient(*EquivalentTransport(1.0, 1.0)(T_a, T_b))
+    assert (plain - transported).abs().max() > 0.1
+    # Along the normal both bodies push the same way, so the linear part doubles.
+    linear = plain[..., :3, 3].norm(dim=-1)
+    torch.testing.assert_close(linear, torch.ones_like(linear), rtol=1e-9, atol=0)
+
+
+def test_a_zero_gradient_stays_zero() -> None:
+    T_a, T_b = poses(8, 2).requires_grad_(), poses(9, 2).requires_grad_()
+    moving, resting = EquivalentTransport(1e-3, 1e-2)(T_a, T_b)
+    (0.0 * (moving + resting)).sum().backward()
+    assert not T_a.grad.any() and not T_b.grad.any()
