@@ -97,7 +97,7 @@ def test_fitted_curvature_of_finely_sampled_balls(
     for name, K, radius in (("a", K_a, 0.03), ("b", K_b, 0.02)):
         values = np.linalg.eigvalsh(K) * radius
         bias, spread = values.mean() - 1, values.std()
-        record_property(f"relative bias of the curvature of {name}", bias)
+        record_property(f"relative bias of the curvature of {name}", float(bias))
         print(f"{rule.samples} samples, gap {1e3 * gap:g} mm, ball {name}: bias {bias:+.4f}, spread {spread:.4f}")
         np.testing.assert_allclose(values, 1.0, atol=0.3)
 
