@@ -16,7 +16,7 @@ from grasp_refine.objective import Objective
 from grasp_refine.objects import load_object
 from grasp_refine.refine import Refinement, refine
 from grasp_refine.scene import Scene
-from grasp_refine.se3 import exp_se3, transform_from_pose
+from grasp_refine.se3 import exp_se3, transform_from_pose, transform_points
 from grasp_refine.solvers.descent import Descent
 from grasp_refine.solvers.status import Status
 from grasp_refine.validation.geometry import measure, movement
@@ -179,11 +179,37 @@ def grasped(on_ball: Scene) -> Refinement:
     return refine(on_ball, BALL)
 
 
+def automatic(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """The targets that a refinement would choose."""
+    return Objective(scene, BALL).targets()[:2]
+
+
 def loss_at(scene: Scene, T: np.ndarray, q: np.ndarray, targets: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """The loss by fresh queries."""
     objective = Objective(scene, BALL)
     arguments = [torch.from_numpy(np.ascontiguousarray(x)) for x in (T, q, *targets)]
     return objective.evaluate(*arguments, 0, None)[0].numpy()
+
+
+def test_the_loss_is_the_sum_of_its_terms(on_ball: Scene) -> None:
+    """Contact for links with a target, depth for all others, joints beyond their limits; nothing twice."""
+    scene, T, q = on_ball, on_ball.T_world_root.copy(), on_ball.q.copy()
+    T[3:, :3, 3] += [0.0, 0.0, 0.05]
+    q[5, 2] = scene.hand.upper[2] + 0.1
+    auto = automatic(scene)
+    for target in auto:
+        target[:, 1:] = np.nan
+    found = measure(scene.hand, scene.object, scene.links, T, q, *auto)
+    assert (found.distance[:, 1:] < -1e-3).sum() > 5 and (found.distance[:, 0] < 0).any()
+    frames = Kinematics(scene.hand, scene.links[:1])(torch.from_numpy(T), torch.from_numpy(q)).numpy()
+    miss = [
+        found.witness.point_a[:, 0] - transform_points(frames[:, 0], auto[0][:, 0]),
+        found.witness.point_b[:, 0] - auto[1][:, 0],
+    ]
+    expected = found.distance[:, 0] ** 2 + sum((m**2).sum(axis=1) for m in miss)
+    expected += 10.0 * (np.minimum(found.distance[:, 1:], 0.0) ** 2).sum(axis=1)
+    expected[5] += 0.01 * 0.1**2
+    np.testing.assert_allclose(loss_at(scene, T, q, auto), expected, rtol=1e-6)
 
 
 def test_all_links_come_to_the_ball_and_none_into_it(on_ball: Scene, grasped: Refinement) -> None:

@@ -122,6 +122,19 @@ def test_the_coupled_solve_satisfies_both_slip_equations() -> None:
 
 @pytest.mark.parametrize("coupling", ["coupled", "one-sided"])
 @pytest.mark.parametrize("sampled", [True, False])
+def test_pull_back_is_the_transpose_for_any_matrices(coupling: str, sampled: bool) -> None:
+    rng = np.random.default_rng(16)
+    slip = Slip(*rng.normal(size=(2, 9, 3, 3)) * 0.4, *rng.normal(size=(2, 9, 3)), sampled=sampled)
+    x_a, x_b, f_a, f_b = rng.normal(size=(4, 9, 3))
+    twists = rng.normal(size=(2, 9, 6))
+    work = sum(dx * f for dx, f in zip(push_forward(slip, x_a, x_b, *twists, coupling), (f_a, f_b), strict=True))
+    wrenches = pull_back(slip, x_a, x_b, f_a, f_b, coupling)
+    expected = sum(w * twist for w, twist in zip(wrenches, twists, strict=True))
+    np.testing.assert_allclose(work.sum(axis=1), expected.sum(axis=1), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("coupling", ["coupled", "one-sided"])
+@pytest.mark.parametrize("sampled", [True, False])
 def test_tensors_and_arrays_give_the_same(coupling: str, sampled: bool) -> None:
     rng = np.random.default_rng(12)
     arguments = [*rng.normal(size=(2, 4, 2, 3, 3)) * 0.4, *rng.normal(size=(2, 4, 2, 3))]
