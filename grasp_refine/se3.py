@@ -151,6 +151,21 @@ def retract(T: Array, body_twist: Array) -> Array:
     return transform(_orthonormalised(moved[..., :3, :3]), moved[..., :3, 3])
 
 
+def tangents(normal: Array) -> Array:
+    """Two unit tangents as columns (..., 3, 2) of each unit normal n (..., 3); (t_1, t_2, n) is right-handed.
+
+    Duff et al. 2017, "Building an orthonormal basis, revisited".
+    """
+    xp = array_namespace(normal)
+    x, y, z = normal[..., 0], normal[..., 1], normal[..., 2]
+    sign = xp.where(z < 0, -xp.ones_like(z), xp.ones_like(z))
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    first = xp.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=-1)
+    second = xp.stack([b, sign + y * y * a, -y], axis=-1)
+    return xp.stack([first, second], axis=-1)
+
+
 def matrix_from_quaternion(quaternion: Array) -> Array:
     """Rotation matrix (..., 3, 3) of a unit quaternion (w, x, y, z) (..., 4)."""
     xp = array_namespace(quaternion)

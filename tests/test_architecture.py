@@ -19,6 +19,7 @@ ORDER = (
     "geometry.mesh",
     "geometry.cache",
     "geometry.decomposition",
+    "geometry.rings",
     "geometry.pieces",
     "geometry.sampling",
     "geometry.body",

@@ -247,3 +247,12 @@ def test_every_function_takes_any_batch_shape() -> None:
     assert se3.pose_from_transform(T).shape == (2, 3, 7) and se3.retract(T, twist).shape == (2, 3, 4, 4)
     np.testing.assert_allclose(T[1, 2], se3.exp_se3(twist[1, 2]), atol=1e-15)
     assert se3.exp_se3(np.zeros((0, 6))).shape == (0, 4, 4) and se3.log_se3(np.zeros((0, 4, 4))).shape == (0, 6)
+
+
+def test_tangents_are_a_basis_for_every_normal() -> None:
+    n = np.random.default_rng(5).normal(size=(100, 3))
+    n[:6], n[6:9] = np.concatenate([np.eye(3), -np.eye(3)]), [[0, 1e-9, -1], [1e-9, 0, 1], [1, 0, -1e-300]]
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    frame = np.concatenate([se3.tangents(n), n[:, :, None]], axis=2)
+    np.testing.assert_allclose(frame.mT @ frame, np.tile(np.eye(3), (100, 1, 1)), atol=1e-14)
+    assert (np.linalg.det(frame) > 0).all()

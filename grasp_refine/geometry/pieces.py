@@ -18,6 +18,7 @@ from grasp_refine.errors import MeshError
 from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry.decomposition import Decomposition, decompose
 from grasp_refine.geometry.mesh import check_solid, is_convex
+from grasp_refine.geometry.rings import Rings
 
 if TYPE_CHECKING:
     import trimesh
@@ -63,6 +64,17 @@ class Piece:
         solid = self.normals.any(axis=1)
         normals, corners = self.normals[solid], self.vertices[self.faces[solid]]
         return normals, np.einsum("fij,fj->fi", corners, normals).max(1, initial=-np.inf)
+
+    def rings(self, edges: int) -> Rings:
+        """The vertices within `edges` edges of each vertex of the core or, with a radius, of `mesh()`; built once."""
+        if edges not in self._rings:
+            surface = self.mesh() if self.radius > 0 else self
+            self._rings[edges] = Rings.of(np.asarray(surface.vertices), np.asarray(surface.faces), edges)
+        return self._rings[edges]
+
+    @cached_property
+    def _rings(self) -> dict[int, Rings]:
+        return {}
 
     def mesh(self) -> trimesh.Trimesh:
         """A closed surface of the piece, for showing; round parts have their vertices on the true surface."""

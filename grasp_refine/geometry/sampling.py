@@ -48,7 +48,7 @@ def sample(pieces: Sequence[Piece], count: int, seed: int) -> Candidates:
     clearance = CLEARANCE * np.linalg.norm(bounds[:, 1].max(0) - bounds[:, 0].min(0))
 
     points, normals, owners = _vertices(pieces)
-    chosen = rng.permutation(np.flatnonzero(~_beside(points, owners, pieces, clearance)))[: count // 2]
+    chosen = rng.permutation(np.flatnonzero(~beside(points, owners, pieces, clearance)))[: count // 2]
     points, normals = [points[chosen]], [normals[chosen]]
 
     surfaces = [_Surface.of(piece) for piece in pieces]
@@ -63,7 +63,7 @@ def sample(pieces: Sequence[Piece], count: int, seed: int) -> Candidates:
         drawing = [surface.draw(share, rng) for surface, share in zip(surfaces, shares, strict=True)]
         new_points, new_normals = (np.concatenate(columns) for columns in zip(*drawing, strict=True))
         owners = np.repeat(np.arange(len(pieces)), shares)
-        free = np.flatnonzero(~_internal(new_points, new_normals, owners, pieces, clearance))
+        free = np.flatnonzero(~internal(new_points, new_normals, owners, pieces, clearance))
         drawn, exposed = drawn + len(new_points), exposed + len(free)
         taken = rng.permutation(free)[:missing]
         points.append(new_points[taken])
@@ -185,7 +185,7 @@ def _vertices(pieces: Sequence[Piece]) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return np.concatenate(points), np.concatenate(normals), np.concatenate(owners)
 
 
-def _internal(
+def internal(
     points: np.ndarray, normals: np.ndarray, owners: np.ndarray, pieces: Sequence[Piece], clearance: float
 ) -> np.ndarray:
     """Mask (N,) of the points that are in another piece once moved out by `clearance`, or on an earlier one.
@@ -202,7 +202,7 @@ def _internal(
     return internal
 
 
-def _beside(points: np.ndarray, owners: np.ndarray, pieces: Sequence[Piece], clearance: float) -> np.ndarray:
+def beside(points: np.ndarray, owners: np.ndarray, pieces: Sequence[Piece], clearance: float) -> np.ndarray:
     """Mask (N,) of the points within `clearance` of, or inside, any other piece."""
     beside = np.zeros(len(points), dtype=bool)
     for index, piece in enumerate(pieces):

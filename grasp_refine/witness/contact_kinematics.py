@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from grasp_refine.se3 import cross, matvec
+from grasp_refine.se3 import cross, matvec, tangents
 from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
+from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
 
@@ -34,7 +35,7 @@ class ContactKinematics:
     E^T n_j = b + K E^T (v_j - x) to the normals n_j of nearby samples v_j.
     """
 
-    neighborhood: Adaptive | Fixed = field(default_factory=Adaptive)
+    neighborhood: Adaptive | Fixed | Neighbor = field(default_factory=Adaptive)
     """Which surface samples stand for the surface near a witness point."""
     smallest_curvature: float = 5.0
     """Floor of the eigenvalues of K_a + K_b, over the mean of the two bodies' diagonals."""
@@ -46,7 +47,7 @@ class ContactKinematics:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Wrenches (batch, pair, 6) on the two bodies of covectors on witness points and normal."""
         w, d = scene.witness, scene.witness.distance[..., None, None]
-        E = _tangents(w.normal)
+        E = tangents(w.normal)
         K_a, K_b = self.curvatures(scene, E)
         # The equations of the class transposed; `slide` is the covector on u.
         in_plane = matvec(E.mT, force_a) + matvec(_EYE + d * K_a, matvec(E.mT, force_b))
@@ -71,17 +72,6 @@ class ContactKinematics:
         diagonal = scene.surfaces.diagonal
         floor = self.smallest_curvature / (0.5 * (diagonal[:count] + diagonal[count:]))
         return _raised(K[:, :count], K[:, count:], floor)
-
-
-def _tangents(normal: np.ndarray) -> np.ndarray:
-    """Two unit tangents (..., 3, 2) of each unit normal (..., 3)."""
-    x, y, z = normal[..., 0], normal[..., 1], normal[..., 2]
-    sign = np.where(z < 0, -1.0, 1.0)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    first = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=-1)
-    second = np.stack([b, sign + y * y * a, -y], axis=-1)
-    return np.stack([first, second], axis=-1)
 
 
 def _fit(near: Neighbors, E: np.ndarray) -> np.ndarray:

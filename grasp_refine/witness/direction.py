@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from grasp_refine.witness.neighborhood import Adaptive, Fixed
+from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness
 
@@ -18,7 +19,7 @@ class Direction:
     blind spot: the scores vanish with the gap, so that close to contact all samples weigh the same.
     """
 
-    neighborhood: Adaptive | Fixed = field(default_factory=Adaptive)
+    neighborhood: Adaptive | Fixed | Neighbor = field(default_factory=Adaptive)
     """Which surface samples stand for the surface near a witness point."""
     coupling: Coupling = "coupled"
     """Solve both slips together, or hold the other witness point fixed."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from grasp_refine.se3 import transform_points
 from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
+from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness
 
@@ -19,7 +20,7 @@ class Distance:
     point. Approximated: the surface by its samples. Exact: everything that follows from rigid motion.
     """
 
-    neighborhood: Adaptive | Fixed = field(default_factory=Adaptive)
+    neighborhood: Adaptive | Fixed | Neighbor = field(default_factory=Adaptive)
     """Which surface samples stand for the surface near a witness point."""
     coupling: Coupling = "coupled"
     """Solve both slips together, or hold the other witness point fixed as in the paper."""

@@ -61,6 +61,11 @@ class Surfaces:
         """The surfaces of the bodies `index`."""
         return Surfaces(self.points[index], self.normals[index], self.spacing[index], self.diagonal[index])
 
+    @property
+    def floor(self) -> np.ndarray:
+        """Smallest sensible spread of squared distances between neighbours (S, 1), in square metres."""
+        return _SMALLEST_SPREAD * self.spacing[:, None] ** 2
+
     @cached_property
     def center(self) -> np.ndarray:
         """Mean of the candidates (S, 3); coordinates about it keep single precision accurate."""
@@ -174,69 +179,129 @@ def choose(
     N = surfaces.points.shape[1]
     radius = rule.radius(surfaces, x, target)
     body = np.repeat(np.arange(S), B)
-    rows = _Rows(surfaces, body, x.reshape(S * B, 3), normal.reshape(S * B, 3))
     minimum = min(rule.minimum, N)
     width = N if rule.samples is None else max(rule.samples, minimum)
     # A window of the random order is enough for wide neighbourhoods, which hold most of the candidates.
     window = N if rule.samples is None else min(N, _WINDOW)
-    index, normals, mask, inside = rows.draw(x, radius, offset % N, window, width)
-    if window < N and inside.min() < width:
-        # Rows that are full already keep what they have: their draw begins with the same candidates.
-        index, normals, mask, _ = rows.draw(x, radius, offset % N, N, width)
-    few = np.flatnonzero(mask.sum(axis=1) < minimum)
-    if len(few):
-        index[few], normals[few], mask[few] = rows.nearest(few, minimum, width)
+    rows = _Rows(surfaces, x, normal, np.broadcast_to(radius, (S, B)), offset % N)
+    index, normals, mask, inside = rows.draw(window, width)
+    hungry = mask.sum(axis=1) < minimum
+    if window < N:
+        hungry |= inside < width
+    hungry = hungry.reshape(S, B)
+    most = hungry.sum(axis=1).max()
+    if most:
+        # Equally many rows of each body; those that are full already draw the same candidates again.
+        columns = np.argsort(~hungry, axis=1, kind="stable")[:, :most]
+        again = rows.take(columns)
+        here = (np.arange(S)[:, None] * B + columns).reshape(-1)
+        index[here], normals[here], mask[here] = again.draw_at_least(minimum, width)
     points = np.empty((S * B, width + 1, 3))
-    points[:, 0] = rows.x
+    points[:, 0] = x.reshape(S * B, 3)
     points[:, 1:] = surfaces.points[body[:, None], index]
     with_witness = np.ones((S * B, width + 1), dtype=bool)
     with_witness[:, 1:] = mask
-    floor = _SMALLEST_SPREAD * surfaces.spacing[:, None] ** 2
     return Neighbors(
-        points.reshape(S, B, -1, 3), normals.reshape(S, B, -1, 3), with_witness.reshape(S, B, -1), radius, floor
+        points.reshape(S, B, -1, 3),
+        normals.reshape(S, B, -1, 3),
+        with_witness.reshape(S, B, -1),
+        radius,
+        surfaces.floor,
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """The witness points of a draw, one a row (M = S B rows)."""
+    """The witness points of a draw, M = S B of them in rows."""
 
     surfaces: Surfaces
-    body: np.ndarray
     x: np.ndarray
+    """(S, B, 3)."""
     normal: np.ndarray
+    """(S, B, 3)."""
+    radius: np.ndarray
+    """(S, B)."""
+    first: int
+    """The candidate that the draw begins with."""
+
+    @cached_property
+    def body(self) -> np.ndarray:
+        """Body (M, 1) of each row."""
+        S, B, _ = self.x.shape
+        return np.repeat(np.arange(S), B)[:, None]
+
+    def take(self, columns: np.ndarray) -> "_Rows":
+        """Some witness points (S, H) of each body."""
+        x, normal = (np.take_along_axis(array, columns[..., None], axis=1) for array in (self.x, self.normal))
+        return _Rows(self.surfaces, x, normal, np.take_along_axis(self.radius, columns, axis=1), self.first)
 
     def draw(
-        self, x: np.ndarray, radius: np.ndarray, first: int, window: int, width: int
+        self, window: int, width: int, squared: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Up to `width` candidates inside the radius (M, width) from a window of the random order.
 
         Also their normals (M, width, 3), which of them are real, and how many the window has inside (M,).
+        `squared` saves asking for the squared distances to the candidates of the window again.
         """
-        squared, x_squared = self.surfaces.offsets(x, first, window)
-        inside = squared <= (radius * radius - x_squared).astype(np.float32)[..., None]
+        squared = self.squared(window) if squared is None else squared
+        inside = squared <= (self.radius**2).astype(np.float32)[..., None]
         flat = np.flatnonzero(inside.reshape(-1))
         row = flat // window
-        count = np.bincount(row, minlength=len(self.x))
+        count = np.bincount(row, minlength=len(self.body))
         rank = np.arange(len(flat)) - np.repeat(np.cumsum(count) - count, count)
         keep = rank < width
         row, rank = row[keep], rank[keep]
-        index = np.zeros((len(self.x), width), dtype=np.int64)
+        index = np.zeros((len(self.body), width), dtype=np.int64)
         mask = np.zeros(index.shape, dtype=bool)
-        index[row, rank] = (flat[keep] - row * window + first) % self.surfaces.points.shape[1]
+        index[row, rank] = self._candidate(flat[keep] - row * window)
         mask[row, rank] = True
-        normals = self.surfaces.normals[self.body[:, None], index]
-        mask &= (normals @ self.normal[:, :, None])[..., 0] >= _COS_NORMALS
+        normals = self.surfaces.normals[self.body, index]
+        mask &= self._agree(normals, slice(None))
         return index, normals, mask, count
 
-    def nearest(self, rows: np.ndarray, count: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def draw_at_least(self, minimum: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As `draw` from all candidates; rows with fewer than `minimum` get the nearest ones instead."""
+        N = self.surfaces.points.shape[1]
+        squared = self.squared(N)
+        index, normals, mask, _ = self.draw(N, width, squared)
+        few = np.flatnonzero(mask.sum(axis=1) < minimum)
+        if len(few):
+            index[few], normals[few], mask[few] = self._nearest(few, squared.reshape(-1, N)[few], minimum, width)
+        return index, normals, mask
+
+    def squared(self, window: int) -> np.ndarray:
+        """Squared distances (S, B, window) to the candidates of a window."""
+        offsets, x_squared = self.surfaces.offsets(self.x, self.first, window)
+        offsets += x_squared.astype(np.float32)[..., None]
+        return offsets
+
+    def _nearest(
+        self, rows: np.ndarray, squared: np.ndarray, count: int, width: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The `count` nearest candidates of some rows whose normals agree; same shapes as from `draw`."""
-        body = self.body[rows]
-        squared = ((self.surfaces.points[body] - self.x[rows, None]) ** 2).sum(axis=2)
-        cosines = (self.surfaces.normals[body] @ self.normal[rows, :, None])[..., 0]
-        squared[cosines < _COS_NORMALS] = np.inf
+        N = squared.shape[1]
+        shortlist = min(N, 4 * count)
+        while True:
+            near = np.argpartition(squared, shortlist - 1, axis=1)[:, :shortlist]
+            near = np.take_along_axis(near, np.argsort(np.take_along_axis(squared, near, axis=1), axis=1), axis=1)
+            candidate = self._candidate(near)
+            normals = self.surfaces.normals[self.body[rows], candidate]
+            agree = self._agree(normals, rows)
+            if shortlist == N or (agree.sum(axis=1) >= count).all():
+                break
+            shortlist = N
+        # Those that agree come first, by their distance.
+        first = np.argsort(~agree, axis=1, kind="stable")[:, :count]
         index = np.zeros((len(rows), width), dtype=np.int64)
         mask = np.zeros(index.shape, dtype=bool)
-        index[:, :count] = np.argpartition(squared, count - 1, axis=1)[:, :count]
-        mask[:, :count] = np.isfinite(np.take_along_axis(squared, index[:, :count], axis=1))
-        return index, self.surfaces.normals[body[:, None], index], mask
+        index[:, :count] = np.take_along_axis(candidate, first, axis=1)
+        mask[:, :count] = np.take_along_axis(agree, first, axis=1)
+        return index, self.surfaces.normals[self.body[rows], index], mask
+
+    def _candidate(self, position: np.ndarray) -> np.ndarray:
+        """Which candidate stands at a position of the random order, counted from `first`."""
+        return (position + self.first) % self.surfaces.points.shape[1]
+
+    def _agree(self, normals: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
+        """Whether normals (M, K, 3) lie within 120 degrees of the contact normals of their rows (M, K)."""
+        return (normals @ self.normal.reshape(-1, 3)[rows, :, None])[..., 0] >= _COS_NORMALS

@@ -6,6 +6,7 @@ import numpy as np
 
 from grasp_refine.collision.query import Pairs, Witness
 from grasp_refine.witness.neighborhood import Neighborhood, Neighbors, Surfaces, choose, draw_offset
+from grasp_refine.witness.rings import Neighbor, choose_rings
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +55,13 @@ class WitnessScene:
             target = _stacked(*(none if side is None else side for side in (self.target_a, self.target_b)))
         return Sides(R, local[:, :, 0], local[:, :, 1], local[:, :, 2], target)
 
-    def neighbors(self, rule: Neighborhood, seed: int) -> tuple["Sides", Neighbors]:
+    def neighbors(self, rule: Neighborhood | Neighbor, seed: int) -> tuple["Sides", Neighbors]:
         """Every pair seen from each of its bodies, and the surface samples near its witness points."""
         sides = self.sides()
         offset = draw_offset(seed, self.key)
+        if isinstance(rule, Neighbor):
+            pieces, winner = self.pairs.piece_pairs, self.witness.winner
+            return sides, choose_rings(rule, *pieces, winner, sides.point, offset, self.surfaces.floor)
         return sides, choose(rule, self.surfaces, sides.point, sides.normal, sides.target, offset)
 
 

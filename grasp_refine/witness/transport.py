@@ -6,8 +6,11 @@ body a by exp(-xi~_a) with xi~_a = -Ad(T_a^-1 T_b) xi_b:
     (T_a exp(-xi~_a))^-1 T_b = T_a^-1 (T_b exp(-xi_b)).
 
 It moves *updates*: the gradient of b is scaled by the step sizes (s_t, s_r), carried over, unscaled, and added
-to the gradient of a. The sum is a direction of descent that is no longer the derivative of the loss; it is an
-option of gradient descent and of nothing else. Gradients are body twists Proj(T^-1 G) (`se3.body_gradient`).
+to the gradient of a. Where both bodies move, each gets the other's update as well as its own, so that, to first
+order, the relative pose moves twice as far. The sum is a direction of descent that is no longer the derivative of
+the loss; it is an option of gradient descent and of nothing else. Gradients are body twists Proj(T^-1 G)
+(`se3.body_gradient`). The poses may be results themselves, such as those of a kinematic chain: what reaches them
+flows on to the root and the joints.
 """
 
 from dataclasses import dataclass
@@ -21,12 +24,14 @@ from grasp_refine.se3 import adjoint, body_gradient, hat, inverse, matvec
 
 @dataclass(frozen=True)
 class EquivalentTransport:
-    """Adds the gradient of the resting body, carried over, to that of the moving one."""
+    """Adds the gradient of the resting body, carried over, to that of the moving one, or each one's to the other's."""
 
     step_translation: float
     """s_t: how far (metres) a unit of linear gradient moves."""
     step_rotation: float
     """s_r: how far (radians) a unit of angular gradient turns."""
+    both: bool = False
+    """The body called resting moves too, with the same step sizes, and gets the gradient of the other in turn."""
 
     def __call__(self, T_world_moving: Tensor, T_world_resting: Tensor) -> tuple[Tensor, Tensor]:
         """The same poses (..., 4, 4), whose gradients will be transported in the backward pass."""
@@ -39,7 +44,7 @@ def transport(T_from: Tensor, T_to: Tensor, twist: Tensor) -> Tensor:
 
 
 class _Transport(torch.autograd.Function):
-    """Identity on poses; its backward pass moves the gradient of the resting body over to the moving one."""
+    """Identity on poses; its backward pass carries the gradient of one body over to the other."""
 
     @staticmethod
     def forward(ctx, T_moving: Tensor, T_resting: Tensor, steps: EquivalentTransport) -> tuple[Tensor, Tensor]:  # noqa: ANN001
@@ -52,8 +57,13 @@ class _Transport(torch.autograd.Function):
     def backward(ctx, G_moving: Tensor, G_resting: Tensor) -> tuple[Tensor, Tensor, None]:  # noqa: ANN001
         T_moving, T_resting = ctx.saved_tensors
         scale = T_moving.new_tensor([ctx.steps.step_translation] * 3 + [ctx.steps.step_rotation] * 3)
-        update = transport(T_resting, T_moving, body_gradient(T_resting, G_resting) * scale)
-        return G_moving + _entries(T_moving, update / scale), G_resting, None
+
+        def carried(T_from: Tensor, G_from: Tensor, T_to: Tensor) -> Tensor:
+            return _entries(T_to, transport(T_from, T_to, body_gradient(T_from, G_from) * scale) / scale)
+
+        for_moving = G_moving + carried(T_resting, G_resting, T_moving)
+        for_resting = G_resting + carried(T_moving, G_moving, T_resting) if ctx.steps.both else G_resting
+        return for_moving, for_resting, None
 
 
 def _entries(T: Tensor, twist: Tensor) -> Tensor:

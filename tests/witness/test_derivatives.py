@@ -7,7 +7,6 @@ import pytest
 import torch
 from twists import (
     contracted,
-    gradient_along_twists,
     layer_gradient,
     poses_at_gap,
     random_cotangents,
@@ -15,7 +14,7 @@ from twists import (
     slopes_along_twists,
 )
 
-from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.collision.query import Pairs, query
 from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import box, capsule, hull, sphere
@@ -269,66 +268,6 @@ def test_signed_distance_gradient_is_exact(bodies: str, gap: float) -> None:
     unique = np.abs(forward - expected).max(axis=0) < 1e-7
     assert unique.sum() >= 6
     np.testing.assert_allclose(found[:, unique], expected[:, unique], atol=1e-6)
-
-
-# invariance
-
-
-@pytest.mark.parametrize("method", [Distance(), ContactKinematics()], ids=["distance", "contact-kinematics"])
-@pytest.mark.parametrize("bodies", BODIES)
-@pytest.mark.parametrize("gap", [0.005, -0.002])
-def test_a_common_motion_changes_no_relative_loss(
-    method: Distance | ContactKinematics, bodies: str, gap: float
-) -> None:
-    pairs = Pairs(*((body,) for body in BODIES[bodies]()))
-    T_a, T_b = poses_at_gap(pairs, 6, gap, seed=21)
-    layer = WitnessLayer(pairs, method)
-    tensors = [torch.from_numpy(T.copy()).requires_grad_() for T in (T_a, T_b)]
-    w = layer(*tensors)
-    # Relative: the gap vector seen from body a, and against body b's orientation.
-    gap_vector = w.point_b - w.point_a + 0.01 * w.normal
-    along = torch.einsum("bpij,bpi,j->bp", tensors[0][..., :3, :3], gap_vector, torch.tensor([1.0, 2.0, -1.0]).double())
-    across = torch.einsum("bpij,bpi,j->bp", tensors[1][..., :3, :3], w.normal, torch.tensor([0.5, -1.0, 2.0]).double())
-    offset = w.point_a - tensors[0][..., :3, 3] + 2 * (w.point_b - tensors[1][..., :3, 3])
-    loss = 100 * along.sum() + across.sum() + offset.square().sum() + w.distance.sum()
-    loss.backward()
-    common = sum(gradient_along_twists(t.grad.numpy(), t.detach().numpy()) for t in tensors)
-    single = gradient_along_twists(tensors[1].grad.numpy(), T_b)
-    assert np.abs(common).max() < 1e-9 * max(1.0, np.abs(single).max())
-
-
-@pytest.mark.parametrize(
-    "method",
-    [Distance(Adaptive(samples=None)), ContactKinematics(Adaptive(samples=None))],
-    ids=["distance", "contact-kinematics"],
-)
-@pytest.mark.parametrize("gap", [0.005, -0.002])
-def test_swapping_the_bodies_swaps_the_gradients(method: Distance | ContactKinematics, gap: float) -> None:
-    a, b = rounded(0), rounded(1)
-    pairs, swapped = Pairs((a,), (b,)), Pairs((b,), (a,))
-    T_a, T_b = poses_at_gap(pairs, 6, gap, seed=31)
-    w = query(pairs, T_a, T_b)
-    same = random_cotangents(w, ALL, seed=32)
-    other = {
-        "point_a": same["point_b"],
-        "point_b": same["point_a"],
-        "normal": -same["normal"],
-        "distance": same["distance"],
-    }
-    # At the very same witness points, so that only the derivative is compared.
-    layers = [WitnessLayer(p, method) for p in (pairs, swapped)]
-    reverse = Witness(w.point_b, w.point_a, -w.normal, w.distance, w.status, w.winner, w.asked)
-    one, two = (
-        method.pull_back(WitnessScene(*layer.columns(np.array([0])), *poses, found, None, None, 0), *forces)
-        for layer, poses, found, forces in (
-            (layers[0], (T_a, T_b), w, (same["point_a"], same["point_b"], same["normal"])),
-            (layers[1], (T_b, T_a), reverse, (other["point_a"], other["point_b"], other["normal"])),
-        )
-    )
-    np.testing.assert_allclose(one[0], two[1], atol=1e-9, rtol=1e-9)
-    np.testing.assert_allclose(one[1], two[0], atol=1e-9, rtol=1e-9)
-    found = query(swapped, T_b, T_a)
-    np.testing.assert_allclose(found.distance, w.distance, atol=1e-8)
 
 
 # the layer as a torch function

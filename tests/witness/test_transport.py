@@ -10,7 +10,7 @@ from shapes_for_tests import convex_body
 from twists import poses_at_gap
 
 from grasp_refine.collision.query import Pairs
-from grasp_refine.se3 import body_gradient, exp_se3, inverse
+from grasp_refine.se3 import adjoint, body_gradient, exp_se3, inverse
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.transport import EquivalentTransport, _entries, transport
@@ -27,6 +27,21 @@ def test_the_other_body_moves_to_the_same_effect(pose_a: np.ndarray, pose_b: np.
     moved_a = inverse(T_a @ exp_se3(-xi_a)) @ T_b
     moved_b = inverse(T_a) @ T_b @ exp_se3(-xi_b)
     np.testing.assert_allclose(moved_a, moved_b, atol=1e-11)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(twists, twists, twists, twists)
+def test_bodies_that_exchange_their_updates_move_as_with_their_own(
+    pose_a: np.ndarray, pose_b: np.ndarray, xi_a: np.ndarray, xi_b: np.ndarray
+) -> None:
+    T_a, T_b = exp_se3(pose_a), exp_se3(pose_b)
+    tensors = [torch.from_numpy(x) for x in (T_a, T_b, xi_a, xi_b)]
+    for_b, for_a = transport(*tensors[:3]).numpy(), transport(tensors[1], tensors[0], tensors[3]).numpy()
+    exchanged = inverse(T_a @ exp_se3(-for_a)) @ T_b @ exp_se3(-for_b)
+    # The same two motions of b relative to a, one after the other: first its own, then that of a carried over.
+    np.testing.assert_allclose(exchanged, inverse(T_a) @ T_b @ exp_se3(-xi_b) @ exp_se3(-for_b), atol=1e-11)
+    own = inverse(T_a @ exp_se3(-xi_a)) @ T_b @ exp_se3(-xi_b)
+    np.testing.assert_allclose(own, inverse(T_a) @ T_b @ exp_se3(-for_b) @ exp_se3(-xi_b), atol=1e-11)
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)
@@ -66,6 +81,67 @@ def test_the_backward_pass_adds_the_scaled_update_to_the_moving_body(steps: tupl
     own = body_gradient(T_a.detach(), G_a) * scale
     other = transport(T_b.detach(), T_a.detach(), body_gradient(T_b.detach(), G_b) * scale)
     torch.testing.assert_close(body_gradient(T_a.detach(), T_a.grad) * scale, own + other)
+
+
+@pytest.mark.parametrize("steps", [(1.0, 1.0), (1e-3, 1e-2)])
+def test_where_both_move_each_gets_the_others_update(steps: tuple[float, float]) -> None:
+    T_a, T_b = poses(21, 4, 3).requires_grad_(), poses(22, 4, 3).requires_grad_()
+    G = torch.from_numpy(np.random.default_rng(23).normal(size=(2, 4, 3, 4, 4)))
+    torch.autograd.backward(EquivalentTransport(*steps, both=True)(T_a, T_b), tuple(G))
+    scale = torch.tensor([steps[0]] * 3 + [steps[1]] * 3, dtype=torch.float64)
+    for (T, own), (T_other, other) in (((T_a, G[0]), (T_b, G[1])), ((T_b, G[1]), (T_a, G[0]))):
+        update = body_gradient(T.detach(), own) * scale
+        theirs = transport(T_other.detach(), T.detach(), body_gradient(T_other.detach(), other) * scale)
+        torch.testing.assert_close(body_gradient(T.detach(), T.grad) * scale, update + theirs)
+
+
+def test_where_both_move_the_relative_pose_moves_twice_as_far() -> None:
+    a, b = poses(24), poses(25)
+    weight = torch.from_numpy(np.random.default_rng(26).normal(size=(4, 4)))
+    scale = torch.tensor([1e-6] * 3 + [3e-6] * 3, dtype=torch.float64)
+
+    def motion(transported: EquivalentTransport | None) -> torch.Tensor:
+        leaves = [T.clone().requires_grad_() for T in (a, b)]
+        T_a, T_b = transported(*leaves) if transported else leaves
+        (weight * (inverse(T_a) @ T_b)).sum().backward()
+        new_a, new_b = (
+            T @ exp_se3(-scale * body_gradient(T, leaf.grad)) for T, leaf in zip((a, b), leaves, strict=True)
+        )
+        return inverse(new_a) @ new_b - inverse(a) @ b
+
+    alone = motion(None)
+    assert alone.abs().max() > 1e-6
+    torch.testing.assert_close(motion(EquivalentTransport(1e-6, 3e-6, both=True)), 2 * alone, rtol=1e-4, atol=1e-10)
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_transported_gradients_flow_through_a_chain_to_root_and_joints(both: bool) -> None:
+    """Root and joint gradients are those of the explicit formula J^T (xi_link + xi~_link)."""
+    steps = EquivalentTransport(2e-3, 5e-2, both=both)
+    root, T_object = poses(30).requires_grad_(), poses(31).requires_grad_()
+    q = torch.tensor([0.3, -0.7], dtype=torch.float64, requires_grad=True)
+    offsets, axes = poses(32, 2), torch.from_numpy(np.random.default_rng(33).normal(size=(2, 6)))
+    G_link, G_object = torch.from_numpy(np.random.default_rng(34).normal(size=(2, 4, 4)))
+
+    chain = offsets[0] @ exp_se3(q[0] * axes[0]) @ offsets[1] @ exp_se3(q[1] * axes[1])
+    link = root @ chain
+    torch.autograd.backward(steps(link, T_object), (G_link, G_object))
+
+    with torch.no_grad():
+        scale = torch.tensor([steps.step_translation] * 3 + [steps.step_rotation] * 3, dtype=torch.float64)
+        carried = transport(T_object, link, body_gradient(T_object, G_object) * scale) / scale
+        total = body_gradient(link, G_link) + carried
+        covector = total * torch.tensor([1.0, 1, 1, 2, 2, 2])  # `body_gradient` halves rotations
+        # Body twists of the link that a body twist of the root and the two joints cause.
+        of_joints = [adjoint(inverse(offsets[1] @ exp_se3(q[1] * axes[1]))) @ axes[0], axes[1]]
+        for_root = adjoint(inverse(chain)).mT @ covector
+        for_q = torch.stack([twist @ covector for twist in of_joints])
+        back = transport(link, T_object, body_gradient(link, G_link) * scale) / scale
+        expected_object = body_gradient(T_object, G_object) + (back if both else 0.0)
+        found_root = body_gradient(root, root.grad) * torch.tensor([1.0, 1, 1, 2, 2, 2])
+    torch.testing.assert_close(found_root, for_root)
+    torch.testing.assert_close(q.grad, for_q)
+    torch.testing.assert_close(body_gradient(T_object.detach(), T_object.grad), expected_object)
 
 
 def test_the_gradient_of_the_resting_body_alone_becomes_a_step_of_the_moving_one() -> None:

@@ -1,0 +1,179 @@
+"""The paper's solver of alignment tasks: normalised gradient descent on the pose of body 2, or of both.
+
+arXiv 2511.06267: the body twist (v, w) of the gradient is scaled to length one as a single 6-vector, then the body
+moves by -(v s_t, w s_r). s_r falls from 10 over 1 to 0.1 after 10 % and 90 % of the budget, s_t = s_r / 1000.
+Many pairs of bodies, each with as many tasks, go through the witness layer together.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from grasp_refine.collision.query import Pairs, Witness
+from grasp_refine.losses import contact_targets
+from grasp_refine.se3 import body_gradient, retract
+from grasp_refine.witness.autograd import Derivative, WitnessLayer
+from grasp_refine.witness.transport import EquivalentTransport
+
+from .bodies import BodyPair
+from .stopwatch import Stopwatch, TimedDerivative, timed_pairs
+from .tasks import Tasks
+
+SHARES, FACTORS = (0.1, 0.9), (1.0, 0.1, 0.01)
+"""Shares of the budget after which the steps shrink, and to what."""
+
+METRES_PER_RADIAN = 1e-3
+"""s_t / s_r."""
+
+_WHOLE = 2.0
+"""Proj(T^-1 G) has half of the derivative along a rotation; here w is all of it."""
+
+
+@dataclass(frozen=True)
+class AlignDescent:
+    """Normalised gradient descent with a fixed schedule."""
+
+    method: Derivative
+    """How witness points are differentiated."""
+    transport: bool = True
+    """Equivalent gradient transport: the gradient of body 1 acts through body 2."""
+    optimise: Literal["T2", "T1T2"] = "T2"
+    """Which bodies move."""
+    margin: float = 0.0
+    """Contact margin beta in metres: the gap that is aimed at."""
+    step_size: float = 10.0
+    """s_r at first; dimensionless, because the gradient is normalised."""
+    iterations: int | None = 2000
+    """Budget in iterations; None: `seconds`."""
+    seconds: float | None = None
+    """Budget in CPU seconds per pair, all its tasks together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """What came out of P pairs with N tasks each; arrays (N, P, ...)."""
+
+    error: np.ndarray
+    """Smallest |x_a - t_a|^2 + |x_b - t_b|^2 + (d - beta)^2 on the way (N, P), in square metres."""
+    last_error: np.ndarray
+    """The same at the end (N, P), which is what the paper reports."""
+    T_world_a: np.ndarray
+    """Poses (N, P, 4, 4) of the first bodies where the error was smallest."""
+    T_world_b: np.ndarray
+    """The same of the second ones."""
+    witness: Witness
+    """Witness points there."""
+    iterations: int
+    """Steps that were made."""
+    watch: Stopwatch
+    """CPU time by stage, and narrow-phase queries."""
+    forward_s: float
+    """CPU seconds of the forward passes."""
+    backward_s: float
+    """CPU seconds of the backward passes."""
+    cpu_s: float
+    """CPU seconds of the loop."""
+    wall_s: float
+    """Wall seconds of the loop."""
+
+
+def align(
+    bodies: Sequence[BodyPair],
+    tasks: Sequence[Tasks],
+    solver: AlignDescent,
+    *,
+    dtype: torch.dtype = torch.float64,
+    device: str = "cpu",
+    progress: Callable[[float], None] = lambda share: None,
+) -> Aligned:
+    """Run the tasks of several pairs, equally many of each.
+
+    Args:
+        bodies: P pairs.
+        tasks: N tasks for each pair.
+        solver: Derivative method and schedule.
+        dtype: Of poses and losses.
+        device: Of poses and losses; queries and derivatives run on the CPU.
+        progress: Called now and then with the share of the budget that is spent.
+    """
+
+    def stacked(name: str) -> Tensor:
+        array = np.stack([getattr(one, name) for one in tasks], axis=1)
+        return torch.as_tensor(array, dtype=dtype, device=device)
+
+    watch = Stopwatch()
+    pairs = timed_pairs(Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies)), watch)
+    layer = WitnessLayer(pairs, TimedDerivative(solver.method, watch))
+    T_a, T_b, target_a, target_b = (stacked(name) for name in ("T_world_a", "T_world_b", "target_a", "target_b"))
+    together = EquivalentTransport(METRES_PER_RADIAN, _WHOLE)
+    # The layer keeps what it builds once; that is not part of the loop's time.
+    layer.columns(np.arange(len(pairs)))
+
+    def loss(T_a: Tensor, T_b: Tensor, key: int, previous: Witness | None = None) -> tuple[Tensor, Witness]:
+        with watch.stage("broadphase"):
+            found = layer(T_a, T_b, target_a, target_b, key=key, previous=previous)
+        residual = contact_targets(found, T_a, T_b, target_a, target_b, solver.margin)
+        return residual.square().sum(dim=-1), found
+
+    best, best_a, best_b = torch.full(T_a.shape[:2], torch.inf, dtype=dtype, device=device), T_a, T_b
+
+    def keep(error: Tensor) -> None:
+        nonlocal best, best_a, best_b
+        # An error that is not a number is never smaller.
+        better = error < best
+        best = torch.where(better, error, best)
+        best_a, best_b = (torch.where(better[..., None, None], T.detach(), kept) for T, kept in ((T_a, best_a), (T_b, best_b)))
+
+    forward_s = backward_s = 0.0
+    done, iteration = 0.0, 0
+    start_cpu, start_wall = time.process_time(), time.perf_counter()
+    with watch.stage("solver"):
+        while done < 1.0:
+            leaves = [T.requires_grad_() for T in (T_a, T_b)]
+            moved = together(leaves[1], leaves[0])[::-1] if solver.transport else leaves
+            before = time.process_time()
+            error, _ = loss(*moved, iteration)
+            between = time.process_time()
+            wanted = leaves if solver.optimise == "T1T2" else leaves[1:]
+            gradients = torch.autograd.grad(error.sum(), wanted)
+            after = time.process_time()
+            forward_s, backward_s = forward_s + between - before, backward_s + after - between
+            keep(error.detach())
+            rotation = solver.step_size * FACTORS[sum(done >= share for share in SHARES)]
+            stepped = [_step(T.detach(), G, rotation) for T, G in zip(wanted, gradients, strict=True)]
+            T_a, T_b = T_a.detach(), stepped[-1]
+            if len(stepped) == 2:
+                T_a = stepped[0]
+            iteration += 1
+            if solver.iterations is not None:
+                done = iteration / solver.iterations
+            else:
+                done = (time.process_time() - start_cpu) / (solver.seconds * len(bodies))
+            if iteration % 50 == 0:
+                progress(min(done, 1.0))
+    cpu_s, wall_s = time.process_time() - start_cpu, time.perf_counter() - start_wall
+    with torch.no_grad():
+        last_error, found = loss(T_a, T_b, iteration)
+        last_error = torch.where(torch.as_tensor(found.valid, device=device), last_error, torch.inf)
+        keep(last_error)
+        _, found = loss(best_a, best_b, iteration)
+    best, last_error, best_a, best_b = (x.double().cpu().numpy() for x in (best, last_error, best_a, best_b))
+    return Aligned(
+        best, last_error, best_a, best_b, found.detached(), iteration, watch, forward_s, backward_s, cpu_s, wall_s
+    )
+
+
+def _step(T: Tensor, G: Tensor, rotation: float) -> Tensor:
+    """T exp(-(v s_t, w s_r)) with the body twist (v, w) of the gradient G scaled to length one; 0 stays 0."""
+    twist = body_gradient(T, G) * T.new_tensor([1.0] * 3 + [_WHOLE] * 3)
+    length = twist.norm(dim=-1, keepdim=True)
+    unit = twist / torch.where(length > 0, length, torch.ones_like(length))
+    scale = twist.new_tensor([METRES_PER_RADIAN * rotation] * 3 + [rotation] * 3)
+    return retract(T, -unit * scale)

@@ -1,0 +1,79 @@
+"""CPU time by stage, taken from outside: the library itself measures nothing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from grasp_refine.collision.narrowphase import Closest, NarrowPhase
+from grasp_refine.collision.query import Pairs
+from grasp_refine.witness.autograd import Derivative
+from grasp_refine.witness.scene import WitnessScene
+
+STAGES = ("broadphase", "narrowphase", "derivative", "solver")
+"""Broad phase: all of a query but its narrow phase. Solver: all that is left, such as loss and step."""
+
+
+@dataclass
+class Stopwatch:
+    """CPU seconds of stages that may lie inside each other; the time of an inner one counts there only."""
+
+    cpu_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))
+    """Stage -> CPU seconds of this process."""
+    asked: int = 0
+    """Narrow-phase queries."""
+    _inner: list[float] = field(default_factory=list)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Count what happens inside for the stage `name`."""
+        self._inner.append(0.0)
+        start = time.process_time()
+        try:
+            yield
+        finally:
+            spent = time.process_time() - start
+            self.cpu_s[name] += spent - self._inner.pop()
+            if self._inner:
+                self._inner[-1] += spent
+
+
+@dataclass(frozen=True)
+class TimedDerivative:
+    """A derivative method whose time is measured; what it asks of the narrow phase counts there."""
+
+    method: Derivative
+    watch: Stopwatch
+
+    def pull_back(
+        self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What the method says."""
+        with self.watch.stage("derivative"):
+            return self.method.pull_back(scene, force_a, force_b, force_n)
+
+
+class _TimedNarrowPhase:
+    """A narrow phase whose time and queries are counted."""
+
+    def __init__(self, narrow_phase: NarrowPhase, watch: Stopwatch) -> None:
+        self._narrow_phase, self._watch = narrow_phase, watch
+
+    def closest(self, *arguments: Any) -> Closest:
+        with self._watch.stage("narrowphase"):
+            found = self._narrow_phase.closest(*arguments)
+        self._watch.asked += int(found.asked.sum())
+        return found
+
+
+def timed_pairs(pairs: Pairs, watch: Stopwatch) -> Pairs:
+    """The same pairs, with a narrow phase that is measured."""
+    timed = Pairs(pairs.a, pairs.b, pairs.tolerances)
+    # Takes the place of the cached property, which so is never built.
+    timed.__dict__["narrow_phase"] = _TimedNarrowPhase(timed.narrow_phase, watch)
+    return timed

@@ -1,0 +1,223 @@
+"""One checker that every derivative method passes through: what holds whatever is approximated, and how."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from shapes_for_tests import cluster_body, convex_body, ring_body
+from twists import layer_gradient, poses_at_gap, random_cotangents, random_poses
+
+from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.pieces import box, capsule, sphere
+from grasp_refine.se3 import cross
+from grasp_refine.witness.analytical import Analytical
+from grasp_refine.witness.autograd import Derivative, WitnessLayer
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.direction import Direction
+from grasp_refine.witness.distance import Distance
+from grasp_refine.witness.finite_difference import FiniteDifference
+from grasp_refine.witness.neighborhood import Adaptive, Fixed
+from grasp_refine.witness.rigid import Rigid
+from grasp_refine.witness.rings import Neighbor
+from grasp_refine.witness.scene import WitnessScene
+from grasp_refine.witness.slip import wrench
+from grasp_refine.witness.zeroth_order import ZerothOrder
+
+NEIGHBORHOODS = {"adaptive": Adaptive(), "fixed": Fixed(), "neighbor": Neighbor()}
+METHODS: dict[str, Derivative] = {
+    **{f"distance, {name}": Distance(rule) for name, rule in NEIGHBORHOODS.items()},
+    **{f"distance, {name}, one-sided": Distance(rule, "one-sided") for name, rule in NEIGHBORHOODS.items()},
+    **{f"direction, {name}": Direction(rule) for name, rule in NEIGHBORHOODS.items()},
+    **{f"contact kinematics, {name}": ContactKinematics(NEIGHBORHOODS[name]) for name in ("adaptive", "neighbor")},
+    "analytical": Analytical(),
+    "rigid": Rigid(),
+    "finite difference": FiniteDifference(),
+    "zeroth order": ZerothOrder(),
+}
+INVARIANT = [name for name in METHODS if "one-sided" not in name]
+SIDES_ALIKE = [name for name in METHODS if name not in ("finite difference", "zeroth order")]
+
+GAPS = (0.02, 1e-3, 1e-6, 1e-9, 0.0, -1e-9, -1e-4, -4e-3)
+FIELDS = ("point_a", "point_b", "normal", "distance")
+
+BODIES = {
+    "concave": lambda: (cluster_body(2), cluster_body(3)),
+    "ring and hull": lambda: (ring_body(1), convex_body(0)),
+    "sphere and box": lambda: (build_body("s", [sphere(0.02)]), build_body("b", [box([0.05, 0.04, 0.03])])),
+    "capsule and hull": lambda: (build_body("c", [capsule(0.01, (0, 0, -0.02), (0, 0, 0.03))]), convex_body(4)),
+}
+
+
+@cache
+def bodies(name: str) -> tuple[Body, Body]:
+    return BODIES[name]()
+
+
+def pair(name: str) -> Pairs:
+    a, b = bodies(name)
+    return Pairs((a,), (b,))
+
+
+def gradients(
+    pairs: Pairs, method: Derivative, T_a: torch.Tensor, T_b: torch.Tensor, cotangents: dict[str, np.ndarray]
+) -> torch.Tensor:
+    """Gradients (2, batch, pair, 4, 4) of sum(cotangent * field) in the entries of both poses."""
+    leaves = [T.clone().requires_grad_() for T in (T_a, T_b)]
+    w = WitnessLayer(pairs, method)(*leaves)
+    sum((getattr(w, name) * torch.from_numpy(c).to(T_a)).sum() for name, c in cotangents.items()).backward()
+    return torch.stack([leaf.grad for leaf in leaves])
+
+
+# (a) finite wherever the bodies are
+
+
+@cache
+def poses_at_all_gaps(name: str, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Random poses (count, 1, 4, 4) of both bodies moved along their normal until the gap is one of `GAPS`, and it.
+
+    Concave bodies do not all come to rest there; those stay in the batch wherever they are.
+    """
+    T_a, T_b = random_poses(count, seed=1), random_poses(count, seed=2)
+    gap = np.resize(GAPS, (count, 1))
+    found = None
+    for _ in range(6):
+        found = query(pair(name), T_a, T_b, previous=found)
+        T_b[..., :3, 3] += (gap - found.distance)[..., None] * found.normal
+    return T_a, T_b, gap
+
+
+def check_all_finite(name: str, method: Derivative, count: int) -> None:
+    T_a, T_b, gap = poses_at_all_gaps(name, count)
+    for start in range(0, count, 1000):
+        poses = [torch.from_numpy(T[start : start + 1000]) for T in (T_a, T_b)]
+        w = query(pair(name), T_a[start : start + 1000], T_b[start : start + 1000])
+        reached = np.abs(w.distance - gap[start : start + 1000]) < 1e-9
+        assert w.valid.all() and reached.mean() > 0.7
+        found = gradients(pair(name), method, *poses, random_cotangents(w, FIELDS, seed=start))
+        assert torch.isfinite(found).all()
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_ten_thousand_gradients_are_finite(name: str) -> None:
+    check_all_finite("concave", METHODS[name], 10_000)
+
+
+@pytest.mark.parametrize("shapes", BODIES)
+@pytest.mark.parametrize("name", METHODS)
+def test_gradients_are_finite_for_every_shape(name: str, shapes: str) -> None:
+    check_all_finite(shapes, METHODS[name], 80)
+
+
+# (b) both bodies moved together
+
+
+@pytest.mark.parametrize("gap", [0.01, 1e-9, -0.003])
+@pytest.mark.parametrize("shapes", BODIES)
+@pytest.mark.parametrize("name", INVARIANT)
+def test_a_common_motion_moves_points_and_normal_with_it(name: str, shapes: str, gap: float) -> None:
+    pairs = pair(shapes)
+    T_a, T_b = poses_at_gap(pairs, 6, gap, seed=11)
+    w = query(pairs, T_a, T_b)
+    c = random_cotangents(w, FIELDS, seed=12)
+    found = layer_gradient(WitnessLayer(pairs, METHODS[name]), T_a, T_b, c)
+    expected = wrench(w.point_a, c["point_a"]) + wrench(w.point_b, c["point_b"])
+    expected[..., 3:] += cross(w.normal, c["normal"])
+    np.testing.assert_allclose(found[:6] + found[6:], expected[:, 0].T, atol=1e-9 * max(1.0, np.abs(found).max()))
+
+
+# (c) the bodies exchanged
+
+
+def exchanged(pairs: Pairs, w: Witness) -> tuple[Pairs, Witness]:
+    """The same pair of bodies, and the same witness points, in the other order."""
+    count_a, count_b = len(pairs.a[0].pieces), len(pairs.b[0].pieces)
+    winner = w.winner % count_b * count_a + w.winner // count_b
+    return Pairs(pairs.b, pairs.a), Witness(w.point_b, w.point_a, -w.normal, w.distance, w.status, winner, w.asked)
+
+
+def wrenches(
+    pairs: Pairs, method: Derivative, T_a: np.ndarray, T_b: np.ndarray, w: Witness, forces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    scene = WitnessScene(*WitnessLayer(pairs, method).columns(np.array([0])), T_a, T_b, w, None, None, 3)
+    return method.pull_back(scene, *forces)
+
+
+def both_orders(pairs: Pairs, method: Derivative, gap: float) -> tuple[np.ndarray, np.ndarray]:
+    """Wrenches (body, batch, pair, 6) as asked, and with the bodies exchanged (but in the same order)."""
+    T_a, T_b = poses_at_gap(pairs, 6, gap, seed=21)
+    w = query(pairs, T_a, T_b)
+    f_a, f_b, f_n = random_cotangents(w, FIELDS[:3], seed=22).values()
+    swapped, reverse = exchanged(pairs, w)
+    one = wrenches(pairs, method, T_a, T_b, w, (f_a, f_b, f_n))
+    two = wrenches(swapped, method, T_b, T_a, reverse, (f_b, f_a, -f_n))
+    return np.stack(one), np.stack(two[::-1])
+
+
+@pytest.mark.parametrize("gap", [0.01, -0.003])
+@pytest.mark.parametrize("shapes", BODIES)
+@pytest.mark.parametrize("name", SIDES_ALIKE)
+def test_exchanging_the_bodies_exchanges_the_wrenches(name: str, shapes: str, gap: float) -> None:
+    one, two = both_orders(pair(shapes), METHODS[name], gap)
+    np.testing.assert_allclose(one, two, rtol=1e-8, atol=1e-8 * np.abs(one).max())
+
+
+@pytest.mark.parametrize("gap", [0.01, -0.003])
+@pytest.mark.parametrize("shapes", BODIES)
+def test_exchanging_the_bodies_exchanges_their_witness_points(shapes: str, gap: float) -> None:
+    pairs = pair(shapes)
+    T_a, T_b = poses_at_gap(pairs, 6, gap, seed=21)
+    swapped, expected = exchanged(pairs, query(pairs, T_a, T_b))
+    found = query(swapped, T_b, T_a)
+    np.testing.assert_allclose(found.distance, expected.distance, atol=1e-8)
+    np.testing.assert_array_equal(found.winner, expected.winner)
+
+
+@pytest.mark.parametrize(
+    ("method", "error"),
+    [(FiniteDifference(step=1e-4), 1e-4), (ZerothOrder(sigma=1e-3, samples=3000), 0.1)],
+    ids=["finite difference", "zeroth order"],
+)
+def test_methods_that_move_one_body_do_not_mind_which(method: Derivative, error: float) -> None:
+    """On smooth bodies, up to the step and the number of samples: they turn about the witness point of b."""
+    pairs = Pairs((build_body("a", [sphere(0.02)]),), (build_body("b", [sphere(0.03, (0.01, 0, 0))]),))
+    one, two = both_orders(pairs, method, 0.01)
+    assert np.linalg.norm(one - two) < error * np.linalg.norm(one)
+
+
+# (d) single precision
+
+
+@pytest.mark.parametrize("gap", [0.01, -0.003])
+@pytest.mark.parametrize("name", METHODS)
+def test_single_precision_poses_give_nearly_the_same_gradients(name: str, gap: float) -> None:
+    pairs = pair("concave")
+    double = [torch.from_numpy(T) for T in poses_at_gap(pairs, 40, gap, seed=31)]
+    single = [T.float() for T in double]
+    c = random_cotangents(query(pairs, *(T.numpy() for T in double)), FIELDS, seed=32)
+    found = gradients(pairs, METHODS[name], *single, c)
+    assert found.dtype == torch.float32
+    # Rounded poses in double precision: the very same but for the rounding of cotangents and results.
+    rounded = gradients(pairs, METHODS[name], *(T.double() for T in single), c)
+    scale = rounded.abs().amax(dim=(0, 2, 3, 4))
+    assert ((found - rounded).abs().amax(dim=(0, 2, 3, 4)) < 1e-5 * scale).all()
+    # Poses that were never rounded: other samples in a few rows, hardly a difference in the rest.
+    exact = gradients(pairs, METHODS[name], *double, c)
+    close = (found - exact).abs().amax(dim=(0, 2, 3, 4)) < 1e-2 * scale
+    assert close.double().mean() > 0.9
+
+
+# (e) what else is in the batch
+
+
+@pytest.mark.parametrize("gap", [0.01, 1e-9, -0.003])
+@pytest.mark.parametrize("name", METHODS)
+def test_a_row_does_not_depend_on_its_batch(name: str, gap: float) -> None:
+    pairs = pair("concave")
+    T_a, T_b = (torch.from_numpy(T) for T in poses_at_gap(pairs, 12, gap, seed=41))
+    c = random_cotangents(query(pairs, T_a.numpy(), T_b.numpy()), FIELDS, seed=42)
+    whole = gradients(pairs, METHODS[name], T_a, T_b, c)
+    for rows in ([3], [11, 0, 7, 5], [4, 4, 4, 4, 4, 9]):
+        part = gradients(pairs, METHODS[name], T_a[rows], T_b[rows], {key: value[rows] for key, value in c.items()})
+        torch.testing.assert_close(part, whole[:, rows], rtol=1e-9, atol=1e-9 * float(whole.abs().max()))

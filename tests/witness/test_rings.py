@@ -1,0 +1,269 @@
+"""Rings of mesh vertices about the witness point: who is in them, and that chance is nobody else's business."""
+
+import networkx
+import numpy as np
+import pytest
+import torch
+import trimesh
+from shapes_for_tests import cluster_body, convex_body, ellipsoid_hull, ring_body
+from twists import layer_gradient, poses_at_gap, random_cotangents
+
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
+from grasp_refine.errors import CollisionError
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere
+from grasp_refine.geometry.rings import Rings
+from grasp_refine.se3 import inverse, transform_points
+from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.distance import Distance
+from grasp_refine.witness.neighborhood import Neighbors, Surfaces, draw_offset
+from grasp_refine.witness.rings import Neighbor, choose_rings
+from grasp_refine.witness.scene import WitnessScene
+
+PIECES = {
+    "icosphere": lambda: hull(trimesh.creation.icosphere(subdivisions=2, radius=0.03).vertices),
+    "grid": lambda: hull(grid()),
+    "ellipsoid": lambda: ellipsoid_hull(0),
+    "box": lambda: box([0.05, 0.04, 0.03]),
+}
+
+
+def grid(n: int = 11) -> np.ndarray:
+    """A gently domed grid of n x n points over a flat base."""
+    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-0.05, 0.05, n)] * 2))
+    top = np.stack([x, y, 0.02 - x**2 - 1.1 * y**2], axis=1)
+    return np.concatenate([top, [(sx * 0.06, sy * 0.06, -0.02) for sx in (-1, 1) for sy in (-1, 1)]])
+
+
+def graph(faces: np.ndarray) -> networkx.Graph:
+    return networkx.Graph([tuple(edge) for corners in ([0, 1], [1, 2], [2, 0]) for edge in faces[:, corners].tolist()])
+
+
+def row(rings: Rings, vertex: int) -> np.ndarray:
+    return rings.members[rings.start[vertex] : rings.start[vertex + 1]]
+
+
+def scene_of(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray, w: Witness | None = None, key: int = 0) -> WitnessScene:
+    columns = WitnessLayer(pairs, Distance()).columns(np.arange(len(pairs)))
+    return WitnessScene(*columns, T_a, T_b, w or query(pairs, T_a, T_b), None, None, key)
+
+
+def drawn(near: Neighbors, points: np.ndarray, s: int, b: int) -> np.ndarray:
+    """Which of the points (V, 3) were chosen for item b of side s."""
+    chosen = near.points[s, b, 1:][near.mask[s, b, 1:]]
+    away = np.abs(points[None] - chosen[:, None]).max(axis=2)
+    assert (away.min(axis=1) == 0.0).all(), "only vertices of the winning piece are chosen"
+    return away.argmin(axis=1)
+
+
+# the table
+
+
+@pytest.mark.parametrize("edges", [1, 2, 5])
+@pytest.mark.parametrize("name", PIECES)
+def test_rings_are_the_vertices_within_so_many_edges(name: str, edges: int) -> None:
+    piece = PIECES[name]()
+    found, expected = piece.rings(edges), graph(piece.faces)
+    assert len(found.start) == len(piece.vertices) + 1
+    for vertex in range(len(piece.vertices)):
+        assert sorted(row(found, vertex)) == sorted(networkx.ego_graph(expected, vertex, radius=edges))
+    assert piece.rings(edges) is found  # built once
+
+
+def test_one_ring_is_the_edge_neighbours() -> None:
+    mesh = trimesh.creation.icosphere(subdivisions=2)
+    rings = Rings.of(mesh.vertices, mesh.faces, 1)
+    for vertex, neighbours in enumerate(mesh.vertex_neighbors):
+        assert set(row(rings, vertex)) == {vertex, *neighbours}
+    # Far from the 12 vertices of five edges, rings grow by six: 1 + 6 + 12 + 18 + ...
+    assert np.diff(Rings.of(*grid_mesh(15), 5).start).max() == 1 + 6 * (1 + 2 + 3 + 4 + 5)
+
+
+def grid_mesh(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of a flat triangulated grid."""
+    i, j = (axis.ravel() for axis in np.meshgrid(range(n - 1), range(n - 1)))
+    a, b, c, d = i * n + j, i * n + j + 1, (i + 1) * n + j, (i + 1) * n + j + 1
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(n), np.arange(n)))
+    vertices = np.stack([x, y, 0 * x], axis=1).astype(float)
+    return vertices, np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
+
+
+def test_rows_are_in_random_order_that_is_always_the_same() -> None:
+    piece, again = ellipsoid_hull(0), ellipsoid_hull(0)
+    np.testing.assert_array_equal(piece.rings(5).members, again.rings(5).members)
+    orders = [np.argsort(row(piece.rings(5), vertex)) for vertex in range(len(piece.vertices))]
+    rising = [np.corrcoef(order, np.arange(len(order)))[0, 1] for order in orders]
+    assert abs(np.mean(rising)) < 0.05
+
+
+def test_normals_are_weighted_by_area() -> None:
+    sphere_like = PIECES["icosphere"]()
+    normals = sphere_like.rings(1).normals
+    np.testing.assert_allclose(normals, sphere_like.vertices / 0.03, atol=0.03)
+    mesh = trimesh.Trimesh(*(lambda p: (p.vertices, p.faces))(ellipsoid_hull(3)), process=False)
+    areas = trimesh.geometry.weighted_vertex_normals(
+        len(mesh.vertices), mesh.faces, mesh.face_normals, np.repeat(mesh.area_faces[:, None], 3, axis=1)
+    )
+    np.testing.assert_allclose(ellipsoid_hull(3).rings(2).normals, areas, atol=1e-9)
+
+
+# the draw
+
+
+def choose(piece: Piece, x: np.ndarray, rule: Neighbor, offset: int = 0) -> Neighbors:
+    """The neighbours of points x (B, 3) of one piece, seen as both sides of a pair of two such pieces."""
+    winner = np.zeros((len(x), 1), dtype=int)
+    return choose_rings(rule, [piece], [piece], winner, np.stack([x, x]), offset, np.full((2, 1), 1e-6))
+
+
+@pytest.mark.parametrize("rings", [1, 3])
+@pytest.mark.parametrize("name", PIECES)
+def test_without_a_limit_all_vertices_of_the_rings_are_taken(name: str, rings: int) -> None:
+    piece = PIECES[name]()
+    rng = np.random.default_rng(1)
+    start = rng.integers(len(piece.vertices), size=12)
+    x = piece.vertices[start] * 1.0001
+    near = choose(piece, x, Neighbor(rings, None))
+    for s in range(2):
+        for b in range(12):
+            expected = networkx.ego_graph(graph(piece.faces), start[b], radius=rings)
+            index = drawn(near, piece.vertices, s, b)
+            assert sorted(index) == sorted(expected)
+            np.testing.assert_array_equal(near.normals[s, b][near.mask[s, b, 1:]], piece.rings(rings).normals[index])
+            farthest = np.linalg.norm(piece.vertices[list(expected)] - x[b], axis=1).max()
+            assert near.radius[s, b] == pytest.approx(farthest, rel=1e-12)
+
+
+def test_a_fixed_number_is_drawn_from_the_rings_and_others_at_another_time() -> None:
+    piece = PIECES["icosphere"]()
+    x = piece.vertices[[5, 40, 100]]
+    draws = []
+    for key in range(60):
+        near = choose(piece, x, Neighbor(3, 16), draw_offset(0, key))
+        assert near.points.shape == (2, 3, 17, 3) and near.normals.shape == (2, 3, 16, 3)
+        assert near.mask.all()
+        np.testing.assert_array_equal(near.points[:, :, 0], np.stack([x, x]))
+        for b, start in enumerate((5, 40, 100)):
+            index = drawn(near, piece.vertices, 0, b)
+            assert len(set(index)) == 16 and set(index) <= set(row(piece.rings(3), start))
+        draws.append(frozenset(drawn(near, piece.vertices, 0, 0)))
+    assert len(set(draws)) > 20
+    # Over time, all of them.
+    assert frozenset.union(*draws) == set(row(piece.rings(3), 5))
+    again = choose(piece, x, Neighbor(3, 16), draw_offset(0, 59))
+    np.testing.assert_array_equal(again.points, near.points)
+
+
+def test_a_piece_with_few_vertices_gives_all_it_has() -> None:
+    piece = box([0.05, 0.04, 0.03])
+    near = choose(piece, np.array([[0.025, 0.001, 0.002]]), Neighbor())
+    assert near.mask.sum(axis=2).tolist() == [[9], [9]]
+    assert sorted(drawn(near, piece.vertices, 0, 0)) == list(range(8))
+    assert np.isfinite(near.points).all() and np.isfinite(near.normals).all()
+
+
+@pytest.mark.parametrize(
+    ("piece", "on_surface"),
+    [
+        (sphere(0.03, (0.01, 0.0, 0.02)), lambda p: np.linalg.norm(p - [0.01, 0.0, 0.02], axis=-1)),
+        (
+            capsule(0.03, (0, 0, -0.05), (0, 0, 0.05)),
+            lambda p: np.linalg.norm(p - np.clip(p, [0, 0, -0.05], [0, 0, 0.05]), axis=-1),
+        ),
+    ],
+    ids=["sphere", "capsule"],
+)
+def test_neighbours_on_round_pieces_lie_on_the_true_surface(piece: Piece, on_surface: object) -> None:
+    near = choose(piece, piece.mesh().vertices[::50] * 1.0, Neighbor(samples=None))
+    assert (near.mask[..., 1:].sum(axis=2) >= 50).all()
+    np.testing.assert_allclose(on_surface(near.points[..., 1:, :][near.mask[..., 1:]]), 0.03, rtol=1e-3)
+    np.testing.assert_allclose(np.linalg.norm(near.normals, axis=3), 1.0)
+    # A few rings of the ball; the long edges of the capsule's side lead to its other end.
+    assert near.radius.min() < 0.025
+
+
+# in a scene
+
+
+@pytest.mark.parametrize("gap", [0.01, -0.003])
+def test_both_sides_draw_from_the_pieces_that_carry_the_witness_points(gap: float) -> None:
+    pairs = Pairs((cluster_body(2), ring_body(1)), (ring_body(1), cluster_body(3)))
+    T_a, T_b = (np.concatenate(side, axis=1) for side in zip(
+        *(poses_at_gap(Pairs((a,), (b,)), 12, gap, seed=4) for a, b in zip(pairs.a, pairs.b, strict=True)), strict=True
+    ))  # fmt: skip
+    scene = scene_of(pairs, T_a, T_b)
+    w = scene.witness
+    assert len(np.unique(w.winner)) > 6  # otherwise nothing is tested
+    sides, near = scene.neighbors(Neighbor(2), 0)
+    for side, (pieces, T, x) in enumerate(zip(pairs.piece_pairs, (T_a, T_b), (w.point_a, w.point_b), strict=True)):
+        local = transform_points(inverse(T), x)
+        for b in range(12):
+            for p in range(2):
+                piece = pieces[w.winner[b, p]]
+                start = np.linalg.norm(piece.vertices - local[b, p], axis=1).argmin()
+                index = drawn(near, piece.vertices, 2 * side + p, b)
+                assert set(index) <= set(networkx.ego_graph(graph(piece.faces), start, radius=2))
+                np.testing.assert_allclose(near.points[2 * side + p, b, 0], local[b, p], atol=1e-12)
+    np.testing.assert_array_equal(near.floor, scene.surfaces.floor)
+
+
+def test_neighbours_of_an_item_do_not_depend_on_its_batch() -> None:
+    pairs = Pairs((cluster_body(2),), (ring_body(1),))
+    T_a, T_b = poses_at_gap(pairs, 16, 0.004, seed=5)
+    whole = scene_of(pairs, T_a, T_b, key=3)
+    _, together = whole.neighbors(Neighbor(), 1)
+    for b in range(16):
+        item = slice(b, b + 1)
+        _, alone = scene_of(pairs, T_a[item], T_b[item], whole.witness.rows(item), key=3).neighbors(Neighbor(), 1)
+        np.testing.assert_array_equal(alone.mask[:, 0], together.mask[:, b])
+        np.testing.assert_array_equal(alone.points[:, 0], together.points[:, b])
+        np.testing.assert_array_equal(alone.radius[:, 0], together.radius[:, b])
+
+
+@pytest.mark.parametrize("method", [Distance(Neighbor()), ContactKinematics(Neighbor())], ids=["distance", "contact"])
+def test_rows_without_witness_points_do_no_harm(method: Distance | ContactKinematics) -> None:
+    pairs = Pairs((convex_body(0), cluster_body(1)), (ring_body(1), convex_body(2)))
+    T = np.tile(np.eye(4), (3, 2, 1, 1))
+    T_b = T.copy()
+    T_b[..., 0, 3] = [[0.12, 0.2], [9.0, 9.0], [0.1, np.nan]]
+    tensors = [torch.from_numpy(pose).requires_grad_() for pose in (T, T_b)]
+    w = WitnessLayer(pairs, method)(*tensors, cutoff=1.0)
+    assert (w.winner[1] == -1).all() and w.status[2, 1] == QueryStatus.NOT_FINITE
+    (w.point_a.sum() + w.normal[..., 0].sum()).backward()
+    for tensor in tensors:
+        assert torch.isfinite(tensor.grad).all()
+        assert not tensor.grad[1].any() and not tensor.grad[2, 1].any() and tensor.grad[0].any()
+
+
+def test_on_a_sphere_the_fit_finds_its_curvature() -> None:
+    pairs = Pairs((build_body("a", [sphere(0.03)]),), (build_body("b", [sphere(0.02)]),))
+    T_a, T_b = poses_at_gap(pairs, 5, 0.003, seed=6)
+    scene = scene_of(pairs, T_a, T_b)
+    E = np.linalg.svd(scene.witness.normal[..., None, :])[2].mT[..., 1:]
+    for K, radius in zip(ContactKinematics(Neighbor()).curvatures(scene, E), (0.03, 0.02), strict=True):
+        np.testing.assert_allclose(K, np.broadcast_to(np.eye(2) / radius, K.shape), atol=0.03 / radius)
+
+
+def test_the_table_of_a_layer_counts_winners_from_its_own_columns() -> None:
+    """The second pair alone, and beside another one: the same gradient."""
+    both = Pairs((ring_body(1), cluster_body(2)), (convex_body(0), ring_body(1)))
+    alone = Pairs(both.a[1:], both.b[1:])
+    T_a, T_b = poses_at_gap(alone, 6, 0.004, seed=7)
+    cotangents = random_cotangents(query(alone, T_a, T_b), ("point_a", "point_b"), seed=8)
+    expected = layer_gradient(WitnessLayer(alone, Distance(Neighbor())), T_a, T_b, cotangents)
+    wide = {name: np.concatenate([0 * c, c], axis=1) for name, c in cotangents.items()}
+    poses = (np.concatenate([T, T], axis=1) for T in (T_a, T_b))
+    found = layer_gradient(WitnessLayer(both, Distance(Neighbor())), *poses, wide)
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(("rings", "samples"), [(0, 16), (5, 1)])
+def test_a_neighbourhood_without_width_is_refused(rings: int, samples: int) -> None:
+    with pytest.raises(CollisionError, match=f"1 ring and 2 samples, got rings={rings}, samples={samples}"):
+        Neighbor(rings, samples)
+
+
+def test_the_floor_is_that_of_the_candidates() -> None:
+    surfaces = Surfaces.of([convex_body(0)])
+    np.testing.assert_allclose(surfaces.floor, 0.05 * surfaces.spacing[:, None] ** 2)
