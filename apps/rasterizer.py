@@ -77,13 +77,16 @@ class Camera:
         return local @ self.axes + self.eye
 
 
-def render(models: Sequence[Model], camera: Camera, light: np.ndarray) -> Float[np.ndarray, "H W 4"]:
+def render(
+    models: Sequence[Model], camera: Camera, light: np.ndarray, shadow_size: int = SHADOW_SIZE
+) -> Float[np.ndarray, "H W 4"]:
     """The picture of `models`: red, green, blue in [0, 1] and 1 where there is a model, else 0.
 
     Args:
         models: What is shown; surfaces seen from behind are lit as from the front.
         camera: From where; render at twice the wanted size and average for smooth edges.
         light: Direction towards the light (3,), world frame.
+        shadow_size: Pixels along each side of the shadow map; small pictures need fewer.
     """
     vertices = np.concatenate([model.vertices for model in models])
     normals = np.concatenate([model.normals for model in models])
@@ -101,7 +104,7 @@ def render(models: Sequence[Model], camera: Camera, light: np.ndarray) -> Float[
     view /= np.linalg.norm(view, axis=1, keepdims=True)
     normal *= np.where((normal * view).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
 
-    lit = np.clip(normal @ light, 0.0, 1.0) * _unshadowed(vertices, faces, point, normal, light)
+    lit = np.clip(normal @ light, 0.0, 1.0) * _unshadowed(vertices, faces, point, normal, light, shadow_size)
     halfway = view + light
     halfway /= np.linalg.norm(halfway, axis=1, keepdims=True)
     shine = 0.12 * lit * np.clip((normal * halfway).sum(axis=1), 0.0, 1.0) ** 30
@@ -143,21 +146,21 @@ def _rasterize(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple
 
 
 def _unshadowed(
-    vertices: np.ndarray, faces: np.ndarray, point: np.ndarray, normal: np.ndarray, light: np.ndarray
+    vertices: np.ndarray, faces: np.ndarray, point: np.ndarray, normal: np.ndarray, light: np.ndarray, size: int
 ) -> np.ndarray:
     """How much of the light reaches each point, 0 to 1, from a shadow map that looks along the light."""
     center = vertices.mean(axis=0)
     reach = float(np.linalg.norm(vertices - center, axis=1).max())
     eye = center + 2.0 * reach * light
-    camera = Camera(eye, center, SHADOW_SIZE, SHADOW_SIZE, 2.0 * reach, perspective=False)
+    camera = Camera(eye, center, size, size, 2.0 * reach, perspective=False)
     depths = _rasterize(vertices, faces, camera)[2]
     x, y, depth = camera.project(point + SHADOW_BIAS * normal).T
     reached = np.zeros(len(point))
     # Nine neighbours soften the edge.
     offsets = [(dx, dy) for dx in (-1.5, 0.0, 1.5) for dy in (-1.5, 0.0, 1.5)]
     for dx, dy in offsets:
-        column = np.clip(x + dx, 0, SHADOW_SIZE - 1).astype(int)
-        row = np.clip(y + dy, 0, SHADOW_SIZE - 1).astype(int)
+        column = np.clip(x + dx, 0, size - 1).astype(int)
+        row = np.clip(y + dy, 0, size - 1).astype(int)
         reached += depth < depths[row, column] + SHADOW_BIAS
     return reached / len(offsets)
 

@@ -2,6 +2,7 @@
 
 Only names and one-line descriptions of the commands are known here, so that `--help` is instant. A command is a
 module of `commands`, loaded when it was chosen; its class of the same name holds the options and has `execute`.
+The module of a command of two words joins them: `bench align` is `commands/bench_align.py` with `BenchAlign`.
 
 Exit codes: 0 done, 1 nothing usable came out, 2 bad input, 130 interrupted, 141 nobody reads the output any more.
 """
@@ -22,6 +23,7 @@ PROGRAM = "refine-grasp"
 COMMANDS = {
     "run": "refine grasps of a hand on an object; without options, an embedded example",
     "hands": "the hands that come with the program, or what a URDF is read as",
+    "bench align": "run time against error of witness derivatives: the experiments of the paper",
     "doctor": "what is installed here, what is missing, and what this machine can do",
 }
 """Name of each command -> what it does."""
@@ -47,13 +49,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(f"{PROGRAM} {__version__}")
         return 0
-    name, *rest = arguments
+    name, rest = _command(arguments)
     if name not in COMMANDS:
         return _fail(_unknown(name), BAD_INPUT)
     for variable in THREADS:
         os.environ.setdefault(variable, "1")
     try:
-        command = getattr(import_module(f"grasp_refine.commands.{name}"), name.capitalize())
+        words = name.split()
+        command = getattr(
+            import_module(f"grasp_refine.commands.{'_'.join(words)}"), "".join(map(str.capitalize, words))
+        )
         from grasp_refine.commands.options import parse
 
         code = parse(command, f"{PROGRAM} {name}", rest).execute()
@@ -67,6 +72,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Or Python would complain once more when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
+
+
+def _command(arguments: Sequence[str]) -> tuple[str, list[str]]:
+    """The command that the first words of a command line name, or the words that look like one, and the rest."""
+    first, *rest = arguments
+    groups = {name.split()[0] for name in COMMANDS if " " in name}
+    if first in groups and rest and not rest[0].startswith("-"):
+        return f"{first} {rest[0]}", rest[1:]
+    return first, rest
 
 
 def _usage() -> str:

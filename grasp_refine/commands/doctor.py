@@ -34,9 +34,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 class Doctor:
     """Say what is installed here, what is missing, and what this machine can do."""
 
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = (
-        None
-    )
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write what was found to this file."""
 
     def execute(self) -> int:
@@ -116,9 +114,7 @@ def _cache() -> dict[str, Any]:
 
 def _show(found: dict[str, Any], console: Console) -> None:
     python = f"Python {platform.python_version()}"
-    console.print(
-        f"[bold]{NAME} {__version__}[/]  {python}, {found['platform']}, {found['cpu_count']} CPUs\n"
-    )
+    console.print(f"[bold]{NAME} {__version__}[/]  {python}, {found['platform']}, {found['cpu_count']} CPUs\n")
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0), header_style="dim")
     for column in ("package", "installed", "needed", "state", "for"):
         table.add_column(column)

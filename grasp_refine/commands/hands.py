@@ -37,9 +37,7 @@ class Hands:
         Positional[DisallowNone[str | None]], arg(metavar="[HAND]", help_behavior_hint="(default: list all)")
     ] = None
     """A name from the list, a folder with a hand.toml or one URDF, or a .urdf file."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = (
-        None
-    )
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write what is known about the hands to this file."""
 
     def execute(self) -> int:
@@ -54,9 +52,7 @@ class Hands:
         hands = [load_hand(name, candidates=CANDIDATES) for name in names]
         if self.json is not None:
             facts = [hand_facts(hand) for hand in hands]
-            save_json(
-                self.json, {"schema": SCHEMA, "command": "hands", "versions": versions(), "hands": facts}
-            )
+            save_json(self.json, {"schema": SCHEMA, "command": "hands", "versions": versions(), "hands": facts})
         console = screen()
         if self.hand is None:
             _list(hands, console)
@@ -121,9 +117,7 @@ def _examples(hand: Hand) -> list[Path]:
 
 
 def _list(hands: list[Hand], console: Console) -> None:
-    table = _table(
-        "hand", "joints", "range, deg", "links", "with geometry", "contact links", "licence", "examples"
-    )
+    table = _table("hand", "joints", "range, deg", "links", "with geometry", "contact links", "licence", "examples")
     for hand in hands:
         table.add_row(
             escape(hand.name),
@@ -139,9 +133,7 @@ def _list(hands: list[Hand], console: Console) -> None:
     for hand in hands:
         for note in hand.notes:
             console.print(f"{hand.name}: {note}", markup=False)
-    console.print(
-        "\nrefine-grasp hands NAME shows its joints, links and contact links; a URDF file works too."
-    )
+    console.print("\nrefine-grasp hands NAME shows its joints, links and contact links; a URDF file works too.")
 
 
 def _details(hand: Hand, console: Console) -> None:
@@ -161,9 +153,7 @@ def _details(hand: Hand, console: Console) -> None:
             rest = show(hand.rest[row[joint.name]])
         else:
             mimic = joint.mimic
-            rest = f"{mimic.multiplier:g} x {mimic.joint}" + (
-                f" + {show(mimic.offset)}" if mimic.offset else ""
-            )
+            rest = f"{mimic.multiplier:g} x {mimic.joint}" + (f" + {show(mimic.offset)}" if mimic.offset else "")
         cells = (joint.name, joint.kind, show(joint.lower), show(joint.upper), rest, joint.child)
         joints.add_row(*map(escape, cells))
     console.print(joints, "")
@@ -226,11 +216,7 @@ def _shapes(pieces: Sequence[Piece]) -> str:
 
 
 def _where(contact: Contact) -> str:
-    point = (
-        ""
-        if contact.point is None
-        else " at {:.1f} {:.1f} {:.1f} mm".format(*np.multiply(contact.point, 1e3))
-    )
+    point = "" if contact.point is None else " at {:.1f} {:.1f} {:.1f} mm".format(*np.multiply(contact.point, 1e3))
     return escape(("contact" if contact.group == contact.link else contact.group) + point)
 
 

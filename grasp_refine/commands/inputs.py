@@ -79,9 +79,7 @@ class Inputs:
     """All objects of the grasp file: a folder of meshes named like them, or a TOML file of lines name = "path"."""
     scale: float = 1.0
     """Multiplies the scale that the grasp file gives for the mesh."""
-    grasps: Annotated[DisallowNone[Path | None], arg(help_behavior_hint="(default: the hand's example)")] = (
-        None
-    )
+    grasps: Annotated[DisallowNone[Path | None], arg(help_behavior_hint="(default: the hand's example)")] = None
     """Grasp file (.npz)."""
     index: Annotated[tuple[int, ...], arg(metavar="I [I ...]", help_behavior_hint="(default: all)")] = ()
     """Which grasps of the object; 0 is its first one in the file."""
@@ -138,9 +136,7 @@ class Inputs:
             examples |= dict.fromkeys(load_grasps(path).object.tolist(), path)
         wanted = self.object_name or self.object
         if wanted is None and not examples:
-            raise GraspRefineError(
-                f"--grasps FILE is needed: hand '{self.hand}' comes without example grasps"
-            )
+            raise GraspRefineError(f"--grasps FILE is needed: hand '{self.hand}' comes without example grasps")
         if wanted is None:
             return examples.get(EXAMPLE_OBJECT) or next(iter(examples.values()))
         if wanted not in examples:
@@ -252,7 +248,4 @@ def _read_objects(path: Path) -> Mapping[str, str | Path]:
     for name, value in raw.items():
         if not isinstance(value, str) or not value:
             raise AssetError(f"{path}: {name} must be a path in quotes, got {value!r}")
-    return {
-        name: value if value in EMBEDDED or ":" in value else path.parent / value
-        for name, value in raw.items()
-    }
+    return {name: value if value in EMBEDDED or ":" in value else path.parent / value for name, value in raw.items()}

@@ -89,3 +89,21 @@ def check_numbers(options: Any, prefix: str = "--") -> None:
                 raise GraspRefineError(f"{flag} must be 0 to {LARGEST_SEED}, got {number}")
             if field.name != "seed" and number < 1:
                 raise GraspRefineError(f"{flag} must be at least 1, got {number}")
+
+
+def check_device(device: str, dtype: str) -> None:
+    """Nothing, when torch can hold numbers of a type on a device.
+
+    Raises:
+        GraspRefineError: it cannot.
+    """
+    import torch
+
+    try:
+        torch.zeros(1, dtype=getattr(torch, dtype), device=device).item()
+    except (RuntimeError, AssertionError, TypeError, NotImplementedError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise GraspRefineError(
+            f"--device {device} with --dtype {dtype} does not work here ({reason}); "
+            "`refine-grasp doctor` lists the devices"
+        ) from None

@@ -36,9 +36,7 @@ class Output:
 
     out: Path = Path("grasp-refine-results")
     """Folder for the refined grasps, <hand>_<object>.npz."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = (
-        None
-    )
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write what was measured of each grasp to this file, in SI units."""
     verbose: bool = False
     """List all grasps, also when there are more than 40."""
@@ -101,14 +99,10 @@ class Run:
             check_writable(path)
         for path in [*paths.values(), *([self.output.json] if self.output.json else [])]:
             if path.exists() and any(path.samefile(file) for file in problem.files):
-                raise GraspRefineError(
-                    f"{path}: the results would overwrite an input; give another --out or --json"
-                )
+                raise GraspRefineError(f"{path}: the results would overwrite an input; give another --out or --json")
         return paths
 
-    def _save(
-        self, problem: Problem, outcome: Outcome, paths: dict[str, Path], provenance: dict[str, object]
-    ) -> None:
+    def _save(self, problem: Problem, outcome: Outcome, paths: dict[str, Path], provenance: dict[str, object]) -> None:
         provenance = {"versions": versions(), **provenance, "source": fingerprint(problem.files[0])}
         links = problem.groups[0].scene.links
         for name, path in paths.items():

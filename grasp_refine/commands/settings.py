@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Literal, TypeVar, get_args, get_type_hints
 
-import torch
 from tyro.conf import Suppress
 
-from grasp_refine.commands.options import check_numbers
+from grasp_refine.commands.options import check_device, check_numbers
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.losses import Weights
@@ -94,10 +93,9 @@ class Settings:
         check_numbers(self)
         for choice in ("solver", "derivative", "neighborhood"):
             self._check_unused(choice)
-        self._check_device()
+        check_device(self.device, self.dtype)
         solver, derivative, neighborhood = (
-            getattr(self, name.replace("-", "_"))
-            for name in (self.solver, self.derivative, self.neighborhood)
+            getattr(self, name.replace("-", "_")) for name in (self.solver, self.derivative, self.neighborhood)
         )
         return Config(
             solver=_method(solver, iterations=self.iterations, transport=self.transport),
@@ -118,16 +116,6 @@ class Settings:
             options = getattr(self, name.replace("-", "_"))
             if name != chosen and options != type(options)():
                 raise GraspRefineError(f"options --{name}.* need --{choice} {name}; it is {chosen}")
-
-    def _check_device(self) -> None:
-        try:
-            torch.zeros(1, dtype=getattr(torch, self.dtype), device=self.device).item()
-        except (RuntimeError, AssertionError, TypeError, NotImplementedError) as error:
-            reason = str(error).strip().splitlines()[0]
-            raise GraspRefineError(
-                f"--device {self.device} with --dtype {self.dtype} does not work here ({reason}); "
-                "`refine-grasp doctor` lists the devices"
-            ) from None
 
 
 def _method(options: Method, **others: object) -> Method:

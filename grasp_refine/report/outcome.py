@@ -102,9 +102,7 @@ class Outcome:
     @staticmethod
     def join(parts: Sequence[Outcome]) -> Outcome:
         """The grasps of all parts, which are of one hand."""
-        return Outcome(
-            *(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Outcome))
-        )
+        return Outcome(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Outcome)))
 
 
 def compare(
@@ -142,9 +140,7 @@ def compare(
     )
     witness = geometry.witness.rows(slice(count, None))
     aimed = ~np.isnan(refinement.target_link[..., 0]) & witness.valid
-    T_link = Kinematics(scene.hand, scene.links)(
-        torch.as_tensor(T_after), torch.as_tensor(refinement.q)
-    ).numpy()
+    T_link = Kinematics(scene.hand, scene.links)(torch.as_tensor(T_after), torch.as_tensor(refinement.q)).numpy()
     moved = movement(T_before, scene.q, T_after, refinement.q)
 
     def before_after(values: np.ndarray) -> np.ndarray:

@@ -46,9 +46,7 @@ class Reporter:
     def start(self, hand: str, total: int, iterations: int) -> None:
         """Announce the refinement of `total` grasps, each of at most so many `iterations`."""
         if not self.console.is_terminal:
-            self.say(
-                f"refining {total} grasp{'' if total == 1 else 's'} with {hand}, at most {iterations} iterations"
-            )
+            self.say(f"refining {total} grasp{'' if total == 1 else 's'} with {hand}, at most {iterations} iterations")
         self._iterations, self._total = iterations, total
         self._bar.update(self._task, description="refining", total=total, visible=True)
 

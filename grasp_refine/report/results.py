@@ -52,9 +52,7 @@ def save_results(
     """
     aimed = np.flatnonzero(~np.isnan(outcome.target_link[..., 0]).all(axis=0))
     names = tuple(links[k] for k in aimed)
-    targets = (
-        Targets(names, outcome.target_link[:, aimed], outcome.target_object[:, aimed]) if names else None
-    )
+    targets = Targets(names, outcome.target_link[:, aimed], outcome.target_object[:, aimed]) if names else None
     grasps = GraspSet(
         hand=hand.name,
         base_link=hand.base_link,

@@ -62,7 +62,15 @@ def save_json(path: Path, document: Any) -> None:
     Raises:
         GraspRefineError: the file cannot be written.
     """
-    text = dumps(document, indent=1) + "\n"
+    save_text(path, dumps(document, indent=1) + "\n")
+
+
+def save_text(path: Path, text: str) -> None:
+    """Write a text as `save_json` writes a document.
+
+    Raises:
+        GraspRefineError: the file cannot be written.
+    """
     try:
         # A pipe or /dev/stdout is written to, never replaced.
         if path.is_symlink() or (path.exists() and not path.is_file()):

@@ -12,8 +12,8 @@ from twists import poses_at_gap
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, capsule, sphere
-from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.se3 import tangents
+from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics, _fit, _raised
 from grasp_refine.witness.neighborhood import Adaptive, Neighbors
 from grasp_refine.witness.scene import WitnessScene

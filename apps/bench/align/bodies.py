@@ -89,21 +89,27 @@ def draw_pairs(
         diagonals = rng.uniform(*DIAGONALS, size=2)
         a, b = body(first), body(second)
         if a is not None and b is not None:
-            a, b = (scaled(one, diagonal / one.diagonal) for one, diagonal in zip((a, b), diagonals, strict=True))
+            a, b = (normalised(one, diagonal) for one, diagonal in zip((a, b), diagonals, strict=True))
             pairs.append(BodyPair(f"{a.name} / {b.name}", kind, a, b))
     return pairs
 
 
-def scaled(body: Body, factor: float) -> Body:
-    """The body with all lengths multiplied by a factor."""
-    pieces = tuple(Piece(piece.vertices * factor, piece.faces, piece.radius * factor) for piece in body.pieces)
+def normalised(body: Body, diagonal: float) -> Body:
+    """The body at a diagonal (metres), the centre of its bounding box at the origin of its frame.
+
+    Descent turns a body about its origin, so it matters where that is.
+    """
+    bounds = np.stack([piece.bounds for piece in body.pieces])
+    center = 0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0))
+    factor = diagonal / body.diagonal
+    pieces = tuple(
+        Piece((piece.vertices - center) * factor, piece.faces, piece.radius * factor) for piece in body.pieces
+    )
     old = body.candidates
-    return Body(body.name, pieces, Candidates(old.points * factor, old.normals, old.areas * factor**2))
+    return Body(body.name, pieces, Candidates((old.points - center) * factor, old.normals, old.areas * factor**2))
 
 
-def _load(
-    source: str | Path, kind: Kind, candidates: int, seed: int, say: Callable[[str], None]
-) -> Body | None:
+def _load(source: str | Path, kind: Kind, candidates: int, seed: int, say: Callable[[str], None]) -> Body | None:
     """The body of a mesh at its own size, None where it is no object of this kind."""
     try:
         if kind == "convex":

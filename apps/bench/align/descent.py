@@ -129,7 +129,9 @@ def align(
         # An error that is not a number is never smaller.
         better = error < best
         best = torch.where(better, error, best)
-        best_a, best_b = (torch.where(better[..., None, None], T.detach(), kept) for T, kept in ((T_a, best_a), (T_b, best_b)))
+        best_a, best_b = (
+            torch.where(better[..., None, None], T.detach(), kept) for T, kept in ((T_a, best_a), (T_b, best_b))
+        )
 
     forward_s = backward_s = 0.0
     done, iteration = 0.0, 0

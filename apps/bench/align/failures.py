@@ -37,6 +37,8 @@ NEAR, RISING = 0.03, 0.01
 WIDTH, HEIGHT = 420, 340
 OVERSAMPLING = 2
 """Everything is drawn this many times larger and averaged, for smooth edges."""
+SHADOW_SIZE = 500
+"""Pixels along each side of the shadow map."""
 EXTENT = 0.2
 """Metres that a picture is high after scaling; the rasterizer's outlines and shadows are made for this size."""
 COLOR_A, COLOR_B, BACKGROUND = (0.56, 0.72, 0.93), (0.96, 0.68, 0.36), (0.976, 0.98, 0.988)
@@ -332,7 +334,7 @@ def _model(body: Body, T: np.ndarray, seen: Callable[[np.ndarray], np.ndarray], 
 
 def _on_background(models: list[Model], camera: Camera) -> np.ndarray:
     right, down, forward = camera.axes
-    image = render(models, camera, LIGHT[0] * right - LIGHT[1] * down - forward)
+    image = render(models, camera, LIGHT[0] * right - LIGHT[1] * down - forward, SHADOW_SIZE)
     return image[..., :3] * image[..., 3:] + np.array(BACKGROUND) * (1.0 - image[..., 3:])
 
 

@@ -191,14 +191,7 @@ def _initial(pair: BodyPair, count: int, rng: np.random.Generator) -> np.ndarray
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     away = rng.uniform(0.5, 1.5, size=(count, 1)) * 0.5 * (pair.a.diagonal + pair.b.diagonal)
-    center_a, center_b = (_center(body) for body in (pair.a, pair.b))
-    return transform(R, center_a + away * direction - R @ center_b)
-
-
-def _center(body: Body) -> np.ndarray:
-    """Centre (3,) of the bounding box."""
-    bounds = np.stack([piece.bounds for piece in body.pieces])
-    return 0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0))
+    return transform(R, away * direction)
 
 
 def _areas(piece: Piece) -> np.ndarray:

@@ -1,0 +1,102 @@
+"""The experiments of arXiv 2511.06267, and two of our own, as lists of variants."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+from types import MappingProxyType
+
+from .tasks import CLASSES
+from .variants import Variant
+
+MARGINS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2)
+STEP_SIZES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+
+OURS = Variant()
+"""The paper's method: distance smoothing, adaptive sampling, equivalent gradient transport."""
+BASELINE = Variant("direction", "neighbor", transport=False)
+"""The method that the paper improves on (Montaut et al. 2022)."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """An experiment."""
+
+    what: str
+    """One line on what it shows."""
+    variants: tuple[Variant, ...]
+    """What is compared, at the largest budget."""
+    classes: tuple[str, ...] = CLASSES[:3]
+    """Classes of targets."""
+    pairs: int = 8
+    """Pairs of bodies of each kind."""
+    targets: int = 64
+    """Accepted targets of each pair."""
+    budgets: tuple[int, ...] = (2000,)
+    """Budgets in iterations that every variant is run at."""
+
+
+def _table1() -> tuple[Variant, ...]:
+    others = [Variant(name, transport=False) for name in ("analytical", "finite-difference", "zeroth-order")]
+    return (*others, BASELINE, OURS, Variant("contact-kinematics"), Variant("rigid", transport=False))
+
+
+def _table2() -> tuple[Variant, ...]:
+    smoothing = ("direction", "distance")
+    sampling = [Variant(name, near) for name, near in product(smoothing, ("neighbor", "fixed", "adaptive"))]
+    without = [Variant(name, transport=False) for name in smoothing]
+    both = [Variant(name, transport=False, optimise="T1T2") for name in smoothing]
+    return tuple(replace(variant, margin=margin) for variant in (*both, *without, *sampling) for margin in (0.0, 1e-3))
+
+
+def _table3() -> tuple[Variant, ...]:
+    names = ("rigid", "analytical", "finite-difference", "zeroth-order", "direction", "distance", "contact-kinematics")
+    return tuple(Variant(name) for name in names)
+
+
+def _table4() -> tuple[Variant, ...]:
+    backward = [
+        Variant(name, near) for name, near in product(("direction", "distance"), ("neighbor", "fixed", "adaptive"))
+    ]
+    return (*backward, replace(OURS, transport=False))
+
+
+def _margin() -> tuple[Variant, ...]:
+    methods = (OURS, BASELINE, Variant("direction"))
+    return tuple(replace(method, margin=margin) for method, margin in product(methods, MARGINS))
+
+
+def _step_size() -> tuple[Variant, ...]:
+    plain = (BASELINE, *(Variant(name, transport=False) for name in ("finite-difference", "zeroth-order")))
+    best = (Variant("direction"), Variant("finite-difference"), Variant("zeroth-order"))
+    return tuple(replace(method, step_size=size) for method, size in product((OURS, *plain, *best), STEP_SIZES))
+
+
+def _coupling() -> tuple[Variant, ...]:
+    return tuple(
+        Variant(name, coupling=coupling, transport=transport)
+        for name, coupling, transport in product(("distance", "direction"), ("one-sided", "coupled"), (True, False))
+    )
+
+
+PRESETS: Mapping[str, Preset] = MappingProxyType(
+    {
+        "table1": Preset("all methods, with face-face targets apart", _table1(), classes=CLASSES),
+        "table2": Preset("smoothing x sampling, and which gradients are used; margins 0 and 1 mm", _table2()),
+        "table3": Preset("CPU time of a query by method, forward and backward", _table3(), budgets=(200,)),
+        "table4": Preset("CPU time of a backward pass by its parts", _table4(), budgets=(200,)),
+        "margin": Preset("the contact margin, for smoothing by distance and by direction", _margin()),
+        "step-size": Preset("the size of the first steps, for four methods plain and at their best", _step_size()),
+        "coupling": Preset("one-sided (the paper's equations) against coupled slips", _coupling()),
+        "smoke": Preset(
+            "every method on a few tasks, in less than a minute",
+            _table1(),
+            classes=CLASSES,
+            pairs=2,
+            targets=8,
+            budgets=(50, 200),
+        ),
+    }
+)
+"""Name -> experiment."""

@@ -1,0 +1,125 @@
+"""From results to rows: one flat entry for each variant, kind, pair and class of targets (DESIGN, section 6)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from .runner import Done
+from .stopwatch import STAGES
+from .tasks import CLASSES, Tasks
+from .variants import Variant
+
+LEVELS = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
+"""Errors (m^2) below which a task counts as solved."""
+
+
+def rows(done: Sequence[Done], targets: int, dtype: str) -> list[dict[str, Any]]:
+    """All rows of a run: for each variant and kind the pooled one, then one per class, then one per pair.
+
+    Args:
+        done: Results of all jobs.
+        targets: Accepted targets that a pair was to have; times are given for so many.
+        dtype: Number type of the run.
+    """
+    groups: dict[tuple[str, Variant], list[Done]] = {}
+    for one in done:
+        groups.setdefault((one.job.pairs[0].kind, one.job.variant), []).append(one)
+    return [row for (kind, variant), group in groups.items() for row in _of_group(kind, variant, group, targets, dtype)]
+
+
+def summary(errors: np.ndarray, weights: np.ndarray | None = None) -> dict[str, Any]:
+    """Shares of solved tasks, and the fifth and ninth decile of their errors (m^2); weighted if asked."""
+    if not len(errors):
+        return {"targets": 0, **dict.fromkeys(LEVELS), "d5": None, "d9": None}
+    weights = np.ones(len(errors)) if weights is None else weights
+    solved = {name: float(np.average(errors < level, weights=weights)) for name, level in LEVELS.items()}
+    return {
+        "targets": len(errors),
+        **solved,
+        "d5": _quantile(errors, weights, 0.5),
+        "d9": _quantile(errors, weights, 0.9),
+    }
+
+
+def _of_group(kind: str, variant: Variant, group: Sequence[Done], targets: int, dtype: str) -> Iterator[dict[str, Any]]:
+    names = [pair.name for one in group for pair in one.job.pairs]
+    tasks = [tasks for one in group for tasks in one.job.tasks]
+    found = [one.errors(p) for one in group for p in range(len(one.job.pairs))]
+    best, last = ([errors[k] for errors in found] for k in range(2))
+    # Face-face targets are shown apart: where two planes touch, the witness is not unique.
+    plain = [t.target_class != CLASSES.index("face-face") for t in tasks]
+    alone = not any(mask.any() for mask in plain)
+    times = _times(variant, group, targets)
+    base = {"kind": kind, **variant.columns(), "dtype": dtype}
+
+    def row(masks: Sequence[np.ndarray], pair: str, target_class: str, pairs: int) -> dict[str, Any]:
+        return {
+            **base,
+            "pair": pair,
+            "target_class": target_class,
+            "pairs": pairs,
+            **_statistics(tasks, best, last, masks),
+            **(times if pair == "all" and target_class == "all" else dict.fromkeys(times)),
+        }
+
+    everything = [np.ones(len(t), dtype=bool) for t in tasks] if alone else plain
+    yield row(everything, "all", "all", len(names))
+    for index, name in enumerate(CLASSES):
+        masks = [t.target_class == index for t in tasks]
+        if any(mask.any() for mask in masks):
+            yield row(masks, "all", name, len(names))
+    # Two pairs may have one name: they differ in their sizes.
+    for k, name in enumerate(names):
+        masks = [mask if j == k else np.zeros_like(mask) for j, mask in enumerate(everything)]
+        yield row(masks, name, "all", 1)
+
+
+def _statistics(
+    tasks: Sequence[Tasks], best: Sequence[np.ndarray], last: Sequence[np.ndarray], masks: Sequence[np.ndarray]
+) -> dict[str, Any]:
+    """Of accepted tasks; of those surely reachable; of all that were drawn; and of the last iterates."""
+
+    def picked(arrays: Sequence[np.ndarray]) -> np.ndarray:
+        return np.concatenate([array[mask] for array, mask in zip(arrays, masks, strict=True)])
+
+    errors, final = picked(best), picked(last)
+    accepted, reachable = (picked([getattr(t, name) for t in tasks]) for name in ("accepted", "reachable"))
+    return {
+        **summary(errors[accepted]),
+        "reachable": summary(errors[reachable]),
+        "unfiltered": summary(errors, picked([t.weight for t in tasks])),
+        "last": summary(final[accepted]),
+    }
+
+
+def _times(variant: Variant, group: Sequence[Done], targets: int) -> dict[str, Any]:
+    """Costs of a variant; those of a pair are for the number of targets that it was to have."""
+    results = [one.aligned for one in group]
+    items = np.array([result.error.size for result in results])
+    queries = sum(items * [result.iterations for result in results])
+
+    def total(name: str) -> float:
+        return sum(getattr(result, name) for result in results)
+
+    cpu_s = total("cpu_s")
+    return {
+        "forward_us": 1e6 * total("forward_s") / queries,
+        "backward_us": 1e6 * total("backward_s") / queries,
+        "queries_mean": float(np.average([variant.queries(r.iterations) for r in results], weights=items)),
+        "narrow_queries_mean": sum(result.watch.asked for result in results) / items.sum(),
+        "iterations_mean": queries / items.sum(),
+        "cpu_s_per_pair": cpu_s / items.sum() * targets,
+        "wall_s_per_pair": total("wall_s") / items.sum() * targets,
+        "cpu_share": {stage: sum(r.watch.cpu_s[stage] for r in results) / cpu_s for stage in STAGES},
+    }
+
+
+def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
+    """The smallest value that at least a share of the total weight does not exceed."""
+    order = np.argsort(values)
+    reached = np.cumsum(weights[order])
+    index = np.searchsorted(reached, share * reached[-1] * (1.0 - 1e-12))
+    return float(values[order[index]])

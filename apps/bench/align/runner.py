@@ -1,0 +1,137 @@
+"""Runs variants on tasks, in processes that each take some pairs through one variant at a time."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from .bodies import BodyPair
+from .descent import Aligned, align
+from .tasks import Tasks
+from .variants import Variant
+
+WIDTH = {"convex": 16, "concave": 2}
+"""Pairs that go through the witness layer together: many where the cost is that of small operations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One variant on some pairs of one kind."""
+
+    variant: Variant
+    pairs: tuple[BodyPair, ...]
+    tasks: tuple[Tasks, ...]
+    seed: int
+    dtype: str
+    device: str
+    threads: int
+
+    @property
+    def work(self) -> float:
+        """About how long it takes, in arbitrary units."""
+        pieces = sum(
+            len(pair.a.pieces) * len(pair.b.pieces) * len(t) for pair, t in zip(self.pairs, self.tasks, strict=True)
+        )
+        items = sum(map(len, self.tasks))
+        length = self.variant.budget if self.variant.budget is not None else 1000.0 * self.variant.budget_s
+        return length * (30.0 * items + pieces) * (13.0 if self.variant.every > 1 else 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Done:
+    """What came out of a job; task i of pair p is real where `i < len(job.tasks[p])`."""
+
+    job: Job
+    aligned: Aligned
+
+    def errors(self, pair: int) -> tuple[np.ndarray, np.ndarray]:
+        """Best and last errors of the tasks of a pair."""
+        count = len(self.job.tasks[pair])
+        return self.aligned.error[:count, pair], self.aligned.last_error[:count, pair]
+
+
+def jobs(
+    variants: Sequence[Variant],
+    pairs: Sequence[BodyPair],
+    tasks: Sequence[Tasks],
+    *,
+    seed: int,
+    dtype: str,
+    device: str,
+    threads: int,
+) -> list[Job]:
+    """One job for each variant and each group of pairs of one kind."""
+    made = []
+    for kind, width in WIDTH.items():
+        # Pairs with about as many pieces go together: they are padded to the largest number.
+        index = [i for i, pair in enumerate(pairs) if pair.kind == kind]
+        index.sort(key=lambda i: len(pairs[i].a.pieces) * len(pairs[i].b.pieces))
+        for variant in variants:
+            for start in range(0, len(index), width):
+                group = index[start : start + width]
+                chosen = tuple(tasks[i] if variant.every == 1 else tasks[i].every(variant.every) for i in group)
+                made.append(Job(variant, tuple(pairs[i] for i in group), chosen, seed, dtype, device, threads))
+    return made
+
+
+def run(todo: Sequence[Job], workers: int, progress: Callable[[float, str], None]) -> list[Done]:
+    """The results of all jobs, in their order.
+
+    Args:
+        todo: Jobs.
+        workers: Processes; with 1, everything is done in this one.
+        progress: Gets the share of the work that is done, and what is.
+    """
+    total, finished = sum(job.work for job in todo), 0.0
+    results: dict[int, Done] = {}
+    if workers == 1:
+        for index, job in enumerate(todo):
+            before = finished
+            results[index] = do(job, lambda share, b=before, j=job: progress((b + share * j.work) / total, label(j)))
+            finished += job.work
+        return [results[index] for index in range(len(todo))]
+    # A forked child of a process that has used torch may hang.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(todo)), mp_context=context) as pool:
+        try:
+            # The longest first, so that no process is left alone with one at the end.
+            order = sorted(range(len(todo)), key=lambda index: -todo[index].work)
+            futures = {pool.submit(do, todo[index]): index for index in order}
+            for future in as_completed(futures):
+                index = futures[future]
+                results[index] = future.result()
+                finished += todo[index].work
+                progress(finished / total, label(todo[index]))
+        except BaseException:
+            for process in pool._processes.values():
+                process.terminate()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [results[index] for index in range(len(todo))]
+
+
+def do(job: Job, progress: Callable[[float], None] = lambda share: None) -> Done:
+    """Run a job in this process."""
+    torch.set_num_threads(job.threads)
+    count = max(map(len, job.tasks))
+    # Pairs with fewer tasks repeat theirs.
+    padded = [tasks.take(np.arange(count) % len(tasks)) for tasks in job.tasks]
+    aligned = align(
+        job.pairs,
+        padded,
+        job.variant.solver(job.seed),
+        dtype=getattr(torch, job.dtype),
+        device=job.device,
+        progress=progress,
+    )
+    return Done(job, aligned)
+
+
+def label(job: Job) -> str:
+    """What a job is, for a progress bar."""
+    return f"{job.variant.method}, {job.pairs[0].kind}"

@@ -1,0 +1,138 @@
+"""A run of the benchmark: pairs and tasks are drawn, variants are run on them, rows and typical failures come out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .bodies import BodyPair, Kind, draw_pairs, mesh_sources
+from .failures import Failure, WitnessPoints
+from .rows import LEVELS, rows
+from .runner import Done, jobs, run
+from .tasks import CLASSES, Tasks, draw_tasks
+from .variants import Variant
+
+SHOWN = 12
+"""Most failures that are shown."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is run."""
+
+    variants: tuple[Variant, ...]
+    """What is compared."""
+    meshes: Path | None = None
+    """Folder of meshes; None: the embedded objects."""
+    kinds: tuple[Kind, ...] = ("convex", "concave")
+    """Convex hulls of the meshes, or their CoACD pieces."""
+    classes: tuple[str, ...] = CLASSES[:3]
+    """Where targets lie."""
+    pairs: int = 8
+    """Pairs of bodies of each kind."""
+    targets: int = 64
+    """Accepted targets of each pair."""
+    seed: int = 0
+    """Of pairs, tasks and samples."""
+    dtype: str = "float64"
+    """Number type of poses and losses."""
+    device: str = "cpu"
+    """Torch device of poses and losses."""
+    threads: int = 1
+    """Threads of torch in each process."""
+    workers: int = 1
+    """Processes."""
+
+
+def run_study(
+    study: Study, say: Callable[[str], None], progress: Callable[[float, str], None]
+) -> tuple[list[dict[str, Any]], list[Failure]]:
+    """The rows, and typical failures of each variant.
+
+    Args:
+        study: What is run.
+        say: Gets lines on what is loaded.
+        progress: Gets the share of the work that is done, and what is.
+
+    Raises:
+        GraspRefineError: the meshes cannot be used, or hardly any of the tasks are accepted.
+    """
+    sources = mesh_sources(study.meshes)
+    pairs = [pair for kind in study.kinds for pair in draw_pairs(sources, kind, study.pairs, study.seed, say=say)]
+    tasks = [draw_tasks(pair, study.classes, study.targets, study.seed) for pair in pairs]
+    pairs, tasks = _with_tasks(pairs, tasks, say)
+    todo = jobs(
+        study.variants,
+        pairs,
+        tasks,
+        seed=study.seed,
+        dtype=study.dtype,
+        device=study.device,
+        threads=study.threads,
+    )
+    done = run(todo, study.workers, progress)
+    return rows(done, study.targets, study.dtype), typical_failures(done)
+
+
+def typical_failures(done: Sequence[Done]) -> list[Failure]:
+    """Of each method and kind the reachable task whose error is the median of those that were missed."""
+    found: dict[tuple[str, str], list[tuple[float, Done, int, int]]] = {}
+    for one in done:
+        for p, tasks in enumerate(one.job.tasks):
+            error, _ = one.errors(p)
+            missed = np.flatnonzero(tasks.reachable & (error >= LEVELS["acc_1e6"]) & np.isfinite(error))
+            key = (one.job.variant.method, one.job.pairs[p].kind)
+            found.setdefault(key, []).extend((float(error[i]), one, p, int(i)) for i in missed)
+    typical = []
+    for missed in found.values():
+        if missed:
+            missed.sort(key=lambda entry: entry[0])
+            typical.append(_failure(*missed[len(missed) // 2][1:]))
+    return typical[:SHOWN]
+
+
+def _failure(done: Done, p: int, i: int) -> Failure:
+    pair, tasks, witness = done.job.pairs[p], done.job.tasks[p], done.aligned.witness
+    return Failure(
+        method=done.job.variant.method,
+        kind=pair.kind,
+        target_class=CLASSES[tasks.target_class[i]],
+        body_a=pair.a,
+        body_b=pair.b,
+        T_world_a=done.aligned.T_world_a[i, p],
+        T_world_b=done.aligned.T_world_b[i, p],
+        target_a=tasks.target_a[i],
+        target_b=tasks.target_b[i],
+        margin=done.job.variant.margin,
+        witness=WitnessPoints(
+            witness.point_a[i, p],
+            witness.point_b[i, p],
+            witness.normal[i, p],
+            float(witness.distance[i, p]),
+            _winner(done, p, int(witness.winner[i, p])),
+        ),
+    )
+
+
+def _winner(done: Done, p: int, winner: int) -> int:
+    """The closest pieces of pair p, counted from its own first piece pair."""
+    before = sum(len(pair.a.pieces) * len(pair.b.pieces) for pair in done.job.pairs[:p])
+    return winner - before
+
+
+def _with_tasks(
+    pairs: list[BodyPair], tasks: list[Tasks], say: Callable[[str], None]
+) -> tuple[list[BodyPair], list[Tasks]]:
+    """The pairs on which some task is accepted."""
+    some = [bool(t.accepted.any()) for t in tasks]
+    for pair, any_accepted in zip(pairs, some, strict=True):
+        if not any_accepted:
+            say(f"left out: {pair.name}, none of its tasks is accepted")
+    return (
+        [pair for pair, kept in zip(pairs, some, strict=True) if kept],
+        [t for t, kept in zip(tasks, some, strict=True) if kept],
+    )

@@ -1,0 +1,63 @@
+"""The table that the benchmark prints: one line for each variant and kind, pooled over pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rich.box import SIMPLE
+from rich.table import Table
+
+from .chart import variants
+
+Row = dict[str, Any]
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.1f}"
+
+
+def _short(value: float) -> str:
+    return f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e+")
+
+
+COLUMNS: Sequence[tuple[str, Callable[[Row], float | None], Callable[[float], str]]] = (
+    ("Acc@\n1e-6 %", lambda row: row["acc_1e6"], _percent),
+    ("Acc@\n1e-8 %", lambda row: row["acc_1e8"], _percent),
+    ("D5\nm²", lambda row: row["d5"], _short),
+    ("D9\nm²", lambda row: row["d9"], _short),
+    ("reach.\n1e-6 %", lambda row: row["reachable"]["acc_1e6"], _percent),
+    ("forw.\nµs", lambda row: row["forward_us"], "{:.0f}".format),
+    ("backw.\nµs", lambda row: row["backward_us"], "{:.0f}".format),
+    ("CPU s\na pair", lambda row: row["cpu_s_per_pair"], "{:.2f}".format),
+)
+
+
+def bench_table(rows: Sequence[Row], title: str) -> Table:
+    """The pooled rows, with face-face targets on lines of their own."""
+    labels = dict(zip(map(id, rows), variants(rows), strict=True))
+    shown = [row for row in rows if row["pair"] == "all" and row["target_class"] in ("all", "face-face")]
+    several = len({(row["budget"], row["budget_s"]) for row in shown}) > 1
+    table = Table(title=title, title_justify="left", box=SIMPLE, padding=(0, 1, 0, 0))
+    table.add_column("variant", min_width=20)
+    if several:
+        table.add_column("budget", justify="right")
+    for name, _, _ in COLUMNS:
+        table.add_column(name, justify="right")
+    kind = None
+    for row in shown:
+        if row["kind"] != kind:
+            kind = row["kind"]
+            table.add_section()
+            table.add_row(f"[bold]{kind}[/bold], {row['pairs']} pair{'s' if row['pairs'] != 1 else ''}")
+        name = labels[id(row)]
+        if row["target_class"] == "face-face" and any(r["target_class"] == "all" and r is not row for r in shown):
+            name = "  its face-face targets"
+        budget = [f"{row['budget']}" if row["budget"] else f"{row['budget_s']:g} s"] if several else []
+        cells = [(words(value) if value is not None else "-") for value, words in _values(row)]
+        table.add_row(name, *budget, *cells)
+    return table
+
+
+def _values(row: Row) -> list[tuple[float | None, Callable[[float], str]]]:
+    return [(value(row), words) for _, value, words in COLUMNS]

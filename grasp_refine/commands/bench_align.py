@@ -1,0 +1,248 @@
+"""`refine-grasp bench align`: how well, and how fast, witness derivatives bring two bodies into contact."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from tyro.conf import DisallowNone, arg
+
+from grasp_refine.apps.bench.align.bodies import Kind
+from grasp_refine.apps.bench.align.page import page
+from grasp_refine.apps.bench.align.presets import PRESETS, Preset
+from grasp_refine.apps.bench.align.study import Study, run_study
+from grasp_refine.apps.bench.align.table import bench_table
+from grasp_refine.apps.bench.align.variants import MethodName, NeighborhoodName, Variant
+from grasp_refine.commands.options import check_device, check_numbers
+from grasp_refine.errors import GraspRefineError
+from grasp_refine.report.document import settings
+from grasp_refine.report.screen import screen
+from grasp_refine.report.writing import SCHEMA, check_writable, save_json, save_text
+from grasp_refine.versions import versions
+from grasp_refine.witness.slip import Coupling
+
+Class = Literal["vertex-vertex", "face-vertex", "vertex-face", "face-face"]
+PresetName = Literal["table1", "table2", "table3", "table4", "margin", "step-size", "coupling", "smoke"]
+
+COMPARED = ("methods", "neighborhoods", "couplings", "transport", "optimise", "margins", "step_sizes")
+"""Options that say what is compared; a preset says it itself."""
+
+
+@dataclass(frozen=True)
+class BenchAlign:
+    """Measure run time against error on the alignment task of arXiv 2511.06267.
+
+    Two random bodies, a wanted contact point on each: body 2 moves by normalised gradient descent until the witness
+    points lie on the targets. The error of a task is |x_a - t_a|^2 + |x_b - t_b|^2 + (d - margin)^2 in m^2, so
+    that 1e-6 is about a millimetre. Every combination of what is asked for is run on the same tasks. Without
+    options, the paper's method on the embedded objects.
+    """
+
+    preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
+    """An experiment of the paper, or one of our own: table1 (all methods), table2 (smoothing x sampling x gradients),
+    table3 (time of a query by method), table4 (time of a backward pass), margin, step-size, coupling, smoke (under a
+    minute)."""
+    meshes: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: embedded)")] = None
+    """Folder of meshes from which pairs are drawn."""
+    kinds: tuple[Kind, ...] = ("convex", "concave")
+    """convex: hulls of the meshes; concave: their CoACD pieces (cached)."""
+    pairs: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 8, or the preset's)")] = None
+    """Pairs of bodies of each kind."""
+    targets: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 64, or the preset's)")] = None
+    """Accepted targets of each pair. zeroth-order and finite-difference run an eighth of them."""
+    classes: Annotated[
+        DisallowNone[tuple[Class, ...] | None], arg(help_behavior_hint="(default: all but face-face)")
+    ] = None
+    """Where the targets lie, on body 1 and on body 2. Face-face targets are counted apart."""
+    methods: Annotated[DisallowNone[tuple[MethodName, ...] | None], arg(help_behavior_hint="(default: distance)")] = (
+        None
+    )
+    """How witness points are differentiated."""
+    neighborhoods: Annotated[
+        DisallowNone[tuple[NeighborhoodName, ...] | None], arg(help_behavior_hint="(default: adaptive)")
+    ] = None
+    """Which samples smoothing uses."""
+    couplings: Annotated[DisallowNone[tuple[Coupling, ...] | None], arg(help_behavior_hint="(default: one-sided)")] = (
+        None
+    )
+    """How the slips of both bodies act together; one-sided are the paper's equations."""
+    transport: Annotated[DisallowNone[bool | None], arg(help_behavior_hint="(default: on)")] = None
+    """Equivalent gradient transport: the gradient of body 1 acts through body 2."""
+    optimise: Annotated[DisallowNone[Literal["T2", "T1T2"] | None], arg(help_behavior_hint="(default: T2)")] = None
+    """Which bodies move."""
+    margins: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: 0.001)")] = None
+    """Contact margins in metres."""
+    step_sizes: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: 10)")] = None
+    """Sizes s_r of the first steps; s_t = s_r / 1000."""
+    budgets: Annotated[
+        DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 2000, or the preset's)")
+    ] = None
+    """Budgets in iterations; several make a line in the picture of error against time."""
+    seconds: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: none)")] = None
+    """Budgets in CPU seconds per pair, all its targets together, instead of iterations."""
+    solver: Literal["descent"] = "descent"
+    """How the bodies move: the paper's normalised gradient descent."""
+    seed: int = 0
+    """Seed of pairs, targets, initial poses and samples."""
+    dtype: Literal["float64", "float32"] = "float64"
+    """Number type of poses and losses; queries and derivatives always run in double precision."""
+    device: str = "cpu"
+    """Torch device of poses and losses."""
+    threads: int = 1
+    """Threads of torch in each process; more than one is slower for matrices this small."""
+    workers: int = 1
+    """Processes. CPU times are least disturbed with 1."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write all rows to this file, in SI units."""
+    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write a report with charts and pictures of typical failures to this file."""
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            GraspRefineError: options that do not go together, or meshes that cannot be used.
+        """
+        wall, cpu = time.perf_counter(), _cpu_seconds()
+        study = self.study()
+        for path in (self.json, self.html):
+            if path is not None:
+                check_writable(path)
+        with _bar(screen(stderr=True)) as bar:
+            task = bar.add_task("loading", total=1.0)
+
+            def progress(share: float, what: str) -> None:
+                bar.update(task, completed=share, description=what)
+
+            rows, failures = run_study(study, lambda line: bar.console.print(escape(line), style="dim"), progress)
+        document = {
+            "schema": SCHEMA,
+            "command": "bench align",
+            "versions": versions(),
+            "machine": {"cpus": os.cpu_count(), "cpu": _processor(), "system": platform.platform()},
+            "preset": self.preset,
+            "config": settings(replace(self, json=None, html=None)),
+            "seed": self.seed,
+            "wall_s": time.perf_counter() - wall,
+            "cpu_s": _cpu_seconds() - cpu,
+            "rows": rows,
+        }
+        written = []
+        if self.json is not None:
+            save_json(self.json, document)
+            written.append(self.json)
+        if self.html is not None:
+            save_text(self.html, page(document, failures))
+            written.append(self.html)
+        console = screen()
+        console.print(bench_table(rows, f"alignment, {study.targets} targets a pair, seed {study.seed}"))
+        wrote = f"; wrote {', '.join(map(str, written))}" if written else ""
+        console.print(
+            f"{document['wall_s']:.1f} s, {document['cpu_s']:.1f} s of CPU{wrote}", soft_wrap=True, markup=False
+        )
+        return 0
+
+    def study(self) -> Study:
+        """What the options ask for.
+
+        Raises:
+            GraspRefineError: a number out of its range, or options that do not go together.
+        """
+        check_numbers(self)
+        check_device(self.device, self.dtype)
+        for name in (
+            "kinds",
+            "classes",
+            "methods",
+            "neighborhoods",
+            "couplings",
+            "margins",
+            "step_sizes",
+            "budgets",
+            "seconds",
+        ):
+            if getattr(self, name) == ():
+                raise GraspRefineError(f"--{name.replace('_', '-')} needs at least one value")
+        if self.budgets is not None and self.seconds is not None:
+            raise GraspRefineError(
+                "--budgets and --seconds exclude each other: a budget is in iterations or in CPU seconds"
+            )
+        if self.preset is not None:
+            for name in COMPARED:
+                if getattr(self, name) is not None:
+                    raise GraspRefineError(
+                        f"--preset {self.preset} says itself what is compared: leave out --{name.replace('_', '-')}"
+                    )
+        preset = PRESETS[self.preset] if self.preset is not None else Preset("", self._variants())
+        budgets = preset.budgets if self.budgets is None else self.budgets
+        timed = [{"budget": None, "budget_s": s} for s in self.seconds or ()] or [{"budget": n} for n in budgets]
+        return Study(
+            variants=tuple(replace(variant, **budget) for variant in preset.variants for budget in timed),
+            meshes=self.meshes,
+            kinds=tuple(dict.fromkeys(self.kinds)),
+            classes=preset.classes if self.classes is None else tuple(dict.fromkeys(self.classes)),
+            pairs=preset.pairs if self.pairs is None else self.pairs,
+            targets=preset.targets if self.targets is None else self.targets,
+            seed=self.seed,
+            dtype=self.dtype,
+            device=self.device,
+            threads=self.threads,
+            workers=self.workers,
+        )
+
+    def _variants(self) -> tuple[Variant, ...]:
+        """Every combination of what is compared; what a method ignores is not varied."""
+        made = [
+            Variant(method, near, coupling, margin=margin, step_size=size)
+            for method, near, coupling, margin, size in product(
+                self.methods or ("distance",),
+                self.neighborhoods or ("adaptive",),
+                self.couplings or ("one-sided",),
+                self.margins or (Variant.margin,),
+                self.step_sizes or (Variant.step_size,),
+            )
+        ]
+        changes: dict[str, Any] = {}
+        if self.transport is not None:
+            changes["transport"] = self.transport
+        if self.optimise is not None:
+            changes["optimise"] = self.optimise
+        made = [replace(variant, **changes) for variant in made]
+        distinct = {tuple(variant.columns().values()): variant for variant in reversed(made)}
+        return tuple(reversed(distinct.values()))
+
+
+def _bar(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=None),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+
+
+def _processor() -> str:
+    """What the processor calls itself."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def _cpu_seconds() -> float:
+    """CPU time of all threads, and of the processes that have ended."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
