@@ -6,8 +6,8 @@ from typing import Literal
 from grasp_refine.losses import Weights
 from grasp_refine.solvers.descent import Descent
 from grasp_refine.targets import REACH
+from grasp_refine.witness.autograd import Derivative
 from grasp_refine.witness.contact_kinematics import ContactKinematics
-from grasp_refine.witness.distance import Distance
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class Config:
 
     solver: Descent = field(default_factory=Descent)
     """How the hand moves."""
-    derivative: ContactKinematics | Distance = field(default_factory=ContactKinematics)
+    derivative: Derivative = field(default_factory=ContactKinematics)
     """How witness points are differentiated."""
     weights: Weights = field(default_factory=Weights)
     """How much each term of the loss counts."""

@@ -12,12 +12,18 @@ from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.losses import Weights
 from grasp_refine.solvers.descent import Descent
+from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
+from grasp_refine.witness.finite_difference import FiniteDifference
 from grasp_refine.witness.neighborhood import Adaptive, Fixed
+from grasp_refine.witness.rigid import Rigid
+from grasp_refine.witness.rings import Neighbor
+from grasp_refine.witness.zeroth_order import ZerothOrder
 
-Method = TypeVar("Method", Descent, ContactKinematics, Distance)
 
+Method = TypeVar("Method")
 
 # What has an option of its own, without a prefix, is left out of the options of a method.
 @dataclass(frozen=True)
@@ -32,7 +38,7 @@ class DescentOptions(Descent):
 class ContactKinematicsOptions(ContactKinematics):
     """The options of contact kinematics."""
 
-    neighborhood: Suppress[Adaptive | Fixed] = field(default_factory=Adaptive)
+    neighborhood: Suppress[Adaptive | Fixed | Neighbor] = field(default_factory=Adaptive)
     seed: Suppress[int] = ContactKinematics.seed
 
 
@@ -40,8 +46,38 @@ class ContactKinematicsOptions(ContactKinematics):
 class DistanceOptions(Distance):
     """The options of distance smoothing."""
 
-    neighborhood: Suppress[Adaptive | Fixed] = field(default_factory=Adaptive)
+    neighborhood: Suppress[Adaptive | Fixed | Neighbor] = field(default_factory=Adaptive)
     seed: Suppress[int] = Distance.seed
+
+
+@dataclass(frozen=True)
+class DirectionOptions(Direction):
+    """The options of direction smoothing."""
+
+    neighborhood: Suppress[Adaptive | Fixed | Neighbor] = field(default_factory=Adaptive)
+    seed: Suppress[int] = Direction.seed
+
+
+@dataclass(frozen=True)
+class ZerothOrderOptions(ZerothOrder):
+    """The options of zeroth-order smoothing."""
+
+    seed: Suppress[int] = ZerothOrder.seed
+
+
+@dataclass(frozen=True)
+class AnalyticalOptions(Analytical):
+    """The options of analytical derivatives."""
+
+
+@dataclass(frozen=True)
+class FiniteDifferenceOptions(FiniteDifference):
+    """The options of finite differences."""
+
+
+@dataclass(frozen=True)
+class RigidOptions(Rigid):
+    """Rigid points have no options."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +86,14 @@ class Settings:
 
     solver: Literal["descent"] = "descent"
     """How the hand moves: normalised gradient descent."""
-    derivative: Literal["contact-kinematics", "distance"] = "contact-kinematics"
-    """How witness points are differentiated: by fitted curvatures, or by the paper's distance smoothing."""
-    neighborhood: Literal["adaptive", "fixed"] = "adaptive"
-    """Which samples stand for the surface near a witness: as far as the target is, or a fixed fraction of the body."""
+    derivative: Literal[
+        "contact-kinematics", "distance", "direction", "analytical", "zeroth-order", "finite-difference", "rigid"
+    ] = "contact-kinematics"
+    """How witness points are differentiated: by fitted curvatures, by the paper's distance smoothing, or by what it is
+    compared with (`bench align` measures them all)."""
+    neighborhood: Literal["adaptive", "fixed", "neighbor"] = "adaptive"
+    """Which samples stand for the surface near a witness: as far as the target is, within a fixed fraction of the body,
+    or the mesh vertices around it."""
     iterations: int = Descent.iterations
     """Most iterations per grasp."""
     tolerance: float = Config.tolerance
@@ -76,10 +116,21 @@ class Settings:
     """With --derivative contact-kinematics."""
     distance: DistanceOptions = field(default_factory=DistanceOptions)
     """With --derivative distance."""
+    direction: DirectionOptions = field(default_factory=DirectionOptions)
+    """With --derivative direction."""
+    analytical: AnalyticalOptions = field(default_factory=AnalyticalOptions)
+    """With --derivative analytical."""
+    zeroth_order: ZerothOrderOptions = field(default_factory=ZerothOrderOptions)
+    """With --derivative zeroth-order."""
+    finite_difference: FiniteDifferenceOptions = field(default_factory=FiniteDifferenceOptions)
+    """With --derivative finite-difference."""
+    rigid: Suppress[RigidOptions] = field(default_factory=RigidOptions)
     adaptive: Adaptive = field(default_factory=Adaptive)
     """With --neighborhood adaptive."""
     fixed: Fixed = field(default_factory=Fixed)
     """With --neighborhood fixed."""
+    neighbor: Neighbor = field(default_factory=Neighbor)
+    """With --neighborhood neighbor."""
     weights: Weights = field(default_factory=Weights)
     """How much each term of the loss, a sum of squares, counts."""
 
@@ -119,6 +170,6 @@ class Settings:
 
 
 def _method(options: Method, **others: object) -> Method:
-    """The method that `options` describe, with the values of what has options of its own."""
+    """The method that `options` describe, with the values of what has options of its own, where it has such a field."""
     given = {field.name: getattr(options, field.name) for field in fields(options)}
-    return type(options).__base__(**{**given, **others})
+    return type(options).__base__(**given | {name: value for name, value in others.items() if name in given})

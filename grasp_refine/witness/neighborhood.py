@@ -9,7 +9,7 @@ is a random choice that does not depend on what else is in the batch.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -86,6 +86,18 @@ class Surfaces:
         y = x - self.center[:, None]
         ones = np.concatenate([y, np.ones_like(y[..., :1])], axis=2).astype(np.float32)
         return ones @ self._features[:, :, first : first + count], (y * y).sum(axis=2)
+
+    def offsets_of(self, body: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """|v - x|^2 - |x|^2 of all candidates (M, N) for points x (M, 3) of the bodies (M,)."""
+        y = x - self.center[body]
+        ones = np.concatenate([y, np.ones_like(y[:, :1])], axis=1).astype(np.float32)
+        return (ones[:, None] @ self._features[body, :, : self.points.shape[1]])[:, 0]
+
+    def pick(self, name: Literal["points", "normals"], index: np.ndarray) -> np.ndarray:
+        """Points or normals (S, B, K, 3) of the candidates `index` (S, B, K) of each body."""
+        S, N, _ = self.points.shape
+        flat = index + (N * np.arange(S))[:, None, None]
+        return getattr(self, name).reshape(S * N, 3).take(flat, axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,130 +190,84 @@ def choose(
     S, B, _ = x.shape
     N = surfaces.points.shape[1]
     radius = rule.radius(surfaces, x, target)
-    body = np.repeat(np.arange(S), B)
     minimum = min(rule.minimum, N)
     width = N if rule.samples is None else max(rule.samples, minimum)
     # A window of the random order is enough for wide neighbourhoods, which hold most of the candidates.
     window = N if rule.samples is None else min(N, _WINDOW)
-    rows = _Rows(surfaces, x, normal, np.broadcast_to(radius, (S, B)), offset % N)
-    index, normals, mask, inside = rows.draw(window, width)
-    hungry = mask.sum(axis=1) < minimum
-    if window < N:
-        hungry |= inside < width
-    hungry = hungry.reshape(S, B)
-    most = hungry.sum(axis=1).max()
-    if most:
-        # Equally many rows of each body; those that are full already draw the same candidates again.
-        columns = np.argsort(~hungry, axis=1, kind="stable")[:, :most]
-        again = rows.take(columns)
-        here = (np.arange(S)[:, None] * B + columns).reshape(-1)
-        index[here], normals[here], mask[here] = again.draw_at_least(minimum, width)
-    points = np.empty((S * B, width + 1, 3))
-    points[:, 0] = x.reshape(S * B, 3)
-    points[:, 1:] = surfaces.points[body[:, None], index]
-    with_witness = np.ones((S * B, width + 1), dtype=bool)
-    with_witness[:, 1:] = mask
-    return Neighbors(
-        points.reshape(S, B, -1, 3),
-        normals.reshape(S, B, -1, 3),
-        with_witness.reshape(S, B, -1),
-        radius,
-        surfaces.floor,
-    )
+    first = offset % N
+    index, mask, inside = _draw(surfaces, x, radius, first, window, width)
+    hungry = inside < width
+    if window < N and hungry.any():
+        # Equally many witness points of each body; those that are full already want nothing.
+        columns = np.argsort(~hungry, axis=1, kind="stable")[:, : hungry.sum(axis=1).max()]
+        wanted = np.take_along_axis(hungry, columns, axis=1)
+        some = np.take_along_axis(x, columns[..., None], axis=1)
+        reach = np.where(wanted, np.take_along_axis(np.broadcast_to(radius, (S, B)), columns, axis=1), np.nan)
+        more, more_mask, _ = _draw(surfaces, some, reach, first, N, width)
+        body, _ = np.nonzero(wanted)
+        index[body, columns[wanted]], mask[body, columns[wanted]] = more[wanted], more_mask[wanted]
+    normals = surfaces.pick("normals", index)
+    mask &= _agree(normals, normal)
+    few = np.nonzero(mask.sum(axis=2) < minimum)
+    if len(few[0]):
+        index[few], mask[few] = _nearest(surfaces, few[0], x[few], normal[few], minimum, width)
+        normals[few] = surfaces.normals[few[0][:, None], index[few]]
+    points = np.empty((S, B, width + 1, 3))
+    points[:, :, 0] = x
+    points[:, :, 1:] = surfaces.pick("points", index)
+    with_witness = np.ones((S, B, width + 1), dtype=bool)
+    with_witness[:, :, 1:] = mask
+    return Neighbors(points, normals, with_witness, radius, surfaces.floor)
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """The witness points of a draw, M = S B of them in rows."""
+def _draw(
+    surfaces: Surfaces, x: np.ndarray, radius: np.ndarray, first: int, window: int, width: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Up to `width` candidates inside the radius (S, B, width), from a window of the random order.
 
-    surfaces: Surfaces
-    x: np.ndarray
-    """(S, B, 3)."""
-    normal: np.ndarray
-    """(S, B, 3)."""
-    radius: np.ndarray
-    """(S, B)."""
-    first: int
-    """The candidate that the draw begins with."""
+    Also which of them are real, and how many the window has inside (S, B). None are where the radius is NaN.
+    """
+    S, B, _ = x.shape
+    squared, x_squared = surfaces.offsets(x, first, window)
+    inside = squared <= (radius * radius - x_squared).astype(np.float32)[..., None]
+    flat = np.flatnonzero(inside.reshape(-1))
+    row = flat // window
+    count = np.bincount(row, minlength=S * B)
+    rank = np.arange(len(flat)) - np.repeat(np.cumsum(count) - count, count)
+    keep = rank < width
+    row, rank = row[keep], rank[keep]
+    index = np.zeros((S * B, width), dtype=np.int64)
+    mask = np.zeros(index.shape, dtype=bool)
+    index[row, rank] = (flat[keep] - row * window + first) % surfaces.points.shape[1]
+    mask[row, rank] = True
+    return index.reshape(S, B, width), mask.reshape(S, B, width), count.reshape(S, B)
 
-    @cached_property
-    def body(self) -> np.ndarray:
-        """Body (M, 1) of each row."""
-        S, B, _ = self.x.shape
-        return np.repeat(np.arange(S), B)[:, None]
 
-    def take(self, columns: np.ndarray) -> "_Rows":
-        """Some witness points (S, H) of each body."""
-        x, normal = (np.take_along_axis(array, columns[..., None], axis=1) for array in (self.x, self.normal))
-        return _Rows(self.surfaces, x, normal, np.take_along_axis(self.radius, columns, axis=1), self.first)
+def _nearest(
+    surfaces: Surfaces, body: np.ndarray, x: np.ndarray, normal: np.ndarray, count: int, width: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The `count` nearest candidates whose normals agree (M, width), and which of them are real.
 
-    def draw(
-        self, window: int, width: int, squared: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Up to `width` candidates inside the radius (M, width) from a window of the random order.
+    Witness points x (M, 3) with normals (M, 3) belong to the bodies (M,).
+    """
+    M, N = len(body), surfaces.points.shape[1]
+    squared = surfaces.offsets_of(body, x)
+    shortlist = min(N, 4 * count)
+    while True:
+        near = np.argpartition(squared, shortlist - 1, axis=1)[:, :shortlist]
+        near = np.take_along_axis(near, np.take_along_axis(squared, near, axis=1).argsort(axis=1), axis=1)
+        agree = _agree(surfaces.normals[body[:, None], near], normal)
+        if shortlist == N or (agree.sum(axis=1) >= count).all():
+            break
+        shortlist = N
+    # Those that agree come first, by their distance.
+    chosen = np.argsort(~agree, axis=1, kind="stable")[:, :count]
+    index, mask = np.zeros((M, width), dtype=np.int64), np.zeros((M, width), dtype=bool)
+    index[:, :count] = np.take_along_axis(near, chosen, axis=1)
+    mask[:, :count] = np.take_along_axis(agree, chosen, axis=1)
+    return index, mask
 
-        Also their normals (M, width, 3), which of them are real, and how many the window has inside (M,).
-        `squared` saves asking for the squared distances to the candidates of the window again.
-        """
-        squared = self.squared(window) if squared is None else squared
-        inside = squared <= (self.radius**2).astype(np.float32)[..., None]
-        flat = np.flatnonzero(inside.reshape(-1))
-        row = flat // window
-        count = np.bincount(row, minlength=len(self.body))
-        rank = np.arange(len(flat)) - np.repeat(np.cumsum(count) - count, count)
-        keep = rank < width
-        row, rank = row[keep], rank[keep]
-        index = np.zeros((len(self.body), width), dtype=np.int64)
-        mask = np.zeros(index.shape, dtype=bool)
-        index[row, rank] = self._candidate(flat[keep] - row * window)
-        mask[row, rank] = True
-        normals = self.surfaces.normals[self.body, index]
-        mask &= self._agree(normals, slice(None))
-        return index, normals, mask, count
 
-    def draw_at_least(self, minimum: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """As `draw` from all candidates; rows with fewer than `minimum` get the nearest ones instead."""
-        N = self.surfaces.points.shape[1]
-        squared = self.squared(N)
-        index, normals, mask, _ = self.draw(N, width, squared)
-        few = np.flatnonzero(mask.sum(axis=1) < minimum)
-        if len(few):
-            index[few], normals[few], mask[few] = self._nearest(few, squared.reshape(-1, N)[few], minimum, width)
-        return index, normals, mask
-
-    def squared(self, window: int) -> np.ndarray:
-        """Squared distances (S, B, window) to the candidates of a window."""
-        offsets, x_squared = self.surfaces.offsets(self.x, self.first, window)
-        offsets += x_squared.astype(np.float32)[..., None]
-        return offsets
-
-    def _nearest(
-        self, rows: np.ndarray, squared: np.ndarray, count: int, width: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The `count` nearest candidates of some rows whose normals agree; same shapes as from `draw`."""
-        N = squared.shape[1]
-        shortlist = min(N, 4 * count)
-        while True:
-            near = np.argpartition(squared, shortlist - 1, axis=1)[:, :shortlist]
-            near = np.take_along_axis(near, np.argsort(np.take_along_axis(squared, near, axis=1), axis=1), axis=1)
-            candidate = self._candidate(near)
-            normals = self.surfaces.normals[self.body[rows], candidate]
-            agree = self._agree(normals, rows)
-            if shortlist == N or (agree.sum(axis=1) >= count).all():
-                break
-            shortlist = N
-        # Those that agree come first, by their distance.
-        first = np.argsort(~agree, axis=1, kind="stable")[:, :count]
-        index = np.zeros((len(rows), width), dtype=np.int64)
-        mask = np.zeros(index.shape, dtype=bool)
-        index[:, :count] = np.take_along_axis(candidate, first, axis=1)
-        mask[:, :count] = np.take_along_axis(agree, first, axis=1)
-        return index, self.surfaces.normals[self.body[rows], index], mask
-
-    def _candidate(self, position: np.ndarray) -> np.ndarray:
-        """Which candidate stands at a position of the random order, counted from `first`."""
-        return (position + self.first) % self.surfaces.points.shape[1]
-
-    def _agree(self, normals: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
-        """Whether normals (M, K, 3) lie within 120 degrees of the contact normals of their rows (M, K)."""
-        return (normals @ self.normal.reshape(-1, 3)[rows, :, None])[..., 0] >= _COS_NORMALS
+def _agree(normals: np.ndarray, contact: np.ndarray) -> np.ndarray:
+    """Whether normals (..., K, 3) lie within 120 degrees of contact normals (..., 3)."""
+    return (normals @ contact[..., None])[..., 0] >= _COS_NORMALS

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from grasp_refine.se3 import adjoint, body_gradient, hat, inverse, matvec
+from grasp_refine.se3 import body_gradient, cross, hat, matvec
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,14 @@ class EquivalentTransport:
 
 
 def transport(T_from: Tensor, T_to: Tensor, twist: Tensor) -> Tensor:
-    """-Ad(T_to^-1 T_from) xi (..., 6): the update of body `to` that has the same effect as xi of body `from`."""
-    return -matvec(adjoint(inverse(T_to) @ T_from), twist)
+    """-Ad(T_to^-1 T_from) xi (..., 6): the update of body `to` that has the same effect as xi of body `from`.
+
+    The same motion in world axes, about the other origin: v + w x (p_to - p_from).
+    """
+    v, w = (T_from[..., :3, :3] @ torch.stack([twist[..., :3], twist[..., 3:]], dim=-1)).unbind(-1)
+    v = v + cross(w, T_to[..., :3, 3] - T_from[..., :3, 3])
+    moved = T_to[..., :3, :3].mT @ torch.stack([v, w], dim=-1)
+    return -moved.mT.flatten(-2)
 
 
 class _Transport(torch.autograd.Function):

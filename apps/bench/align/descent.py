@@ -112,47 +112,38 @@ def align(
     pairs = timed_pairs(Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies)), watch)
     layer = WitnessLayer(pairs, TimedDerivative(solver.method, watch))
     T_a, T_b, target_a, target_b = (stacked(name) for name in ("T_world_a", "T_world_b", "target_a", "target_b"))
-    together = EquivalentTransport(METRES_PER_RADIAN, _WHOLE)
+    together = EquivalentTransport(METRES_PER_RADIAN, _WHOLE, both=solver.optimise == "T1T2")
     # The layer keeps what it builds once; that is not part of the loop's time.
     layer.columns(np.arange(len(pairs)))
 
-    def loss(T_a: Tensor, T_b: Tensor, key: int, previous: Witness | None = None) -> tuple[Tensor, Witness]:
+    def errors(T_a: Tensor, T_b: Tensor, key: int) -> tuple[Tensor, Witness]:
         with watch.stage("broadphase"):
-            found = layer(T_a, T_b, target_a, target_b, key=key, previous=previous)
-        residual = contact_targets(found, T_a, T_b, target_a, target_b, solver.margin)
-        return residual.square().sum(dim=-1), found
+            found = layer(T_a, T_b, target_a, target_b, key=key)
+        squared = contact_targets(found, T_a, T_b, target_a, target_b, solver.margin).square().sum(dim=-1)
+        # Without witness points nothing is known, and nothing is followed.
+        return torch.where(torch.as_tensor(found.valid, device=device), squared, torch.inf), found
 
-    best, best_a, best_b = torch.full(T_a.shape[:2], torch.inf, dtype=dtype, device=device), T_a, T_b
-
-    def keep(error: Tensor) -> None:
-        nonlocal best, best_a, best_b
-        # An error that is not a number is never smaller.
-        better = error < best
-        best = torch.where(better, error, best)
-        best_a, best_b = (
-            torch.where(better[..., None, None], T.detach(), kept) for T, kept in ((T_a, best_a), (T_b, best_b))
-        )
-
+    best = _Best(torch.full(T_a.shape[:2], torch.inf, dtype=dtype, device=device), T_a, T_b)
     forward_s = backward_s = 0.0
     done, iteration = 0.0, 0
     start_cpu, start_wall = time.process_time(), time.perf_counter()
     with watch.stage("solver"):
         while done < 1.0:
             leaves = [T.requires_grad_() for T in (T_a, T_b)]
-            moved = together(leaves[1], leaves[0])[::-1] if solver.transport else leaves
+            seen_a, seen_b = together(*leaves[::-1])[::-1] if solver.transport else leaves
+            moving = leaves if solver.optimise == "T1T2" else leaves[1:]
             before = time.process_time()
-            error, _ = loss(*moved, iteration)
+            error, _ = errors(seen_a, seen_b, iteration)
             between = time.process_time()
-            wanted = leaves if solver.optimise == "T1T2" else leaves[1:]
-            gradients = torch.autograd.grad(error.sum(), wanted)
+            gradients = torch.autograd.grad(error.sum(), moving)
             after = time.process_time()
             forward_s, backward_s = forward_s + between - before, backward_s + after - between
-            keep(error.detach())
+            T_a, T_b = T_a.detach(), T_b.detach()
+            best.keep(error.detach(), T_a, T_b)
             rotation = solver.step_size * FACTORS[sum(done >= share for share in SHARES)]
-            stepped = [_step(T.detach(), G, rotation) for T, G in zip(wanted, gradients, strict=True)]
-            T_a, T_b = T_a.detach(), stepped[-1]
-            if len(stepped) == 2:
-                T_a = stepped[0]
+            T_b = _step(T_b, gradients[-1], rotation)
+            if solver.optimise == "T1T2":
+                T_a = _step(T_a, gradients[0], rotation)
             iteration += 1
             if solver.iterations is not None:
                 done = iteration / solver.iterations
@@ -162,14 +153,36 @@ def align(
                 progress(min(done, 1.0))
     cpu_s, wall_s = time.process_time() - start_cpu, time.perf_counter() - start_wall
     with torch.no_grad():
-        last_error, found = loss(T_a, T_b, iteration)
-        last_error = torch.where(torch.as_tensor(found.valid, device=device), last_error, torch.inf)
-        keep(last_error)
-        _, found = loss(best_a, best_b, iteration)
-    best, last_error, best_a, best_b = (x.double().cpu().numpy() for x in (best, last_error, best_a, best_b))
+        last_error, _ = errors(T_a, T_b, iteration)
+        best.keep(last_error, T_a, T_b)
+        _, found = errors(best.T_world_a, best.T_world_b, iteration)
     return Aligned(
-        best, last_error, best_a, best_b, found.detached(), iteration, watch, forward_s, backward_s, cpu_s, wall_s
+        *(x.double().cpu().numpy() for x in (best.error, last_error, best.T_world_a, best.T_world_b)),
+        found.detached(),
+        iteration,
+        watch,
+        forward_s,
+        backward_s,
+        cpu_s,
+        wall_s,
     )
+
+
+@dataclass
+class _Best:
+    """The best iterate of each task so far."""
+
+    error: Tensor
+    """(N, P), in square metres."""
+    T_world_a: Tensor
+    T_world_b: Tensor
+
+    def keep(self, error: Tensor, T_world_a: Tensor, T_world_b: Tensor) -> None:
+        """Take what is better; an error that is not a number never is."""
+        better = error < self.error
+        self.error = torch.where(better, error, self.error)
+        self.T_world_a = torch.where(better[..., None, None], T_world_a, self.T_world_a)
+        self.T_world_b = torch.where(better[..., None, None], T_world_b, self.T_world_b)
 
 
 def _step(T: Tensor, G: Tensor, rotation: float) -> Tensor:

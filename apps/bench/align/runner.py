@@ -15,7 +15,7 @@ from .descent import Aligned, align
 from .tasks import Tasks
 from .variants import Variant
 
-WIDTH = {"convex": 16, "concave": 2}
+WIDTH = {"convex": 32, "concave": 2}
 """Pairs that go through the witness layer together: many where the cost is that of small operations."""
 
 
