@@ -7,12 +7,12 @@ penetration depth) obeys
     d >= min_b u . y - max_a u . x          (d is the largest such gap over all u),
 
 apart and in penetration alike. So a piece pair whose bound is not below the distance of another can never win.
-The first bound costs one square root; the second is taken with oriented boxes along seven directions, only for
-the pairs that the first one leaves.
+The first bound is one matrix product for all piece pairs of two bodies; the second is taken with oriented boxes
+along seven directions, for the few pairs that all else leaves (see `search`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -21,20 +21,20 @@ from grasp_refine.geometry.pieces import Piece
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Bounding balls and oriented boxes of K convex pieces, in the frame of their body."""
+    """Bounding balls and oriented boxes of K convex pieces, in the frame of their body; pieces are the last axis."""
 
     center: np.ndarray
-    """Centres (K, 3) of balls and boxes, in metres."""
+    """Centres (3, K) of balls and boxes, in metres."""
     radius: np.ndarray
     """Radii (K,) of the balls."""
     axes: np.ndarray
-    """Unit axes of the boxes (K, 3, 3), one a row."""
+    """Unit axes of the boxes (3, 3, K), one a row."""
     half: np.ndarray
-    """Half side lengths of the boxes (K, 3)."""
+    """Half side lengths of the boxes (3, K)."""
 
-    def take(self, index: np.ndarray | tuple[np.ndarray, ...]) -> "Bounds":
+    def take(self, index: np.ndarray) -> "Bounds":
         """The bounds of the pieces `index`, in any shape."""
-        return Bounds(self.center[index], self.radius[index], self.axes[index], self.half[index])
+        return Bounds(*(np.take(getattr(self, field.name), index, axis=-1) for field in fields(self)))
 
 
 def bounds_of(pieces: Sequence[Piece]) -> Bounds:
@@ -50,36 +50,55 @@ def bounds_of(pieces: Sequence[Piece]) -> Bounds:
         axes.append(rows)
         halves.append((high - low) / 2 + piece.radius)
         radii.append(np.linalg.norm(piece.vertices - center, axis=1).max() + piece.radius)
-    return Bounds(np.array(centers), np.array(radii), np.array(axes), np.array(halves))
+    return Bounds(*(np.stack(column, axis=-1) for column in (centers, radii, axes, halves)))
 
 
-def ball_bound(a: Bounds, b: Bounds, R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Lower bounds (..., K) of the signed distance from the balls.
+def ball_bound(a: Bounds, b: Bounds, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lower bounds (..., K_a, K_b) of the signed distance of all piece pairs from their balls, and the likeliest.
+
+    The likeliest piece pair (...), an index into the K_a K_b of them, is the closest one with balls of half the
+    size: pieces seldom fill theirs.
 
     Args:
-        a: Pieces of body a (..., K).
-        b: Pieces of body b (..., K), in their own frame.
+        a: Pieces of body a (..., K_a).
+        b: Pieces of body b (..., K_b), in their own frame. A radius of -inf, here or in a, leaves a piece out.
         R: Rotation (..., 3, 3) of body b in the frame of body a.
         t: Its origin (..., 3).
     """
-    offset = b.center @ np.swapaxes(R, -1, -2) + t[..., None, :] - a.center
-    return np.sqrt(np.einsum("...i,...i->...", offset, offset)) - a.radius - b.radius
+    x, y = np.moveaxis(a.center, 0, -1), np.moveaxis(b.center, 0, -1) @ R.mT + t[..., None, :]
+    # |y - x|^2 in one product. Rounding, a few ulps of |x|^2 + |y|^2, must not make it longer.
+    shorter = 1.0 - 16.0 * np.finfo(np.float64).eps
+    x = np.concatenate([-2.0 * x, shorter * (x * x).sum(-1, keepdims=True), np.ones((*x.shape[:-1], 1))], axis=-1)
+    y = np.concatenate([y, np.ones((*y.shape[:-1], 1)), shorter * (y * y).sum(-1, keepdims=True)], axis=-1)
+    bound = x @ y.mT
+    np.sqrt(np.maximum(bound, 0.0, out=bound), out=bound)
+    half_radii = 0.5 * (a.radius[..., :, None] + b.radius[..., None, :])
+    bound -= half_radii
+    likeliest = bound.reshape(*bound.shape[:-2], bound.shape[-2] * bound.shape[-1]).argmin(axis=-1)
+    bound -= half_radii
+    return bound, likeliest
 
 
 def box_bound(a: Bounds, b: Bounds, R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Lower bounds (M,) of the signed distance of M piece pairs: the largest gap of their oriented boxes.
+    """Lower bounds (N,) of the signed distance of N piece pairs: the largest gap of their oriented boxes.
 
-    Directions tried: the three axes of either box and the line between the centres. Arguments as above.
+    Directions tried: the three axes of either box and the line between the centres.
+
+    Args:
+        a: First pieces (N,).
+        b: Second pieces (N,), in their own frame.
+        R: Rotations (3, 3, N) of bodies b in the frames of bodies a.
+        t: Their origins (3, N).
     """
-    axes_b = b.axes @ np.swapaxes(R, -1, -2)
-    offset = np.einsum("mij,mj->mi", R, b.center) + t - a.center
-    cosines = np.abs(a.axes @ np.swapaxes(axes_b, -1, -2))
-    offset_a = np.abs(np.einsum("mik,mk->mi", a.axes, offset))
-    offset_b = np.abs(np.einsum("mjk,mk->mj", axes_b, offset))
-    along_a = offset_a - a.half - np.einsum("mij,mj->mi", cosines, b.half)
-    along_b = offset_b - b.half - np.einsum("mij,mi->mj", cosines, a.half)
-    length = np.sqrt(np.einsum("mi,mi->m", offset, offset))
-    reach = np.einsum("mi,mi->m", offset_a, a.half) + np.einsum("mi,mi->m", offset_b, b.half)
+    axes_b = np.einsum("ijn,kjn->kin", R, b.axes)
+    offset = np.einsum("ijn,jn->in", R, b.center) + t - a.center
+    cosines = np.abs(np.einsum("ijn,kjn->ikn", a.axes, axes_b))
+    offset_a = np.abs(np.einsum("ijn,jn->in", a.axes, offset))
+    offset_b = np.abs(np.einsum("ijn,jn->in", axes_b, offset))
+    along_a = offset_a - a.half - np.einsum("ijn,jn->in", cosines, b.half)
+    along_b = offset_b - b.half - np.einsum("ijn,in->jn", cosines, a.half)
+    length = np.sqrt((offset * offset).sum(axis=0))
+    reach = (offset_a * a.half).sum(axis=0) + (offset_b * b.half).sum(axis=0)
     # Boxes with one centre have no such line.
     along_line = np.where(length > 0, length - reach / np.maximum(length, np.finfo(np.float64).tiny), -np.inf)
-    return np.maximum(np.maximum(along_a.max(axis=-1), along_b.max(axis=-1)), along_line)
+    return np.maximum(np.maximum(along_a.max(axis=0), along_b.max(axis=0)), along_line)

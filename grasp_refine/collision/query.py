@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from grasp_refine.collision.broadphase import Bounds, ball_bound, bounds_of, box_bound
 from grasp_refine.collision.narrowphase import Closest, NarrowPhase, Tolerances
+from grasp_refine.collision.search import Search, Warm
+from grasp_refine.collision.table import PieceTable
 from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
@@ -98,8 +99,8 @@ class Pairs:
         return len(self.a)
 
     @cached_property
-    def _table(self) -> "_PieceTable":
-        return _PieceTable.build(self)
+    def _table(self) -> PieceTable:
+        return PieceTable.of(self.a, self.b)
 
     def take(self, index: np.ndarray) -> "Pairs":
         """Some of the pairs."""
@@ -120,34 +121,6 @@ class Pairs:
         """The narrow phase over all piece pairs of all body pairs."""
         table = self._table
         return NarrowPhase(table.pieces_a, table.pieces_b, self.tolerances)
-
-
-@dataclass(frozen=True, eq=False)
-class _PieceTable:
-    """All piece pairs, padded to the largest number K of any body pair."""
-
-    pieces_a: list[Piece]
-    pieces_b: list[Piece]
-    id: np.ndarray
-    """Index into pieces_a and pieces_b (P, K); -1 pads."""
-    bounds_a: Bounds
-    bounds_b: Bounds
-
-    @staticmethod
-    def build(pairs: Pairs) -> "_PieceTable":
-        bounds = {id(body): bounds_of(body.pieces) for body in (*pairs.a, *pairs.b)}
-        width = max(len(a.pieces) * len(b.pieces) for a, b in zip(pairs.a, pairs.b, strict=True))
-        ids = np.full((len(pairs), width), -1)
-        pieces_a, pieces_b, taken_a, taken_b = [], [], [], []
-        for p, (a, b) in enumerate(zip(pairs.a, pairs.b, strict=True)):
-            i, j = (grid.ravel() for grid in np.meshgrid(range(len(a.pieces)), range(len(b.pieces)), indexing="ij"))
-            ids[p, : len(i)] = len(pieces_a) + np.arange(len(i))
-            pieces_a += [a.pieces[k] for k in i]
-            pieces_b += [b.pieces[k] for k in j]
-            pad = np.zeros(width - len(i), dtype=int)
-            taken_a.append(bounds[id(a)].take(np.concatenate([i, pad])))
-            taken_b.append(bounds[id(b)].take(np.concatenate([j, pad])))
-        return _PieceTable(pieces_a, pieces_b, ids, _stack(taken_a), _stack(taken_b))
 
 
 def query(
@@ -183,79 +156,27 @@ def query(
     items = relative.reshape(batch * count, 4, 3)
     R, t = np.ascontiguousarray(items[:, :3].mT), np.ascontiguousarray(items[:, 3])
     limit = np.full((batch, count), cutoff, dtype=np.float64).reshape(-1)
-    ids = np.broadcast_to(table.id, (batch, *table.id.shape)).reshape(batch * count, table.id.shape[1])
-
-    if ids.shape[1] == 1 and np.isinf(limit).all():
+    if table.id.shape[1] == 1 and np.isinf(limit).all():
         # Nothing can be pruned: each body pair is one piece pair, and all of them are wanted.
-        bound = np.full(ids.shape, -np.inf)
+        bound, column = np.full((len(items), 1), -np.inf), np.zeros(len(items), dtype=np.int64)
     else:
         with np.errstate(invalid="ignore", over="ignore"):
-            bound = ball_bound(table.bounds_a, table.bounds_b, relative[..., :3, :].mT, relative[..., 3, :])
-        bound = bound.reshape(ids.shape)
-    bound[(ids < 0) | ~finite.reshape(-1, 1)] = np.inf
-    found = _minimum(pairs, R, t, ids, bound, limit, _hint(previous, T_a, ids))
+            bound, column = table.ball_bound(relative[..., :3, :].mT, relative[..., 3, :])
+    bound[~finite.reshape(-1)] = np.inf
+    search = Search(table, pairs.narrow_phase, R, t, limit)
+    found = search.minimum(bound, column, _warm(previous, T_a, table))
     return _witness(found, T_a, limit, finite)
 
 
-def _minimum(
-    pairs: Pairs,
-    R: np.ndarray,
-    t: np.ndarray,
-    ids: np.ndarray,
-    bound: np.ndarray,
-    limit: np.ndarray,
-    hint: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
-) -> Closest:
-    """Ask the most promising piece pair of each item, then all that can still beat it, best bound first."""
-    table, narrow = pairs._table, pairs.narrow_phase
-    rows = np.arange(len(ids))
-    column = bound.argmin(axis=1)
-    guess = guess_valid = None
-    if hint is not None:
-        winner_column, guess, guess_valid = hint
-        column = np.where(winner_column >= 0, winner_column, column)
-    found = narrow.closest(
-        R, t, np.arange(len(ids) + 1), ids[rows, column], bound[rows, column], limit, guess, guess_valid
-    )
-    if ids.shape[1] == 1:
-        return found
-    best = np.minimum(found.distance, limit)
-    bound[rows, column] = np.where(found.asked > 0, np.inf, bound[rows, column])
-    item, col = np.nonzero(bound < best[:, None])
-    body_pair = item % table.id.shape[0]
-    tight = np.maximum(
-        bound[item, col],
-        box_bound(table.bounds_a.take((body_pair, col)), table.bounds_b.take((body_pair, col)), R[item], t[item]),
-    )
-    open_ = tight < best[item]
-    item, col, tight = item[open_], col[open_], tight[open_]
-    order = np.lexsort((tight, item))
-    item, col, tight = item[order], col[order], tight[order]
-    active, lengths = np.unique(item, return_counts=True)
-    starts = np.concatenate([[0], np.cumsum(lengths)])
-    more = narrow.closest(R[active], t[active], starts, ids[item, col], tight, best[active])
-    better = more.winner >= 0
-    index = active[better]
-    for name in ("distance", "point", "normal", "winner"):
-        getattr(found, name)[index] = getattr(more, name)[better]
-    found.asked[active] += more.asked
-    found.failed[active] |= more.failed
-    return found
-
-
-def _hint(
-    previous: Witness | None, T_a: np.ndarray, ids: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Column of the last winner (-1: none), GJK guess x_a - x_b in the frame of a, and where it may be used."""
+def _warm(previous: Witness | None, T_a: np.ndarray, table: PieceTable) -> Warm | None:
+    """What the last answer tells the search."""
     if previous is None:
         return None
     winner = np.asarray(previous.winner).reshape(-1)
-    has = winner >= 0
-    column = np.where(has, winner - ids[:, 0], -1)
     difference = np.asarray(previous.point_a) - np.asarray(previous.point_b)
     guess = np.einsum("bpji,bpj->bpi", T_a[..., :3, :3], difference).reshape(-1, 3)
     apart = (np.asarray(previous.status).reshape(-1) == QueryStatus.SEPARATED) & np.isfinite(guess).all(axis=1)
-    return column, np.ascontiguousarray(guess), apart
+    return Warm(np.where(winner >= 0, table.column[winner], -1), np.ascontiguousarray(guess), apart)
 
 
 def _witness(found: Closest, T_a: np.ndarray, limit: np.ndarray, finite: np.ndarray) -> Witness:
@@ -278,7 +199,3 @@ def _witness(found: Closest, T_a: np.ndarray, limit: np.ndarray, finite: np.ndar
     moved = np.where(valid.reshape(shape), distance, 0.0)[..., None] * normal
     winner, asked = found.winner.reshape(shape), found.asked.reshape(shape)
     return Witness(point_a, point_a + moved, normal, distance, status, winner, asked)
-
-
-def _stack(bounds: list[Bounds]) -> Bounds:
-    return Bounds(*(np.stack([getattr(b, name) for b in bounds]) for name in ("center", "radius", "axes", "half")))

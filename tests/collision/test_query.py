@@ -1,6 +1,7 @@
 """The collision query against brute force, closed forms and the traps of coal."""
 
 import gc
+from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -52,6 +53,46 @@ def test_the_minimum_over_pieces_is_that_of_brute_force(spread: float, penetrati
     assert found.asked.mean() < 0.5 * len(a.pieces) * len(b.pieces)
 
 
+def brute_force(a: Body, b: Body, T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray:
+    """Distances (batch, piece pairs), each piece pair asked on its own."""
+    sides = tuple(single(p) for p in a.pieces), tuple(single(q) for q in b.pieces)
+    first, second = (tuple(column) for column in zip(*product(*sides), strict=True))
+    shape = (len(T_a), len(first), 4, 4)
+    return query(Pairs(first, second), np.broadcast_to(T_a, shape), np.broadcast_to(T_b, shape)).distance
+
+
+@pytest.fixture(scope="module")
+def many_pieces() -> tuple[Body, Body]:
+    return cluster(3, 36), cluster(4, 31)
+
+
+@pytest.mark.parametrize("gap", [0.02, 1e-3, 0.0, -1e-3, -0.02])
+def test_bodies_of_many_pieces_get_the_minimum_of_brute_force(many_pieces: tuple[Body, Body], gap: float) -> None:
+    a, b = many_pieces
+    pairs = Pairs((a,), (b,))
+    T_a, T_b = scattered(12, 101, 0.15)
+    for _ in range(8):
+        w = query(pairs, T_a, T_b)
+        T_b[..., :3, 3] += (gap - w.distance)[..., None] * w.normal
+    every = brute_force(a, b, T_a, T_b)
+    least = every.min(axis=1)
+    # Moved along the normal of one piece pair, another one may become the deepest.
+    assert (np.abs(least - gap) < 1e-6).mean() > 0.5
+    nearby = T_b.copy()
+    nearby[..., :3, 3] += 2e-3
+    for previous in (None, query(pairs, T_a, nearby)):
+        found = query(pairs, T_a, T_b, previous=previous)
+        np.testing.assert_allclose(found.distance[:, 0], least, atol=1e-8)
+        np.testing.assert_allclose(every[np.arange(12), found.winner[:, 0]], least, atol=1e-8)
+        assert found.asked.max() < 0.1 * every.shape[1]
+        for cutoff in (gap + 1e-3, gap - 1e-3):
+            cut = query(pairs, T_a, T_b, cutoff=cutoff, previous=previous)
+            near = least < cutoff
+            np.testing.assert_array_equal(cut.valid[:, 0], near)
+            np.testing.assert_allclose(cut.distance[:, 0], np.where(near, least, cutoff), atol=1e-8)
+            assert not cut.point_a[~near].any() and not cut.normal[~near].any() and (cut.winner[~near] == -1).all()
+
+
 def test_signed_bounds_never_exceed_the_signed_distance() -> None:
     rng = np.random.default_rng(2)
     pieces = [
@@ -67,8 +108,8 @@ def test_signed_bounds_never_exceed_the_signed_distance() -> None:
         R, t = relative[:, :3, :3], relative[:, :3, 3]
         index = np.zeros(60, dtype=int)
         a, b = bounds_of([p]).take(index), bounds_of([q]).take(index)
-        boxes = box_bound(a, b, R, t)
-        balls = ball_bound(bounds_of([p]), bounds_of([q]), R, t)[:, 0]
+        boxes = box_bound(a, b, np.moveaxis(R, 0, -1), t.T)
+        balls = ball_bound(bounds_of([p]), bounds_of([q]), R, t)[0][:, 0, 0]
         assert (boxes <= distance + 1e-8).all()
         assert (balls <= distance + 1e-8).all()
 
@@ -229,6 +270,28 @@ def test_two_wild_answers_are_a_failure_that_is_said() -> None:
     found = wild_first(pairs, 2)
     assert found.status.item() == QueryStatus.FAILED
     assert not found.valid.any() and np.isnan(found.distance).all()
+
+
+def test_without_a_first_answer_the_other_pieces_are_asked_all_the_same(many_pieces: tuple[Body, Body]) -> None:
+    """Its normal, which would rule most of them out, is missing then."""
+    pairs = Pairs(*((body,) for body in many_pieces))
+    T_a, T_b = scattered(1, 111, 0.05)
+    whole = query(pairs, T_a, T_b)
+    narrow, (first, second) = pairs.narrow_phase, pairs.piece_pairs
+    answers: list[float] = []
+
+    def wild_twice(compute: Callable[..., float]) -> Callable[..., float]:
+        def ask(*arguments: object) -> float:
+            answers.append(-1.8e308 if len(answers) < 2 else compute(*arguments))
+            return answers[-1]
+
+        return ask
+
+    narrow._pairs[:] = [(wild_twice(compute), T, U) for compute, T, U in narrow._pairs]
+    found = query(pairs, T_a, T_b)
+    assert found.status.item() == QueryStatus.FAILED and np.isnan(found.distance).all()
+    assert whole.asked.item() <= found.asked.item() < len(first) == len(second)
+    assert min(answers[2:]) == pytest.approx(whole.distance.item(), abs=1e-8)
 
 
 def test_pairs_need_two_sides_of_equal_length() -> None:

@@ -1,0 +1,162 @@
+"""The minimum over the piece pairs of each body pair: which ones are asked, and in what order.
+
+One piece pair is asked first. Its answer is an upper bound, and along its normal u every other pair is known to be
+at least min_b u . y - max_a u . x apart, which rules out nearly all of them at the price of one number a piece.
+Boxes are compared for those that remain; then they are asked, best bound first.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from grasp_refine.collision.narrowphase import Closest, NarrowPhase
+from grasp_refine.collision.table import PieceTable
+
+_BLOCK = 1024
+"""Boxes that are compared at a time, so that what is computed on the way stays in the cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class Warm:
+    """Where the last answer at nearby poses was."""
+
+    column: np.ndarray
+    """Column (M,) of its winner; -1 for none."""
+    guess: np.ndarray
+    """x_a - x_b (M, 3) in the frames of bodies a: a warm start for GJK."""
+    apart: np.ndarray
+    """Where (M,) the guess may be used."""
+
+
+@dataclass(frozen=True, eq=False)
+class Left:
+    """N piece pairs that may still be the closest of their items."""
+
+    item: np.ndarray
+    """Item (N,) of each, ascending."""
+    column: np.ndarray
+    """Its column (N,) in the piece table."""
+    bound: np.ndarray
+    """Lower bound (N,) of its signed distance."""
+
+    @staticmethod
+    def below(best: np.ndarray, bound: np.ndarray) -> "Left":
+        """All columns with a bound (M, K) below the best distance (M,) of their items."""
+        place = np.flatnonzero(bound < best[:, None])
+        item = place // bound.shape[1]
+        return Left(item, place - item * bound.shape[1], bound.take(place))
+
+    def raised(self, bound: np.ndarray, best: np.ndarray) -> "Left":
+        """Those that another lower bound (N,), too, leaves below the best distance (M,) of their items."""
+        higher = np.maximum(self.bound, bound)
+        index = np.flatnonzero(higher < best.take(self.item))
+        return Left(self.item.take(index), self.column.take(index), higher.take(index))
+
+    def ascending(self) -> "Left":
+        """The same, those of each item in ascending order of their bounds."""
+        order = np.lexsort((self.bound, self.item))
+        return Left(self.item.take(order), self.column.take(order), self.bound.take(order))
+
+    def runs(self, items: int) -> tuple[np.ndarray, np.ndarray]:
+        """The A items of which any piece pairs are left, and where those of each begin, and end (A + 1,)."""
+        counts = np.bincount(self.item, minlength=items)
+        active = np.flatnonzero(counts)
+        return active, np.concatenate([[0], np.cumsum(counts[active])])
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """M items: the body pairs of a table at some poses, body pair p at items p, p + P, p + 2 P, ..."""
+
+    table: PieceTable
+    """The piece pairs."""
+    narrow_phase: NarrowPhase
+    """What answers for a piece pair."""
+    R: np.ndarray
+    """Rotations (M, 3, 3) of bodies b in the frames of bodies a."""
+    t: np.ndarray
+    """Their origins (M, 3)."""
+    limit: np.ndarray
+    """Signed distance (M,) that an answer has to beat."""
+
+    def minimum(self, bound: np.ndarray, column: np.ndarray, warm: Warm | None = None) -> Closest:
+        """The closest piece pair of each item, none where none is below its limit.
+
+        Args:
+            bound: Lower bounds (M, K) of the signed distances of all columns; overwritten.
+            column: The columns (M,) to ask first.
+            warm: The last answer, if any. Where it has a column, that one is asked first.
+        """
+        found = self._ask_first(bound, column, warm)
+        if bound.shape[1] > 1:
+            self._ask_rest(bound, found)
+        beyond = found.distance >= self.limit
+        if beyond.any():
+            found.distance[beyond], found.winner[beyond] = np.inf, -1
+            found.point[beyond], found.normal[beyond] = 0.0, 0.0
+        return found
+
+    def _ask_first(self, bound: np.ndarray, column: np.ndarray, warm: Warm | None) -> Closest:
+        """The answers for one column of each item, whose bounds turn infinite; none where they reach the limit."""
+        items = np.arange(len(bound))
+        guess = apart = None
+        if warm is not None:
+            column = np.where(warm.column >= 0, warm.column, column)
+            guess, apart = warm.guess, warm.apart
+        first = bound[items, column]
+        found = self.narrow_phase.closest(
+            self.R,
+            self.t,
+            np.arange(len(items) + 1),
+            self.table.id[items % len(self.table), column],
+            np.where(first < self.limit, first, np.inf),
+            # Beyond the limit, too, an answer has a normal that is worth having.
+            np.full(len(items), np.inf),
+            guess,
+            apart,
+        )
+        bound[items, column] = np.where(found.asked > 0, np.inf, first)
+        return found
+
+    def _ask_rest(self, bound: np.ndarray, found: Closest) -> None:
+        """Ask all that can still beat what was found first, and put what does in its place."""
+        best = np.minimum(found.distance, self.limit)
+        left = Left.below(best, bound)
+        left = left.raised(self._gap_bound(left, found.normal), best)
+        left = left.raised(self._box_bound(left), best).ascending()
+        active, starts = left.runs(len(best))
+        more = self.narrow_phase.closest(
+            self.R[active],
+            self.t[active],
+            starts,
+            self.table.id[left.item % len(self.table), left.column],
+            left.bound,
+            best[active],
+        )
+        better = more.winner >= 0
+        index = active[better]
+        for name in ("distance", "point", "normal", "winner"):
+            getattr(found, name)[index] = getattr(more, name)[better]
+        found.asked[active] += more.asked
+        found.failed[active] |= more.failed
+
+    def _gap_bound(self, left: Left, normal: np.ndarray) -> np.ndarray:
+        """Lower bounds (N,) of what is left, along the normals (M, 3) of the items."""
+        active, starts = left.runs(len(normal))
+        u = normal[active]
+        # Any unit direction gives a bound: without an answer there is none that is better than others.
+        u[np.abs((u * u).sum(axis=1) - 1.0) > 1e-12] = [1.0, 0.0, 0.0]
+        run = np.repeat(np.arange(len(active)), np.diff(starts))
+        return self.table.gap_bound(run, left.column, active % len(self.table), u, self.R[active], self.t[active])
+
+    def _box_bound(self, left: Left) -> np.ndarray:
+        """Lower bounds (N,) of what is left, from boxes."""
+        R, t = np.ascontiguousarray(np.moveaxis(self.R, 0, -1)), np.ascontiguousarray(self.t.T)
+        bound = np.empty(len(left.item))
+        for start in range(0, len(bound), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            item = left.item[block]
+            bound[block] = self.table.box_bound(
+                item % len(self.table), left.column[block], R.take(item, axis=-1), t.take(item, axis=-1)
+            )
+        return bound

@@ -1,0 +1,143 @@
+"""The piece pairs of some body pairs, and what bounds the signed distance of each of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from grasp_refine.collision.broadphase import Bounds, ball_bound, bounds_of, box_bound
+from grasp_refine.collision.supports import Supports
+from grasp_refine.geometry.body import Body
+from grasp_refine.geometry.pieces import Piece
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """The bodies on one side of P body pairs, at most K pieces each."""
+
+    bodies: tuple[Body, ...]
+    """Each of the B bodies once."""
+    body: np.ndarray
+    """Index (P,) into them."""
+
+    @staticmethod
+    def of(bodies: Sequence[Body]) -> "Side":
+        """The side with these P bodies, of which some may be the same."""
+        distinct = {id(body): body for body in bodies}
+        place = {key: index for index, key in enumerate(distinct)}
+        return Side(tuple(distinct.values()), np.array([place[id(body)] for body in bodies]))
+
+    @cached_property
+    def width(self) -> int:
+        """K, the largest number of pieces of a body."""
+        return max(len(body.pieces) for body in self.bodies)
+
+    def bounds(self, pair: np.ndarray, piece: np.ndarray) -> Bounds:
+        """Bounds of the pieces (N,) of the bodies in the pairs (N,)."""
+        return self._bounds.take(self._first.take(self.body.take(pair)) + piece)
+
+    @cached_property
+    def all_bounds(self) -> Bounds:
+        """Bounds of all pieces (P, K), with radii of -inf where a body has fewer."""
+        piece = np.arange(self.width)
+        present = piece < np.array([len(body.pieces) for body in self.bodies])[self.body, None]
+        bounds = self.bounds(np.arange(len(self.body))[:, None], np.where(present, piece, 0))
+        return replace(bounds, radius=np.where(present, bounds.radius, -np.inf))
+
+    def reach(self, pair: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Upper bounds (M, K) of max u . x over the pieces of the bodies in the pairs (M,), for u (M, 3)."""
+        return self._supports.along(self.body.take(pair), u)
+
+    @cached_property
+    def _first(self) -> np.ndarray:
+        """Where in `_bounds` the pieces of each body begin (B,)."""
+        return np.cumsum([0, *(len(body.pieces) for body in self.bodies[:-1])])
+
+    @cached_property
+    def _bounds(self) -> Bounds:
+        """Of the pieces of all bodies, one body after the other."""
+        return bounds_of([piece for body in self.bodies for piece in body.pieces])
+
+    @cached_property
+    def _supports(self) -> Supports:
+        return Supports.of([body.pieces for body in self.bodies])
+
+
+@dataclass(frozen=True, eq=False)
+class PieceTable:
+    """All N piece pairs of P body pairs.
+
+    A body pair has a column for each of its piece pairs (i, j), which is i K_b + j; K_a and K_b are the largest
+    numbers of pieces on either side, so that where a body has fewer, columns are empty.
+    """
+
+    a: Side
+    """The first bodies."""
+    b: Side
+    """The second bodies."""
+    pieces_a: list[Piece]
+    """First piece of each piece pair (N,)."""
+    pieces_b: list[Piece]
+    """Second piece of each (N,)."""
+    id: np.ndarray
+    """Index into both lists (P, K_a K_b); -1 in empty columns."""
+    column: np.ndarray
+    """The column (N,) of each piece pair."""
+
+    @staticmethod
+    def of(bodies_a: Sequence[Body], bodies_b: Sequence[Body]) -> "PieceTable":
+        """The table of the body pairs (bodies_a[p], bodies_b[p])."""
+        a, b = Side.of(bodies_a), Side.of(bodies_b)
+        ids = np.full((len(bodies_a), a.width, b.width), -1)
+        pieces_a: list[Piece] = []
+        pieces_b: list[Piece] = []
+        columns = []
+        for p, (first, second) in enumerate(zip(bodies_a, bodies_b, strict=True)):
+            i, j = np.indices((len(first.pieces), len(second.pieces))).reshape(2, -1)
+            ids[p, i, j] = len(pieces_a) + np.arange(len(i))
+            columns.append(i * b.width + j)
+            pieces_a += [first.pieces[k] for k in i]
+            pieces_b += [second.pieces[k] for k in j]
+        return PieceTable(a, b, pieces_a, pieces_b, ids.reshape(len(ids), -1), np.concatenate(columns))
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def ball_bound(self, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lower bounds (batch P, K_a K_b) from the balls, infinite in empty columns, and the likeliest columns.
+
+        Args:
+            R: Rotations (batch, P, 3, 3) of bodies b in the frames of bodies a.
+            t: Their origins (batch, P, 3).
+        """
+        bound, likeliest = ball_bound(self.a.all_bounds, self.b.all_bounds, R, t)
+        return bound.reshape(-1, self.id.shape[1]), likeliest.reshape(-1)
+
+    def gap_bound(
+        self, item: np.ndarray, column: np.ndarray, pair: np.ndarray, u: np.ndarray, R: np.ndarray, t: np.ndarray
+    ) -> np.ndarray:
+        """Lower bounds (N,) of the columns (N,) of items (N,): the gaps min u . y - max u . x between the pieces.
+
+        Args:
+            item: Index (N,) into the M items below.
+            column: Columns (N,) of the body pair of the item.
+            pair: Body pairs (M,).
+            u: Unit directions (M, 3) in the frames of bodies a.
+            R: Rotations (M, 3, 3) of bodies b in these frames.
+            t: Their origins (M, 3).
+        """
+        end_a = self.a.reach(pair, u)
+        start_b = (u * t).sum(axis=1)[:, None] - self.b.reach(pair, -(u[:, None] @ R)[:, 0])
+        i, j = self._split(column)
+        return start_b.take(item * self.b.width + j) - end_a.take(item * self.a.width + i)
+
+    def box_bound(self, pair: np.ndarray, column: np.ndarray, R: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """Lower bounds (N,) from the boxes of some columns (N,) of body pairs (N,), at poses (3, 3, N) and (3, N)."""
+        i, j = self._split(column)
+        return box_bound(self.a.bounds(pair, i), self.b.bounds(pair, j), R, t)
+
+    def _split(self, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The pieces i and j of some columns."""
+        i = column // self.b.width
+        return i, column - i * self.b.width

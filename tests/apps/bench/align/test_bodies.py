@@ -1,0 +1,154 @@
+"""Pairs of bodies: at their sizes, about their centres, drawn from what can be used and from nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from shapes_for_tests import cluster_body, convex_body
+
+from apps.bench.align.bodies import DIAGONALS, BodyPair, draw_pairs, mesh_sources, normalised
+from grasp_refine.errors import AssetError, GraspRefineError
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.pieces import capsule, sphere
+from grasp_refine.geometry.shapes import EMBEDDED
+
+ROUNDED = build_body("rounded", [sphere(0.02, [0.3, 0, 0]), capsule(0.01, [0, 0.1, 0], [0.1, 0.2, 0])], candidates=50)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of a convex mesh, a concave one, a concave one in two parts, and a broken file."""
+    monkeypatch.setenv("GRASP_REFINE_CACHE", str(tmp_path / "cache"))
+    meshes = tmp_path / "meshes"
+    meshes.mkdir()
+    trimesh.creation.box((0.3, 0.2, 0.1)).export(meshes / "box.obj")
+    for name, reach in (("two.obj", 2.0), ("apart.STL", 3.0)):
+        parts = [trimesh.creation.box((1, 1, 1)), trimesh.creation.box((1, 0.5, 1))]
+        parts[1].apply_translation([reach, 0, 0])
+        trimesh.util.concatenate(parts).export(meshes / name, file_type=name[-3:].lower())
+    (meshes / "broken.ply").write_text("no mesh")
+    (meshes / "notes.txt").write_text("no mesh either")
+    return meshes
+
+
+def drawn(sources: list[str | Path], kind: str = "convex", count: int = 4, seed: int = 0) -> list[BodyPair]:
+    return draw_pairs(sources, kind, count, seed, say=lambda line: None, candidates=64)
+
+
+def sizes(pairs: list[BodyPair]) -> list[tuple[str, float, float]]:
+    return [(pair.name, pair.a.diagonal, pair.b.diagonal) for pair in pairs]
+
+
+def distance_to_surface(body: Body, points: np.ndarray) -> np.ndarray:
+    """How far points (N, 3) are from the nearest surface of a piece (polytopes only)."""
+    signed = [(points @ n.T - offset).max(axis=1) for n, offset in (piece.planes for piece in body.pieces)]
+    return np.abs(np.stack(signed)).min(axis=0)
+
+
+@pytest.mark.parametrize("body", [convex_body(1, 20), cluster_body(2, 3), ROUNDED], ids=lambda body: body.name)
+@pytest.mark.parametrize("diagonal", [0.01, 0.3])
+def test_a_normalised_body_has_its_diagonal_about_its_origin(body: Body, diagonal: float):
+    made = normalised(body, diagonal)
+    bounds = np.stack([piece.bounds for piece in made.pieces])
+    lower, upper = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+    np.testing.assert_allclose(lower, -upper, atol=1e-12 * diagonal)
+    assert made.diagonal == pytest.approx(diagonal) and np.linalg.norm(upper - lower) == pytest.approx(diagonal)
+    factor = diagonal / body.diagonal
+    assert made.area == pytest.approx(body.area * factor**2)
+    np.testing.assert_allclose(made.candidates.areas, body.candidates.areas * factor**2)
+    np.testing.assert_array_equal(made.candidates.normals, body.candidates.normals)
+    np.testing.assert_allclose([p.radius for p in made.pieces], [p.radius * factor for p in body.pieces])
+    assert made.name == body.name
+
+
+def test_candidates_of_a_normalised_body_stay_on_its_surface():
+    made = normalised(cluster_body(2, 3), 0.08)
+    assert distance_to_surface(made, made.candidates.points).max() < 1e-12
+
+
+def test_normalising_again_changes_nothing():
+    once = normalised(convex_body(3, 20), 0.1)
+    twice = normalised(once, 0.1)
+    np.testing.assert_allclose(once.pieces[0].vertices, twice.pieces[0].vertices, atol=1e-15)
+
+
+def test_the_same_seed_draws_the_same_pairs():
+    sources = mesh_sources(None)
+    assert sizes(drawn(sources)) == sizes(drawn(sources))
+    assert sizes(drawn(sources)) != sizes(drawn(sources, seed=1))
+    assert sizes(drawn(sources, count=2)) == sizes(drawn(sources))[:2]
+
+
+def test_pairs_are_of_different_objects_at_sizes_of_the_range():
+    pairs = drawn(mesh_sources(None), count=40)
+    assert len(pairs) == 40
+    names = [pair.name.split(" / ") for pair in pairs]
+    assert all(one != other for one, other in names)
+    assert {name for pair in names for name in pair} == set(EMBEDDED)
+    assert all((pair.a.name, pair.b.name) == tuple(name) for pair, name in zip(pairs, names, strict=True))
+    diagonals = np.array([(pair.a.diagonal, pair.b.diagonal) for pair in pairs])
+    low, high = DIAGONALS
+    assert low <= diagonals.min() < 0.04 and 0.17 < diagonals.max() <= high
+    # Drawn evenly: the mean is that of the range to within three standard errors.
+    assert abs(diagonals.mean() - 0.5 * (low + high)) < 3 * (high - low) / np.sqrt(12 * diagonals.size)
+
+
+def test_convex_bodies_are_one_piece_and_concave_ones_several(folder: Path):
+    usable: list[str | Path] = [folder / "two.obj", folder / "apart.STL"]
+    (convex,), (concave,) = drawn(usable, count=1), drawn(usable, "concave", count=1)
+    assert (convex.kind, concave.kind) == ("convex", "concave")
+    assert len(convex.a.pieces) == len(convex.b.pieces) == 1
+    assert len(concave.a.pieces) == len(concave.b.pieces) == 2
+    # The hull closes the gap between both parts.
+    gap = next(body for body in (convex.a, convex.b) if body.name == "two")
+    normals, offsets = gap.pieces[0].planes
+    assert (offsets > 0).all() and len(gap.candidates.points) == 64
+
+
+def test_what_cannot_be_used_is_reported_and_left_out(folder: Path):
+    said: list[str] = []
+    pairs = draw_pairs(mesh_sources(folder), "convex", 6, 0, say=said.append, candidates=64)
+    assert {name for pair in pairs for name in pair.name.split(" / ")} == {"box", "two", "apart"}
+    assert len(said) == 1, "each mesh is loaded once"
+    assert said[0].startswith("left out: ") and "broken.ply" in said[0]
+    # The box is convex, which is no fault.
+    said.clear()
+    pairs = draw_pairs(mesh_sources(folder), "concave", 3, 0, say=said.append, candidates=64)
+    assert {name for pair in pairs for name in pair.name.split(" / ")} == {"two", "apart"}
+    assert [line for line in said if "left out" in line and "broken.ply" not in line] == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "names", "complaint"),
+    [
+        ("convex", ["box.obj", "broken.ply"], "convex pairs need two convex objects; 1 of 2 can be used"),
+        ("convex", ["box.obj"], "convex pairs need two convex objects; 1 of 1 can be used"),
+        ("concave", ["box.obj", "two.obj"], "concave pairs need two concave objects; 1 of 2 can be used"),
+    ],
+)
+def test_too_few_usable_meshes_are_counted(kind: str, names: list[str], complaint: str, folder: Path):
+    with pytest.raises(GraspRefineError, match=complaint):
+        drawn([folder / name for name in names], kind)
+
+
+def test_a_folder_gives_its_meshes_by_name(folder: Path):
+    assert mesh_sources(None) == list(EMBEDDED)
+    assert [Path(source).name for source in mesh_sources(folder)] == ["apart.STL", "box.obj", "broken.ply", "two.obj"]
+
+
+@pytest.mark.parametrize(
+    ("make", "complaint"),
+    [
+        (lambda path: None, "nowhere: no such folder"),
+        (lambda path: path.mkdir(), r"nowhere: no meshes in it \(.obj, .stl"),
+        (lambda path: path.write_text("a file"), "nowhere: no such folder"),
+    ],
+)
+def test_a_folder_without_meshes_is_refused(make: Callable[[Path], object], complaint: str, tmp_path: Path):
+    make(tmp_path / "nowhere")
+    with pytest.raises(AssetError, match=f"^--meshes .*{complaint}"):
+        mesh_sources(tmp_path / "nowhere")

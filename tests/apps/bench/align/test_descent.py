@@ -1,0 +1,301 @@
+"""The descent of alignment tasks: it solves them, keeps the best, and moves what it is told to, as far as it says."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from shapes_for_tests import cluster_body, convex_body, ring_body
+
+from apps.bench.align import descent as module
+from apps.bench.align.bodies import BodyPair, normalised
+from apps.bench.align.descent import METRES_PER_RADIAN, Aligned, _step, align
+from apps.bench.align.tasks import CLASSES, Tasks, aligned_poses, draw_tasks, exposed_vertices
+from apps.bench.align.variants import Variant
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.se3 import adjoint, ambient_gradient, exp_se3, inverse, log_se3, transform_points
+from grasp_refine.witness.finite_difference import FiniteDifference
+
+PAIR = BodyPair("hulls", "convex", normalised(convex_body(1, 24), 0.06), normalised(convex_body(2, 24), 0.09))
+OTHER = BodyPair("others", "convex", normalised(convex_body(3, 40), 0.03), normalised(convex_body(4, 16), 0.12))
+CONCAVE = BodyPair("ring and cluster", "concave", normalised(ring_body(), 0.12), normalised(cluster_body(3, 4), 0.1))
+N = 6
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """Small matrices are slower with more."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def accepted(pair: BodyPair, count: int = N, seed: int = 0) -> Tasks:
+    tasks = draw_tasks(pair, CLASSES[:3], count, seed)
+    return tasks.take(np.flatnonzero(tasks.accepted))
+
+
+def ran(variant: Variant, tasks: Tasks | None = None, pair: BodyPair = PAIR, **options: object) -> Aligned:
+    """A run of one pair."""
+    return align([pair], [accepted(pair) if tasks is None else tasks], variant.solver(0), **options)
+
+
+def errors_at(pair: BodyPair, tasks: Tasks, T_a: np.ndarray, T_b: np.ndarray, margin: float) -> np.ndarray:
+    """|x_a - t_a|^2 + |x_b - t_b|^2 + (d - beta)^2 (N,), written down again."""
+    found = query(Pairs((pair.a,), (pair.b,)), T_a[:, None], T_b[:, None])
+    miss_a = found.point_a[:, 0] - transform_points(T_a, tasks.target_a)
+    miss_b = found.point_b[:, 0] - transform_points(T_b, tasks.target_b)
+    return (miss_a**2).sum(axis=1) + (miss_b**2).sum(axis=1) + (found.distance[:, 0] - margin) ** 2
+
+
+def twist_gradients(pair: BodyPair, tasks: Tasks, margin: float) -> tuple[np.ndarray, np.ndarray]:
+    """Central differences (N, 6) of the error along body twists of either body, at the initial poses."""
+    h, sides = 1e-7, []
+    for side in range(2):
+        columns = []
+        for step in h * np.eye(6):
+            ends = []
+            for sign in (1.0, -1.0):
+                T = [tasks.T_world_a, tasks.T_world_b]
+                T[side] = T[side] @ exp_se3(sign * step)
+                ends.append(errors_at(pair, tasks, *T, margin))
+            columns.append((ends[0] - ends[1]) / (2 * h))
+        sides.append(np.stack(columns, axis=1))
+    return sides[0], sides[1]
+
+
+class Steps:
+    """The steps of a run: their sizes, and poses before and after."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.rotation: list[float] = []
+        self.twist: list[np.ndarray] = []
+        step = module._step
+
+        def recorded(T: torch.Tensor, G: torch.Tensor, rotation: float) -> torch.Tensor:
+            moved = step(T, G, rotation)
+            self.rotation.append(rotation)
+            self.twist.append(log_se3(inverse(T.numpy()) @ moved.numpy())[:, 0])
+            return moved
+
+        monkeypatch.setattr(module, "_step", recorded)
+
+
+# What comes out
+
+
+def test_the_error_vanishes_at_the_aligned_pose():
+    (t_a, n_a), (t_b, n_b) = exposed_vertices(PAIR.a), exposed_vertices(PAIR.b)
+    rng = np.random.default_rng(0)
+    i, j = rng.integers(len(t_a), size=N), rng.integers(len(t_b), size=N)
+    T_a = exp_se3(rng.normal(size=(N, 6)) * 0.1)
+    T_b = aligned_poses(T_a, (t_a[i], n_a[i]), (t_b[j], n_b[j]), rng.uniform(0, 6, N))
+    yes = np.ones(N, dtype=bool)
+    tasks = Tasks(np.zeros(N, dtype=int), t_a[i], t_b[j], T_a, T_b, yes, yes, np.ones(N))
+    result = ran(Variant(margin=0.0, budget=1), tasks)
+    assert result.error.max() < 1e-20
+    np.testing.assert_allclose(result.T_world_b[:, 0], T_b, atol=1e-15)
+    # The margin is the gap that is aimed at.
+    result = ran(Variant("rigid", margin=1e-3, budget=1, step_size=0.0), tasks)
+    np.testing.assert_allclose(result.error, 1e-6, rtol=1e-6)
+
+
+@pytest.mark.parametrize("margin", [0.0, 1e-3])
+def test_descent_solves_tasks_of_convex_bodies(margin: float):
+    tasks = accepted(PAIR, 12)
+    before = errors_at(PAIR, tasks, tasks.T_world_a, tasks.T_world_b, margin)
+    result = ran(Variant(margin=margin, budget=200), tasks)
+    assert result.iterations == 200
+    assert np.median(result.error) < 1e-2 * np.median(before)
+    assert (result.error[:, 0] <= before * (1 + 1e-9)).all()
+    assert (result.error <= result.last_error).all()
+    found = errors_at(PAIR, tasks, result.T_world_a[:, 0], result.T_world_b[:, 0], margin)
+    np.testing.assert_allclose(result.error[:, 0], found, rtol=1e-6, atol=1e-20)
+    # The witness points that come along are those of the best poses.
+    miss_a = result.witness.point_a[:, 0] - transform_points(result.T_world_a[:, 0], tasks.target_a)
+    assert ((miss_a**2).sum(axis=1) <= found * (1 + 1e-6)).all()
+
+
+METHODS = ("distance", "direction", "analytical", "zeroth-order", "finite-difference", "contact-kinematics", "rigid")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_all_methods_give_numbers_on_concave_bodies(method: str):
+    result = ran(Variant(method, budget=3), accepted(CONCAVE, 4), CONCAVE)
+    for array in (result.error, result.last_error, result.T_world_a, result.T_world_b):
+        assert np.isfinite(array).all()
+    assert result.error.shape == result.last_error.shape == (4, 1)
+    assert result.T_world_b.shape == (4, 1, 4, 4)
+    assert result.watch.asked > 0
+    assert min(result.forward_s, result.backward_s) > 0.0
+    assert result.forward_s + result.backward_s < result.cpu_s
+
+
+def test_single_precision_is_as_good_as_its_digits():
+    tasks = accepted(PAIR, 12)
+    result = ran(Variant(budget=150), tasks, dtype=torch.float32)
+    assert result.error.dtype == np.float64 and np.isfinite(result.T_world_b).all()
+    true = errors_at(PAIR, tasks, result.T_world_a[:, 0], result.T_world_b[:, 0], 1e-3)
+    # Lengths of 0.1 m are known to some 1e-8 m.
+    assert (np.abs(result.error[:, 0] - true) < 2e-7 * np.sqrt(true) + 1e-14).all()
+    assert np.median(result.error) < 1e-6
+    double = ran(Variant(budget=2), tasks)
+    single = ran(Variant(budget=2), tasks, dtype=torch.float32)
+    np.testing.assert_allclose(single.error, double.error, rtol=1e-2)
+
+
+def test_a_task_without_witness_points_is_never_solved():
+    tasks = accepted(PAIR)
+    alone = ran(Variant(budget=5), tasks)
+    tasks = replace(tasks, T_world_b=tasks.T_world_b.copy())
+    tasks.T_world_b[2, 0, 3] = np.nan
+    result = ran(Variant(budget=5), tasks)
+    assert result.error[2, 0] == result.last_error[2, 0] == np.inf
+    others = np.arange(len(tasks)) != 2
+    np.testing.assert_allclose(result.error[others], alone.error[others], rtol=1e-6)
+
+
+def test_results_of_a_pair_do_not_depend_on_the_pairs_beside_it():
+    variant, few = Variant(budget=8), [accepted(pair) for pair in (PAIR, OTHER)]
+    both = align([PAIR, OTHER], few, variant.solver(0))
+    for index, pair in enumerate((PAIR, OTHER)):
+        alone = align([pair], [few[index]], variant.solver(0))
+        np.testing.assert_allclose(both.error[:, index], alone.error[:, 0], rtol=1e-6)
+        np.testing.assert_allclose(both.T_world_b[:, index], alone.T_world_b[:, 0], atol=1e-8)
+
+
+def test_where_the_world_is_does_not_matter():
+    tasks = accepted(PAIR)
+    T = exp_se3(np.array([0.3, -0.2, 0.1, 0.5, -1.0, 2.0]))
+    moved = replace(tasks, T_world_a=T @ tasks.T_world_a, T_world_b=T @ tasks.T_world_b)
+    for optimise in ("T2", "T1T2"):
+        variant = Variant("analytical", optimise=optimise, budget=4)
+        here, there = ran(variant, tasks), ran(variant, moved)
+        np.testing.assert_allclose(there.error, here.error, rtol=1e-6)
+        np.testing.assert_allclose(there.T_world_b, T @ here.T_world_b, atol=1e-8)
+
+
+# What moves
+
+
+def test_the_first_body_rests_unless_it_is_optimised():
+    tasks = accepted(PAIR)
+    for transport in (True, False):
+        one = ran(Variant(transport=transport, budget=3), tasks)
+        np.testing.assert_array_equal(one.T_world_a[:, 0], tasks.T_world_a)
+        both = ran(Variant(transport=transport, optimise="T1T2", budget=3), tasks)
+        better = both.error[:, 0] < errors_at(PAIR, tasks, tasks.T_world_a, tasks.T_world_b, 1e-3) * (1 - 1e-9)
+        assert better.any()
+        for T, start in ((both.T_world_a, tasks.T_world_a), (both.T_world_b, tasks.T_world_b)):
+            assert (np.abs(T[better, 0] - start[better]).max(axis=(1, 2)) > 1e-4).all()
+
+
+def test_with_transport_both_bodies_are_treated_alike():
+    tasks = accepted(PAIR)
+    swapped = replace(
+        tasks,
+        target_a=tasks.target_b,
+        target_b=tasks.target_a,
+        T_world_a=tasks.T_world_b,
+        T_world_b=tasks.T_world_a,
+    )
+    for transport in (True, False):
+        variant = Variant("analytical", transport=transport, optimise="T1T2", budget=4)
+        one, other = ran(variant, tasks), ran(variant, swapped, BodyPair("swapped", "convex", PAIR.b, PAIR.a))
+        np.testing.assert_allclose(other.error, one.error, rtol=1e-6)
+        np.testing.assert_allclose(other.T_world_a, one.T_world_b, atol=1e-8)
+
+
+@pytest.mark.parametrize("transport", [True, False])
+def test_the_first_step_follows_the_gradient(transport: bool, monkeypatch: pytest.MonkeyPatch):
+    tasks, steps = accepted(PAIR), Steps(monkeypatch)
+    # Its usual step is wide enough to reach the next features.
+    exact = replace(Variant(transport=transport, budget=1, step_size=1e-3).solver(0), method=FiniteDifference(1e-6))
+    align([PAIR], [tasks], exact)
+    G_a, G_b = twist_gradients(PAIR, tasks, 1e-3)
+    scale = np.array([METRES_PER_RADIAN] * 3 + [1.0] * 3)
+    if transport:
+        relative = inverse(tasks.T_world_b) @ tasks.T_world_a
+        G_b = G_b - (adjoint(relative) @ (G_a * scale)[..., None])[..., 0] / scale
+    expected = -1e-3 * scale * G_b / np.linalg.norm(G_b, axis=1, keepdims=True)
+    np.testing.assert_allclose(steps.twist[0] / scale, expected / scale, atol=2e-6)
+
+
+def test_transport_changes_the_path():
+    tasks = accepted(PAIR)
+    with_it, without = (ran(Variant(transport=transport, budget=5), tasks) for transport in (True, False))
+    assert (np.abs(with_it.error - without.error) > 1e-9).any()
+
+
+# Steps and budgets
+
+
+def test_a_step_has_the_length_that_is_asked_for():
+    rng = np.random.default_rng(0)
+    T = torch.as_tensor(exp_se3(rng.normal(size=(5, 2, 6))))
+    wrench = torch.as_tensor(rng.normal(size=(5, 2, 6)) * 10.0 ** rng.uniform(-6, 3, size=(5, 2, 1)))
+    wrench[0, 0] = 0.0
+    for rotation in (0.1, 1.0):
+        moved = _step(T, ambient_gradient(T, wrench), rotation)
+        twist = log_se3((inverse(T) @ moved).numpy()) / ([METRES_PER_RADIAN * rotation] * 3 + [rotation] * 3)
+        length = np.linalg.norm(twist, axis=-1)
+        assert length[0, 0] == pytest.approx(0.0, abs=1e-9)
+        np.testing.assert_allclose(length.reshape(-1)[1:], 1.0, rtol=1e-6)
+        # Downhill: the whole derivative along (v, w) is the wrench at the origin of the body, in its axes.
+        force, moment = wrench[..., :3], wrench[..., 3:]
+        moment = moment - torch.linalg.cross(T[..., :3, 3], force)
+        covector = torch.cat([force, moment], dim=-1).numpy().reshape(5, 2, 2, 3)
+        covector = (covector @ T[..., :3, :3].numpy()).reshape(5, 2, 6)
+        size = np.linalg.norm(covector, axis=-1, keepdims=True)
+        np.testing.assert_allclose(twist, -covector / np.where(size > 0, size, 1.0), atol=1e-6)
+
+
+def test_a_gradient_of_zero_leaves_the_pose():
+    T = torch.as_tensor(exp_se3(np.random.default_rng(0).normal(size=(3, 1, 6))))
+    np.testing.assert_allclose(_step(T, torch.zeros_like(T), 10.0), T, atol=1e-15)
+    single = T.float()
+    moved = _step(single, torch.zeros_like(single), 10.0)
+    assert moved.dtype == torch.float32 and torch.allclose(moved, single, atol=1e-6)
+
+
+def test_steps_shrink_after_a_tenth_and_nine_tenths_of_the_budget(monkeypatch: pytest.MonkeyPatch):
+    steps = Steps(monkeypatch)
+    ran(Variant("rigid", budget=20, step_size=3.0))
+    np.testing.assert_allclose(steps.rotation, [3.0] * 2 + [0.3] * 16 + [0.03] * 2)
+    both = Steps(monkeypatch)
+    ran(Variant("rigid", optimise="T1T2", budget=10))
+    np.testing.assert_allclose(both.rotation, [10.0] * 2 + [1.0] * 16 + [0.1] * 2)
+
+
+def test_a_budget_in_seconds_is_cpu_time_of_each_pair(monkeypatch: pytest.MonkeyPatch):
+    tasks = [accepted(PAIR, 3), accepted(OTHER, 3)]
+    solver = Variant(budget=None, budget_s=0.15).solver(0)
+    align([PAIR], tasks[:1], Variant(budget=2).solver(0))
+    steps = Steps(monkeypatch)
+    for count in (1, 2):
+        before = time.process_time()
+        result = align([PAIR, OTHER][:count], tasks[:count], solver)
+        spent = time.process_time() - before
+        assert 0.15 * count <= result.cpu_s < 0.3 * count
+        assert spent < 0.3 * count + 0.1
+        assert result.iterations > 10
+        assert steps.rotation[0] == 10.0 and steps.rotation[-1] == pytest.approx(0.1)
+        share = steps.rotation.count(10.0) / len(steps.rotation)
+        assert 0.02 < share < 0.3
+        steps.rotation.clear()
+
+
+def test_progress_tells_the_share_of_the_budget():
+    shares: list[float] = []
+    result = ran(Variant("rigid", budget=120), accepted(PAIR, 3), progress=shares.append)
+    assert result.iterations == 120
+    np.testing.assert_allclose(shares, [50 / 120, 100 / 120])
+
+
+def test_the_same_seed_gives_the_same_poses():
+    runs = [ran(Variant(budget=5)) for _ in range(2)]
+    np.testing.assert_array_equal(runs[0].T_world_b, runs[1].T_world_b)

@@ -1,0 +1,107 @@
+"""Presets: which methods, settings and sizes each experiment compares."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import get_args
+
+import pytest
+
+from apps.bench.align.presets import BASELINE, MARGINS, OURS, PRESETS, STEP_SIZES
+from apps.bench.align.tasks import CLASSES
+from apps.bench.align.variants import FEW_TARGETS, MethodName, Variant
+from grasp_refine.commands.bench_align import PresetName
+from grasp_refine.witness.autograd import Derivative
+from grasp_refine.witness.distance import Distance
+
+METHODS = set(get_args(MethodName))
+
+
+def variants(name: str) -> tuple[Variant, ...]:
+    return PRESETS[name].variants
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_the_variants_of_a_preset_differ_and_can_be_built(name: str):
+    preset = PRESETS[name]
+    # Not only as values: rows that look alike would be two names of one thing.
+    shown = [tuple(variant.columns().values()) for variant in preset.variants]
+    assert len(set(shown)) == len(shown) > 1
+    assert preset.what and preset.pairs >= 1 and preset.targets >= 1 and preset.budgets
+    assert set(preset.classes) <= set(CLASSES)
+    for variant in preset.variants:
+        solver = variant.solver(3)
+        assert isinstance(solver.method, Derivative)
+        assert getattr(solver.method, "seed", 3) == 3
+        assert (solver.transport, solver.optimise) == (variant.transport, variant.optimise)
+        assert (solver.margin, solver.step_size) == (variant.margin, variant.step_size)
+        assert (solver.iterations, solver.seconds) == (2000, None)
+
+
+def test_the_command_line_offers_all_presets():
+    assert set(get_args(PresetName)) == set(PRESETS)
+
+
+def test_table1_compares_all_methods():
+    assert {variant.method for variant in variants("table1")} == METHODS and len(METHODS) == 7
+    assert len(variants("table1")) == 7
+    assert OURS in variants("table1") and BASELINE in variants("table1")
+    # Only what the paper proposes, and what we do, transports; the baseline has the samples of its paper.
+    assert {variant.method for variant in variants("table1") if variant.transport} == {"distance", "contact-kinematics"}
+    assert (BASELINE.method, BASELINE.neighborhood, BASELINE.transport) == ("direction", "neighbor", False)
+    assert "face-face" in PRESETS["table1"].classes
+
+
+def test_smoke_runs_all_methods_on_little():
+    smoke = PRESETS["smoke"]
+    assert smoke.variants == variants("table1")
+    assert smoke.pairs * smoke.targets <= 16 and max(smoke.budgets) <= 200
+
+
+def test_table2_crosses_smoothing_with_sampling_and_gradients():
+    found = variants("table2")
+    assert Counter(variant.margin for variant in found) == {0.0: 10, 1e-3: 10}
+    for margin in (0.0, 1e-3):
+        rows = {(v.method, v.neighborhood, v.optimise, v.transport) for v in found if v.margin == margin}
+        for smoothing in ("direction", "distance"):
+            assert (smoothing, "adaptive", "T1T2", False) in rows
+            assert (smoothing, "adaptive", "T2", False) in rows
+            for near in ("neighbor", "fixed", "adaptive"):
+                assert (smoothing, near, "T2", True) in rows
+
+
+def test_tables_of_times_are_short():
+    assert {variant.method for variant in variants("table3")} == METHODS
+    assert {(v.method, v.neighborhood) for v in variants("table4")} == {
+        (method, near) for method in ("direction", "distance") for near in ("neighbor", "fixed", "adaptive")
+    }
+    assert any(not variant.transport for variant in variants("table4"))
+    assert PRESETS["table3"].budgets == PRESETS["table4"].budgets == (200,)
+
+
+def test_margins_and_step_sizes_are_swept():
+    assert MARGINS == (0.0, 1e-5, 1e-4, 1e-3, 1e-2)
+    assert STEP_SIZES == (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+    for name, field, values in (("margin", "margin", MARGINS), ("step-size", "step_size", STEP_SIZES)):
+        swept = Counter(getattr(variant, field) for variant in variants(name))
+        assert set(swept) == set(values) and len(set(swept.values())) == 1
+        methods = {variant.method for variant in variants(name)}
+        assert {"distance", "direction"} <= methods
+    assert {"finite-difference", "zeroth-order"} <= {variant.method for variant in variants("step-size")}
+    assert {v.coupling for v in variants("coupling")} == {"one-sided", "coupled"}
+
+
+def test_methods_of_many_queries_run_an_eighth_of_the_targets():
+    assert FEW_TARGETS == 8
+    for method in METHODS:
+        expensive = method in ("finite-difference", "zeroth-order")
+        assert Variant(method).every == (8 if expensive else 1)
+
+
+def test_the_default_is_the_method_of_the_paper():
+    assert Variant() == OURS
+    assert (OURS.method, OURS.neighborhood, OURS.transport, OURS.optimise) == ("distance", "adaptive", True, "T2")
+    assert (OURS.margin, OURS.step_size, OURS.budget) == (1e-3, 10.0, 2000)
+    one_sided, coupled = (Variant(coupling=coupling).derivative(0) for coupling in ("one-sided", "coupled"))
+    assert isinstance(one_sided, Distance) and isinstance(coupled, Distance)
+    assert (one_sided.smoothed_self, coupled.smoothed_self) == (True, False)

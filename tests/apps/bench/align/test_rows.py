@@ -1,0 +1,214 @@
+"""Rows: the contract of their keys, numbers that can be counted by hand, and who is pooled with whom."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from shapes_for_tests import convex_body
+
+from apps.bench.align.bodies import BodyPair
+from apps.bench.align.descent import Aligned
+from apps.bench.align.rows import LEVELS, rows, summary
+from apps.bench.align.runner import Done, Job
+from apps.bench.align.stopwatch import STAGES, Stopwatch
+from apps.bench.align.tasks import CLASSES, Tasks
+from apps.bench.align.variants import Variant
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.report.writing import dumps
+
+SUMMARY = {"targets", "acc_1e6", "acc_1e8", "d5", "d9"}
+CONTRACT = {
+    "kind", "method", "neighborhood", "solver", "transport", "margin", "budget", "budget_s", "pairs", *SUMMARY,
+    "reachable", "unfiltered", "last", "pair", "target_class", "witness", "coupling", "step_size", "optimise", "dtype",
+    "forward_us", "backward_us", "queries_mean", "narrow_queries_mean", "iterations_mean", "cpu_s_per_pair",
+    "wall_s_per_pair", "cpu_share",
+}  # fmt: skip
+TIMES = {
+    "forward_us", "backward_us", "queries_mean", "narrow_queries_mean", "iterations_mean", "cpu_s_per_pair",
+    "wall_s_per_pair", "cpu_share",
+}  # fmt: skip
+PAPER = Variant()
+A, B = convex_body(1, 12), convex_body(2, 12)
+WITNESS = query(Pairs((A,), (B,)), np.eye(4)[None, None], np.eye(4)[None, None])
+
+
+def tasks_of(classes: list[int], accepted: list[bool], reachable: list[bool], weight: list[float]) -> Tasks:
+    n, T = len(classes), np.broadcast_to(np.eye(4), (len(classes), 4, 4))
+    zero = np.zeros((n, 3))
+    return Tasks(np.array(classes), zero, zero, T, T, np.array(accepted), np.array(reachable), np.array(weight))
+
+
+def plain(count: int, target_class: int = 0) -> Tasks:
+    return tasks_of([target_class] * count, [True] * count, [True] * count, [1.0] * count)
+
+
+def done(
+    tasks: list[Tasks],
+    error: np.ndarray,
+    *,
+    variant: Variant = PAPER,
+    kind: str = "convex",
+    iterations: int = 100,
+    forward_s: float = 0.2,
+    backward_s: float = 0.3,
+    cpu_s: float = 1.0,
+    asked: int = 1000,
+) -> Done:
+    """A result with these errors (N, P); the last ones are ten times as large."""
+    pairs = tuple(BodyPair(f"pair {p}", kind, A, B) for p in range(len(tasks)))
+    shares = (0.1, 0.2, 0.3, 0.4)
+    watch = Stopwatch({stage: share * cpu_s for stage, share in zip(STAGES, shares, strict=True)}, asked)
+    T = np.broadcast_to(np.eye(4), (*error.shape, 4, 4))
+    aligned = Aligned(error, 10 * error, T, T, WITNESS, iterations, watch, forward_s, backward_s, cpu_s, 2 * cpu_s)
+    return Done(Job(variant, pairs, tuple(tasks), 0, "float64", "cpu", 1), aligned)
+
+
+def by(found: list[dict[str, Any]], **values: Any) -> dict[str, Any]:
+    """The one row with these values."""
+    (row,) = [row for row in found if all(row[key] == value for key, value in values.items())]
+    return row
+
+
+# Summaries
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_weighted_summary_is_that_of_the_tasks_it_stands_for(seed: int):
+    rng = np.random.default_rng(seed)
+    errors = 10.0 ** rng.uniform(-10, -3, size=int(rng.integers(1, 40)))
+    weights = rng.integers(1, 9, size=len(errors))
+    expanded = np.sort(np.repeat(errors, weights))
+    found = summary(errors, weights.astype(float))
+    assert set(found) == SUMMARY and found["targets"] == len(errors)
+    for name, level in LEVELS.items():
+        assert found[name] == pytest.approx((expanded < level).mean())
+    for name, tenths in (("d5", 5), ("d9", 9)):
+        assert found[name] == expanded[-(-len(expanded) * tenths // 10) - 1]
+    # Without weights each task stands for itself.
+    assert summary(errors) == summary(errors, np.full(len(errors), 1.0))
+    assert summary(errors, 2.5 * weights)["d9"] == found["d9"]
+
+
+def test_deciles_and_levels_by_hand():
+    found = summary(np.array([9e-9, 1e-8, 5e-7, 1e-6, 2.0, 3.0, 4.0, 5.0, 6.0, np.inf]))
+    assert found == {"targets": 10, "acc_1e6": 0.3, "acc_1e8": 0.1, "d5": 2.0, "d9": 6.0}
+    assert summary(np.array([7.0])) == {"targets": 1, "acc_1e6": 0.0, "acc_1e8": 0.0, "d5": 7.0, "d9": 7.0}
+    assert summary(np.zeros(0)) == {"targets": 0, "acc_1e6": None, "acc_1e8": None, "d5": None, "d9": None}
+
+
+# Rows
+
+
+def test_rows_have_the_keys_of_the_contract():
+    found = rows([done([plain(3), plain(2, 1)], np.full((3, 2), 1e-7))], 3, "float64")
+    assert [(row["pair"], row["target_class"], row["pairs"]) for row in found] == [
+        ("all", "all", 2),
+        ("all", "vertex-vertex", 2),
+        ("all", "face-vertex", 2),
+        ("pair 0", "all", 1),
+        ("pair 1", "all", 1),
+    ]
+    for row in found:
+        assert set(row) == CONTRACT
+        assert set(row["reachable"]) == set(row["unfiltered"]) == set(row["last"]) == SUMMARY
+        # Stages are timed for all tasks of a variant together.
+        assert all((row[name] is None) != (row is found[0]) for name in TIMES)
+    assert set(found[0]["cpu_share"]) == {"broadphase", "narrowphase", "derivative", "solver"}
+    assert [row["targets"] for row in found] == [5, 3, 2, 3, 2]
+    settings = {"kind": "convex", "method": "distance", "neighborhood": "adaptive", "solver": "descent",
+                "transport": True, "margin": 1e-3, "budget": 2000, "budget_s": None, "witness": "plain",
+                "coupling": "one-sided", "step_size": 10.0, "optimise": "T2", "dtype": "float64"}  # fmt: skip
+    assert found[0].items() >= settings.items()
+    json.loads(dumps(found))
+
+
+def test_what_a_method_ignores_is_null():
+    for method, neighborhood, coupling in (
+        ("direction", "adaptive", "one-sided"),
+        ("analytical", None, "one-sided"),
+        ("contact-kinematics", "adaptive", None),
+        ("rigid", None, None),
+        ("finite-difference", None, None),
+        ("zeroth-order", None, None),
+    ):
+        row = rows([done([plain(1)], np.ones((1, 1)), variant=Variant(method))], 1, "float32")[0]
+        assert (row["neighborhood"], row["coupling"], row["dtype"]) == (neighborhood, coupling, "float32")
+
+
+def test_accepted_reachable_and_unfiltered_tasks_by_hand():
+    tasks = tasks_of(
+        [0, 0, 0, 0, 0], [True, True, True, False, False], [True, False, True, False, False], [1, 1, 1, 4, 4]
+    )
+    row = rows([done([tasks], np.array([[1e-9], [1e-7], [1.0], [1e-7], [2.0]]))], 3, "float64")[0]
+    assert row["targets"] == 3 and row["reachable"]["targets"] == 2 and row["unfiltered"]["targets"] == 5
+    assert row["acc_1e6"] == pytest.approx(2 / 3) and row["acc_1e8"] == pytest.approx(1 / 3)
+    assert row["reachable"]["acc_1e6"] == 0.5 and row["reachable"]["d5"] == 1e-9 and row["reachable"]["d9"] == 1.0
+    assert row["unfiltered"]["acc_1e6"] == pytest.approx(6 / 11) and row["unfiltered"]["d9"] == 2.0
+    assert (row["d5"], row["last"]["d5"]) == (1e-7, pytest.approx(1e-6))
+    assert row["last"]["targets"] == 3
+
+
+def test_face_face_targets_are_counted_apart():
+    face = CLASSES.index("face-face")
+    tasks = tasks_of([0, 1, face, face], [True] * 4, [True] * 4, [1.0] * 4)
+    found = rows([done([tasks], np.array([[1e-9], [1e-9], [1.0], [1.0]]))], 4, "float64")
+    pooled = by(found, pair="all", target_class="all")
+    assert (pooled["targets"], pooled["acc_1e8"]) == (2, 1.0)
+    assert by(found, pair="pair 0")["targets"] == 2
+    apart = by(found, target_class="face-face")
+    assert (apart["targets"], apart["acc_1e8"]) == (2, 0.0)
+    # Where there are no others, they are what is pooled.
+    alone = rows([done([plain(3, face)], np.ones((3, 1)))], 3, "float64")
+    assert by(alone, pair="all", target_class="all")["targets"] == 3
+
+
+def test_tasks_that_pad_a_shorter_pair_do_not_count():
+    error = np.array([[1e-9, 1e-9], [1e-9, 1.0], [1e-9, 1.0]])
+    found = rows([done([plain(3), plain(1)], error)], 3, "float64")
+    assert (found[0]["targets"], found[0]["acc_1e8"]) == (4, 1.0)
+
+
+def test_times_are_those_of_all_jobs_together():
+    group = [
+        done([plain(2), plain(2)], np.ones((2, 2)), iterations=100, cpu_s=1.0, asked=800),
+        done([plain(4)], np.ones((4, 1)), iterations=200, cpu_s=2.0, forward_s=0.4, backward_s=0.9, asked=1600),
+    ]
+    row = rows(group, 16, "float64")[0]
+    assert row["iterations_mean"] == row["queries_mean"] == 150.0
+    assert row["narrow_queries_mean"] == 300.0
+    assert row["forward_us"] == pytest.approx(0.6e6 / 1200) and row["backward_us"] == pytest.approx(1.2e6 / 1200)
+    # Three seconds for 8 tasks; a pair was to have 16.
+    assert (row["cpu_s_per_pair"], row["wall_s_per_pair"]) == (pytest.approx(6.0), pytest.approx(12.0))
+    assert row["cpu_share"] == pytest.approx(dict(zip(STAGES, (0.1, 0.2, 0.3, 0.4), strict=True)))
+    assert sum(row["cpu_share"].values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("method", "factor"), [("finite-difference", 13), ("zeroth-order", 17), ("distance", 1), ("analytical", 1)]
+)
+def test_queries_are_those_of_the_method_too(method: str, factor: int):
+    found = rows([done([plain(2)], np.ones((2, 1)), variant=Variant(method), iterations=70)], 2, "float64")[0]
+    assert found["queries_mean"] == factor * found["iterations_mean"] == factor * 70
+
+
+def test_variants_and_kinds_have_rows_of_their_own():
+    one, other = Variant(), Variant(budget=20)
+    found = rows(
+        [
+            done([plain(2)], np.full((2, 1), 1e-9), variant=one),
+            done([plain(2)], np.full((2, 1), 1e-9), variant=other),
+            done([plain(2)], np.ones((2, 1)), variant=one, kind="concave"),
+            done([plain(3)], np.full((3, 1), 1e-9), variant=one),
+        ],
+        2,
+        "float64",
+    )
+    pooled = [row for row in found if (row["pair"], row["target_class"]) == ("all", "all")]
+    assert [(row["kind"], row["budget"], row["targets"], row["pairs"]) for row in pooled] == [
+        ("convex", 2000, 5, 2),
+        ("convex", 20, 2, 1),
+        ("concave", 2000, 2, 1),
+    ]

@@ -1,0 +1,121 @@
+"""The runner: each variant sees each pair once, and processes change nothing but the time."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+import torch
+from shapes_for_tests import cluster_body, convex_body, ring_body
+
+from apps.bench.align import runner as module
+from apps.bench.align.bodies import BodyPair
+from apps.bench.align.runner import Job, do, jobs, label, run
+from apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
+from apps.bench.align.variants import Variant
+
+PAIRS = [
+    BodyPair("concave 0", "concave", ring_body(), cluster_body(3, 4)),
+    BodyPair("convex 0", "convex", convex_body(1, 16), convex_body(2, 16)),
+    BodyPair("convex 1", "convex", convex_body(3, 16), convex_body(4, 16)),
+    BodyPair("concave 1", "concave", cluster_body(5, 2), cluster_body(6, 2)),
+    BodyPair("concave 2", "concave", cluster_body(7, 3), cluster_body(8, 2)),
+]
+VARIANTS = (Variant(budget=4), Variant("finite-difference", budget=3))
+
+
+@pytest.fixture(autouse=True)
+def threads():
+    """What a job sets is undone."""
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def tasks() -> list[Tasks]:
+    return [draw_tasks(pair, CLASSES[:3], 9, 0) for pair in PAIRS]
+
+
+def made(tasks: list[Tasks], pairs: list[BodyPair] = PAIRS, variants: tuple[Variant, ...] = VARIANTS) -> list[Job]:
+    return jobs(variants, pairs, tasks, seed=0, dtype="float64", device="cpu", threads=1)
+
+
+def quiet(share: float, what: str) -> None:
+    pass
+
+
+def test_each_variant_sees_each_pair_once(tasks: list[Tasks], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(module, "WIDTH", {"convex": 1, "concave": 2})
+    todo = made(tasks)
+    seen = Counter((job.variant, pair.name) for job in todo for pair in job.pairs)
+    assert seen == {(variant, pair.name): 1 for variant in VARIANTS for pair in PAIRS}
+    for job in todo:
+        assert len({pair.kind for pair in job.pairs}) == 1
+        assert len(job.pairs) == len(job.tasks) <= module.WIDTH[job.pairs[0].kind]
+        for pair, chosen in zip(job.pairs, job.tasks, strict=True):
+            full = tasks[PAIRS.index(pair)]
+            expected = full if job.variant.method == "distance" else full.every(8)
+            np.testing.assert_array_equal(chosen.T_world_b, expected.T_world_b)
+        assert (job.seed, job.dtype, job.device, job.threads) == (0, "float64", "cpu", 1)
+    # Pairs of few pieces are not padded to those of many.
+    together = [{pair.name for pair in job.pairs} for job in todo if job.pairs[0].kind == "concave"]
+    assert together == [{"concave 1", "concave 2"}, {"concave 0"}] * 2
+
+
+def test_work_grows_with_what_there_is_to_do(tasks: list[Tasks]):
+    (short,), (long,) = (made(tasks[1:2], PAIRS[1:2], (Variant(budget=budget),)) for budget in (10, 20))
+    assert long.work == 2 * short.work > 0
+    (timed,) = made(tasks[1:2], PAIRS[1:2], (Variant(budget=None, budget_s=1.0),))
+    assert timed.work > 0
+    assert label(short) == "distance, convex"
+
+
+def test_pairs_of_fewer_tasks_are_padded_and_cut_again(tasks: list[Tasks]):
+    few = [tasks[1], tasks[2].take(np.arange(4))]
+    (job,) = made(few, PAIRS[1:3], VARIANTS[:1])
+    done = do(job)
+    assert done.aligned.error.shape == (len(tasks[1]), 2)
+    best, last = done.errors(1)
+    assert len(best) == len(last) == 4
+    (alone,) = made(few[1:], PAIRS[2:3], VARIANTS[:1])
+    np.testing.assert_allclose(best, do(alone).errors(0)[0], rtol=1e-6)
+
+
+def test_results_come_in_the_order_of_the_jobs_and_progress_ends_at_one(tasks: list[Tasks]):
+    todo, shares = made(tasks, variants=(Variant("rigid", budget=50), Variant("analytical", budget=2))), []
+    done = run(todo, 1, lambda share, what: shares.append((share, what)))
+    assert [one.job for one in done] == todo
+    told = [share for share, _ in shares]
+    assert told == sorted(told) and 0 < told[0] and told[-1] <= 1 + 1e-12
+    assert {what for _, what in shares} <= {label(job) for job in todo}
+
+
+def test_the_number_type_is_that_of_the_job(tasks: list[Tasks]):
+    (job,) = jobs(VARIANTS[:1], PAIRS[1:2], tasks[1:2], seed=0, dtype="float32", device="cpu", threads=1)
+    single, (double,) = do(job), run(made(tasks[1:2], PAIRS[1:2], VARIANTS[:1]), 1, quiet)
+    difference = np.abs(single.aligned.T_world_b - double.aligned.T_world_b).max()
+    assert 0.0 < difference < 0.1
+
+
+def test_two_workers_find_the_same(tasks: list[Tasks]):
+    todo, shares = made(tasks[:3], PAIRS[:3]), []
+    one = run(todo, 1, quiet)
+    two = run(todo, 2, lambda share, what: shares.append(share))
+    assert [done.job.variant for done in two] == [job.variant for job in todo]
+    for first, second in zip(one, two, strict=True):
+        for p in range(len(first.job.pairs)):
+            assert second.job.pairs[p].name == first.job.pairs[p].name
+            np.testing.assert_array_equal(second.errors(p), first.errors(p))
+        np.testing.assert_array_equal(second.aligned.T_world_b, first.aligned.T_world_b)
+    assert len(shares) == len(todo) and shares[-1] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("method", ["distance", "analytical", "rigid", "finite-difference", "zeroth-order"])
+def test_the_queries_that_are_told_are_those_that_were_made(method: str, tasks: list[Tasks]):
+    variant = Variant(method, budget=7)
+    (job,) = made(tasks[1:2], PAIRS[1:2], (variant,))
+    done = do(job)
+    # One narrow-phase query answers a query of two hulls; the last and the best poses are looked at once more.
+    assert done.aligned.watch.asked == (variant.queries(7) + 2) * done.aligned.error.size
