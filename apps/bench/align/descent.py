@@ -116,16 +116,18 @@ def align(
     # The layer keeps what it builds once; that is not part of the loop's time.
     layer.columns(np.arange(len(pairs)))
 
-    def errors(T_a: Tensor, T_b: Tensor, key: int) -> tuple[Tensor, Witness]:
+    def errors(T_a: Tensor, T_b: Tensor, key: int, previous: Witness | None = None) -> tuple[Tensor, Witness]:
         with watch.stage("broadphase"):
-            found = layer(T_a, T_b, target_a, target_b, key=key)
+            found = layer(T_a, T_b, target_a, target_b, key=key, previous=previous)
         squared = contact_targets(found, T_a, T_b, target_a, target_b, solver.margin).square().sum(dim=-1)
         # Without witness points nothing is known, and nothing is followed.
         return torch.where(torch.as_tensor(found.valid, device=device), squared, torch.inf), found
 
     best = _Best(torch.full(T_a.shape[:2], torch.inf, dtype=dtype, device=device), T_a, T_b)
     forward_s = backward_s = 0.0
-    done, iteration = 0.0, 0
+    done, iteration, last = 0.0, 0, None
+    # The pieces that were closest last time are asked first; with one piece a body there is nothing to order.
+    several = any(len(body.pieces) > 1 for body in (*pairs.a, *pairs.b))
     start_cpu, start_wall = time.process_time(), time.perf_counter()
     with watch.stage("solver"):
         while done < 1.0:
@@ -133,7 +135,8 @@ def align(
             seen_a, seen_b = together(*leaves[::-1])[::-1] if solver.transport else leaves
             moving = leaves if solver.optimise == "T1T2" else leaves[1:]
             before = time.process_time()
-            error, _ = errors(seen_a, seen_b, iteration)
+            error, found = errors(seen_a, seen_b, iteration, last)
+            last = found.detached() if several else None
             between = time.process_time()
             gradients = torch.autograd.grad(error.sum(), moving)
             after = time.process_time()
