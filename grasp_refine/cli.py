@@ -50,6 +50,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{PROGRAM} {__version__}")
         return 0
     name, rest = _command(arguments)
+    if name in _groups() and (not rest or rest[0] in ("-h", "--help")):
+        print(_usage(name))
+        return 0
     if name not in COMMANDS:
         return _fail(_unknown(name), BAD_INPUT)
     for variable in THREADS:
@@ -77,14 +80,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _command(arguments: Sequence[str]) -> tuple[str, list[str]]:
     """The command that the first words of a command line name, or the words that look like one, and the rest."""
     first, *rest = arguments
-    groups = {name.split()[0] for name in COMMANDS if " " in name}
-    if first in groups and rest and not rest[0].startswith("-"):
+    if first in _groups() and rest and not rest[0].startswith("-"):
         return f"{first} {rest[0]}", rest[1:]
     return first, rest
 
 
-def _usage() -> str:
-    width = max(map(len, COMMANDS))
+def _groups() -> set[str]:
+    """First words of the commands that have two."""
+    return {name.split()[0] for name in COMMANDS if " " in name}
+
+
+def _usage(group: str = "") -> str:
+    shown = {name: what for name, what in COMMANDS.items() if name.startswith(group)}
+    width = max(map(len, shown))
     return "\n".join(
         [
             f"usage: {PROGRAM} COMMAND [OPTIONS]",
@@ -92,7 +100,7 @@ def _usage() -> str:
             "Refine grasps of robot hands: a hand that almost grasps goes in, a hand that grasps comes out.",
             "",
             "commands:",
-            *(f"  {name:<{width}}  {what}" for name, what in COMMANDS.items()),
+            *(f"  {name:<{width}}  {what}" for name, what in shown.items()),
             "",
             f"{PROGRAM} COMMAND --help shows the options of a command; {PROGRAM} --version the version.",
         ]

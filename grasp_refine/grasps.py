@@ -155,9 +155,7 @@ def load_grasps(path: str | Path) -> GraspSet:
         raise file.error(f"joint_names holds {', '.join(duplicates)} more than once")
     hand_pose = file.numbers("hand_pose")
     if hand_pose.ndim != 2 or hand_pose.shape[1] != 7 or not len(hand_pose):
-        raise file.error(
-            f"hand_pose must have shape (N, 7) with N >= 1, x y z qw qx qy qz; it has {hand_pose.shape}"
-        )
+        raise file.error(f"hand_pose must have shape (N, 7) with N >= 1, x y z qw qx qy qz; it has {hand_pose.shape}")
     n = len(hand_pose)
     q = file.numbers("q")
     if q.shape != (n, len(joint_names)):
@@ -244,9 +242,7 @@ def _check_schema(file: NpzFile) -> None:
     if schema.shape != () or schema.dtype.kind not in "iu" or schema < 1:
         raise file.error(f"schema must be one whole number from 1 to {SCHEMA}")
     if schema > SCHEMA:
-        raise file.error(
-            f"schema {schema} is newer than this version of grasp-refine reads ({SCHEMA}); update it"
-        )
+        raise file.error(f"schema {schema} is newer than this version of grasp-refine reads ({SCHEMA}); update it")
 
 
 def _unit_quaternions(file: NpzFile, hand_pose: Float[np.ndarray, "N 7"]) -> Float[np.ndarray, "N 7"]:

@@ -135,9 +135,7 @@ def load_hand(source: str | Path, *, base_link: str | None = None, candidates: i
         joints,
         tree.links.keys() - {link.name for link in links},
     )
-    notes += [
-        f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper
-    ]
+    notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
     return Hand(
         name=name,
         urdf=tree.path,
@@ -162,9 +160,7 @@ def _locate(source: str | Path) -> tuple[str, HandToml]:
         source = resource_dir("robots") / source
     path = Path(source).expanduser()
     if not path.exists():
-        choices = (
-            f"the hands here are {', '.join(list_hands())}; or give a folder, a .urdf file or a {HAND_TOML}"
-        )
+        choices = f"the hands here are {', '.join(list_hands())}; or give a folder, a .urdf file or a {HAND_TOML}"
         if isinstance(source, str) and path.name == source and not path.suffix:
             raise AssetError(f"no hand is called '{source}'; {choices}")
         raise HandError(f"{path}: no such file or folder; {choices}")

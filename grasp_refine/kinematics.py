@@ -38,9 +38,7 @@ class Kinematics:
         known = {link.name for link in hand.links}
         unknown = [link for link in links if link not in known]
         if unknown:
-            raise HandError(
-                f"hand {hand.name} has no link {', '.join(unknown)}; it has {', '.join(sorted(known))}"
-            )
+            raise HandError(f"hand {hand.name} has no link {', '.join(unknown)}; it has {', '.join(sorted(known))}")
         wanted: set[str] = set()
         for link in links:
             while link in parent_joint:

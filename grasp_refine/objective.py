@@ -31,9 +31,7 @@ class Objective:
         self.lower = torch.as_tensor(hand.lower, dtype=dtype, device=config.device)
         self.upper = torch.as_tensor(hand.upper, dtype=dtype, device=config.device)
         steps = config.solver
-        self._transport = (
-            EquivalentTransport(steps.step_translation, steps.step_rotation) if steps.transport else None
-        )
+        self._transport = EquivalentTransport(steps.step_translation, steps.step_rotation) if steps.transport else None
 
     def tensor(self, array: np.ndarray) -> Tensor:
         """An array in the number type and on the device of the refinement."""
@@ -80,9 +78,7 @@ class Objective:
         # Links without a target matter only where they penetrate.
         aimed = ~torch.isnan(target_link[..., 0])
         cutoff = np.where(aimed.cpu().numpy(), np.inf, 0.0)
-        witness = self.layer(
-            T_link, T_object, target_link, target_object, cutoff=cutoff, key=key, previous=previous
-        )
+        witness = self.layer(T_link, T_object, target_link, target_object, cutoff=cutoff, key=key, previous=previous)
         weights = self.config.weights
         contact = contact_targets(witness, T_link, T_object, target_link, target_object, self.config.margin)
         depth = torch.where(aimed, torch.zeros_like(witness.distance), penetration(witness))

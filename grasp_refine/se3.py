@@ -212,9 +212,7 @@ def pose_from_transform(T: Array) -> Array:
     """Pose (x, y, z, qw, qx, qy, qz) (..., 7) of a transform (..., 4, 4), with qw >= 0."""
     xp = array_namespace(T)
     quaternion = quaternion_from_matrix(T[..., :3, :3])
-    sign = xp.where(
-        quaternion[..., :1] < 0, -xp.ones_like(quaternion[..., :1]), xp.ones_like(quaternion[..., :1])
-    )
+    sign = xp.where(quaternion[..., :1] < 0, -xp.ones_like(quaternion[..., :1]), xp.ones_like(quaternion[..., :1]))
     return xp.concat([T[..., :3, 3], quaternion * sign], axis=-1)
 
 

@@ -12,3 +12,16 @@ def shared_assets() -> Path:
     if not folder.is_dir():
         pytest.skip(f"the shared assets are not here: {folder}")
     return folder.resolve()
+
+
+@pytest.fixture
+def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to run commands in, with a cache of its own."""
+    folder = tmp_path / "workplace"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("GRASP_REFINE_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("COLUMNS", "80")
+    for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        monkeypatch.setenv(variable, "1")  # what main would set, undone after the test
+    return folder

@@ -15,13 +15,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from command_line import PROGRAM, call, refused, subprocess_environment
 
 import grasp_refine
 from grasp_refine.assets import resource_dir
 from grasp_refine.cli import COMMANDS, main
 from grasp_refine.grasps import load_grasps
 
-PROGRAM = "import sys; from grasp_refine.cli import main; sys.exit(main())"
+pytestmark = pytest.mark.usefixtures("workplace")
+
 EXAMPLE = resource_dir("robots") / "allegro" / "example_rounded_box.npz"
 QUICK = ("run", "--object", "rounded_box", "--iterations", "30")
 """A run on the one embedded object that needs no decomposition."""
@@ -30,19 +32,6 @@ GRASP_KEYS = {
     "contact_error_m", "penetration_m", "self_penetration_m", "wrench_residual", "limits_violated", "moved",
     "simulation",
 }  # fmt: skip
-
-
-@pytest.fixture(autouse=True)
-def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty folder to run in, with a cache of its own."""
-    folder = tmp_path / "workplace"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    monkeypatch.setenv("GRASP_REFINE_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setenv("COLUMNS", "80")
-    for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        monkeypatch.setenv(variable, "1")  # what main would set, undone after the test
-    return folder
 
 
 @pytest.fixture
@@ -67,28 +56,6 @@ def grasp_file(inputs: Path) -> Callable[..., Path]:
     return write
 
 
-def subprocess_environment() -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": str(Path(grasp_refine.__file__).parents[1])}
-
-
-def call(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """The command in a process of its own."""
-    command = [sys.executable, "-c", PROGRAM, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, env=subprocess_environment())
-
-
-def refused(capfd: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
-    """The one line on stderr with which a command line is refused, without its prefix."""
-    before = set(Path().rglob("*"))
-    assert main([str(argument) for argument in arguments]) == 2
-    out, error = capfd.readouterr()
-    assert out == ""
-    assert error.count("\n") == 1, error
-    assert error.startswith("refine-grasp: error: ")
-    assert set(Path().rglob("*")) == before, "bad input must leave no file"
-    return error.removeprefix("refine-grasp: error: ").rstrip("\n")
-
-
 # The top level
 
 
@@ -97,9 +64,7 @@ def test_help_is_instant_and_loads_nothing_heavy():
         "import sys; from grasp_refine.cli import main; code = main(['--help']);"
         "print(sorted({'torch', 'numpy', 'tyro', 'rich', 'trimesh'} & set(sys.modules)), code)"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=subprocess_environment()
-    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=subprocess_environment())
     assert result.stdout.splitlines()[-1] == "[] 0"
     assert all(f"  {name} " in result.stdout for name in COMMANDS)
     seconds = []
@@ -123,19 +88,26 @@ def test_without_a_command_the_commands_are_shown(capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("name", "answer"),
     [
-        ("runn", "no command 'runn', did you mean run? the commands are run, hands, doctor"),
-        ("xyz", "no command 'xyz'; the commands are run, hands, doctor"),
-        ("--versoin", "no option '--versoin', did you mean --version? the commands are run, hands, doctor"),
+        ("runn", "no command 'runn', did you mean run? the commands are run, hands, bench align, doctor"),
+        ("xyz", "no command 'xyz'; the commands are run, hands, bench align, doctor"),
+        (
+            "bench algin --preset smoke",
+            "no command 'bench algin', did you mean bench align? the commands are run, hands, bench align, doctor",
+        ),
+        (
+            "--versoin",
+            "no option '--versoin', did you mean --version? the commands are run, hands, bench align, doctor",
+        ),
     ],
 )
 def test_an_unknown_command_names_the_commands(name: str, answer: str, capfd: pytest.CaptureFixture[str]):
-    assert refused(capfd, name) == answer
+    assert refused(capfd, *name.split()) == answer
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_each_command_explains_its_options(command: str, capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit) as end:
-        main([command, "--help"])
+        main([*command.split(), "--help"])
     assert not end.value.code
     out = capsys.readouterr().out
     assert f"usage: refine-grasp {command}" in out and "--json FILE" in out
@@ -326,9 +298,7 @@ def test_a_scale_is_positive(scale: str, capfd: pytest.CaptureFixture[str]):
     assert answer == f"--scale must be positive and finite, got {float(scale):g}"
 
 
-def test_bad_grasp_files_are_refused(
-    grasp_file: Callable[..., Path], inputs: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_bad_grasp_files_are_refused(grasp_file: Callable[..., Path], inputs: Path, capfd: pytest.CaptureFixture[str]):
     text = inputs / "text.npz"
     text.write_text("hello")
     for path, complaint in (
@@ -373,9 +343,7 @@ def test_several_objects_need_a_choice(grasp_file: Callable[..., Path], capfd: p
     assert "its object 'can' is none of the embedded ones" in answer and "--object" in answer
 
 
-def test_objects_must_be_found(
-    grasp_file: Callable[..., Path], inputs: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_objects_must_be_found(grasp_file: Callable[..., Path], inputs: Path, capfd: pytest.CaptureFixture[str]):
     many = grasp_file(object=["mug", "mug", "can", "rounded_box"])
     listed = inputs / "objects.toml"
     for text, complaint in (
@@ -460,9 +428,7 @@ def test_nobody_reads_the_output():
     read, write = os.pipe()
     os.close(read)
     command = [sys.executable, "-c", PROGRAM, "hands"]
-    result = subprocess.run(
-        command, stdout=write, stderr=subprocess.PIPE, text=True, env=subprocess_environment()
-    )
+    result = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, env=subprocess_environment())
     os.close(write)
     assert (result.returncode, result.stderr) == (141, "")
 
@@ -511,9 +477,7 @@ def test_the_doctor_finds_a_working_installation(capsys: pytest.CaptureFixture[s
     assert {package["name"] for package in document["packages"]} >= {"torch", "coal", "coacd", "viser"}
 
 
-def test_the_doctor_names_what_is_missing(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_the_doctor_names_what_is_missing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     from grasp_refine.commands import doctor
     from grasp_refine.versions import Requirement
 

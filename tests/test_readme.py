@@ -80,11 +80,23 @@ def test_the_links_and_places_exist():
             assert (ROOT / place).exists() or (ROOT / "grasp_refine" / place).exists(), place
 
 
-def test_the_options_are_those_of_the_command():
-    code = "from grasp_refine.cli import main; main(['run', '--help'])"
-    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
-    known = set(re.findall(r"--[a-z][\w.-]*", run.stdout))
+def test_the_options_are_those_of_the_commands():
+    known = set()
+    for command in ("run", "bench align"):
+        code = f"from grasp_refine.cli import main; main([*{command.split()}, '--help'])"
+        result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+        known |= set(re.findall(r"--[a-z][\w.-]*", result.stdout))
     named = set(re.findall(r"`(--[a-z][\w.-]*)", TEXT)) | set(re.findall(r" (--[a-z][\w.]*-?[\w.]*) ", TEXT))
     elsewhere = {"--help"}
-    assert {"--hand", "--transport", "--distance.coupling"} <= named
+    assert {"--hand", "--transport", "--distance.coupling", "--preset"} <= named
     assert named - elsewhere <= known
+
+
+def test_the_presets_of_the_benchmark_are_listed():
+    from grasp_refine.apps.bench.align.presets import PRESETS
+
+    section = TEXT.partition("## Benchmarks")[2].partition("\n## ")[0]
+    listed = re.findall(
+        r"`([\w-]+)`", "".join(line.split("|")[1] for line in section.splitlines() if line.startswith("|"))
+    )
+    assert set(listed) == set(PRESETS)

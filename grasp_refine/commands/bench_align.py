@@ -171,6 +171,8 @@ class BenchAlign:
         ):
             if getattr(self, name) == ():
                 raise GraspRefineError(f"--{name.replace('_', '-')} needs at least one value")
+        if 0.0 in (self.seconds or ()):
+            raise GraspRefineError("--seconds must be positive, got 0")
         if self.budgets is not None and self.seconds is not None:
             raise GraspRefineError(
                 "--budgets and --seconds exclude each other: a budget is in iterations or in CPU seconds"
@@ -185,7 +187,9 @@ class BenchAlign:
         budgets = preset.budgets if self.budgets is None else self.budgets
         timed = [{"budget": None, "budget_s": s} for s in self.seconds or ()] or [{"budget": n} for n in budgets]
         return Study(
-            variants=tuple(replace(variant, **budget) for variant in preset.variants for budget in timed),
+            variants=tuple(
+                dict.fromkeys(replace(variant, **budget) for variant in preset.variants for budget in timed)
+            ),
             meshes=self.meshes,
             kinds=tuple(dict.fromkeys(self.kinds)),
             classes=preset.classes if self.classes is None else tuple(dict.fromkeys(self.classes)),

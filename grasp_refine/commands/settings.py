@@ -22,8 +22,8 @@ from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.zeroth_order import ZerothOrder
 
-
 Method = TypeVar("Method")
+
 
 # What has an option of its own, without a prefix, is left out of the options of a method.
 @dataclass(frozen=True)

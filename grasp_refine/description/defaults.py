@@ -63,9 +63,7 @@ def _guess_contacts(solid: Collection[str], joints: Sequence[Joint]) -> list[Con
     return [Contact(name, name) for name in solid if name in moving - inner]
 
 
-def rest_pose(
-    toml: HandToml, independent: Sequence[Joint], outside: Collection[str]
-) -> Float[np.ndarray, " n"]:
+def rest_pose(toml: HandToml, independent: Sequence[Joint], outside: Collection[str]) -> Float[np.ndarray, " n"]:
     """Resting values (n,): as named, else in the middle of the range, 0 for continuous joints."""
     rest = {j.name: 0.0 if j.kind == "continuous" else (j.lower + j.upper) / 2 for j in independent}
     limits = {joint.name: (joint.lower, joint.upper) for joint in independent}

@@ -81,9 +81,7 @@ def read_hand_toml(path: Path) -> HandToml:
     _check_keys(raw, keys, f"{path}")
     collision = raw.get("collision", "urdf")
     if collision != "urdf":
-        raise HandError(
-            f"{path}: collision = {collision!r}; only that of the URDF is read, collision = 'urdf'"
-        )
+        raise HandError(f"{path}: collision = {collision!r}; only that of the URDF is read, collision = 'urdf'")
     base_link = raw.get("base_link")
     rest_pose = _typed(raw.get("rest_pose", {}), dict, f"{path}: [rest_pose]")
     actuator = _typed(raw.get("actuator", {}), dict, f"{path}: [actuator]")

@@ -62,14 +62,10 @@ class Decomposition:
             if not low <= value <= high:
                 raise MeshError(f"decomposition: {field} must be {low:g} to {high:g}, got {value}")
         if not (self.max_pieces == -1 or self.max_pieces >= 1):
-            raise MeshError(
-                f"decomposition: max_pieces must be -1 (any) or at least 1, got {self.max_pieces}"
-            )
+            raise MeshError(f"decomposition: max_pieces must be -1 (any) or at least 1, got {self.max_pieces}")
 
 
-def decompose(
-    vertices: np.ndarray, faces: np.ndarray, config: Decomposition, *, single: bool
-) -> list[np.ndarray]:
+def decompose(vertices: np.ndarray, faces: np.ndarray, config: Decomposition, *, single: bool) -> list[np.ndarray]:
     """The corners (V, 3) of each part that CoACD cuts a mesh into; `single` says that it is one closed part.
 
     CoACD's own "auto" remeshes also where triangles of a single closed part cross. On scanned mugs and cans

@@ -90,6 +90,4 @@ class Descent:
 def _unit(vector: Tensor) -> Tensor:
     """Vectors (batch, n) at unit length; zero stays zero."""
     norm = vector.norm(dim=1, keepdim=True)
-    return torch.where(
-        norm > 0, vector / torch.where(norm > 0, norm, torch.ones_like(norm)), torch.zeros_like(vector)
-    )
+    return torch.where(norm > 0, vector / torch.where(norm > 0, norm, torch.ones_like(norm)), torch.zeros_like(vector))

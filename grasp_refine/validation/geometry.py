@@ -85,9 +85,7 @@ def measure(
     )
 
 
-def movement(
-    T_before: np.ndarray, q_before: np.ndarray, T_after: np.ndarray, q_after: np.ndarray
-) -> Movement:
+def movement(T_before: np.ndarray, q_before: np.ndarray, T_after: np.ndarray, q_after: np.ndarray) -> Movement:
     """How far root poses (N, 4, 4) and joint values (N, n) moved; NaN where they are not finite."""
     finite = np.isfinite(T_before).all(axis=(1, 2)) & np.isfinite(T_after).all(axis=(1, 2))
     eye = np.eye(4)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -73,11 +74,7 @@ class Aligned:
     iterations: int
     """Steps that were made."""
     watch: Stopwatch
-    """CPU time by stage, and narrow-phase queries."""
-    forward_s: float
-    """CPU seconds of the forward passes."""
-    backward_s: float
-    """CPU seconds of the backward passes."""
+    """CPU time by stage and pass, and narrow-phase queries."""
     cpu_s: float
     """CPU seconds of the loop."""
     wall_s: float
@@ -111,38 +108,18 @@ def align(
     watch = Stopwatch()
     pairs = timed_pairs(Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies)), watch)
     layer = WitnessLayer(pairs, TimedDerivative(solver.method, watch))
-    T_a, T_b, target_a, target_b = (stacked(name) for name in ("T_world_a", "T_world_b", "target_a", "target_b"))
-    together = EquivalentTransport(METRES_PER_RADIAN, _WHOLE, both=solver.optimise == "T1T2")
-    # The layer keeps what it builds once; that is not part of the loop's time.
-    layer.columns(np.arange(len(pairs)))
-
-    def errors(T_a: Tensor, T_b: Tensor, key: int, previous: Witness | None = None) -> tuple[Tensor, Witness]:
-        with watch.stage("broadphase"):
-            found = layer(T_a, T_b, target_a, target_b, key=key, previous=previous)
-        squared = contact_targets(found, T_a, T_b, target_a, target_b, solver.margin).square().sum(dim=-1)
-        # Without witness points nothing is known, and nothing is followed.
-        return torch.where(torch.as_tensor(found.valid, device=device), squared, torch.inf), found
-
+    problem = _Problem(solver, layer, stacked("target_a"), stacked("target_b"), watch)
+    T_a, T_b = stacked("T_world_a"), stacked("T_world_b")
     best = _Best(torch.full(T_a.shape[:2], torch.inf, dtype=dtype, device=device), T_a, T_b)
-    forward_s = backward_s = 0.0
+    # What is built at the first call is not part of the loop's time.
+    problem.gradients(T_a, T_b, 0, None)
     done, iteration, last = 0.0, 0, None
-    # The pieces that were closest last time are asked first; with one piece a body there is nothing to order.
-    several = any(len(body.pieces) > 1 for body in (*pairs.a, *pairs.b))
     start_cpu, start_wall = time.process_time(), time.perf_counter()
+    watch.running = True
     with watch.stage("solver"):
         while done < 1.0:
-            leaves = [T.requires_grad_() for T in (T_a, T_b)]
-            seen_a, seen_b = together(*leaves[::-1])[::-1] if solver.transport else leaves
-            moving = leaves if solver.optimise == "T1T2" else leaves[1:]
-            before = time.process_time()
-            error, found = errors(seen_a, seen_b, iteration, last)
-            last = found.detached() if several else None
-            between = time.process_time()
-            gradients = torch.autograd.grad(error.sum(), moving)
-            after = time.process_time()
-            forward_s, backward_s = forward_s + between - before, backward_s + after - between
-            T_a, T_b = T_a.detach(), T_b.detach()
-            best.keep(error.detach(), T_a, T_b)
+            error, gradients, last = problem.gradients(T_a, T_b, iteration, last)
+            best.keep(error, T_a, T_b)
             rotation = solver.step_size * FACTORS[sum(done >= share for share in SHARES)]
             T_b = _step(T_b, gradients[-1], rotation)
             if solver.optimise == "T1T2":
@@ -154,21 +131,61 @@ def align(
                 done = (time.process_time() - start_cpu) / (solver.seconds * len(bodies))
             if iteration % 50 == 0:
                 progress(min(done, 1.0))
+    watch.running = False
     cpu_s, wall_s = time.process_time() - start_cpu, time.perf_counter() - start_wall
     with torch.no_grad():
-        last_error, _ = errors(T_a, T_b, iteration)
+        last_error, _ = problem.errors(T_a, T_b, iteration)
         best.keep(last_error, T_a, T_b)
-        _, found = errors(best.T_world_a, best.T_world_b, iteration)
+        _, found = problem.errors(best.T_world_a, best.T_world_b, iteration)
     return Aligned(
         *(x.double().cpu().numpy() for x in (best.error, last_error, best.T_world_a, best.T_world_b)),
         found.detached(),
         iteration,
         watch,
-        forward_s,
-        backward_s,
         cpu_s,
         wall_s,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The errors of all tasks as a function of the poses."""
+
+    solver: AlignDescent
+    layer: WitnessLayer
+    target_a: Tensor
+    """(N, P, 3), body frames."""
+    target_b: Tensor
+    watch: Stopwatch
+
+    def errors(self, T_a: Tensor, T_b: Tensor, key: int, previous: Witness | None = None) -> tuple[Tensor, Witness]:
+        """Errors (N, P) in square metres, infinite where there are no witness points, and the witness points."""
+        with self.watch.stage("broadphase"):
+            found = self.layer(T_a, T_b, self.target_a, self.target_b, key=key, previous=previous)
+        residual = contact_targets(found, T_a, T_b, self.target_a, self.target_b, self.solver.margin)
+        valid = torch.as_tensor(found.valid, device=residual.device)
+        return torch.where(valid, residual.square().sum(dim=-1), torch.inf), found
+
+    def gradients(
+        self, T_a: Tensor, T_b: Tensor, key: int, previous: Witness | None
+    ) -> tuple[Tensor, tuple[Tensor, ...], Witness | None]:
+        """Errors, their gradients (N, P, 4, 4) in the poses that move, and what helps the next query."""
+        leaves = T_a.detach().requires_grad_(), T_b.detach().requires_grad_()
+        seen_a, seen_b = self._transport(*leaves[::-1])[::-1] if self.solver.transport else leaves
+        with self.watch.lap("forward"):
+            error, found = self.errors(seen_a, seen_b, key, previous)
+        with self.watch.lap("backward"):
+            gradients = torch.autograd.grad(error.sum(), leaves if self.solver.optimise == "T1T2" else leaves[1:])
+        return error.detach(), gradients, found.detached() if self._several else None
+
+    @cached_property
+    def _transport(self) -> EquivalentTransport:
+        return EquivalentTransport(METRES_PER_RADIAN, _WHOLE, both=self.solver.optimise == "T1T2")
+
+    @cached_property
+    def _several(self) -> bool:
+        """Whether some body has several pieces; if not, there is nothing that the last answer could put in order."""
+        return any(len(body.pieces) > 1 for body in (*self.layer.pairs.a, *self.layer.pairs.b))
 
 
 @dataclass

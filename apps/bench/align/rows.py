@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .runner import Done
-from .stopwatch import STAGES
+from .stopwatch import PASSES, STAGES
 from .tasks import CLASSES, Tasks
 from .variants import Variant
 
@@ -99,20 +99,17 @@ def _times(variant: Variant, group: Sequence[Done], targets: int) -> dict[str, A
     """Costs of a variant; those of a pair are for the number of targets that it was to have."""
     results = [one.aligned for one in group]
     items = np.array([result.error.size for result in results])
-    queries = sum(items * [result.iterations for result in results])
+    count = int(items.sum())
+    queries = int(sum(items * [result.iterations for result in results]))
 
-    def total(name: str) -> float:
-        return sum(getattr(result, name) for result in results)
-
-    cpu_s = total("cpu_s")
+    cpu_s, wall_s = (sum(getattr(result, name) for result in results) for name in ("cpu_s", "wall_s"))
     return {
-        "forward_us": 1e6 * total("forward_s") / queries,
-        "backward_us": 1e6 * total("backward_s") / queries,
+        **{f"{name}_us": 1e6 * sum(r.watch.passes_s[name] for r in results) / queries for name in PASSES},
         "queries_mean": float(np.average([variant.queries(r.iterations) for r in results], weights=items)),
-        "narrow_queries_mean": sum(result.watch.asked for result in results) / items.sum(),
-        "iterations_mean": queries / items.sum(),
-        "cpu_s_per_pair": cpu_s / items.sum() * targets,
-        "wall_s_per_pair": total("wall_s") / items.sum() * targets,
+        "narrow_queries_mean": sum(result.watch.asked for result in results) / count,
+        "iterations_mean": queries / count,
+        "cpu_s_per_pair": cpu_s / count * targets,
+        "wall_s_per_pair": wall_s / count * targets,
         "cpu_share": {stage: sum(r.watch.cpu_s[stage] for r in results) / cpu_s for stage in STAGES},
     }
 

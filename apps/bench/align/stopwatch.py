@@ -18,6 +18,9 @@ from grasp_refine.witness.scene import WitnessScene
 STAGES = ("broadphase", "narrowphase", "derivative", "solver")
 """Broad phase: all of a query but its narrow phase. Solver: all that is left, such as loss and step."""
 
+PASSES = ("forward", "backward")
+"""From poses to losses, and from losses to the gradients of poses."""
+
 
 @dataclass
 class Stopwatch:
@@ -25,13 +28,20 @@ class Stopwatch:
 
     cpu_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))
     """Stage -> CPU seconds of this process."""
+    passes_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PASSES, 0.0))
+    """Pass -> CPU seconds, whatever its stages."""
     asked: int = 0
     """Narrow-phase queries."""
+    running: bool = False
+    """Whether anything is counted."""
     _inner: list[float] = field(default_factory=list)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Count what happens inside for the stage `name`."""
+        if not self.running:
+            yield
+            return
         self._inner.append(0.0)
         start = time.process_time()
         try:
@@ -41,6 +51,14 @@ class Stopwatch:
             self.cpu_s[name] += spent - self._inner.pop()
             if self._inner:
                 self._inner[-1] += spent
+
+    @contextmanager
+    def lap(self, name: str) -> Iterator[None]:
+        """Count what happens inside for the pass `name`."""
+        start = time.process_time()
+        yield
+        if self.running:
+            self.passes_s[name] += time.process_time() - start
 
 
 @dataclass(frozen=True)
@@ -69,7 +87,8 @@ class _TimedNarrowPhase(NarrowPhase):
         """What the narrow phase says."""
         with self._watch.stage("narrowphase"):
             found = super().closest(*arguments)
-        self._watch.asked += int(found.asked.sum())
+        if self._watch.running:
+            self._watch.asked += int(found.asked.sum())
         return found
 
 

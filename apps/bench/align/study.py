@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.errors import GraspRefineError
+
 from .bodies import BodyPair, Kind, draw_pairs, mesh_sources
 from .failures import Failure, WitnessPoints
 from .rows import LEVELS, rows
@@ -59,12 +61,14 @@ def run_study(
         progress: Gets the share of the work that is done, and what is.
 
     Raises:
-        GraspRefineError: the meshes cannot be used, or hardly any of the tasks are accepted.
+        GraspRefineError: the meshes cannot be used, or none of the tasks is accepted.
     """
     sources = mesh_sources(study.meshes)
     pairs = [pair for kind in study.kinds for pair in draw_pairs(sources, kind, study.pairs, study.seed, say=say)]
     tasks = [draw_tasks(pair, study.classes, study.targets, study.seed) for pair in pairs]
     pairs, tasks = _with_tasks(pairs, tasks, say)
+    if not pairs:
+        raise GraspRefineError("no pair has a task that is accepted: something else is always in the way")
     todo = jobs(
         study.variants,
         pairs,

@@ -38,12 +38,12 @@ def bench_table(rows: Sequence[Row], title: str) -> Table:
     labels = dict(zip(map(id, rows), variants(rows), strict=True))
     shown = [row for row in rows if row["pair"] == "all" and row["target_class"] in ("all", "face-face")]
     several = len({(row["budget"], row["budget_s"]) for row in shown}) > 1
-    table = Table(title=title, title_justify="left", box=SIMPLE, padding=(0, 1, 0, 0))
-    table.add_column("variant", min_width=20)
+    table = Table(title=title, title_justify="left", box=SIMPLE, padding=0, show_edge=False)
+    table.add_column("variant", min_width=18)
     if several:
-        table.add_column("budget", justify="right")
+        table.add_column("budget", justify="right", no_wrap=True)
     for name, _, _ in COLUMNS:
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", no_wrap=True)
     kind = None
     for row in shown:
         if row["kind"] != kind:
@@ -52,7 +52,7 @@ def bench_table(rows: Sequence[Row], title: str) -> Table:
             table.add_row(f"[bold]{kind}[/bold], {row['pairs']} pair{'s' if row['pairs'] != 1 else ''}")
         name = labels[id(row)]
         if row["target_class"] == "face-face" and any(r["target_class"] == "all" and r is not row for r in shown):
-            name = "  its face-face targets"
+            name = "  face-face"
         budget = [f"{row['budget']}" if row["budget"] else f"{row['budget_s']:g} s"] if several else []
         cells = [(words(value) if value is not None else "-") for value, words in _values(row)]
         table.add_row(name, *budget, *cells)

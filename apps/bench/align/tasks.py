@@ -184,7 +184,7 @@ def _targets(body: Body, vertex: bool, count: int, rng: np.random.Generator) -> 
 def _initial(pair: BodyPair, count: int, rng: np.random.Generator) -> np.ndarray:
     """Random poses (count, 4, 4) of body b: any orientation, centres 0.5 to 1.5 mean diagonals apart.
 
-    About a third of them penetrate.
+    About a tenth of them penetrate.
     """
     quaternion = rng.normal(size=(count, 4))
     R = matrix_from_quaternion(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True))

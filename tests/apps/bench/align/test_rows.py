@@ -60,9 +60,10 @@ def done(
     """A result with these errors (N, P); the last ones are ten times as large."""
     pairs = tuple(BodyPair(f"pair {p}", kind, A, B) for p in range(len(tasks)))
     shares = (0.1, 0.2, 0.3, 0.4)
-    watch = Stopwatch({stage: share * cpu_s for stage, share in zip(STAGES, shares, strict=True)}, asked)
+    stages = {stage: share * cpu_s for stage, share in zip(STAGES, shares, strict=True)}
+    watch = Stopwatch(stages, {"forward": forward_s, "backward": backward_s}, asked)
     T = np.broadcast_to(np.eye(4), (*error.shape, 4, 4))
-    aligned = Aligned(error, 10 * error, T, T, WITNESS, iterations, watch, forward_s, backward_s, cpu_s, 2 * cpu_s)
+    aligned = Aligned(error, 10 * error, T, T, WITNESS, iterations, watch, cpu_s, 2 * cpu_s)
     return Done(Job(variant, pairs, tuple(tasks), 0, "float64", "cpu", 1), aligned)
 
 

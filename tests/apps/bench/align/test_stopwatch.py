@@ -29,7 +29,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def test_an_inner_stage_counts_for_itself_only(clock: list[float]):
-    watch = Stopwatch()
+    watch = Stopwatch(running=True)
     assert watch.cpu_s == dict.fromkeys(STAGES, 0.0)
     with watch.stage("solver"):
         clock[0] += 1.0
@@ -47,7 +47,7 @@ def test_an_inner_stage_counts_for_itself_only(clock: list[float]):
 
 
 def test_a_stage_may_lie_in_itself(clock: list[float]):
-    watch = Stopwatch()
+    watch = Stopwatch(running=True)
     with watch.stage("narrowphase"):
         clock[0] += 1.0
         with watch.stage("narrowphase"):
@@ -56,7 +56,7 @@ def test_a_stage_may_lie_in_itself(clock: list[float]):
 
 
 def test_a_stage_that_fails_is_counted_and_closed(clock: list[float]):
-    watch = Stopwatch()
+    watch = Stopwatch(running=True)
     with watch.stage("solver"):
         with pytest.raises(ValueError, match="broken"), watch.stage("derivative"):
             clock[0] += 1.0
@@ -79,7 +79,7 @@ def assert_same(one: Witness, other: Witness) -> None:
 
 def test_timed_pairs_answer_as_the_others_do():
     pairs, T_a, T_b = pairs_and_poses()
-    watch = Stopwatch()
+    watch = Stopwatch(running=True)
     timed = timed_pairs(pairs, watch)
     first, second = query(pairs, T_a, T_b), query(timed, T_a, T_b)
     assert_same(first, second)
@@ -97,7 +97,7 @@ def test_timed_pairs_answer_as_the_others_do():
 @pytest.mark.parametrize("method", ["distance", "finite-difference", "zeroth-order"])
 def test_timed_derivatives_are_the_same(method: str):
     pairs, T_a, T_b = pairs_and_poses()
-    gradients, watch = [], Stopwatch()
+    gradients, watch = [], Stopwatch(running=True)
     derivative = Variant(method).derivative(0)
     for layer in (
         WitnessLayer(pairs, derivative),
@@ -120,5 +120,4 @@ def test_the_stages_of_a_run_sum_to_its_time():
     result = align([pair], [tasks], Variant(budget=30).solver(0))
     spent = result.watch.cpu_s
     assert set(spent) == set(STAGES) and min(spent.values()) > 0.0
-    # The queries after the loop are not part of its time, but of the watch.
-    assert result.cpu_s * 0.98 < sum(spent.values()) < result.cpu_s * 1.2
+    assert result.cpu_s * 0.98 < sum(spent.values()) < result.cpu_s * 1.02

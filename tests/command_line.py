@@ -1,0 +1,37 @@
+"""What tests of the command line share: calls in a process of its own, and refusals of bad input."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import grasp_refine
+from grasp_refine.cli import main
+
+PROGRAM = "import sys; from grasp_refine.cli import main; sys.exit(main())"
+
+
+def subprocess_environment() -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": str(Path(grasp_refine.__file__).parents[1])}
+
+
+def call(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own."""
+    command = [sys.executable, "-c", PROGRAM, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, env=subprocess_environment())
+
+
+def refused(capfd: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
+    """The one line on stderr with which a command line is refused, without its prefix."""
+    before = set(Path().rglob("*"))
+    assert main([str(argument) for argument in arguments]) == 2
+    out, error = capfd.readouterr()
+    assert out == ""
+    assert error.count("\n") == 1, error
+    assert error.startswith("refine-grasp: error: ")
+    assert set(Path().rglob("*")) == before, "bad input must leave no file"
+    return error.removeprefix("refine-grasp: error: ").rstrip("\n")

@@ -1,0 +1,237 @@
+"""`refine-grasp bench align` as a user meets it: tables, documents that repeat themselves, and refusals."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import trimesh
+from command_line import call, refused
+from grasp_refine.apps.bench.align import tasks
+from grasp_refine.apps.bench.align.presets import PRESETS
+
+from grasp_refine.cli import main
+
+pytestmark = pytest.mark.usefixtures("workplace")
+
+TINY = ("bench", "align", "--kinds", "convex", "--pairs", "1", "--targets", "3", "--budgets", "20", "40")
+SMOKE = ("bench", "align", "--preset", "smoke", "--pairs", "1", "--targets", "2", "--budgets", "5", "--kinds", "convex")
+
+
+@pytest.fixture(autouse=True)
+def threads() -> Iterator[None]:
+    """What a run sets is undone."""
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
+def meshes(tmp_path: Path) -> Path:
+    """A folder of two concave meshes, a convex one, and one that is broken."""
+    folder = tmp_path / "meshes"
+    folder.mkdir()
+    for name, reach in (("near", 2.0), ("far", 3.0)):
+        parts = [trimesh.creation.box((1, 1, 1)), trimesh.creation.box((1, 0.5, 1))]
+        parts[1].apply_translation([reach, 0, 0])
+        trimesh.util.concatenate(parts).export(folder / f"{name}.obj")
+    trimesh.creation.box((1, 2, 3)).export(folder / "box.stl")
+    (folder / "broken.ply").write_text("no mesh")
+    return folder
+
+
+def document(*arguments: str | Path) -> dict[str, Any]:
+    """What a run writes as JSON."""
+    assert main([*map(str, arguments), "--json", "bench.json"]) == 0
+    return json.loads(Path("bench.json").read_text())
+
+
+def timeless(entry: Any) -> Any:
+    """A document without what time it took."""
+    if isinstance(entry, dict):
+        return {
+            key: timeless(value)
+            for key, value in entry.items()
+            if not key.endswith(("_s", "_s_per_pair", "_us")) and key != "cpu_share"
+        }
+    return [timeless(value) for value in entry] if isinstance(entry, list) else entry
+
+
+def pooled(found: dict[str, Any]) -> list[dict[str, Any]]:
+    return [row for row in found["rows"] if (row["pair"], row["target_class"]) == ("all", "all")]
+
+
+# Runs
+
+
+def test_a_run_prints_a_table_and_writes_its_rows(capfd: pytest.CaptureFixture[str]):
+    found = document(*TINY)
+    out, error = capfd.readouterr()
+    assert error == ""
+    assert "alignment, 3 targets a pair, seed 0" in out and "convex, 1 pair\n" in re.sub(" +\n", "\n", out)
+    assert "wrote bench.json" in out
+    assert max(map(len, out.splitlines())) <= 80
+    lines = [line.split() for line in out.splitlines() if line.startswith("distance")]
+    assert [line[1] for line in lines] == ["20", "40"] and all(len(line) == 10 for line in lines)
+    assert list(found) == [
+        "schema", "command", "versions", "machine", "preset", "config", "seed", "wall_s", "cpu_s", "rows"
+    ]  # fmt: skip
+    assert (found["schema"], found["command"], found["preset"], found["seed"]) == (1, "bench align", None, 0)
+    assert found["machine"]["cpus"] == os.cpu_count() and found["machine"]["cpu"]
+    assert found["config"]["budgets"] == [20, 40] and found["config"]["json"] is None
+    assert [(row["budget"], row["iterations_mean"], row["targets"]) for row in pooled(found)] == [
+        (20, 20.0, 3), (40, 40.0, 3)
+    ]  # fmt: skip
+    for row in pooled(found):
+        assert sum(row["cpu_share"].values()) == pytest.approx(1.0, abs=0.2)
+        assert 0 < row["d5"] <= row["d9"] and row["cpu_s_per_pair"] > 0
+    assert {path.name for path in Path().iterdir()} == {"bench.json"}
+
+
+def test_the_same_seed_gives_the_same_document_but_for_times():
+    runs = [timeless(document(*TINY, "--methods", "distance", "zeroth-order")) for _ in range(2)]
+    assert runs[0] == runs[1]
+    other = document(*TINY, "--methods", "distance", "zeroth-order", "--seed", "1")
+    assert other["seed"] == 1
+    assert timeless(other["rows"]) != runs[0]["rows"]
+
+
+def test_smoke_runs_all_methods(capfd: pytest.CaptureFixture[str]):
+    found = document(*SMOKE)
+    assert found["preset"] == "smoke"
+    assert [row["method"] for row in pooled(found)] == [variant.method for variant in PRESETS["smoke"].variants]
+    assert len(pooled(found)) == 7
+    assert all(row["d9"] is not None for row in pooled(found))
+    assert "  face-face " in capfd.readouterr().out
+    (differences,) = (row for row in pooled(found) if row["method"] == "finite-difference")
+    assert differences["queries_mean"] == 13 * differences["iterations_mean"] == 65
+
+
+def test_every_combination_is_run_once():
+    options = "--methods distance rigid --neighborhoods adaptive fixed --margins 0 1e-3 --no-transport --optimise T1T2"
+    found = pooled(document(*TINY[:-2], "2", *options.split(), "--classes", "vertex-vertex"))
+    assert [(row["method"], row["neighborhood"], row["margin"]) for row in found] == [
+        ("distance", "adaptive", 0.0), ("distance", "adaptive", 1e-3), ("distance", "fixed", 0.0),
+        ("distance", "fixed", 1e-3), ("rigid", None, 0.0), ("rigid", None, 1e-3),
+    ]  # fmt: skip
+    assert {(row["transport"], row["optimise"], row["budget"]) for row in found} == {(False, "T1T2", 2)}
+
+
+def test_what_is_asked_for_twice_is_run_once():
+    options = "--budgets 2 2 --margins 0 0 --methods rigid rigid --classes vertex-vertex vertex-vertex"
+    (row,) = pooled(document(*TINY[:-3], *options.split()))
+    assert (row["pairs"], row["targets"]) == (1, 3)
+
+
+def test_a_budget_in_seconds_is_told_as_such():
+    (row,) = pooled(document(*TINY[:-3], "--seconds", "0.1"))
+    assert (row["budget"], row["budget_s"]) == (None, 0.1)
+    assert row["iterations_mean"] > 1 and row["cpu_s_per_pair"] >= 0.1 * 0.5
+
+
+def test_meshes_of_a_folder_are_used_and_bad_ones_reported(meshes: Path, capfd: pytest.CaptureFixture[str]):
+    found = document("bench", "align", "--meshes", meshes, "--pairs", "4", "--targets", "3", "--budgets", "3")
+    assert [(row["kind"], row["pairs"]) for row in pooled(found)] == [("convex", 4), ("concave", 4)]
+    names = {name for row in found["rows"] if row["pair"] != "all" for name in row["pair"].split(" / ")}
+    assert names <= {"near", "far", "box"}
+    concave = {row["pair"] for row in found["rows"] if row["kind"] == "concave"} - {"all"}
+    assert concave <= {"near / far", "far / near"}
+    said = " ".join(capfd.readouterr().err.split())
+    assert "decomposing near" in said and "decomposing box" not in said
+    assert said.count("left out: ") == 2 and "broken.ply: cannot be read as a mesh" in said
+
+
+def test_a_report_is_one_file_that_names_what_was_compared(capfd: pytest.CaptureFixture[str]):
+    for module in ("matplotlib", "jinja2", "PIL"):
+        pytest.importorskip(module, reason="the report needs it")
+    arguments = [*TINY, "--methods", "distance", "contact-kinematics", "--html", "reports/bench.html"]
+    assert main(arguments) == 0
+    assert "wrote reports/bench.html" in " ".join(capfd.readouterr().out.split())
+    assert [str(path) for path in Path().rglob("*") if path.is_file()] == ["reports/bench.html"]
+    text = Path("reports/bench.html").read_text(encoding="utf-8")
+    assert "distance" in text and "contact-kinematics" in text and "<svg" in text
+    assert not re.search(r"""(?:src|href)=["']https?:""", text)
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ("--preset smoke --methods rigid", "--preset smoke says itself what is compared: leave out --methods"),
+        ("--preset margin --margins 0", "--preset margin says itself what is compared: leave out --margins"),
+        ("--preset table1 --step-sizes 1", "--preset table1 says itself what is compared: leave out --step-sizes"),
+        ("--preset table2 --no-transport", "--preset table2 says itself what is compared: leave out --transport"),
+        ("--preset table9", "invalid choice 'table9' for argument '--preset'"),
+        ("--budgets 10 --seconds 1", "--budgets and --seconds exclude each other"),
+        ("--pairs 0", "--pairs must be at least 1, got 0"),
+        ("--targets 0", "--targets must be at least 1, got 0"),
+        ("--budgets 0", "--budgets must be at least 1, got 0"),
+        ("--margins -1", "--margins must be finite and not negative, got -1"),
+        ("--margins nan", "--margins must be finite and not negative, got nan"),
+        ("--seconds -1", "--seconds must be finite and not negative, got -1"),
+        ("--seconds 1 0", "--seconds must be positive, got 0"),
+        ("--seed -1", "--seed must be 0 to 4294967295, got -1"),
+        ("--workers 0", "--workers must be at least 1, got 0"),
+        ("--methods dist", "invalid choice 'dist' for argument '--methods'"),
+        ("--kinds round", "invalid choice 'round' for argument '--kinds'"),
+        ("--target 3", "unrecognized options: --target"),
+        ("--device nonsense", "--device nonsense with --dtype float64 does not work here"),
+        ("--meshes nowhere", "--meshes nowhere: no such folder"),
+        ("--meshes .", "--meshes .: no meshes in it (.obj"),
+        ("--json .", ".: is a folder, a file is to be written there"),
+        ("--html .", ".: is a folder, a file is to be written there"),
+    ],
+)
+def test_bad_options_are_refused(options: str, complaint: str, capfd: pytest.CaptureFixture[str]):
+    assert complaint in refused(capfd, "bench", "align", *options.split())
+
+
+@pytest.mark.parametrize("option", ["--kinds", "--classes", "--methods", "--margins", "--budgets", "--seconds"])
+def test_a_list_needs_a_value(option: str, capfd: pytest.CaptureFixture[str]):
+    assert f"{option}" in refused(capfd, "bench", "align", option)
+
+
+@pytest.mark.parametrize("option", ["--json", "--html"])
+def test_what_cannot_be_written_is_found_out_first(option: str, capfd: pytest.CaptureFixture[str]):
+    Path("file").write_text("a file")
+    answer = refused(capfd, *TINY, option, "file/bench")
+    assert answer.startswith("file/bench: cannot be written") and answer.endswith("is no folder")
+    if os.geteuid() == 0:
+        return
+    Path("locked").mkdir(mode=0o500)
+    assert refused(capfd, *TINY, option, "locked/bench").endswith("no permission")
+
+
+def test_too_few_meshes_are_refused(meshes: Path, capfd: pytest.CaptureFixture[str]):
+    for name in ("near.obj", "far.obj", "broken.ply"):
+        (meshes / name).unlink()
+    answer = refused(capfd, *TINY, "--meshes", meshes, "--json", "bench.json")
+    assert answer == "convex pairs need two convex objects; 1 of 1 can be used"
+
+
+def test_without_a_task_that_counts_nothing_is_run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):
+    monkeypatch.setattr(tasks, "ACCEPTED", 0.0)
+    assert main([*TINY, "--workers", "2", "--json", "bench.json"]) == 2
+    out, error = capfd.readouterr()
+    left_out, answer = error.splitlines()
+    assert out == "" and left_out.startswith("left out: ") and left_out.endswith("none of its tasks is accepted")
+    assert answer.startswith("refine-grasp: error: no pair has a task that is accepted")
+    assert not Path("bench.json").exists()
+
+
+def test_the_words_of_the_command_belong_together(capsys: pytest.CaptureFixture[str]):
+    result = call("bench", "algin")
+    assert (result.returncode, result.stdout) == (2, "")
+    assert "did you mean bench align?" in result.stderr and result.stderr.count("\n") == 1
+    for arguments in (["bench"], ["bench", "--help"]):
+        assert main(arguments) == 0
+        shown = capsys.readouterr().out
+        assert "  bench align  " in shown and "  doctor  " not in shown
