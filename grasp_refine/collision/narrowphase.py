@@ -17,6 +17,9 @@ import numpy as np
 
 from grasp_refine.geometry.pieces import Piece
 
+_WILD = 1e300
+"""A distance beyond this, either way, is no answer."""
+
 _MAX_NEIGHBOURS = 255
 """coal counts the neighbours of a hull vertex in one byte."""
 
@@ -105,7 +108,7 @@ class NarrowPhase:
         point, normal = np.zeros((count, 3)), np.zeros((count, 3))
         winner, asked = np.full(count, -1), np.zeros(count, dtype=np.int64)
         failed = np.zeros(count, dtype=bool)
-        pairs, cold, warm, slack = self._pairs, self._request, self._warm_request, self._slack
+        pairs, cold, warm = self._pairs, self._request, self._warm_request
         result, T = coal.DistanceResult(), coal.Transform3s()
         start_list, pair_list, bound_list, limit_list = (
             starts.tolist(),
@@ -113,6 +116,8 @@ class NarrowPhase:
             bound.tolist(),
             limit.tolist(),
         )
+        # Without a bound, too, there is a limit to what an answer can be.
+        floor_list = np.maximum(bound - self._slack, -_WILD).tolist()
         warm_list = guess_valid.tolist() if guess_valid is not None else None
         # Items with the same pieces follow each other, so that these stay in the processor's cache.
         order = np.argsort(pair[starts[:-1]] if (np.diff(starts) > 0).all() else np.zeros(count), kind="stable")
@@ -132,10 +137,10 @@ class NarrowPhase:
                 compute, T_a, T_b = pairs[pair_list[j]]
                 result.clear()
                 d = compute(T_a, T if T_b is None else T * T_b, request, result)
-                if not (bound_list[j] - slack <= d < 1e300):
+                if not (floor_list[j] <= d < _WILD):
                     result.clear()
                     d = compute(T_a, T if T_b is None else T * T_b, self._loose_request, result)
-                    if not (bound_list[j] - slack <= d < 1e300):
+                    if not (floor_list[j] <= d < _WILD):
                         failed[i] = True
                         continue
                 if d < best:

@@ -18,6 +18,7 @@ from grasp_refine.geometry.shapes import EMBEDDED
 from grasp_refine.objects import load_object
 
 Kind = Literal["convex", "concave"]
+KINDS: tuple[Kind, ...] = ("convex", "concave")
 
 DIAGONALS = (0.01, 0.2)
 """Smallest and largest bounding-box diagonal of a body, in metres (arXiv 2511.06267)."""
@@ -70,7 +71,7 @@ def draw_pairs(
     Raises:
         GraspRefineError: too few of the meshes can be used.
     """
-    rng = np.random.default_rng((seed, ("convex", "concave").index(kind)))
+    rng = np.random.default_rng((seed, KINDS.index(kind)))
     bodies: dict[str | Path, Body | None] = {}
 
     def body(source: str | Path) -> Body | None:
@@ -78,19 +79,25 @@ def draw_pairs(
             bodies[source] = _load(source, kind, candidates, seed, say)
         return bodies[source]
 
-    def usable() -> int:
-        return len(sources) - sum(found is None for found in bodies.values())
+    def usable() -> list[str | Path]:
+        return [source for source in sources if bodies.get(source, source) is not None]
 
     pairs: list[BodyPair] = []
     while len(pairs) < count:
-        if usable() < 2:
-            raise GraspRefineError(f"{kind} pairs need two {kind} objects; {usable()} of {len(sources)} can be used")
-        first, second = (sources[i] for i in rng.choice(len(sources), 2, replace=False))
+        left = usable()
+        if len(left) < 2:
+            others = "give more meshes" if kind == "convex" else "give meshes that are not convex, or --kinds convex"
+            raise GraspRefineError(
+                f"{kind} pairs need two {kind} objects; {len(left)} of {len(sources)} can be used: {others}"
+            )
+        first, second = (left[i] for i in rng.choice(len(left), 2, replace=False))
         diagonals = rng.uniform(*DIAGONALS, size=2)
         a, b = body(first), body(second)
         if a is not None and b is not None:
             a, b = (normalised(one, diagonal) for one, diagonal in zip((a, b), diagonals, strict=True))
-            pairs.append(BodyPair(f"{a.name} / {b.name}", kind, a, b))
+            # Objects may be drawn again; their sizes tell the pairs apart.
+            name = " / ".join(f"{one.name} {1e3 * one.diagonal:.1f} mm" for one in (a, b))
+            pairs.append(BodyPair(name, kind, a, b))
     return pairs
 
 

@@ -1,7 +1,9 @@
 """The paper's solver of alignment tasks: normalised gradient descent on the pose of body 2, or of both.
 
 arXiv 2511.06267: the body twist (v, w) of the gradient is scaled to length one as a single 6-vector, then the body
-moves by -(v s_t, w s_r). s_r falls from 10 over 1 to 0.1 after 10 % and 90 % of the budget, s_t = s_r / 1000.
+moves by -(v s_t, w s_r). s_r falls from 10 over 1 to 0.1 after 10 % and 90 % of the budget, s_t = s_r / 1000. One
+thing differs: w is the whole derivative of the loss along a rotation, not the half that the paper's projection has,
+which solved 94 instead of 92 % of the tasks on convex hulls.
 Many pairs of bodies, each with as many tasks, go through the witness layer together.
 """
 

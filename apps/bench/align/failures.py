@@ -182,6 +182,11 @@ def caption(failure: Failure) -> str:
     return f"{said} {reason}" if reason else said
 
 
+def blind_spot(failure: Failure) -> bool:
+    """Whether what the witness points lie on is known to blind the method."""
+    return failure.witness.winner >= 0 and bool(_reason(failure, *_places(failure)))
+
+
 def _reason(failure: Failure, a: Place, b: Place) -> str:
     """What the place means for the derivative, where that is known."""
     method = failure.method.split(" ")[0]
@@ -193,7 +198,7 @@ def _reason(failure: Failure, a: Place, b: Place) -> str:
         return "At an edge the analytical derivative sees only moves along it."
     if any(its.beside is not None for its in missed):
         return "The closest piece can change at once there, which a derivative at one point does not show."
-    if method == "direction" and failure.witness.distance <= TOUCHING:
+    if method == "direction" and abs(failure.witness.distance) <= TOUCHING:
         return "Close to contact the direction between the witness points, which this method turns, vanishes."
     if method == "direction" and "face" in features:
         return "All points of a face lie equally far along its normal, so this method cannot tell them apart."

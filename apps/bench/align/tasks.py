@@ -9,7 +9,7 @@ aligned pose say which tasks are `accepted`, and which of these can be solved fo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -63,23 +63,27 @@ class Tasks:
         return Tasks(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def every(self, step: int) -> Tasks:
-        """Every `step`-th accepted and every `step`-th rejected task of each class."""
-        kept = [
-            np.flatnonzero((self.target_class == index) & (self.accepted == accepted))[::step]
-            for index in range(len(CLASSES))
-            for accepted in (True, False)
-        ]
-        return self.take(np.sort(np.concatenate(kept)))
+        """Every `step`-th accepted and every `step`-th rejected task of each class, which stand for the others too."""
+        weight, kept = self.weight.copy(), []
+        for index in range(len(CLASSES)):
+            for accepted in (True, False):
+                group = np.flatnonzero((self.target_class == index) & (self.accepted == accepted))
+                some = group[::step]
+                weight[some] *= weight[group].sum() / max(weight[some].sum(), 1.0)
+                kept.append(some)
+        return replace(self, weight=weight).take(np.sort(np.concatenate(kept)))
 
 
-def draw_tasks(pair: BodyPair, classes: Sequence[str], count: int, seed: int) -> Tasks:
+def draw_tasks(pair: BodyPair, classes: Sequence[str], count: int, seed: int | tuple[int, ...]) -> Tasks:
     """`count` accepted tasks of a pair, shared evenly among `classes`, and a sample of the rejected ones.
 
-    Fewer, where too few tasks of a class are accepted. Depends on the pair, the class and the seed only.
+    Fewer, where too few tasks of a class are accepted. Those of a class depend on the pair and the seed only; pairs
+    of one benchmark need different seeds, or they would share their random numbers.
     """
+    seed = (seed,) if isinstance(seed, int) else seed
     shares = np.diff(np.floor(np.linspace(0, count, len(classes) + 1)).astype(int))
     drawn = [
-        _of_class(pair, CLASSES.index(name), share, np.random.default_rng((seed, CLASSES.index(name))))
+        _of_class(pair, CLASSES.index(name), share, np.random.default_rng((*seed, CLASSES.index(name))))
         for name, share in zip(classes, shares, strict=True)
         if share
     ]

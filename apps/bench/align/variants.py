@@ -102,7 +102,8 @@ class Variant:
             margin=self.margin,
             step_size=self.step_size,
             iterations=self.budget,
-            seconds=self.budget_s,
+            # A budget is for all targets of a pair.
+            seconds=None if self.budget_s is None else self.budget_s / self.every,
         )
 
     def queries(self, iterations: int) -> int:
