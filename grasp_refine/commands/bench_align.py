@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import platform
+import shlex
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -21,6 +22,7 @@ from grasp_refine.apps.bench.align.presets import PRESETS, Preset
 from grasp_refine.apps.bench.align.study import Study, run_study
 from grasp_refine.apps.bench.align.table import bench_table
 from grasp_refine.apps.bench.align.variants import MethodName, NeighborhoodName, Variant
+from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
 from grasp_refine.commands.options import check_device, check_numbers
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.report.document import settings
@@ -111,44 +113,64 @@ class BenchAlign:
         Raises:
             GraspRefineError: options that do not go together, or meshes that cannot be used.
         """
-        wall, cpu = time.perf_counter(), _cpu_seconds()
+        wall, cpu = time.perf_counter(), cpu_seconds()
         study = self.study()
         for path in (self.json, self.html):
             if path is not None:
                 check_writable(path)
+        if self.json is not None and self.html is not None and self.json.absolute() == self.html.absolute():
+            raise GraspRefineError(f"--json and --html are both {self.json}: one would replace the other")
         with _bar(screen(stderr=True)) as bar:
             task = bar.add_task("loading", total=1.0)
 
             def progress(share: float, what: str) -> None:
                 bar.update(task, completed=share, description=what)
 
-            rows, failures = run_study(study, lambda line: bar.console.print(escape(line), style="dim"), progress)
+            outcome = run_study(study, lambda line: bar.console.print(escape(line), style="dim"), progress)
         document = {
             "schema": SCHEMA,
             "command": "bench align",
+            "invocation": self._invocation(),
             "versions": versions(),
             "machine": {"cpus": os.cpu_count(), "cpu": _processor(), "system": platform.platform()},
             "preset": self.preset,
             "config": settings(replace(self, json=None, html=None)),
             "seed": self.seed,
             "wall_s": time.perf_counter() - wall,
-            "cpu_s": _cpu_seconds() - cpu,
-            "rows": rows,
+            "cpu_s": cpu_seconds() - cpu,
+            "problems": outcome.problems,
+            "rows": outcome.rows,
         }
-        written = []
+        console = screen()
+        for problem in outcome.problems:
+            screen(stderr=True).print(problem, style="red", markup=False, soft_wrap=True)
+        if not outcome.rows:
+            console.print("nothing usable came out; nothing was written")
+            return NOTHING_USABLE
         if self.json is not None:
             save_json(self.json, document)
-            written.append(self.json)
         if self.html is not None:
-            save_text(self.html, page(document, failures))
-            written.append(self.html)
-        console = screen()
-        console.print(bench_table(rows, f"alignment, {study.targets} targets a pair, seed {study.seed}"))
-        wrote = f"; wrote {', '.join(map(str, written))}" if written else ""
+            save_text(self.html, page(document, outcome.failures))
+        console.print(bench_table(outcome.rows, f"alignment, {study.targets} targets a pair, seed {study.seed}"))
+        written = [str(path) for path in (self.json, self.html) if path is not None]
+        wrote = f"; wrote {', '.join(written)}" if written else ""
         console.print(
             f"{document['wall_s']:.1f} s, {document['cpu_s']:.1f} s of CPU{wrote}", soft_wrap=True, markup=False
         )
         return 0
+
+    def _invocation(self) -> str:
+        """The command line that asks for the same, without the files that are written."""
+        words = ["refine-grasp", "bench", "align"]
+        for option in fields(self):
+            value, flag = getattr(self, option.name), f"--{option.name.replace('_', '-')}"
+            if value == option.default or option.name in ("json", "html"):
+                continue
+            if isinstance(value, bool):
+                words.append(flag if value else flag.replace("--", "--no-", 1))
+            else:
+                words += [flag, *map(str, value if isinstance(value, tuple) else (value,))]
+        return shlex.join(words)
 
     def study(self) -> Study:
         """What the options ask for.
@@ -244,9 +266,3 @@ def _processor() -> str:
     except OSError:
         return platform.processor()
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
-
-
-def _cpu_seconds() -> float:
-    """CPU time of all threads, and of the processes that have ended."""
-    times = os.times()
-    return times.user + times.system + times.children_user + times.children_system

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 import torch
 from tyro.conf import DisallowNone, arg
 
+from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
 from grasp_refine.commands.inputs import Inputs, Problem
 from grasp_refine.commands.settings import Settings
 from grasp_refine.config import Config
@@ -25,9 +25,6 @@ from grasp_refine.report.screen import screen
 from grasp_refine.report.table import grasp_table
 from grasp_refine.report.writing import check_writable, save_json
 from grasp_refine.versions import versions
-
-NOTHING_USABLE = 1
-"""Exit code when no grasp could be refined at all."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,7 @@ class Run:
         Raises:
             GraspRefineError: an input that cannot be used; then nothing is written.
         """
-        wall, cpu = time.perf_counter(), _cpu_seconds()
+        wall, cpu = time.perf_counter(), cpu_seconds()
         config = self.settings.config()
         # The tensors of a batch of grasps are small.
         torch.set_num_threads(1)
@@ -72,7 +69,7 @@ class Run:
                 reporter.say(f"note: {note}")
             reporter.start(problem.hand.name, len(problem), config.solver.iterations)
             outcome = _refined(problem, config, reporter)
-        wall, cpu = time.perf_counter() - wall, _cpu_seconds() - cpu
+        wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
         described = {"inputs": settings(self.inputs), "refine": settings(config)}
         if outcome.usable.any():
             self._save(problem, outcome, paths, {"seed": config.seed, "config": described})
@@ -127,9 +124,3 @@ def _refined(problem: Problem, config: Config, reporter: Reporter) -> Outcome:
             )
         )
     return Outcome.join(parts).select(np.argsort(np.concatenate([group.place for group in problem.groups])))
-
-
-def _cpu_seconds() -> float:
-    """CPU time of all threads, and of the child processes that decompose meshes."""
-    times = os.times()
-    return times.user + times.system + times.children_user + times.children_system

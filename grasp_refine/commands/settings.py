@@ -145,6 +145,10 @@ class Settings:
         for choice in ("solver", "derivative", "neighborhood"):
             self._check_unused(choice)
         check_device(self.device, self.dtype)
+        if self.neighborhood != Settings.neighborhood and not self._has_samples():
+            raise GraspRefineError(
+                f"--neighborhood {self.neighborhood}: --derivative {self.derivative} uses no samples"
+            )
         solver, derivative, neighborhood = (
             getattr(self, name.replace("-", "_")) for name in (self.solver, self.derivative, self.neighborhood)
         )
@@ -159,6 +163,10 @@ class Settings:
             dtype=self.dtype,
             device=self.device,
         )
+
+    def _has_samples(self) -> bool:
+        """Whether the derivative method looks at surface samples."""
+        return hasattr(getattr(self, self.derivative.replace("-", "_")), "neighborhood")
 
     def _check_unused(self, choice: str) -> None:
         """Refuse options of the methods that were not chosen, which would be ignored."""

@@ -66,7 +66,7 @@ def save_json(path: Path, document: Any) -> None:
 
 
 def save_text(path: Path, text: str) -> None:
-    """Write a text as `save_json` writes a document.
+    """Write a text as `save_json` writes a document; what UTF-8 cannot say, such as odd file names, is escaped.
 
     Raises:
         GraspRefineError: the file cannot be written.
@@ -74,12 +74,12 @@ def save_text(path: Path, text: str) -> None:
     try:
         # A pipe or /dev/stdout is written to, never replaced.
         if path.is_symlink() or (path.exists() and not path.is_file()):
-            path.write_text(text, encoding="utf-8")
+            path.write_text(text, encoding="utf-8", errors="backslashreplace")
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
         try:
-            partial.write_text(text, encoding="utf-8")
+            partial.write_text(text, encoding="utf-8", errors="backslashreplace")
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)

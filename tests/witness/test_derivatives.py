@@ -22,7 +22,8 @@ from grasp_refine.se3 import cross, exp_se3, inverse, matvec, transform_points
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.distance import Distance, smooth, temperature
-from grasp_refine.witness.neighborhood import Adaptive, Fixed, choose
+from grasp_refine.witness.neighborhood import Adaptive, Fixed
+from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import Slip, pull_back, pull_back_witness, push_forward
 
@@ -174,15 +175,19 @@ def test_only_the_coupled_slip_follows_a_common_motion() -> None:
 # (b) distance smoothing against its own smoothed point
 
 
-@pytest.mark.parametrize("rule", [Adaptive(), Adaptive(samples=None), Fixed(0.2)], ids=["16", "all", "fixed"])
-def test_distance_smoothing_differentiates_its_own_smoothed_point(rule: Adaptive | Fixed) -> None:
+@pytest.mark.parametrize("gap", [0.004, -0.004])
+@pytest.mark.parametrize(
+    "rule", [Adaptive(), Adaptive(samples=None), Fixed(0.2), Neighbor()], ids=["16", "all", "fixed", "neighbor"]
+)
+def test_distance_smoothing_differentiates_its_own_smoothed_point(
+    rule: Adaptive | Fixed | Neighbor, gap: float
+) -> None:
     pairs = Pairs((rounded(0),), (rounded(1),))
-    T_a, T_b = poses_at_gap(pairs, 4, 0.004, seed=9)
+    T_a, T_b = poses_at_gap(pairs, 4, gap, seed=9)
     w = query(pairs, T_a, T_b)
     layer = WitnessLayer(pairs, Distance(rule, smoothed_self=True))
     scene = WitnessScene(*layer.columns(np.array([0])), T_a, T_b, w, None, None, 0)
-    sides = scene.sides()
-    near = choose(rule, scene.surfaces, sides.point, sides.normal, None, 0)
+    sides, near = scene.neighbors(rule, 0)
     tau = temperature(near, sides.other)
 
     # The slip matrix: the smoothed point of the body at rest, as the other point moves.
@@ -221,9 +226,8 @@ def test_bias_on_spheres_is_reported(
         cosine = float((found * exact).sum() / np.linalg.norm(found) / np.linalg.norm(exact))
         record_property(f"relative bias at a gap of {gap} m", bias)
         print(f"{type(method).__name__}: relative bias {bias:.3f}, cosine {cosine:.3f} at a gap of {1e3 * gap:g} mm")
-        assert np.isfinite(bias)
-        if isinstance(method, ContactKinematics):
-            assert bias < 0.05
+        # Sampled slips are too large near contact; they still point the right way.
+        assert bias < (0.05 if isinstance(method, ContactKinematics) else 1.0) and cosine > 0.7
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from twists import layer_gradient, poses_at_gap, random_cotangents, random_poses
 from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import box, capsule, sphere
-from grasp_refine.se3 import cross
+from grasp_refine.se3 import cross, inverse, transform_points
 from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.autograd import Derivative, WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
@@ -29,9 +29,12 @@ NEIGHBORHOODS = {"adaptive": Adaptive(), "fixed": Fixed(), "neighbor": Neighbor(
 METHODS: dict[str, Derivative] = {
     **{f"distance, {name}": Distance(rule) for name, rule in NEIGHBORHOODS.items()},
     **{f"distance, {name}, one-sided": Distance(rule, "one-sided") for name, rule in NEIGHBORHOODS.items()},
+    "distance, adaptive, one-sided, smoothed": Distance(coupling="one-sided", smoothed_self=True),
     **{f"direction, {name}": Direction(rule) for name, rule in NEIGHBORHOODS.items()},
-    **{f"contact kinematics, {name}": ContactKinematics(NEIGHBORHOODS[name]) for name in ("adaptive", "neighbor")},
+    "direction, neighbor, one-sided": Direction(Neighbor(), "one-sided"),
+    **{f"contact kinematics, {name}": ContactKinematics(rule) for name, rule in NEIGHBORHOODS.items()},
     "analytical": Analytical(),
+    "analytical, one-sided": Analytical(coupling="one-sided"),
     "rigid": Rigid(),
     "finite difference": FiniteDifference(),
     "zeroth order": ZerothOrder(),
@@ -61,11 +64,16 @@ def pair(name: str) -> Pairs:
 
 
 def gradients(
-    pairs: Pairs, method: Derivative, T_a: torch.Tensor, T_b: torch.Tensor, cotangents: dict[str, np.ndarray]
+    pairs: Pairs,
+    method: Derivative,
+    T_a: torch.Tensor,
+    T_b: torch.Tensor,
+    cotangents: dict[str, np.ndarray],
+    *targets: torch.Tensor,
 ) -> torch.Tensor:
     """Gradients (2, batch, pair, 4, 4) of sum(cotangent * field) in the entries of both poses."""
     leaves = [T.clone().requires_grad_() for T in (T_a, T_b)]
-    w = WitnessLayer(pairs, method)(*leaves)
+    w = WitnessLayer(pairs, method)(*leaves, *targets)
     sum((getattr(w, name) * torch.from_numpy(c).to(T_a)).sum() for name, c in cotangents.items()).backward()
     return torch.stack([leaf.grad for leaf in leaves])
 
@@ -95,7 +103,12 @@ def check_all_finite(name: str, method: Derivative, count: int) -> None:
         w = query(pair(name), T_a[start : start + 1000], T_b[start : start + 1000])
         reached = np.abs(w.distance - gap[start : start + 1000]) < 1e-9
         assert w.valid.all() and reached.mean() > 0.7
-        found = gradients(pair(name), method, *poses, random_cotangents(w, FIELDS, seed=start))
+        # Anywhere near the bodies, on the witness point itself, or nowhere.
+        targets = 0.02 * np.random.default_rng(start).normal(size=(2, *w.point_a.shape))
+        targets[0, ::5] = transform_points(inverse(T_a[start : start + 1000][::5]), w.point_a[::5])
+        targets[:, ::7] = np.nan
+        cotangents = random_cotangents(w, FIELDS, seed=start)
+        found = gradients(pair(name), method, *poses, cotangents, *torch.from_numpy(targets))
         assert torch.isfinite(found).all()
 
 

@@ -25,11 +25,10 @@ from .chart import (
     variants,
 )
 from .failures import Failure, caption, picture
+from .stopwatch import STAGES
+from .tasks import CLASSES
 
 TEMPLATE = "page.html.jinja"
-SHARES = ("broadphase", "narrowphase", "derivative", "solver")
-CLASSES = ("vertex-vertex", "face-vertex", "vertex-face", "face-face")
-"""What the targets of body a and body b are, in the order of the tables."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +120,7 @@ COLUMNS = (
         "reachable", f"{MILLIMETRE} of the targets known to be reachable", _of("reachable", "acc_1e6"), _percent, max
     ),
     Column("unfiltered", f"{MILLIMETRE} of all targets drawn", _of("unfiltered", "acc_1e6"), _percent, max),
+    Column("last", f"{MILLIMETRE} of the last iterates, not the best", _of("last", "acc_1e6"), _percent, max),
     Column("queries", "collision queries per target, mean", _of("queries_mean"), lambda v: f"{v:.0f}", min),
     Column("CPU s", "CPU seconds per pair of bodies", _of("cpu_s_per_pair"), _seconds, min),
 )
@@ -167,7 +167,7 @@ def page(document: dict[str, Any], failures: Sequence[Failure]) -> str:
         versions=_flat(document.get("versions")),
         config=_flat(document.get("config")),
         columns=COLUMNS,
-        shares=SHARES,
+        shares=STAGES,
     )
 
 
@@ -204,6 +204,8 @@ def _findings(rows: Sequence[Row], label: Callable[[Row], str]) -> list[str]:
         mine.sort(key=lambda row: -row["acc_1e6"])
         if len(mine) < 2:
             continue
+        if _percent(mine[0]["acc_1e6"]) == _percent(mine[1]["acc_1e6"]):
+            continue
         first, second = (f"{label(row)} ({_percent(row['acc_1e6'])})" for row in mine[:2])
         found.append(f"On {kind} bodies, {first} met the most targets, before {second}.")
     return found
@@ -236,7 +238,7 @@ def _budget(row: Row) -> str:
 
 def _shares(row: Row) -> tuple[tuple[str, float, str], ...]:
     """The parts of the CPU time that were measured."""
-    parts = [(name, _of("cpu_share", name)(row)) for name in SHARES]
+    parts = [(name, _of("cpu_share", name)(row)) for name in STAGES]
     return tuple((name, round(100 * part, 2), f"{name} {100 * part:.0f} %") for name, part in parts if part)
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from traceback import format_exception
 
 import numpy as np
 import torch
@@ -79,22 +80,49 @@ def jobs(
     return made
 
 
-def run(todo: Sequence[Job], workers: int, progress: Callable[[float, str], None]) -> list[Done]:
-    """The results of all jobs, in their order.
+def run(todo: Sequence[Job], workers: int, progress: Callable[[float, str], None]) -> tuple[list[Done], list[str]]:
+    """The results of the jobs, in their order, and what went wrong with those that gave none.
+
+    A job that fails does not end the others; an interruption ends those that are left, and what is done is kept.
 
     Args:
         todo: Jobs.
         workers: Processes; with 1, everything is done in this one.
         progress: Gets the share of the work that is done, and what is.
     """
-    total, finished = sum(job.work for job in todo), 0.0
     results: dict[int, Done] = {}
-    if workers == 1:
-        for index, job in enumerate(todo):
-            before = finished
-            results[index] = do(job, lambda share, b=before, j=job: progress((b + share * j.work) / total, label(j)))
-            finished += job.work
-        return [results[index] for index in range(len(todo))]
+    problems: list[str] = []
+    try:
+        for index, outcome in _in_turn(todo, progress) if workers == 1 else _side_by_side(todo, workers, progress):
+            if isinstance(outcome, Done):
+                results[index] = outcome
+            else:
+                problems.append(f"{label(todo[index])}: {''.join(format_exception(outcome)).strip()}")
+    except KeyboardInterrupt:
+        problems.append(f"interrupted: {len(results)} of {len(todo)} jobs were done")
+    return [results[index] for index in sorted(results)], problems
+
+
+def _in_turn(todo: Sequence[Job], progress: Callable[[float, str], None]) -> Iterator[tuple[int, Done | Exception]]:
+    """Each job with what came of it, in this process."""
+    total, finished = sum(job.work for job in todo), 0.0
+    for index, job in enumerate(todo):
+
+        def within(share: float, before: float = finished, job: Job = job) -> None:
+            progress((before + share * job.work) / total, label(job))
+
+        try:
+            yield index, do(job, within)
+        except Exception as error:
+            yield index, error
+        finished += job.work
+
+
+def _side_by_side(
+    todo: Sequence[Job], workers: int, progress: Callable[[float, str], None]
+) -> Iterator[tuple[int, Done | Exception]]:
+    """Each job with what came of it, in several processes, as they end."""
+    total, finished = sum(job.work for job in todo), 0.0
     # A forked child of a process that has used torch may hang.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(workers, len(todo)), mp_context=context) as pool:
@@ -104,7 +132,8 @@ def run(todo: Sequence[Job], workers: int, progress: Callable[[float, str], None
             futures = {pool.submit(do, todo[index]): index for index in order}
             for future in as_completed(futures):
                 index = futures[future]
-                results[index] = future.result()
+                error = future.exception()
+                yield index, future.result() if error is None else error
                 finished += todo[index].work
                 progress(finished / total, label(todo[index]))
         except BaseException:
@@ -112,7 +141,6 @@ def run(todo: Sequence[Job], workers: int, progress: Callable[[float, str], None
                 process.terminate()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    return [results[index] for index in range(len(todo))]
 
 
 def do(job: Job, progress: Callable[[float], None] = lambda share: None) -> Done:

@@ -50,10 +50,20 @@ class Study:
     """Processes."""
 
 
-def run_study(
-    study: Study, say: Callable[[str], None], progress: Callable[[float, str], None]
-) -> tuple[list[dict[str, Any]], list[Failure]]:
-    """The rows, and typical failures of each variant.
+@dataclass(frozen=True)
+class Outcome:
+    """What came out of a study."""
+
+    rows: list[dict[str, Any]]
+    """The entries of the tables."""
+    failures: list[Failure]
+    """Typical failures of each method."""
+    problems: list[str]
+    """What went wrong with jobs that gave no result."""
+
+
+def run_study(study: Study, say: Callable[[str], None], progress: Callable[[float, str], None]) -> Outcome:
+    """Draw pairs and tasks, and run all variants on them.
 
     Args:
         study: What is run.
@@ -61,7 +71,7 @@ def run_study(
         progress: Gets the share of the work that is done, and what is.
 
     Raises:
-        GraspRefineError: the meshes cannot be used, or none of the tasks is accepted.
+        GraspRefineError: the meshes cannot be used, or no task is accepted.
     """
     sources = mesh_sources(study.meshes)
     pairs = [pair for kind in study.kinds for pair in draw_pairs(sources, kind, study.pairs, study.seed, say=say)]
@@ -81,8 +91,8 @@ def run_study(
         device=study.device,
         threads=study.threads,
     )
-    done = run(todo, study.workers, progress)
-    return rows(done, study.targets, study.dtype), typical_failures(done)
+    done, problems = run(todo, study.workers, progress)
+    return Outcome(rows(done, study.targets, study.dtype), typical_failures(done), problems)
 
 
 def typical_failures(done: Sequence[Done]) -> list[Failure]:

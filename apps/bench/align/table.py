@@ -27,6 +27,8 @@ COLUMNS: Sequence[tuple[str, Callable[[Row], float | None], Callable[[float], st
     ("D5\nm²", lambda row: row["d5"], _short),
     ("D9\nm²", lambda row: row["d9"], _short),
     ("reach.\n1e-6 %", lambda row: row["reachable"]["acc_1e6"], _percent),
+    ("unfilt.\n1e-6 %", lambda row: row["unfiltered"]["acc_1e6"], _percent),
+    ("last\n1e-6 %", lambda row: row["last"]["acc_1e6"], _percent),
     ("forw.\nµs", lambda row: row["forward_us"], "{:.0f}".format),
     ("backw.\nµs", lambda row: row["backward_us"], "{:.0f}".format),
     ("CPU s\na pair", lambda row: row["cpu_s_per_pair"], "{:.2f}".format),

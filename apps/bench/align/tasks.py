@@ -3,7 +3,7 @@
 A target is a vertex with its area-weighted normal, or a point drawn evenly on the exposed faces. The *aligned
 pose* of a task puts both targets on each other with opposite normals, turned about them by a roll that is drawn
 once. Not all pairs of targets can touch, because something else may be in the way. So the witness points at the
-aligned pose say which tasks are `accepted`, and which of these can be solved for certain (`reachable`).
+aligned pose, without a gap, say which tasks are `accepted`, and which of these can surely be solved (`reachable`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ CLASSES = ("vertex-vertex", "face-vertex", "vertex-face", "face-face")
 """Where the targets lie, first on body a, then on body b."""
 
 ACCEPTED, REACHABLE = 1e-2, 1e-4
-"""Largest miss (metres) at the aligned pose of tasks that count, and of tasks that can be solved for certain."""
+"""Largest miss (metres) at the aligned pose of tasks that count, and of tasks that can surely be solved."""
 
 REJECTED_SHARE = 8
 """One rejected task is run for so many accepted ones, to tell what an unfiltered benchmark would say."""

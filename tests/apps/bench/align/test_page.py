@@ -74,6 +74,7 @@ def document(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "seed": 5,
         "machine": {"cpus": 2, "cpu": "a processor"},
         "preset": "methods",
+        "invocation": "refine-grasp bench align --preset methods --seed 5",
         "wall_s": 61.2,
         "cpu_s": 300.0,
         "rows": rows,
@@ -167,6 +168,19 @@ def test_best_numbers_are_bold_and_misses_are_not_rounded_away():
     assert "<b>1.0e-12</b>" in html and "<b>1.2e-9</b>" not in html
     # A column in which all are alike has no best.
     assert "<b>80.00 %</b>" not in html
+
+
+def test_without_a_preset_nothing_is_said_of_one():
+    html = page(document(several()) | {"preset": None, "invocation": "refine-grasp bench align --pairs 3"}, [])
+    words = text_of(html)
+    assert "None" not in words and "reset" not in words.partition("How it was measured")[0]
+    assert "refine-grasp bench align --pairs 3" in words
+
+
+def test_a_tie_has_no_winner():
+    tied = [row("distance", acc_1e6=0.5), row("rigid", acc_1e6=0.5)]
+    assert "met the most targets" not in text_of(page(document(tied), []))
+    assert "met the most targets" in text_of(page(document([tied[0], row("rigid", acc_1e6=0.4)]), []))
 
 
 @pytest.mark.parametrize("failures", [0, 1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,7 +86,8 @@ def test_pairs_of_fewer_tasks_are_padded_and_cut_again(tasks: list[Tasks]):
 
 def test_results_come_in_the_order_of_the_jobs_and_progress_ends_at_one(tasks: list[Tasks]):
     todo, shares = made(tasks, variants=(Variant("rigid", budget=50), Variant("analytical", budget=2))), []
-    done = run(todo, 1, lambda share, what: shares.append((share, what)))
+    done, problems = run(todo, 1, lambda share, what: shares.append((share, what)))
+    assert problems == []
     assert [one.job for one in done] == todo
     told = [share for share, _ in shares]
     assert told == sorted(told) and 0 < told[0] and told[-1] <= 1 + 1e-12
@@ -94,15 +96,16 @@ def test_results_come_in_the_order_of_the_jobs_and_progress_ends_at_one(tasks: l
 
 def test_the_number_type_is_that_of_the_job(tasks: list[Tasks]):
     (job,) = jobs(VARIANTS[:1], PAIRS[1:2], tasks[1:2], seed=0, dtype="float32", device="cpu", threads=1)
-    single, (double,) = do(job), run(made(tasks[1:2], PAIRS[1:2], VARIANTS[:1]), 1, quiet)
+    single, ((double,), _) = do(job), run(made(tasks[1:2], PAIRS[1:2], VARIANTS[:1]), 1, quiet)
     difference = np.abs(single.aligned.T_world_b - double.aligned.T_world_b).max()
     assert 0.0 < difference < 0.1
 
 
 def test_two_workers_find_the_same(tasks: list[Tasks]):
     todo, shares = made(tasks[:3], PAIRS[:3]), []
-    one = run(todo, 1, quiet)
-    two = run(todo, 2, lambda share, what: shares.append(share))
+    one, _ = run(todo, 1, quiet)
+    two, problems = run(todo, 2, lambda share, what: shares.append(share))
+    assert problems == []
     assert [done.job.variant for done in two] == [job.variant for job in todo]
     for first, second in zip(one, two, strict=True):
         for p in range(len(first.job.pairs)):
@@ -119,3 +122,23 @@ def test_the_queries_that_are_told_are_those_that_were_made(method: str, tasks: 
     done = do(job)
     # One narrow-phase query answers a query of two hulls.
     assert done.aligned.watch.asked == variant.queries(7) * done.aligned.error.size
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_job_that_fails_does_not_end_the_others(workers: int, tasks: list[Tasks]):
+    good, bad = made(tasks[1:2], PAIRS[1:2], (Variant(budget=3), Variant(budget=4)))
+    done, problems = run([replace(bad, dtype="float5"), good], workers, quiet)
+    assert [one.job.variant for one in done] == [good.variant]
+    (problem,) = problems
+    assert problem.startswith("distance, ") and "Traceback" in problem and "float5" in problem
+
+
+def test_what_is_done_survives_an_interruption(tasks: list[Tasks]):
+    todo = made(tasks[1:2], PAIRS[1:2], (Variant(budget=3), Variant(budget=60)))
+
+    def interrupt(share: float, what: str) -> None:
+        raise KeyboardInterrupt
+
+    done, problems = run(todo, 1, interrupt)
+    assert [one.job.variant.budget for one in done] == [3]
+    assert problems == ["interrupted: 1 of 2 jobs were done"]

@@ -231,6 +231,8 @@ def test_every_thins_each_class_evenly(task_set: tuple[BodyPair, Tasks]):
             assert kept.sum() == -(-full.sum() // 8)
             np.testing.assert_array_equal(tasks.target_a[full][::8], thin.target_a[kept])
             np.testing.assert_array_equal(tasks.T_world_b[full][::8], thin.T_world_b[kept])
+            # Those that are kept stand for all.
+            assert thin.weight[kept].sum() == pytest.approx(tasks.weight[full].sum())
     assert same(tasks.every(1), tasks.take(np.arange(len(tasks))))
 
 
