@@ -78,10 +78,12 @@ def test_a_run_prints_a_table_and_writes_its_rows(capfd: pytest.CaptureFixture[s
     assert "wrote bench.json" in out
     assert max(map(len, out.splitlines())) <= 80
     lines = [line.split() for line in out.splitlines() if line.startswith("distance")]
-    assert [line[1] for line in lines] == ["20", "40"] and all(len(line) == 10 for line in lines)
+    assert [line[1] for line in lines] == ["20", "40"] and all(len(line) == 11 for line in lines)
     assert list(found) == [
-        "schema", "command", "versions", "machine", "preset", "config", "seed", "wall_s", "cpu_s", "rows"
+        "schema", "command", "invocation", "versions", "machine", "preset", "config", "seed", "wall_s", "cpu_s",
+        "problems", "rows",
     ]  # fmt: skip
+    assert found["invocation"] == "refine-grasp bench align --kinds convex --pairs 1 --targets 3 --budgets 20 40"
     assert (found["schema"], found["command"], found["preset"], found["seed"]) == (1, "bench align", None, 0)
     assert found["machine"]["cpus"] == os.cpu_count() and found["machine"]["cpu"]
     assert found["config"]["budgets"] == [20, 40] and found["config"]["json"] is None
@@ -138,10 +140,12 @@ def test_a_budget_in_seconds_is_told_as_such():
 def test_meshes_of_a_folder_are_used_and_bad_ones_reported(meshes: Path, capfd: pytest.CaptureFixture[str]):
     found = document("bench", "align", "--meshes", meshes, "--pairs", "4", "--targets", "3", "--budgets", "3")
     assert [(row["kind"], row["pairs"]) for row in pooled(found)] == [("convex", 4), ("concave", 4)]
-    names = {name for row in found["rows"] if row["pair"] != "all" for name in row["pair"].split(" / ")}
+    names = {
+        name for row in found["rows"] if row["pair"] != "all" for name in re.findall(r"(\w+) [\d.]+ mm", row["pair"])
+    }
     assert names <= {"near", "far", "box"}
     concave = {row["pair"] for row in found["rows"] if row["kind"] == "concave"} - {"all"}
-    assert concave <= {"near / far", "far / near"}
+    assert {re.sub(r" [\d.]+ mm", "", pair) for pair in concave} <= {"near / far", "far / near"}
     said = " ".join(capfd.readouterr().err.split())
     assert "decomposing near" in said and "decomposing box" not in said
     assert said.count("left out: ") == 2 and "broken.ply: cannot be read as a mesh" in said
@@ -186,6 +190,7 @@ def test_a_report_is_one_file_that_names_what_was_compared(capfd: pytest.Capture
         ("--device nonsense", "--device nonsense with --dtype float64 does not work here"),
         ("--meshes nowhere", "--meshes nowhere: no such folder"),
         ("--meshes .", "--meshes .: no meshes in it (.obj"),
+        ("--json same --html same", "--json and --html are both same: one would replace the other"),
         ("--json .", ".: is a folder, a file is to be written there"),
         ("--html .", ".: is a folder, a file is to be written there"),
     ],
@@ -214,7 +219,7 @@ def test_too_few_meshes_are_refused(meshes: Path, capfd: pytest.CaptureFixture[s
     for name in ("near.obj", "far.obj", "broken.ply"):
         (meshes / name).unlink()
     answer = refused(capfd, *TINY, "--meshes", meshes, "--json", "bench.json")
-    assert answer == "convex pairs need two convex objects; 1 of 1 can be used"
+    assert answer == "convex pairs need two convex objects; 1 of 1 can be used: give more meshes"
 
 
 def test_without_a_task_that_counts_nothing_is_run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):

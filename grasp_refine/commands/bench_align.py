@@ -151,7 +151,9 @@ class BenchAlign:
             save_json(self.json, document)
         if self.html is not None:
             save_text(self.html, page(document, outcome.failures))
-        console.print(bench_table(outcome.rows, f"alignment, {study.targets} targets a pair, seed {study.seed}"))
+        console.print(
+            bench_table(outcome.rows, f"alignment, {study.targets} targets a pair, seed {study.seed}; accuracies in %")
+        )
         written = [str(path) for path in (self.json, self.html) if path is not None]
         wrote = f"; wrote {', '.join(written)}" if written else ""
         console.print(

@@ -22,17 +22,20 @@ def _short(value: float) -> str:
 
 
 COLUMNS: Sequence[tuple[str, Callable[[Row], float | None], Callable[[float], str]]] = (
-    ("Acc@\n1e-6 %", lambda row: row["acc_1e6"], _percent),
-    ("Acc@\n1e-8 %", lambda row: row["acc_1e8"], _percent),
+    ("Acc@\n1e-6", lambda row: row["acc_1e6"], _percent),
+    ("Acc@\n1e-8", lambda row: row["acc_1e8"], _percent),
     ("D5\nm²", lambda row: row["d5"], _short),
     ("D9\nm²", lambda row: row["d9"], _short),
-    ("reach.\n1e-6 %", lambda row: row["reachable"]["acc_1e6"], _percent),
-    ("unfilt.\n1e-6 %", lambda row: row["unfiltered"]["acc_1e6"], _percent),
-    ("last\n1e-6 %", lambda row: row["last"]["acc_1e6"], _percent),
-    ("forw.\nµs", lambda row: row["forward_us"], "{:.0f}".format),
-    ("backw.\nµs", lambda row: row["backward_us"], "{:.0f}".format),
+    ("reach-\nable", lambda row: row["reachable"]["acc_1e6"], _percent),
+    ("all\ndrawn", lambda row: row["unfiltered"]["acc_1e6"], _percent),
+    ("last", lambda row: row["last"]["acc_1e6"], _percent),
+    ("query\nµs", lambda row: _sum(row["forward_us"], row["backward_us"]), "{:.0f}".format),
     ("CPU s\na pair", lambda row: row["cpu_s_per_pair"], "{:.2f}".format),
 )
+
+
+def _sum(*parts: float | None) -> float | None:
+    return None if None in parts else sum(parts)
 
 
 def bench_table(rows: Sequence[Row], title: str) -> Table:

@@ -86,10 +86,11 @@ def test_the_same_seed_draws_the_same_pairs():
 def test_pairs_are_of_different_objects_at_sizes_of_the_range():
     pairs = drawn(mesh_sources(None), count=40)
     assert len(pairs) == 40
-    names = [pair.name.split(" / ") for pair in pairs]
-    assert all(one != other for one, other in names)
-    assert {name for pair in names for name in pair} == set(EMBEDDED)
-    assert all((pair.a.name, pair.b.name) == tuple(name) for pair, name in zip(pairs, names, strict=True))
+    assert all(pair.a.name != pair.b.name for pair in pairs)
+    assert {name for pair in pairs for name in (pair.a.name, pair.b.name)} == set(EMBEDDED)
+    for pair in pairs:
+        assert pair.name == " / ".join(f"{body.name} {1e3 * body.diagonal:.1f} mm" for body in (pair.a, pair.b))
+    assert len({pair.name for pair in pairs}) == len(pairs)
     diagonals = np.array([(pair.a.diagonal, pair.b.diagonal) for pair in pairs])
     low, high = DIAGONALS
     assert low <= diagonals.min() < 0.04 and 0.17 < diagonals.max() <= high
@@ -112,22 +113,30 @@ def test_convex_bodies_are_one_piece_and_concave_ones_several(folder: Path):
 def test_what_cannot_be_used_is_reported_and_left_out(folder: Path):
     said: list[str] = []
     pairs = draw_pairs(mesh_sources(folder), "convex", 6, 0, say=said.append, candidates=64)
-    assert {name for pair in pairs for name in pair.name.split(" / ")} == {"box", "two", "apart"}
+    assert {body.name for pair in pairs for body in (pair.a, pair.b)} == {"box", "two", "apart"}
     assert len(said) == 1, "each mesh is loaded once"
     assert said[0].startswith("left out: ") and "broken.ply" in said[0]
     # The box is convex, which is no fault.
     said.clear()
     pairs = draw_pairs(mesh_sources(folder), "concave", 3, 0, say=said.append, candidates=64)
-    assert {name for pair in pairs for name in pair.name.split(" / ")} == {"two", "apart"}
+    assert {body.name for pair in pairs for body in (pair.a, pair.b)} == {"two", "apart"}
     assert [line for line in said if "left out" in line and "broken.ply" not in line] == []
 
 
 @pytest.mark.parametrize(
     ("kind", "names", "complaint"),
     [
-        ("convex", ["box.obj", "broken.ply"], "convex pairs need two convex objects; 1 of 2 can be used"),
-        ("convex", ["box.obj"], "convex pairs need two convex objects; 1 of 1 can be used"),
-        ("concave", ["box.obj", "two.obj"], "concave pairs need two concave objects; 1 of 2 can be used"),
+        (
+            "convex",
+            ["box.obj", "broken.ply"],
+            "convex pairs need two convex objects; 1 of 2 can be used: give more meshes",
+        ),
+        ("convex", ["box.obj"], "convex pairs need two convex objects; 1 of 1 can be used: give more meshes"),
+        (
+            "concave",
+            ["box.obj", "two.obj"],
+            "concave pairs need two concave objects; 1 of 2 can be used: give meshes that are not convex, or --kinds",
+        ),
     ],
 )
 def test_too_few_usable_meshes_are_counted(kind: str, names: list[str], complaint: str, folder: Path):
