@@ -389,6 +389,7 @@ def test_targets_must_fit_the_grasps(grasp_file: Callable[..., Path], capfd: pyt
         ("--seed -1", "--seed must be 0 to 4294967295, got -1"),
         ("--descent.shares 0.5", "descent: shares and factors belong together, got 1 and 2 numbers"),
         ("--descent.momentum 1", "descent: momentum must be at least 0 and below 1, got 1"),
+        ("--derivative rigid --neighborhood fixed", "--derivative rigid has no use for --neighborhood fixed"),
         ("--distance.coupling one-sided", "options --distance.* need --derivative distance; it is contact-kin"),
         ("--threshold 2", "threshold must be 0.01 to 1, got 2"),
         ("--device nonsense", "--device nonsense with --dtype float64 does not work here"),

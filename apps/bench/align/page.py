@@ -110,6 +110,12 @@ def _of(*path: str) -> Callable[[Row], float | None]:
     return value
 
 
+def _query_us(row: Row) -> float | None:
+    """Time of a forward and a backward pass."""
+    parts = [_of(name)(row) for name in ("forward_us", "backward_us")]
+    return None if None in parts else sum(parts)
+
+
 MILLIMETRE, TENTH = "Acc@1e-6", "Acc@1e-8"
 COLUMNS = (
     Column(MILLIMETRE, "share of targets with an error below 1e-6 m² (1 mm)", _of("acc_1e6"), _percent, max),
@@ -122,6 +128,8 @@ COLUMNS = (
     Column("unfiltered", f"{MILLIMETRE} of all targets drawn", _of("unfiltered", "acc_1e6"), _percent, max),
     Column("last", f"{MILLIMETRE} of the last iterates, not the best", _of("last", "acc_1e6"), _percent, max),
     Column("queries", "collision queries per target, mean", _of("queries_mean"), lambda v: f"{v:.0f}", min),
+    Column("query µs", "CPU microseconds of a query, forward and backward", _query_us, lambda v: f"{v:.0f}", min),
+    Column("sampling µs", "of these, the choice of surface samples", _of("sampling_us"), lambda v: f"{v:.0f}", None),
     Column("CPU s", "CPU seconds per pair of bodies", _of("cpu_s_per_pair"), _seconds, min),
 )
 

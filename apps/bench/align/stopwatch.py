@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -13,13 +13,15 @@ import numpy as np
 from grasp_refine.collision.narrowphase import Closest, NarrowPhase
 from grasp_refine.collision.query import Pairs
 from grasp_refine.witness.autograd import Derivative
-from grasp_refine.witness.scene import WitnessScene
+from grasp_refine.witness.neighborhood import Neighborhood, Neighbors
+from grasp_refine.witness.rings import Neighbor
+from grasp_refine.witness.scene import Sides, WitnessScene
 
 STAGES = ("broadphase", "narrowphase", "derivative", "solver")
 """Broad phase: all of a query but its narrow phase. Solver: all that is left, such as loss and step."""
 
-PASSES = ("forward", "backward")
-"""From poses to losses, and from losses to the gradients of poses."""
+PASSES = ("forward", "backward", "sampling")
+"""From poses to losses; from losses to the gradients of poses; and the part of it that chooses surface samples."""
 
 
 @dataclass
@@ -72,8 +74,21 @@ class TimedDerivative:
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
         """What the method says."""
+        parts = {part.name: getattr(scene, part.name) for part in fields(scene)}
         with self.watch.stage("derivative"):
-            return self.method.pull_back(scene, force_a, force_b, force_n)
+            return self.method.pull_back(_TimedScene(**parts, watch=self.watch), force_a, force_b, force_n)
+
+
+@dataclass(frozen=True, eq=False)
+class _TimedScene(WitnessScene):
+    """A scene that tells how long it takes to choose samples."""
+
+    watch: Stopwatch
+
+    def neighbors(self, rule: Neighborhood | Neighbor, seed: int) -> tuple[Sides, Neighbors]:
+        """What the scene says."""
+        with self.watch.lap("sampling"):
+            return super().neighbors(rule, seed)
 
 
 class _TimedNarrowPhase(NarrowPhase):

@@ -23,12 +23,12 @@ SUMMARY = {"targets", "acc_1e6", "acc_1e8", "d5", "d9"}
 CONTRACT = {
     "kind", "method", "neighborhood", "solver", "transport", "margin", "budget", "budget_s", "pairs", *SUMMARY,
     "reachable", "unfiltered", "last", "pair", "target_class", "witness", "coupling", "step_size", "optimise", "dtype",
-    "forward_us", "backward_us", "queries_mean", "narrow_queries_mean", "iterations_mean", "cpu_s_per_pair",
-    "wall_s_per_pair", "cpu_share",
+    "forward_us", "backward_us", "sampling_us", "queries_mean", "narrow_queries_mean", "iterations_mean",
+    "cpu_s_per_pair", "wall_s_per_pair", "cpu_share",
 }  # fmt: skip
 TIMES = {
-    "forward_us", "backward_us", "queries_mean", "narrow_queries_mean", "iterations_mean", "cpu_s_per_pair",
-    "wall_s_per_pair", "cpu_share",
+    "forward_us", "backward_us", "sampling_us", "queries_mean", "narrow_queries_mean", "iterations_mean",
+    "cpu_s_per_pair", "wall_s_per_pair", "cpu_share",
 }  # fmt: skip
 PAPER = Variant()
 A, B = convex_body(1, 12), convex_body(2, 12)
@@ -61,7 +61,7 @@ def done(
     pairs = tuple(BodyPair(f"pair {p}", kind, A, B) for p in range(len(tasks)))
     shares = (0.1, 0.2, 0.3, 0.4)
     stages = {stage: share * cpu_s for stage, share in zip(STAGES, shares, strict=True)}
-    watch = Stopwatch(stages, {"forward": forward_s, "backward": backward_s}, asked)
+    watch = Stopwatch(stages, {"forward": forward_s, "backward": backward_s, "sampling": 0.5 * backward_s}, asked)
     T = np.broadcast_to(np.eye(4), (*error.shape, 4, 4))
     aligned = Aligned(error, 10 * error, T, T, WITNESS, iterations, watch, cpu_s, 2 * cpu_s)
     return Done(Job(variant, pairs, tuple(tasks), 0, "float64", "cpu", 1), aligned)
