@@ -8,33 +8,16 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .labels import METHODS, SWEPT, Row, at_largest_budget, budget, kinds_of, labels_of, swept
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Row = dict[str, Any]
-
-METHODS = (
-    "distance",
-    "direction",
-    "analytical",
-    "zeroth-order",
-    "finite-difference",
-    "contact-kinematics",
-    "rigid",
-)
-"""Order of the methods; each has the colour and the marker of the same place."""
-KINDS = ("convex", "concave")
-"""Order of the panels and tables."""
-SETTINGS = ("solver", "neighborhood", "coupling", "transport", "optimise", "margin", "step_size", "witness", "dtype")
-"""What a row may differ in from another one of the same method, in the order of a label."""
-SWEPT = {"margin": "contact margin", "step_size": "step size of rotations at the start"}
-"""Settings that get a chart of their own when several values were tried, and what they are."""
 
 COLORS = (
     ("#0067a5", "#62b8f2"),
@@ -78,85 +61,6 @@ class Line:
     """Points that stand for a smaller value than where they are drawn."""
 
 
-def variants(rows: Sequence[Row], without: Iterable[str] = ()) -> list[str]:
-    """A short label for each row: its method, and those settings that differ among the rows of that method.
-
-    Args:
-        rows: All rows that are shown together.
-        without: Settings that no label shall mention.
-    """
-    keys = [key for key in SETTINGS if key not in set(without)]
-    varying = {}
-    for method in {row["method"] for row in rows}:
-        same = [row for row in rows if row["method"] == method]
-        varying[method] = [key for key in keys if len({row.get(key) for row in same}) > 1]
-    return [
-        " + ".join(filter(None, [row["method"], *(_words(key, row.get(key)) for key in varying[row["method"]])]))
-        for row in rows
-    ]
-
-
-def _words(key: str, value: Any) -> str:
-    """A setting as part of a label; empty where there is nothing to say."""
-    if value is None:
-        return ""
-    if key == "transport":
-        return "EG" if value else ""
-    if key == "margin":
-        return f"margin {1e3 * value:g} mm"
-    if key == "step_size":
-        return f"step {value:g}"
-    return {"T2": "one body moves", "T1T2": "both bodies move"}.get(value, str(value))
-
-
-def ordered(rows: Iterable[Row], label: Callable[[Row], str]) -> list[Row]:
-    """Rows by kind, method, settings, pair and target class, then from the smallest to the largest budget."""
-
-    def place(row: Row) -> tuple:
-        kind, method = row["kind"], row["method"]
-        return (
-            KINDS.index(kind) if kind in KINDS else len(KINDS),
-            METHODS.index(method) if method in METHODS else len(METHODS),
-            *((row.get(key) is not None, row.get(key) or 0) for key in ("margin", "step_size")),
-            label(row),
-            row["pair"],
-            row["target_class"],
-            budget(row),
-        )
-
-    return sorted(rows, key=place)
-
-
-def budget(row: Row) -> tuple[float, float, float]:
-    """A number that grows with the budget of a row, to be compared among rows of one variant."""
-    return row.get("budget_s") or 0.0, row.get("budget") or 0.0, row.get("cpu_s_per_pair") or 0.0
-
-
-def at_largest_budget(rows: Sequence[Row], labels: Sequence[str]) -> list[Row]:
-    """The rows with the largest budget of each variant, kind, pair and target class, in the order given."""
-    best: dict[tuple, Row] = {}
-    for row, label in zip(rows, labels, strict=True):
-        key = label, row["kind"], row["pair"], row["target_class"]
-        if key not in best or budget(row) > budget(best[key]):
-            best[key] = row
-    return list(best.values())
-
-
-def pooled(rows: Iterable[Row]) -> list[Row]:
-    """The rows over all pairs and all target classes."""
-    return [row for row in rows if row["pair"] == "all" and row["target_class"] == "all"]
-
-
-def swept(rows: Sequence[Row]) -> list[str]:
-    """The settings of `SWEPT` that have several values with one method."""
-    methods = {row["method"] for row in rows}
-
-    def values(key: str, method: str) -> int:
-        return len({row.get(key) for row in rows if row["method"] == method} - {None})
-
-    return [key for key in SWEPT if any(values(key, method) > 1 for method in methods)]
-
-
 def styles(rows: Sequence[Row], labels: Sequence[str]) -> dict[str, Style]:
     """Label -> style: the first variant of a method has the method's colour, others one that no method needs."""
     owner = {label: row["method"] for row, label in zip(rows, labels, strict=True)}
@@ -192,11 +96,11 @@ def time_chart(rows: Sequence[Row]) -> TimeChart:
     """Error and share of misses against CPU time per pair, a column a kind and a line a variant."""
     rows = [row for row in rows if _positive(row.get("cpu_s_per_pair"))]
     note = ""
-    labels = variants(rows)
+    labels = labels_of(rows)
     for key in swept(rows):
         if len(set(labels)) > CROWDED:
             rows = _at_best(rows, key)
-            labels = variants(rows)
+            labels = labels_of(rows)
             note += f" Each method is shown with its best {SWEPT[key]} only."
     style = styles(rows, labels)
 
@@ -240,8 +144,8 @@ def time_chart(rows: Sequence[Row]) -> TimeChart:
 
 def sweep_chart(rows: Sequence[Row], key: str) -> str:
     """Share of hits and median error at the largest budget against the setting `key`, a column a kind."""
-    rows = at_largest_budget(rows, variants(rows))
-    labels = variants(rows, without=[key])
+    rows = at_largest_budget(rows, labels_of(rows))
+    labels = labels_of(rows, without=[key])
     style = styles(rows, labels)
     values = sorted({row[key] for row in rows if _finite(row.get(key))})
 
@@ -274,16 +178,10 @@ def sweep_chart(rows: Sequence[Row], key: str) -> str:
     return _draw(grid, names, SWEPT[key], steps, key, f"Results over the {SWEPT[key]}")
 
 
-def kinds_of(rows: Iterable[Row]) -> list[str]:
-    """The kinds among rows, convex first."""
-    found = {row["kind"] for row in rows}
-    return [kind for kind in KINDS if kind in found] + sorted(found - set(KINDS))
-
-
 def _at_best(rows: Sequence[Row], key: str) -> list[Row]:
     """The rows of each variant that have the value of `key` with the most hits at the largest budget."""
-    names = variants(rows, without=[key])
-    last = at_largest_budget(rows, variants(rows))
+    names = labels_of(rows, without=[key])
+    last = at_largest_budget(rows, labels_of(rows))
     last_names = {id(row): name for row, name in zip(rows, names, strict=True)}
     hits: dict[tuple[str, Any], list[float]] = {}
     for row in last:

@@ -10,21 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from .chart import (
-    SETTINGS,
-    SWEPT,
-    Row,
-    at_largest_budget,
-    kinds_of,
-    ordered,
-    pooled,
-    stylesheet,
-    sweep_chart,
-    swept,
-    time_chart,
-    variants,
-)
+from .chart import stylesheet, sweep_chart, time_chart
 from .failures import Failure, caption, picture
+from .labels import SETTINGS, SWEPT, Row, at_largest_budget, kinds_of, labels_of, ordered, pooled, swept
 from .stopwatch import STAGES
 from .tasks import CLASSES
 
@@ -143,7 +131,7 @@ def page(document: dict[str, Any], failures: Sequence[Failure]) -> str:
     """
     import jinja2
 
-    names = {id(row): label for row, label in zip(document["rows"], variants(document["rows"]), strict=True)}
+    names = {id(row): label for row, label in zip(document["rows"], labels_of(document["rows"]), strict=True)}
 
     def label(row: Row) -> str:
         return names[id(row)]

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from rich.box import SIMPLE
 from rich.table import Table
 
-from .chart import variants
-
-Row = dict[str, Any]
+from .labels import Row, labels_of
 
 
 def _percent(value: float) -> str:
@@ -40,7 +37,7 @@ def _sum(*parts: float | None) -> float | None:
 
 def bench_table(rows: Sequence[Row], title: str) -> Table:
     """The pooled rows, with face-face targets on lines of their own."""
-    labels = dict(zip(map(id, rows), variants(rows), strict=True))
+    labels = dict(zip(map(id, rows), labels_of(rows), strict=True))
     shown = [row for row in rows if row["pair"] == "all" and row["target_class"] in ("all", "face-face")]
     several = len({(row["budget"], row["budget_s"]) for row in shown}) > 1
     table = Table(title=title, title_justify="left", box=SIMPLE, padding=0, show_edge=False)

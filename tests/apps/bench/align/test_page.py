@@ -16,16 +16,9 @@ pytest.importorskip("matplotlib", reason="charts are drawn with matplotlib")
 pytest.importorskip("jinja2", reason="the page is a template of jinja2")
 
 from apps.bench.align import page as module  # noqa: E402
-from apps.bench.align.chart import (  # noqa: E402
-    at_largest_budget,
-    spread,
-    styles,
-    sweep_chart,
-    swept,
-    time_chart,
-    variants,
-)
+from apps.bench.align.chart import spread, styles, sweep_chart, time_chart  # noqa: E402
 from apps.bench.align.failures import Failure, WitnessPoints  # noqa: E402
+from apps.bench.align.labels import at_largest_budget, labels_of, swept  # noqa: E402
 from apps.bench.align.page import page  # noqa: E402
 from grasp_refine.geometry.body import build_body  # noqa: E402
 from grasp_refine.geometry.pieces import box  # noqa: E402
@@ -214,30 +207,30 @@ def test_names_are_escaped(monkeypatch: pytest.MonkeyPatch):
 
 def test_labels_say_only_what_differs():
     rows = [row(), row(transport=True), row("analytical"), row("analytical", budget=7)]
-    assert variants(rows) == ["distance", "distance + EG", "analytical", "analytical"]
+    assert labels_of(rows) == ["distance", "distance + EG", "analytical", "analytical"]
     rows = [row(margin=0.0), row(margin=0.0005, neighborhood="fixed")]
-    assert variants(rows) == ["distance + adaptive + margin 0 mm", "distance + fixed + margin 0.5 mm"]
-    assert variants(rows, without=["margin"]) == ["distance + adaptive", "distance + fixed"]
-    assert variants([row(optimise="T1T2"), row()])[0] == "distance + both bodies move"
-    assert variants([]) == []
+    assert labels_of(rows) == ["distance + adaptive + margin 0 mm", "distance + fixed + margin 0.5 mm"]
+    assert labels_of(rows, without=["margin"]) == ["distance + adaptive", "distance + fixed"]
+    assert labels_of([row(optimise="T1T2"), row()])[0] == "distance + both bodies move"
+    assert labels_of([]) == []
 
 
 def test_methods_keep_their_colours_and_variants_get_their_own():
     rows = [row(), row(transport=True), row("analytical"), row("rigid")]
-    found = styles(rows, variants(rows))
+    found = styles(rows, labels_of(rows))
     assert len({style.color for style in found.values()}) == 4
     alone = styles([row("rigid")], ["rigid"])
     assert alone["rigid"].color == found["rigid"].color
     many = [row(margin=0.001 * k) for k in range(20)]
-    looks = styles(many, variants(many)).values()
+    looks = styles(many, labels_of(many)).values()
     assert len({(style.color, style.marker, style.dashes) for style in looks}) == 20
 
 
 def test_the_largest_budget_of_each_variant_counts():
     rows = [row(budget=100), row(budget=20), row("rigid", budget=20, kind="concave"), row("rigid", budget=50)]
-    assert [r["budget"] for r in at_largest_budget(rows, variants(rows))] == [100, 20, 50]
+    assert [r["budget"] for r in at_largest_budget(rows, labels_of(rows))] == [100, 20, 50]
     seconds = [row(budget=None, budget_s=2.0), row(budget=None, budget_s=5.0)]
-    assert at_largest_budget(seconds, variants(seconds)) == seconds[1:]
+    assert at_largest_budget(seconds, labels_of(seconds)) == seconds[1:]
 
 
 def test_no_misses_are_drawn_at_half_a_target():
