@@ -22,6 +22,10 @@ _LARGEST_EIGENVALUE = 1.0 - 1e-6
 """Slip is at most 1: a closest point never moves farther than the point it follows (projection onto a convex set)."""
 
 
+_RIDGE = 1e-13
+"""Of the least squares for exact slips: far below the square of what two curved surfaces leave, far above rounding."""
+
+
 @dataclass(frozen=True, eq=False)
 class Slip:
     """Slip matrices of a batch of witness pairs."""
@@ -49,8 +53,7 @@ def push_forward(
         other_a = _velocity(twist_a, slip.self_a) - matvec(A, _velocity(twist_a, point_b))
         other_b = _velocity(twist_b, slip.self_b) - matvec(B, _velocity(twist_b, point_a))
         return own_a + matvec(A, other_b), own_b + matvec(B, other_a)
-    xp = array_namespace(A)
-    dx_a = xp.linalg.solve(_identity_minus(A @ B), (own_a + matvec(A, own_b))[..., None])[..., 0]
+    dx_a = _solve(_identity_minus(A @ B), own_a + matvec(A, own_b), exact=not slip.sampled)
     return dx_a, own_b + matvec(B, dx_a)
 
 
@@ -77,8 +80,8 @@ def pull_back(
         lambda_a = force_a + matvec(B_transposed, force_b)
         lambda_b = force_b + matvec(A_transposed, force_a)
     else:
-        right = (force_a + matvec(B_transposed, force_b))[..., None]
-        lambda_a = xp.linalg.solve(_identity_minus(B_transposed @ A_transposed), right)[..., 0]
+        right = force_a + matvec(B_transposed, force_b)
+        lambda_a = _solve(_identity_minus(B_transposed @ A_transposed), right, exact=not slip.sampled)
         lambda_b = force_b + matvec(A_transposed, lambda_a)
     points = xp.stack([slip.self_a, slip.self_b, point_b, point_a])
     forces = xp.stack([lambda_a, lambda_b, -matvec(A_transposed, lambda_a), -matvec(B_transposed, lambda_b)])
@@ -152,6 +155,22 @@ def _used(slip: Slip, coupling: Coupling) -> tuple[Array, Array]:
         return slip.A, slip.B
     both = contract(array_namespace(slip.A).stack([slip.A, slip.B]))
     return both[0], both[1]
+
+
+def _solve(M: Array, right: Array, exact: bool) -> Array:
+    """The solution x (..., 3) of M x = right.
+
+    Exact slips may leave a direction undetermined, such as along two parallel faces, where M is singular: there
+    the smallest of the least-squares solutions is taken. Clipped ones (`contract`) never do.
+    """
+    xp = array_namespace(M)
+    if not exact:
+        return xp.linalg.solve(M, right[..., None])[..., 0]
+    transposed = xp.matrix_transpose(M)
+    normal = transposed @ M
+    for i in range(3):
+        normal[..., i, i] += _RIDGE
+    return xp.linalg.solve(normal, matvec(transposed, right)[..., None])[..., 0]
 
 
 def _velocity(twist: Array, point: Array) -> Array:

@@ -123,6 +123,21 @@ def test_gradients_are_finite_for_every_shape(name: str, shapes: str) -> None:
     check_all_finite(shapes, METHODS[name], 80)
 
 
+@pytest.mark.parametrize("gap", [1e-3, 0.0, -1e-3])
+@pytest.mark.parametrize("name", METHODS)
+def test_parallel_faces_leave_the_sliding_open_but_stop_nobody(name: str, gap: float) -> None:
+    """I - A B is singular there: coupled analytical slips ended in an error."""
+    cubes = (build_body(str(side), [box([side] * 3)]) for side in (0.04, 0.03))
+    pairs = Pairs(*((cube,) for cube in cubes))
+    T_a, T_b = np.tile(np.eye(4), (2, 1, 1, 1, 1))
+    T_b[..., 2, 3] = 0.035 + gap
+    cotangents = random_cotangents(query(pairs, T_a, T_b), FIELDS, seed=12)
+    found = layer_gradient(WitnessLayer(pairs, METHODS[name]), T_a, T_b, cotangents)
+    assert np.isfinite(found).all()
+    if name == "analytical":
+        assert np.abs(found).max() < 10.0
+
+
 # (b) both bodies moved together
 
 
