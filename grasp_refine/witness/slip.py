@@ -22,8 +22,8 @@ _LARGEST_EIGENVALUE = 1.0 - 1e-6
 """Slip is at most 1: a closest point never moves farther than the point it follows (projection onto a convex set)."""
 
 
-_RIDGE = 1e-13
-"""Of the least squares for exact slips: far below the square of what two curved surfaces leave, far above rounding."""
+_OPEN = 1e-11
+"""Singular values of I - A B below this are rounding: two round surfaces leave (gap / radius), which is more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,11 +166,10 @@ def _solve(M: Array, right: Array, exact: bool) -> Array:
     xp = array_namespace(M)
     if not exact:
         return xp.linalg.solve(M, right[..., None])[..., 0]
-    transposed = xp.matrix_transpose(M)
-    normal = transposed @ M
-    for i in range(3):
-        normal[..., i, i] += _RIDGE
-    return xp.linalg.solve(normal, matvec(transposed, right)[..., None])[..., 0]
+    U, values, V_transposed = xp.linalg.svd(M)
+    open_ = values < _OPEN
+    inverse = xp.where(open_, xp.zeros_like(values), 1.0 / xp.where(open_, xp.ones_like(values), values))
+    return matvec(xp.matrix_transpose(V_transposed), inverse * matvec(xp.matrix_transpose(U), right))
 
 
 def _velocity(twist: Array, point: Array) -> Array:
