@@ -353,7 +353,8 @@ def _logarithmic(axis: Any, scale: Callable, limits: Callable, values: list[floa
 
     low, high = (min(values), max(values)) if values else (0.1, 1.0)
     decades = np.log10(high / low)
-    pad = 10 ** max(0.06 * decades, 0.12)
+    # Within less than a decade there would be ticks at any value, and too many.
+    pad = 10 ** max(0.06 * decades, 0.12, 0.53 - 0.5 * decades)
     # In this order the old limits, which may be alike, are never made logarithmic.
     limits(low / pad, high * pad)
     scale("log")

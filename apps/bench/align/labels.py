@@ -46,7 +46,7 @@ def _words(key: str, value: Any) -> str:
         return f"margin {1e3 * value:g} mm"
     if key == "step_size":
         return f"step {value:g}"
-    return {"T2": "one body moves", "T1T2": "both bodies move"}.get(value, str(value))
+    return {"T2": "", "T1T2": "both bodies move"}.get(value, str(value))
 
 
 def ordered(rows: Iterable[Row], label: Callable[[Row], str]) -> list[Row]:
