@@ -417,6 +417,8 @@ def test_ctrl_c_leaves_one_line_and_no_files():
     process = subprocess.Popen(
         [*command, "--descent.patience", "100000", "--iterations", "1000000"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=subprocess_environment(),
+        # Tests that run in the background of a script inherit that interrupts are ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     assert process.stderr is not None and process.stderr.readline().startswith("refining 4 grasps")
     process.send_signal(signal.SIGINT)

@@ -147,7 +147,7 @@ class Settings:
         check_device(self.device, self.dtype)
         if self.neighborhood != Settings.neighborhood and not self._has_samples():
             raise GraspRefineError(
-                f"--neighborhood {self.neighborhood}: --derivative {self.derivative} uses no samples"
+                f"--derivative {self.derivative} has no use for --neighborhood {self.neighborhood}"
             )
         solver, derivative, neighborhood = (
             getattr(self, name.replace("-", "_")) for name in (self.solver, self.derivative, self.neighborhood)
