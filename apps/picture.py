@@ -40,6 +40,8 @@ EYE, TARGET, EXTENT = (0.71, -0.22, 0.4), (-0.012, 0.004, 0.062), 0.22
 """Camera: where it stands, what it looks at, and how much it sees, metres in the object frame."""
 SUN = (0.5, -0.45, 1.0)
 """Direction towards the light."""
+CREASE = 35.0
+"""Edges sharper than this (degrees) are shown as edges."""
 OBJECT_OPACITY = 0.8
 """The object lets through a little of the fingers behind it and inside it."""
 
@@ -48,12 +50,6 @@ OBJECT_COLOR, LINK_COLOR, CONTACT_COLOR = (0.66, 0.78, 0.93), (0.74, 0.76, 0.80)
 INK, GREY, BAD, GOOD = "#1b2430", "#5b6675", "#c62828", "#1b8a3a"
 NEARLY = 0.0005
 """Gaps and depths below this (metres) are drawn as a contact."""
-
-
-def shown(mesh: trimesh.Trimesh, color: tuple[float, float, float]) -> Model:
-    """A mesh with smooth shading, except across edges sharper than 35 degrees."""
-    smooth = trimesh.graph.smooth_shade(mesh, angle=np.radians(35))
-    return Model(np.asarray(smooth.vertices), np.asarray(smooth.vertex_normals), np.asarray(smooth.faces), color)
 
 
 def hand_models(hand: Hand, T_world_root: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"]) -> list[Model]:
@@ -66,7 +62,7 @@ def hand_models(hand: Hand, T_world_root: Float[np.ndarray, "4 4"], q: Float[np.
     models = []
     for link, T in zip(links, poses, strict=True):
         mesh = trimesh.util.concatenate([piece.mesh() for piece in link.body.pieces]).apply_transform(T)
-        models.append(shown(mesh, CONTACT_COLOR if link.name in touching else LINK_COLOR))
+        models.append(Model.of(mesh, CONTACT_COLOR if link.name in touching else LINK_COLOR, crease=CREASE))
     return models
 
 
@@ -135,7 +131,7 @@ def draw_example() -> Float[np.ndarray, "H W 3"]:
     refined = refine(scene)
     size = OVERSAMPLING * np.array([WIDTH, HEIGHT])
     camera = Camera(np.array(EYE), np.array(TARGET), *size, EXTENT)
-    solid = shown(obj.mesh, OBJECT_COLOR)
+    solid = Model.of(obj.mesh, OBJECT_COLOR, crease=CREASE)
     halves = []
     for title, T, q in (
         ("Before", scene.T_world_root, scene.q),

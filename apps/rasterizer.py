@@ -3,11 +3,17 @@
 It needs neither a screen nor a graphics driver, which is why the README's picture can be made anywhere.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
+
+if TYPE_CHECKING:
+    import trimesh
 
 LIGHT = 0.5
 """Share of the directional light; the rest comes from all sides, more of it from above."""
@@ -31,6 +37,14 @@ class Model:
     """(F, 3) indices of vertices."""
     color: tuple[float, float, float]
     """Red, green and blue in [0, 1]."""
+
+    @staticmethod
+    def of(mesh: trimesh.Trimesh, color: tuple[float, float, float], *, crease: float) -> Model:
+        """A mesh with smooth shading, except across edges sharper than `crease` degrees."""
+        import trimesh
+
+        smooth = trimesh.graph.smooth_shade(mesh, angle=np.radians(crease))
+        return Model(np.asarray(smooth.vertices), np.asarray(smooth.vertex_normals), np.asarray(smooth.faces), color)
 
 
 @dataclass(frozen=True, eq=False)

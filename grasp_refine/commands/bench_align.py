@@ -165,7 +165,7 @@ class BenchAlign:
         """The command line that asks for the same, without the files that are written."""
         words = ["refine-grasp", "bench", "align"]
         for option in fields(self):
-            value, flag = getattr(self, option.name), f"--{option.name.replace('_', '-')}"
+            value, flag = getattr(self, option.name), _flag(option.name)
             if value == option.default or option.name in ("json", "html"):
                 continue
             if isinstance(value, bool):
@@ -182,19 +182,9 @@ class BenchAlign:
         """
         check_numbers(self)
         check_device(self.device, self.dtype)
-        for name in (
-            "kinds",
-            "classes",
-            "methods",
-            "neighborhoods",
-            "couplings",
-            "margins",
-            "step_sizes",
-            "budgets",
-            "seconds",
-        ):
-            if getattr(self, name) == ():
-                raise GraspRefineError(f"--{name.replace('_', '-')} needs at least one value")
+        for option in fields(self):
+            if getattr(self, option.name) == ():
+                raise GraspRefineError(f"{_flag(option.name)} needs at least one value")
         if 0.0 in (self.seconds or ()):
             raise GraspRefineError("--seconds must be positive, got 0")
         if self.budgets is not None and self.seconds is not None:
@@ -205,7 +195,7 @@ class BenchAlign:
             for name in COMPARED:
                 if getattr(self, name) is not None:
                     raise GraspRefineError(
-                        f"--preset {self.preset} says itself what is compared: leave out --{name.replace('_', '-')}"
+                        f"--preset {self.preset} says itself what is compared: leave out {_flag(name)}"
                     )
         preset = PRESETS[self.preset] if self.preset is not None else Preset("", self._variants())
         budgets = preset.budgets if self.budgets is None else self.budgets
@@ -246,6 +236,11 @@ class BenchAlign:
         made = [replace(variant, **changes) for variant in made]
         distinct = {tuple(variant.columns().values()): variant for variant in reversed(made)}
         return tuple(reversed(distinct.values()))
+
+
+def _flag(name: str) -> str:
+    """The option of a field."""
+    return f"--{name.replace('_', '-')}"
 
 
 def _bar(console: Console) -> Progress:

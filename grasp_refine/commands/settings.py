@@ -146,9 +146,7 @@ class Settings:
             self._check_unused(choice)
         check_device(self.device, self.dtype)
         if self.neighborhood != Settings.neighborhood and not self._has_samples():
-            raise GraspRefineError(
-                f"--derivative {self.derivative} has no use for --neighborhood {self.neighborhood}"
-            )
+            raise GraspRefineError(f"--derivative {self.derivative} has no use for --neighborhood {self.neighborhood}")
         solver, derivative, neighborhood = (
             getattr(self, name.replace("-", "_")) for name in (self.solver, self.derivative, self.neighborhood)
         )

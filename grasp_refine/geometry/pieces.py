@@ -51,11 +51,21 @@ class Piece:
     def normals(self) -> np.ndarray:
         """Unit outward normals (F, 3) of the faces; zero for a sliver, whose own normal would be noise."""
         corners = self.vertices[self.faces]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        double_area = np.linalg.norm(cross, axis=1, keepdims=True)
+        double_area = 2.0 * self.areas[:, None]
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
         solid = double_area > 1e-8 * edges.max(1, initial=0.0, keepdims=True) ** 2
-        return np.where(solid, cross / np.where(solid, double_area, 1.0), 0.0)
+        return np.where(solid, self._crosses / np.where(solid, double_area, 1.0), 0.0)
+
+    @cached_property
+    def areas(self) -> np.ndarray:
+        """Areas (F,) of the faces of the core, in square metres."""
+        return 0.5 * np.linalg.norm(self._crosses, axis=1)
+
+    @cached_property
+    def _crosses(self) -> np.ndarray:
+        """Products (F, 3) of two edges of each face: outward, twice as long as its area."""
+        corners = self.vertices[self.faces]
+        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
     @cached_property
     def planes(self) -> tuple[np.ndarray, np.ndarray]:

@@ -101,9 +101,7 @@ class _Surface:
     @classmethod
     def of(cls, piece: Piece) -> _Surface:
         """The surface of `piece`: area = sum(face areas) + radius * sum(length * angle) + 4 pi radius^2."""
-        corners = piece.vertices[piece.faces]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        face_areas = np.where(piece.normals.any(axis=1), np.linalg.norm(cross, axis=1) / 2, 0.0)
+        face_areas = np.where(piece.normals.any(axis=1), piece.areas, 0.0)
         ends, arcs, angles = _round_edges(piece) if piece.radius > 0 else _NO_EDGES
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         ball = 4 * np.pi * piece.radius**2

@@ -43,6 +43,8 @@ EXTENT = 0.2
 """Metres that a picture is high after scaling; the rasterizer's outlines and shadows are made for this size."""
 COLOR_A, COLOR_B, BACKGROUND = (0.56, 0.72, 0.93), (0.96, 0.68, 0.36), (0.976, 0.98, 0.988)
 OPACITY_A = 0.6
+CREASE = 20.0
+"""Edges sharper than this (degrees) are shown as edges."""
 INK, MARK_A, MARK_B = "#1b2430", "#0b4f9c", "#a63c00"
 LIGHT = (0.5, 0.25)
 """The light comes from the camera, moved this far (in units of the way to it) to the right and up."""
@@ -69,7 +71,7 @@ class Failure:
     """How a task that was not solved ended."""
 
     method: str
-    """Label of the variant."""
+    """Label of the variant; its first word is the derivative method."""
     kind: str
     """Kind of the bodies: "convex" or "concave"."""
     target_class: str
@@ -81,7 +83,7 @@ class Failure:
     T_world_a: Float[np.ndarray, "4 4"]
     """Pose of body a."""
     T_world_b: Float[np.ndarray, "4 4"]
-    """Pose of body b at the end."""
+    """Pose of body b where its error was smallest."""
     target_a: Float[np.ndarray, " 3"]
     """Where the witness point of body a should be, metres, body frame."""
     target_b: Float[np.ndarray, " 3"]
@@ -333,8 +335,7 @@ def _model(body: Body, T: np.ndarray, seen: Callable[[np.ndarray], np.ndarray], 
 
     mesh = trimesh.util.concatenate([piece.mesh() for piece in body.pieces])
     mesh.vertices = seen(transform_points(T, np.asarray(mesh.vertices)))
-    smooth = trimesh.graph.smooth_shade(mesh, angle=np.radians(20))
-    return Model(np.asarray(smooth.vertices), np.asarray(smooth.vertex_normals), np.asarray(smooth.faces), color)
+    return Model.of(mesh, color, crease=CREASE)
 
 
 def _on_background(models: list[Model], camera: Camera) -> np.ndarray:

@@ -71,7 +71,6 @@ def _of_group(kind: str, variant: Variant, group: Sequence[Done], targets: int, 
         masks = [t.target_class == index for t in tasks]
         if any(mask.any() for mask in masks):
             yield row(masks, "all", name, len(names))
-    # Two pairs may have one name: they differ in their sizes.
     for k, name in enumerate(names):
         masks = [mask if j == k else np.zeros_like(mask) for j, mask in enumerate(everything)]
         yield row(masks, name, "all", 1)

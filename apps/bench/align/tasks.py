@@ -8,14 +8,14 @@ aligned pose, without a gap, say which tasks are `accepted`, and which of these 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import numpy as np
 
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.geometry.body import Body
-from grasp_refine.geometry.pieces import Piece
 from grasp_refine.geometry.sampling import CLEARANCE, beside, internal
 from grasp_refine.se3 import exp_so3, matrix_from_quaternion, matvec, tangents, transform, transform_points
 
@@ -29,6 +29,9 @@ ACCEPTED, REACHABLE = 1e-2, 1e-4
 
 REJECTED_SHARE = 8
 """One rejected task is run for so many accepted ones, to tell what an unfiltered benchmark would say."""
+
+Source = Callable[[int, np.random.Generator], tuple[np.ndarray, np.ndarray]]
+"""Draws up to so many targets (N, 3) of a body, with their normals (N, 3)."""
 
 _ROUNDS = 40
 """Draws, each of four times the wanted number, before a pair counts as one on which too few tasks are accepted."""
@@ -57,6 +60,11 @@ class Tasks:
 
     def __len__(self) -> int:
         return len(self.target_class)
+
+    @staticmethod
+    def join(parts: Sequence[Tasks]) -> Tasks:
+        """The tasks of all parts, one part after the other."""
+        return Tasks(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Tasks)))
 
     def take(self, index: np.ndarray) -> Tasks:
         """The tasks `index`."""
@@ -87,7 +95,7 @@ def draw_tasks(pair: BodyPair, classes: Sequence[str], count: int, seed: int | t
         for name, share in zip(classes, shares, strict=True)
         if share
     ]
-    return Tasks(*(np.concatenate([getattr(one, field.name) for one in drawn]) for field in fields(Tasks)))
+    return Tasks.join(drawn)
 
 
 def aligned_poses(
@@ -113,7 +121,7 @@ def exposed_vertices(body: Body) -> tuple[np.ndarray, np.ndarray]:
     for owner, piece in enumerate(body.pieces):
         total = np.zeros_like(piece.vertices)
         for corner in range(3):
-            np.add.at(total, piece.faces[:, corner], _areas(piece)[:, None] * piece.normals)
+            np.add.at(total, piece.faces[:, corner], piece.areas[:, None] * piece.normals)
         length = np.linalg.norm(total, axis=1)
         known = length > 1e-9 * length.max()
         points.append(piece.vertices[known])
@@ -126,7 +134,7 @@ def exposed_vertices(body: Body) -> tuple[np.ndarray, np.ndarray]:
 
 def points_on_faces(body: Body, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """At most `count` points (N, 3) drawn evenly on all faces, without those inside the body, and their normals."""
-    areas = [_areas(piece) for piece in body.pieces]
+    areas = [piece.areas for piece in body.pieces]
     owner_of = np.repeat(np.arange(len(areas)), [len(area) for area in areas])
     corners_of = np.concatenate([piece.vertices[piece.faces] for piece in body.pieces])
     normal_of = np.concatenate([piece.normals for piece in body.pieces])
@@ -141,13 +149,13 @@ def points_on_faces(body: Body, count: int, rng: np.random.Generator) -> tuple[n
 def _of_class(pair: BodyPair, index: int, count: int, rng: np.random.Generator) -> Tasks:
     """`count` accepted tasks of one class, or as many as were found, then the sample of the rejected."""
     pairs = Pairs((pair.a,), (pair.b,))
-    on = [place == "vertex" for place in CLASSES[index].split("-")]
+    sources = [_source(body, place) for body, place in zip((pair.a, pair.b), CLASSES[index].split("-"), strict=True)]
     found: list[Tasks] = []
     for _ in range(_ROUNDS):
-        found.append(_drawn(pair, pairs, on, index, 4 * count, rng))
+        found.append(_drawn(pair, pairs, sources, index, 4 * count, rng))
         if sum(int(one.accepted.sum()) for one in found) >= count:
             break
-    tasks = Tasks(*(np.concatenate([getattr(one, field.name) for one in found]) for field in fields(Tasks)))
+    tasks = Tasks.join(found)
     accepted = np.flatnonzero(tasks.accepted)
     # What was drawn after the last task that is needed tells nothing about the acceptance rate.
     last = accepted[count - 1] + 1 if len(accepted) >= count else len(tasks)
@@ -159,10 +167,10 @@ def _of_class(pair: BodyPair, index: int, count: int, rng: np.random.Generator) 
 
 
 def _drawn(
-    pair: BodyPair, pairs: Pairs, on_vertex: Sequence[bool], index: int, count: int, rng: np.random.Generator
+    pair: BodyPair, pairs: Pairs, sources: Sequence[Source], index: int, count: int, rng: np.random.Generator
 ) -> Tasks:
     """Up to `count` tasks of one class, accepted or not."""
-    targets = [_targets(body, vertex, count, rng) for body, vertex in zip((pair.a, pair.b), on_vertex, strict=True)]
+    targets = [source(count, rng) for source in sources]
     N = min(len(points) for points, _ in targets)
     (t_a, n_a), (t_b, n_b) = ((points[:N], normals[:N]) for points, normals in targets)
     T_a = np.broadcast_to(np.eye(4), (N, 4, 4)).copy()
@@ -177,12 +185,17 @@ def _drawn(
     )
 
 
-def _targets(body: Body, vertex: bool, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    if not vertex:
-        return points_on_faces(body, count, rng)
+def _source(body: Body, place: str) -> Source:
+    """What draws targets of a body: from its exposed vertices, which are found once, or from its faces."""
+    if place == "face":
+        return partial(points_on_faces, body)
     points, normals = exposed_vertices(body)
-    chosen = rng.integers(len(points), size=count if len(points) else 0)
-    return points[chosen], normals[chosen]
+
+    def draw(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        chosen = rng.integers(len(points), size=count if len(points) else 0)
+        return points[chosen], normals[chosen]
+
+    return draw
 
 
 def _initial(pair: BodyPair, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -196,12 +209,6 @@ def _initial(pair: BodyPair, count: int, rng: np.random.Generator) -> np.ndarray
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     away = rng.uniform(0.5, 1.5, size=(count, 1)) * 0.5 * (pair.a.diagonal + pair.b.diagonal)
     return transform(R, away * direction)
-
-
-def _areas(piece: Piece) -> np.ndarray:
-    """Areas (F,) of the triangles of a piece, in square metres."""
-    corners = piece.vertices[piece.faces]
-    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
 
 
 def _frame(normal: np.ndarray) -> np.ndarray:
