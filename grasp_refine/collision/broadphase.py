@@ -20,6 +20,16 @@ from grasp_refine.geometry.pieces import Piece
 
 
 @dataclass(frozen=True, eq=False)
+class Balls:
+    """The bounding balls of K pieces of each of some bodies, in the frames of these."""
+
+    center: np.ndarray
+    """Centres (..., K, 3) in metres."""
+    radius: np.ndarray
+    """Radii (..., K); -inf leaves a piece out."""
+
+
+@dataclass(frozen=True, eq=False)
 class Bounds:
     """Bounding balls and oriented boxes of K convex pieces, in the frame of their body; pieces are the last axis."""
 
@@ -35,6 +45,11 @@ class Bounds:
     def take(self, index: np.ndarray) -> "Bounds":
         """The bounds of the pieces `index`, in any shape."""
         return Bounds(*(np.take(getattr(self, field.name), index, axis=-1) for field in fields(self)))
+
+    @property
+    def balls(self) -> Balls:
+        """The balls alone."""
+        return Balls(np.moveaxis(self.center, 0, -1), self.radius)
 
 
 def bounds_of(pieces: Sequence[Piece]) -> Bounds:
@@ -53,7 +68,7 @@ def bounds_of(pieces: Sequence[Piece]) -> Bounds:
     return Bounds(*(np.stack(column, axis=-1) for column in (centers, radii, axes, halves)))
 
 
-def ball_bound(a: Bounds, b: Bounds, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def ball_bound(a: Balls, b: Balls, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lower bounds (..., K_a, K_b) of the signed distance of all piece pairs from their balls, and the likeliest.
 
     The likeliest piece pair (...), an index into the K_a K_b of them, is the closest one with balls of half the
@@ -61,11 +76,11 @@ def ball_bound(a: Bounds, b: Bounds, R: np.ndarray, t: np.ndarray) -> tuple[np.n
 
     Args:
         a: Pieces of body a (..., K_a).
-        b: Pieces of body b (..., K_b), in their own frame. A radius of -inf, here or in a, leaves a piece out.
+        b: Pieces of body b (..., K_b), in their own frame.
         R: Rotation (..., 3, 3) of body b in the frame of body a.
         t: Its origin (..., 3).
     """
-    x, y = np.moveaxis(a.center, 0, -1), np.moveaxis(b.center, 0, -1) @ R.mT + t[..., None, :]
+    x, y = a.center, b.center @ R.mT + t[..., None, :]
     # |y - x|^2 in one product. Rounding, a few ulps of |x|^2 + |y|^2, must not make it longer.
     shorter = 1.0 - 16.0 * np.finfo(np.float64).eps
     x = np.concatenate([-2.0 * x, shorter * (x * x).sum(-1, keepdims=True), np.ones((*x.shape[:-1], 1))], axis=-1)

@@ -14,6 +14,7 @@ from grasp_refine.collision.table import PieceTable
 from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
+from grasp_refine.se3 import matvec
 
 
 class QueryStatus(IntEnum):
@@ -73,6 +74,15 @@ class Witness:
     def rows(self, index: Any) -> "Witness":
         """The rows `index` of the batch axis."""
         return Witness(*(getattr(self, field.name)[index] for field in fields(self)))
+
+    def reshape(self, *shape: int) -> "Witness":
+        """The same with other leading dimensions."""
+        lead = self.distance.ndim
+
+        def reshaped(value: Any) -> Any:
+            return value.reshape(*shape, *value.shape[lead:])
+
+        return Witness(*(reshaped(getattr(self, field.name)) for field in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,26 +154,55 @@ def query(
     Returns:
         Witness points in world coordinates. Pairs with a pose that is not finite get the status NOT_FINITE.
     """
+    shape = T_world_a.shape[:2]
+    found = query_items(
+        pairs,
+        np.tile(np.arange(shape[1]), shape[0]),
+        np.reshape(T_world_a, (-1, 4, 4)),
+        np.reshape(T_world_b, (-1, 4, 4)),
+        cutoff=np.broadcast_to(cutoff, shape).reshape(-1),
+        previous=None if previous is None else previous.reshape(-1),
+    )
+    return found.reshape(*shape)
+
+
+def query_items(
+    pairs: Pairs,
+    pair: np.ndarray,
+    T_world_a: np.ndarray,
+    T_world_b: np.ndarray,
+    *,
+    cutoff: np.ndarray | float = np.inf,
+    previous: Witness | None = None,
+) -> Witness:
+    """The same for M items, each of which is one of the body pairs at some poses; all shapes (M, ...).
+
+    Args:
+        pairs: The P body pairs.
+        pair: Which of them each item is (M,).
+        T_world_a: Poses of the first bodies (M, 4, 4).
+        T_world_b: Poses of the second bodies (M, 4, 4).
+        cutoff: Items surely farther apart than this (metres; one number or one an item) are not asked.
+        previous: The answer at nearby poses of the same items.
+    """
     table = pairs._table
-    batch, count = T_world_a.shape[:2]
     T_a, T_b = np.asarray(T_world_a, dtype=np.float64), np.asarray(T_world_b, dtype=np.float64)
     # Rows times R_a: each column of R_b, and the offset of the origins, seen from body a.
     with np.errstate(invalid="ignore", over="ignore"):
-        relative = np.concatenate([T_b[..., :3, :3].mT, (T_b - T_a)[..., None, :3, 3]], axis=-2) @ T_a[..., :3, :3]
+        relative = np.concatenate([T_b[:, :3, :3].mT, (T_b - T_a)[:, None, :3, 3]], axis=-2) @ T_a[:, :3, :3]
     finite = np.isfinite(relative).all(axis=(-1, -2))
     if not finite.all():
         relative[~finite] = np.eye(4)[:, :3]
-    items = relative.reshape(batch * count, 4, 3)
-    R, t = np.ascontiguousarray(items[:, :3].mT), np.ascontiguousarray(items[:, 3])
-    limit = np.full((batch, count), cutoff, dtype=np.float64).reshape(-1)
+    R, t = np.ascontiguousarray(relative[:, :3].mT), np.ascontiguousarray(relative[:, 3])
+    limit = np.full(len(pair), cutoff, dtype=np.float64)
     if table.id.shape[1] == 1 and np.isinf(limit).all():
         # Nothing can be pruned: each body pair is one piece pair, and all of them are wanted.
-        bound, column = np.full((len(items), 1), -np.inf), np.zeros(len(items), dtype=np.int64)
+        bound, column = np.full((len(pair), 1), -np.inf), np.zeros(len(pair), dtype=np.int64)
     else:
         with np.errstate(invalid="ignore", over="ignore"):
-            bound, column = table.ball_bound(relative[..., :3, :].mT, relative[..., 3, :])
-    bound[~finite.reshape(-1)] = np.inf
-    search = Search(table, pairs.narrow_phase, R, t, limit)
+            bound, column = table.ball_bound(pair, R, t)
+    bound[~finite] = np.inf
+    search = Search(table, pairs.narrow_phase, pair, R, t, limit)
     found = search.minimum(bound, column, _warm(previous, T_a, table))
     return _witness(found, T_a, limit, finite)
 
@@ -172,30 +211,26 @@ def _warm(previous: Witness | None, T_a: np.ndarray, table: PieceTable) -> Warm 
     """What the last answer tells the search."""
     if previous is None:
         return None
-    winner = np.asarray(previous.winner).reshape(-1)
-    difference = np.asarray(previous.point_a) - np.asarray(previous.point_b)
-    guess = np.einsum("bpji,bpj->bpi", T_a[..., :3, :3], difference).reshape(-1, 3)
-    apart = (np.asarray(previous.status).reshape(-1) == QueryStatus.SEPARATED) & np.isfinite(guess).all(axis=1)
-    return Warm(np.where(winner >= 0, table.column[winner], -1), np.ascontiguousarray(guess), apart)
+    guess = matvec(T_a[:, :3, :3].mT, previous.point_a - previous.point_b)
+    apart = (previous.status == QueryStatus.SEPARATED) & np.isfinite(guess).all(axis=1)
+    column = np.where(previous.winner >= 0, table.column[previous.winner], -1)
+    return Warm(column, np.ascontiguousarray(guess), apart)
 
 
 def _witness(found: Closest, T_a: np.ndarray, limit: np.ndarray, finite: np.ndarray) -> Witness:
-    """World coordinates and a status for each pair."""
-    shape = T_a.shape[:2]
-    distance = found.distance.reshape(shape)
+    """World coordinates and a status for each item."""
+    distance = found.distance
     status = (distance <= 0).astype(np.int8)  # SEPARATED or PENETRATING
-    valid = (found.winner >= 0) & ~found.failed & finite.reshape(-1)
+    valid = (found.winner >= 0) & ~found.failed & finite
     if not valid.all():
-        status[(found.winner < 0).reshape(shape)] = QueryStatus.FAR
-        status[found.failed.reshape(shape)] = QueryStatus.FAILED
+        status[found.winner < 0] = QueryStatus.FAR
+        status[found.failed] = QueryStatus.FAILED
         status[~finite] = QueryStatus.NOT_FINITE
-        T_a = np.where(valid.reshape(*shape, 1, 1), T_a, 0.0)
+        T_a = np.where(valid[:, None, None], T_a, 0.0)
         # FAR: no piece pair was, or can be, below the cutoff.
-        distance = np.where(status == QueryStatus.FAR, limit.reshape(shape), distance)
+        distance = np.where(status == QueryStatus.FAR, limit, distance)
         distance[status > QueryStatus.FAR] = np.nan
-    local = np.stack([found.point.reshape(*shape, 3), found.normal.reshape(*shape, 3)], axis=2)
-    world = local @ T_a[..., :3, :3].mT
-    point_a, normal = world[:, :, 0] + T_a[..., :3, 3], world[:, :, 1]
-    moved = np.where(valid.reshape(shape), distance, 0.0)[..., None] * normal
-    winner, asked = found.winner.reshape(shape), found.asked.reshape(shape)
-    return Witness(point_a, point_a + moved, normal, distance, status, winner, asked)
+    world = np.stack([found.point, found.normal], axis=1) @ T_a[:, :3, :3].mT
+    point_a, normal = world[:, 0] + T_a[:, :3, 3], world[:, 1]
+    moved = np.where(valid, distance, 0.0)[:, None] * normal
+    return Witness(point_a, point_a + moved, normal, distance, status, found.winner, found.asked)

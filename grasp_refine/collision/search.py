@@ -66,12 +66,14 @@ class Left:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """M items: the body pairs of a table at some poses, body pair p at items p, p + P, p + 2 P, ..."""
+    """M items, each a body pair of a table at some poses."""
 
     table: PieceTable
     """The piece pairs."""
     narrow_phase: NarrowPhase
     """What answers for a piece pair."""
+    pair: np.ndarray
+    """The body pairs (M,)."""
     R: np.ndarray
     """Rotations (M, 3, 3) of bodies b in the frames of bodies a."""
     t: np.ndarray
@@ -108,7 +110,7 @@ class Search:
             self.R,
             self.t,
             np.arange(len(items) + 1),
-            self.table.id[items % len(self.table), column],
+            self.table.id[self.pair, column],
             np.where(first < self.limit, first, np.inf),
             # Beyond the limit, too, an answer has a normal that is worth having.
             np.full(len(items), np.inf),
@@ -129,7 +131,7 @@ class Search:
             self.R[active],
             self.t[active],
             starts,
-            self.table.id[left.item % len(self.table), left.column],
+            self.table.id[self.pair.take(left.item), left.column],
             left.bound,
             best[active],
         )
@@ -147,7 +149,7 @@ class Search:
         # Any unit direction gives a bound: without an answer there is none that is better than others.
         u[np.abs((u * u).sum(axis=1) - 1.0) > 1e-12] = [1.0, 0.0, 0.0]
         run = np.repeat(np.arange(len(active)), np.diff(starts))
-        return self.table.gap_bound(run, left.column, active % len(self.table), u, self.R[active], self.t[active])
+        return self.table.gap_bound(run, left.column, self.pair.take(active), u, self.R[active], self.t[active])
 
     def _box_bound(self, left: Left) -> np.ndarray:
         """Lower bounds (N,) of what is left, from boxes."""
@@ -157,6 +159,6 @@ class Search:
             block = slice(start, start + _BLOCK)
             item = left.item[block]
             bound[block] = self.table.box_bound(
-                item % len(self.table), left.column[block], R.take(item, axis=-1), t.take(item, axis=-1)
+                self.pair.take(item), left.column[block], R.take(item, axis=-1), t.take(item, axis=-1)
             )
         return bound

@@ -1,12 +1,12 @@
 """The piece pairs of some body pairs, and what bounds the signed distance of each of them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from grasp_refine.collision.broadphase import Bounds, ball_bound, bounds_of, box_bound
+from grasp_refine.collision.broadphase import Balls, Bounds, ball_bound, bounds_of, box_bound
 from grasp_refine.collision.supports import Supports
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
@@ -37,13 +37,18 @@ class Side:
         """Bounds of the pieces (N,) of the bodies in the pairs (N,)."""
         return self._bounds.take(self._first.take(self.body.take(pair)) + piece)
 
+    def balls(self, pair: np.ndarray) -> Balls:
+        """The balls of all pieces (M, K) of the bodies in the pairs (M,); where one has fewer, radii are -inf."""
+        body = self.body.take(pair)
+        return Balls(self._balls.center.take(body, axis=0), self._balls.radius.take(body, axis=0))
+
     @cached_property
-    def all_bounds(self) -> Bounds:
-        """Bounds of all pieces (P, K), with radii of -inf where a body has fewer."""
+    def _balls(self) -> Balls:
+        """Of all bodies (B, K)."""
         piece = np.arange(self.width)
-        present = piece < np.array([len(body.pieces) for body in self.bodies])[self.body, None]
-        bounds = self.bounds(np.arange(len(self.body))[:, None], np.where(present, piece, 0))
-        return replace(bounds, radius=np.where(present, bounds.radius, -np.inf))
+        present = piece < np.array([len(body.pieces) for body in self.bodies])[:, None]
+        balls = self._bounds.take(self._first[:, None] + np.where(present, piece, 0)).balls
+        return Balls(np.ascontiguousarray(balls.center), np.where(present, balls.radius, -np.inf))
 
     def reach(self, pair: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Upper bounds (M, K) of max u . x over the pieces of the bodies in the pairs (M,), for u (M, 3)."""
@@ -104,15 +109,16 @@ class PieceTable:
     def __len__(self) -> int:
         return len(self.id)
 
-    def ball_bound(self, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lower bounds (batch P, K_a K_b) from the balls, infinite in empty columns, and the likeliest columns.
+    def ball_bound(self, pair: np.ndarray, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lower bounds (M, K_a K_b) from the balls, infinite in empty columns, and the likeliest columns (M,).
 
         Args:
-            R: Rotations (batch, P, 3, 3) of bodies b in the frames of bodies a.
-            t: Their origins (batch, P, 3).
+            pair: Body pairs (M,).
+            R: Rotations (M, 3, 3) of bodies b in the frames of bodies a.
+            t: Their origins (M, 3).
         """
-        bound, likeliest = ball_bound(self.a.all_bounds, self.b.all_bounds, R, t)
-        return bound.reshape(-1, self.id.shape[1]), likeliest.reshape(-1)
+        bound, likeliest = ball_bound(self.a.balls(pair), self.b.balls(pair), R, t)
+        return bound.reshape(-1, self.id.shape[1]), likeliest
 
     def gap_bound(
         self, item: np.ndarray, column: np.ndarray, pair: np.ndarray, u: np.ndarray, R: np.ndarray, t: np.ndarray

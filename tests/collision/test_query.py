@@ -109,7 +109,7 @@ def test_signed_bounds_never_exceed_the_signed_distance() -> None:
         index = np.zeros(60, dtype=int)
         a, b = bounds_of([p]).take(index), bounds_of([q]).take(index)
         boxes = box_bound(a, b, np.moveaxis(R, 0, -1), t.T)
-        balls = ball_bound(bounds_of([p]), bounds_of([q]), R, t)[0][:, 0, 0]
+        balls = ball_bound(bounds_of([p]).balls, bounds_of([q]).balls, R, t)[0][:, 0, 0]
         assert (boxes <= distance + 1e-8).all()
         assert (balls <= distance + 1e-8).all()
 

@@ -46,14 +46,15 @@ def test_whichever_piece_pair_is_asked_first_the_minimum_is_the_same(first: str)
     pairs = Pairs((bodies[0],), (bodies[1],))
     T = (inverse(random_poses(50, 1, 0.02)) @ random_poses(50, 2, 0.06))[:, 0]
     R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
-    bound, likeliest = pairs._table.ball_bound(R[:, None], t[:, None])
+    pair = np.zeros(50, dtype=np.int64)
+    bound, likeliest = pairs._table.ball_bound(pair, R, t)
     column = {"likeliest": likeliest, "unlikeliest": bound.argmax(axis=1), "any": rng.integers(81, size=50)}[first]
     every = pairs.narrow_phase.closest(
         np.repeat(R, 81, axis=0), np.repeat(t, 81, axis=0), np.arange(50 * 81 + 1), np.tile(pairs._table.id[0], 50),
         np.full(50 * 81, -np.inf), np.full(50 * 81, np.inf),
     ).distance.reshape(50, 81)  # fmt: skip
     for limit in (np.inf, 0.01, -0.002):
-        found = Search(pairs._table, pairs.narrow_phase, R, t, np.full(50, limit)).minimum(bound.copy(), column)
+        found = Search(pairs._table, pairs.narrow_phase, pair, R, t, np.full(50, limit)).minimum(bound.copy(), column)
         least = np.where(every.min(axis=1) < limit, every.min(axis=1), np.inf)
         np.testing.assert_allclose(found.distance, least, atol=1e-8)
         np.testing.assert_array_equal(found.winner >= 0, np.isfinite(least))
