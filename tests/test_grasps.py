@@ -209,13 +209,11 @@ INFINITE["target_point_link"][2, 0, 0] = np.inf
         ),
         (
             {"q": np.ones((3, 4))},
-            "q must have shape (3, 2), one row per hand_pose and one column per name in joint_names; "
-            "it has (3, 4)",
+            "q must have shape (3, 2), one row per hand_pose and one column per name in joint_names; it has (3, 4)",
         ),
         (
             {"q": np.ones((2, 2))},
-            "q must have shape (3, 2), one row per hand_pose and one column per name in joint_names; "
-            "it has (2, 2)",
+            "q must have shape (3, 2), one row per hand_pose and one column per name in joint_names; it has (2, 2)",
         ),
         ({"q": [["x", "y"]] * 3}, "q must hold numbers; it holds <U1"),
         ({"q": np.ones((3, 2), complex)}, "q must hold numbers; it holds complex128"),
@@ -226,13 +224,11 @@ INFINITE["target_point_link"][2, 0, 0] = np.inf
         ({"object": ["mug", "can"]}, "object must be one value or one per grasp, (3,); it has (2,)"),
         (
             {"hand_pose": np.tile([0, 0, 0, 1, 0.1, 0, 0], (3, 1))},
-            "hand_pose row 0 has no unit quaternion: the norm of its last four numbers, qw qx qy qz, "
-            "is 1.00499",
+            "hand_pose row 0 has no unit quaternion: the norm of its last four numbers, qw qx qy qz, is 1.00499",
         ),
         (
             {"target_link": ["tip"]},
-            "targets need target_link, target_point_link, target_point_object together; "
-            "found only target_link",
+            "targets need target_link, target_point_link, target_point_object together; found only target_link",
         ),
         (
             {**targets(), "target_link": ["tip"]},
@@ -240,8 +236,7 @@ INFINITE["target_point_link"][2, 0, 0] = np.inf
         ),
         (
             PARTLY,
-            "the target of link 'thumb' in row 0 is partly NaN; both points must be finite, "
-            "or both NaN for no target",
+            "the target of link 'thumb' in row 0 is partly NaN; both points must be finite, or both NaN for no target",
         ),
         (INFINITE, "target_point_link must be finite; row 2 is not"),
     ],
@@ -353,9 +348,7 @@ def test_mimic_joints_in_the_file_are_ignored_which_is_said():
 
 
 def test_joints_that_the_hand_lacks_are_refused():
-    message = (
-        "the grasps are for another hand ('gripper'): hand 'claw' has no joint x, y; its joints are b, c, a"
-    )
+    message = "the grasps are for another hand ('gripper'): hand 'claw' has no joint x, y; its joints are b, c, a"
     with pytest.raises(GraspFileError, match=f"^{re.escape(message)}$"):
         match_joints(grasp_set(("a", "x", "y"), np.zeros((1, 3))), CLAW)
 

@@ -28,9 +28,7 @@ TIP = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 
 def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: str = "") -> str:
     inside += '<limit lower="-1" upper="2" effort="3"/>'
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>'
-    )
+    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>'
 
 
 def write(folder: Path, links: dict[str, str], *joints: str, toml: str | None = None) -> Path:
@@ -100,9 +98,7 @@ def test_our_hands_have_inertias_that_matter_can_have(name: str) -> None:
             np.ptp([bounds[:, 0].min(0), bounds[:, 1].max(0)], axis=0) / 2,
         )
         assert (center > bounds[:, 0].min(0)).all() and (center < bounds[:, 1].max(0)).all(), link.name
-        assert high < link.inertial.mass * np.sort(half)[1:] @ np.sort(half)[1:], (
-            "no mass is outside the shape"
-        )
+        assert high < link.inertial.mass * np.sort(half)[1:] @ np.sort(half)[1:], "no mass is outside the shape"
         assert len(link.visuals) == len(link.collisions), "one looks at what collides"
 
 
@@ -122,17 +118,13 @@ def test_allegro_touches_with_round_fingertips_of_the_published_size(shared_asse
     for contact in hand.contacts:
         body = hand.links_by_name[contact.link].body
         ball = next(piece for piece in body.pieces if piece.radius > 0)
-        np.testing.assert_allclose(
-            contact.point, ball.vertices[0] + ball.radius * np.array(contact.normal), atol=1e-6
-        )
+        np.testing.assert_allclose(contact.point, ball.vertices[0] + ball.radius * np.array(contact.normal), atol=1e-6)
         assert contact.normal[0] > 0.5, "the pad looks the way that the finger closes"
         # How far each of the two reaches in any direction.
         theirs = other.links_by_name[contact.link].body.pieces[0].vertices
         directions = np.random.default_rng(0).normal(size=(500, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        ours = np.max(
-            [(directions @ piece.vertices.T).max(1) + piece.radius for piece in body.pieces], axis=0
-        )
+        ours = np.max([(directions @ piece.vertices.T).max(1) + piece.radius for piece in body.pieces], axis=0)
         difference = np.abs(ours - (directions @ theirs.T).max(1))
         assert difference[directions[:, 2] > 0].max() < 1e-4 and difference.max() < 1e-3
     np.testing.assert_array_equal(hand.actuator.kp, 5.0)
@@ -145,9 +137,7 @@ def test_allegro_collides_where_the_published_boxes_are(shared_assets: Path) -> 
     hand, other = load_hand("allegro"), load_hand(shared_assets / "hands/allegro")
     for link in hand.links:
         if link.name not in FINGERTIPS["allegro"] and link.body is not None:
-            for ours, theirs in zip(
-                link.body.pieces, other.links_by_name[link.name].body.pieces, strict=True
-            ):
+            for ours, theirs in zip(link.body.pieces, other.links_by_name[link.name].body.pieces, strict=True):
                 np.testing.assert_allclose(ours.bounds, theirs.bounds, atol=1e-12)
 
 
@@ -189,9 +179,7 @@ def test_shadow_without_its_forearm_and_wrist(shared_assets: Path) -> None:
     tips = [hand.links_by_name[name].body.pieces[0].vertices for name in FINGERTIPS["shadow"]]
     assert [len(vertices) for vertices in tips] == [1065, 526, 526, 526, 1164]
     assert all(0.01 < np.ptp(vertices, axis=0).max() < 0.04 for vertices in tips), "millimetres became metres"
-    assert (
-        hand.joints_by_name["THJ5"].effort == 5.0 == hand.actuator.force_limit[hand.joint_names.index("THJ5")]
-    )
+    assert hand.joints_by_name["THJ5"].effort == 5.0 == hand.actuator.force_limit[hand.joint_names.index("THJ5")]
 
 
 def test_joint_names_are_in_file_order_though_joints_are_not(shared_assets: Path) -> None:
@@ -366,22 +354,16 @@ def test_a_hand_is_a_name_a_folder_a_urdf_or_a_hand_toml(tmp_path: Path) -> None
     for source in (named, named.parent, str(named.parent / "hand.toml")):
         hand = load_hand(source)
         assert (hand.name, hand.base_link) == ("named", "palm")
-    assert (load_hand(other).name, load_hand(other).base_link) == ("other", "arm"), (
-        "hand.toml names another URDF"
-    )
+    assert (load_hand(other).name, load_hand(other).base_link) == ("other", "arm"), "hand.toml names another URDF"
     assert load_hand(named, base_link="near").base_link == "near", "the argument wins"
 
 
 def test_unknown_hands_are_answered_with_those_there_are(tmp_path: Path) -> None:
-    with pytest.raises(
-        AssetError, match="no hand is called 'alegro'; the hands here are allegro.*; or give a folder"
-    ):
+    with pytest.raises(AssetError, match="no hand is called 'alegro'; the hands here are allegro.*; or give a folder"):
         load_hand("alegro")
     with pytest.raises(HandError, match="none.urdf: no such file or folder; the hands here are allegro"):
         load_hand(tmp_path / "none.urdf")
-    with pytest.raises(
-        HandError, match=r"one .urdf file is needed, or a hand.toml that names one; here: none"
-    ):
+    with pytest.raises(HandError, match=r"one .urdf file is needed, or a hand.toml that names one; here: none"):
         load_hand(tmp_path)
     for name in ("a.urdf", "b.urdf"):
         (tmp_path / name).touch()

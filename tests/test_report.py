@@ -165,9 +165,7 @@ def test_the_outcome_measures_a_refinement():
     scene = Scene(hand, ball, T[None], hand.rest[None])
     config = Config(solver=Descent(iterations=40), reach=0.2)
     refinement = refine(scene, config)
-    outcome = compare(
-        scene, refinement, margin=0.0, name="ball", scale=2.0, row=np.array([5]), index=np.array([1])
-    )
+    outcome = compare(scene, refinement, margin=0.0, name="ball", scale=2.0, row=np.array([5]), index=np.array([1]))
     assert outcome.usable.all()
     assert (outcome.object[0], outcome.scale[0], outcome.row[0], outcome.index[0]) == ("ball", 2.0, 5, 1)
     aimed = ~np.isnan(outcome.target_link[0, :, 0])

@@ -1,4 +1,7 @@
-"""Convex decompositions on disk: one .npz file for each mesh and settings, named by their hash."""
+"""What is costly to find, on disk: one .npz file for each geometry and settings, named by their hash.
+
+Convex decompositions are the main kind; others keep arrays of their own.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +23,14 @@ Polytope = tuple[np.ndarray, np.ndarray]
 """Vertices (V, 3) and triangles (F, 3)."""
 
 
-def default_cache() -> Path:
-    """The folder of decompositions: $GRASP_REFINE_CACHE/pieces, else `pieces` in the user's cache folder."""
+def default_cache(kind: str = "pieces") -> Path:
+    """The folder of one kind of entries: $GRASP_REFINE_CACHE/kind, else `kind` in the user's cache folder."""
     root = os.environ.get("GRASP_REFINE_CACHE") or platformdirs.user_cache_dir("grasp-refine")
-    return Path(root) / "pieces"
+    return Path(root) / kind
 
 
 def entry_name(vertices: np.ndarray, faces: np.ndarray, settings: str) -> str:
-    """File name of the entry for a mesh and the text of all `settings` that its decomposition depends on."""
+    """File name of the entry for a geometry and the text of all `settings` that what is kept depends on."""
     digest = hashlib.sha256(f"{SCHEMA} {vertices.shape} {faces.shape} {settings}".encode())
     digest.update(vertices.astype("<f8").tobytes())
     digest.update(faces.astype("<i8").tobytes())
@@ -35,23 +38,32 @@ def entry_name(vertices: np.ndarray, faces: np.ndarray, settings: str) -> str:
 
 
 def save(entry: Path, polytopes: Sequence[Polytope]) -> None:
-    """Nothing; the entry appears complete or not at all, also when several processes write it.
+    """Nothing; the polytopes are kept as `save_arrays` does.
 
     Raises:
         OSError: the folder cannot be written to.
     """
     vertices, faces = zip(*polytopes, strict=True)
+    save_arrays(
+        entry,
+        vertices=np.concatenate(vertices),
+        faces=np.concatenate(faces),
+        vertex_counts=np.array([len(part) for part in vertices]),
+        face_counts=np.array([len(part) for part in faces]),
+    )
+
+
+def save_arrays(entry: Path, **arrays: np.ndarray) -> None:
+    """Nothing; the entry appears complete or not at all, also when several processes write it.
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
     entry.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=entry.parent, suffix=".tmp")
     try:
         with os.fdopen(handle, "wb") as file:
-            np.savez(
-                file,
-                vertices=np.concatenate(vertices),
-                faces=np.concatenate(faces),
-                vertex_counts=[len(part) for part in vertices],
-                face_counts=[len(part) for part in faces],
-            )
+            np.savez(file, **arrays)
         os.replace(temporary, entry)
     except BaseException:
         os.unlink(temporary)
@@ -60,17 +72,22 @@ def save(entry: Path, polytopes: Sequence[Polytope]) -> None:
 
 def load(entry: Path) -> list[Polytope] | None:
     """The polytopes of an entry; None when there is no such entry, or it is broken."""
+    arrays = load_arrays(entry, "vertices", "faces", "vertex_counts", "face_counts")
+    if arrays is None or not _sound(*arrays):
+        return None
+    vertices, faces, *counts = arrays
+    per_vertex, per_face = (np.cumsum(count)[:-1] for count in counts)
+    return list(zip(np.split(vertices, per_vertex), np.split(faces, per_face), strict=True))
+
+
+def load_arrays(entry: Path, *names: str) -> list[np.ndarray] | None:
+    """The arrays of an entry with these names; None when there is no such entry, or it cannot be read."""
     try:
         # numpy leaves a file open that it opened itself and could not read.
         with open(entry, "rb") as file, np.load(file, allow_pickle=False) as arrays:
-            vertices, faces = arrays["vertices"], arrays["faces"]
-            counts = arrays["vertex_counts"], arrays["face_counts"]
+            return [arrays[name] for name in names]
     except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error):
         return None
-    if not _sound(vertices, faces, *counts):
-        return None
-    per_vertex, per_face = (np.cumsum(count)[:-1] for count in counts)
-    return list(zip(np.split(vertices, per_vertex), np.split(faces, per_face), strict=True))
 
 
 def _sound(vertices: np.ndarray, faces: np.ndarray, per_vertex: np.ndarray, per_face: np.ndarray) -> bool:

@@ -34,7 +34,9 @@ class Analytical:
             point, normal = sides.point[side], sides.normal[side]
             for winner in np.unique(w.winner[w.winner >= 0]):
                 here = (w.winner == winner).T
-                local[side][here] = self._feature(pieces[winner], point[here], normal[here], w.distance.T[here])
+                local[side][here] = feature_slip(
+                    pieces[winner], point[here], normal[here], w.distance.T[here], self.tolerance
+                )
         slip = (sides.rotation @ local @ sides.rotation.mT).swapaxes(0, 1)
         return Slip(slip[:, :count], slip[:, count:], w.point_a, w.point_b, sampled=False)
 
@@ -44,27 +46,36 @@ class Analytical:
         """Wrenches (batch, pair, 6) on the two bodies of covectors on witness points and normal."""
         return pull_back_witness(self.slip(scene), scene, force_a, force_b, force_n, self.coupling)
 
-    def _feature(self, piece: Piece, x: np.ndarray, normal: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        """Slip matrices (M, 3, 3) at points x (M, 3) of one piece with outward normals (M, 3), body frame."""
-        core = x - piece.radius * normal
-        if len(piece.vertices) == 1:
-            along = np.zeros((len(x), 3, 3))
-        elif len(piece.vertices) == 2:
-            start, stop = piece.vertices
-            length = np.linalg.norm(stop - start)
-            axis = (stop - start) / length
-            inside = np.abs((core - (start + stop) / 2) @ axis) < (0.5 - self.tolerance) * length
-            along = inside[:, None, None] * np.outer(axis, axis)
-        else:
-            normals, offsets = piece.planes
-            size = np.linalg.norm(np.ptp(piece.vertices, axis=0))
-            active = np.abs(core @ normals.T - offsets) < self.tolerance * size
-            # The null space of the active normals; nearly parallel ones count as one face.
-            gram = np.einsum("mf,fi,fj->mij", active.astype(np.float64), normals, normals)
-            values, vectors = np.linalg.eigh(gram)
-            free = values < 1e-9 * np.maximum(values[:, -1:], 1.0)
-            along = (vectors * free[:, None, :]) @ vectors.mT
-        if piece.radius == 0.0:
-            return along
-        across = np.eye(3) - normal[:, :, None] * normal[:, None, :] - along
-        return along + (piece.radius / (piece.radius + distance))[:, None, None] * across
+
+def feature_slip(piece: Piece, x: np.ndarray, normal: np.ndarray, distance: np.ndarray, tolerance: float) -> np.ndarray:
+    """Slip matrices (M, 3, 3) of the face, edge or vertex at points x (M, 3) of one piece, body frame.
+
+    Args:
+        piece: The piece.
+        x: Points on its surface, metres.
+        normal: Outward contact normals (M, 3).
+        distance: Signed distances (M,) to what is beyond, metres; they matter where the piece is round.
+        tolerance: A face is active when the point lies in its plane to within this fraction of the piece's size.
+    """
+    core = x - piece.radius * normal
+    if len(piece.vertices) == 1:
+        along = np.zeros((len(x), 3, 3))
+    elif len(piece.vertices) == 2:
+        start, stop = piece.vertices
+        length = np.linalg.norm(stop - start)
+        axis = (stop - start) / length
+        inside = np.abs((core - (start + stop) / 2) @ axis) < (0.5 - tolerance) * length
+        along = inside[:, None, None] * np.outer(axis, axis)
+    else:
+        normals, offsets = piece.planes
+        size = np.linalg.norm(np.ptp(piece.vertices, axis=0))
+        active = np.abs(core @ normals.T - offsets) < tolerance * size
+        # The null space of the active normals; nearly parallel ones count as one face.
+        gram = np.einsum("mf,fi,fj->mij", active.astype(np.float64), normals, normals)
+        values, vectors = np.linalg.eigh(gram)
+        free = values < 1e-9 * np.maximum(values[:, -1:], 1.0)
+        along = (vectors * free[:, None, :]) @ vectors.mT
+    if piece.radius == 0.0:
+        return along
+    across = np.eye(3) - normal[:, :, None] * normal[:, None, :] - along
+    return along + (piece.radius / (piece.radius + distance))[:, None, None] * across

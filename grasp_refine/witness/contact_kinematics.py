@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from grasp_refine.se3 import cross, matvec, tangents
+from grasp_refine.se3 import Array, array_namespace, cross, matvec, tangents
+from grasp_refine.witness.curvature import raised, with_eigenvalues
 from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
@@ -71,7 +72,38 @@ class ContactKinematics:
         count = E.shape[1]
         diagonal = scene.surfaces.diagonal
         floor = self.smallest_curvature / (0.5 * (diagonal[:count] + diagonal[count:]))
-        return _raised(K[:, :count], K[:, count:], floor)
+        return raised(K[:, :count], K[:, count:], floor)
+
+
+def slide(point_b: Array, normal: Array, distance: Array, E: Array, K_a: Array, K_b: Array) -> tuple[Array, Array]:
+    """How the witness points slide on their bodies, U_a and U_b (..., 2, 6), along the tangents E.
+
+    dx_a = V_a(x_a) + E U_a xi and dx_b = V_b(x_b) + E U_b xi, with xi the spatial twist (v, w) of body b relative
+    to body a; the normal turns by dn = w_a x n + E K_a U_a xi. The equations of the class, with
+
+        U_a = S^-1 [E^T (w x n) + K_b E^T V(x_b)],     U_b = (I + d K_a) U_a - E^T V(x_b).
+
+    Args:
+        point_b: Witness points on body b (..., 3), world frame.
+        normal: Unit normals (..., 3) from a to b.
+        distance: Signed distances (...).
+        E: Tangents (..., 3, 2) as columns; with the normal, right-handed.
+        K_a: Curvatures (..., 2, 2) of body a in that basis.
+        K_b: The same of body b.
+    """
+    xp = array_namespace(normal)
+    rows = xp.matrix_transpose(E)
+    moved = xp.concat([rows, cross(point_b[..., None, :] + xp.zeros_like(rows), rows)], axis=-1)
+    # E^T (w x n) = (w . t_2, -w . t_1).
+    turned = xp.concat([xp.zeros_like(rows), xp.stack([rows[..., 1, :], -rows[..., 0, :]], axis=-2)], axis=-1)
+    d = distance[..., None, None]
+    S = K_a + K_b + d * (K_b @ K_a)
+    determinant = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] * S[..., 1, 0]
+    adjugate = xp.stack(
+        [xp.stack([S[..., 1, 1], -S[..., 0, 1]], axis=-1), xp.stack([-S[..., 1, 0], S[..., 0, 0]], axis=-1)], axis=-2
+    )
+    U_a = (adjugate / determinant[..., None, None]) @ (turned + K_b @ moved)
+    return U_a, U_a + d * (K_a @ U_a) - moved
 
 
 def _fit(near: Neighbors, E: np.ndarray) -> np.ndarray:
@@ -91,15 +123,5 @@ def _fit(near: Neighbors, E: np.ndarray) -> np.ndarray:
     weighted = (weight[..., None] * e).mT
     ridge = _RIDGE * rho_squared[..., None] * _EYE
     K = np.linalg.solve(weighted @ e + ridge, weighted @ n)
-    values, vectors = np.linalg.eigh(0.5 * (K + K.mT))
-    rho = np.sqrt(rho_squared)
-    values = np.clip(values, -1.0 / rho, 4.0 / rho)
-    return (vectors * values[..., None, :]) @ vectors.mT
-
-
-def _raised(K_a: np.ndarray, K_b: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same curvatures with the eigenvalues of K_a + K_b lifted to the floor (pair,), half by each body."""
-    values, vectors = np.linalg.eigh(K_a + K_b)
-    lift = np.maximum(floor[:, None] - values, 0.0)
-    half = 0.5 * (vectors * lift[..., None, :]) @ vectors.mT
-    return K_a + half, K_b + half
+    rho = np.sqrt(rho_squared)[..., 0]
+    return with_eigenvalues(0.5 * (K + K.mT), lambda values: np.clip(values, -1.0 / rho, 4.0 / rho))

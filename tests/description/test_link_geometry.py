@@ -42,9 +42,7 @@ def same_points(a: np.ndarray, b: np.ndarray) -> bool:
 
 def test_primitives_stand_at_their_origin(package: Path) -> None:
     shapes = ['<box size="1 2 3"/>', '<cylinder radius="1" length="4"/>', '<sphere radius="0.5"/>']
-    box, cylinder, sphere = pieces(
-        package, *shapes, origin='<origin xyz="1 2 3" rpy="1.5707963267948966 0 0"/>'
-    )
+    box, cylinder, sphere = pieces(package, *shapes, origin='<origin xyz="1 2 3" rpy="1.5707963267948966 0 0"/>')
     np.testing.assert_allclose(box.bounds, [[0.5, 0.5, 2], [1.5, 3.5, 4]])
     np.testing.assert_allclose(cylinder.bounds, [[0, 0, 2], [2, 4, 4]], atol=1e-12)
     np.testing.assert_allclose(sphere.vertices, [[1, 2, 3]])
@@ -89,10 +87,7 @@ def test_a_file_that_is_used_twice_is_read_once(package: Path, monkeypatch: pyte
     load_mesh = link_geometry.load_mesh
     monkeypatch.setattr(link_geometry, "load_mesh", lambda path: read.append(path) or load_mesh(path))
     names = ["../meshes/wedge.stl", "package://my_hand/meshes/wedge.stl"]
-    assert (
-        len(pieces(package, *(f'<mesh filename="{name}" scale="{s}"/>' for s in (1, 2) for name in names)))
-        == 2
-    )
+    assert len(pieces(package, *(f'<mesh filename="{name}" scale="{s}"/>' for s in (1, 2) for name in names))) == 2
     assert len(read) == 2, "once per spelling of its path"
 
 

@@ -12,9 +12,7 @@ LIMIT = '<limit lower="-1" upper="2" effort="3"/>'
 
 
 def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: str = LIMIT) -> str:
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>'
-    )
+    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>'
 
 
 def tree(folder: Path, links: str, *joints: str) -> Tree:

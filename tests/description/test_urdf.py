@@ -109,9 +109,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
             r"link 'tip': <geometry> holds <capsule>; it must hold one of box, cylinder, sphere, mesh",
         ),
         (
-            robot(
-                link='<collision><geometry><sphere radius="1"/><sphere radius="2"/></geometry></collision>'
-            ),
+            robot(link='<collision><geometry><sphere radius="1"/><sphere radius="2"/></geometry></collision>'),
             r"link 'tip': <geometry> holds <sphere>, <sphere>; it must hold one of",
         ),
         (
@@ -130,9 +128,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_malformed_files_say_what_is_wrong_in_one_line(
-    tmp_path: Path, text: str | bytes, message: str
-) -> None:
+def test_malformed_files_say_what_is_wrong_in_one_line(tmp_path: Path, text: str | bytes, message: str) -> None:
     with pytest.raises(HandError, match=message) as caught:
         read_urdf(write(tmp_path, text))
     assert "\n" not in str(caught.value) and "hand.urdf" in str(caught.value)

@@ -24,9 +24,7 @@ def test_bounding_spheres_hold_their_pieces(body):
 
 
 def test_bounding_spheres_of_primitives_are_the_smallest_ones():
-    body = build_body(
-        "primitives", [sphere(0.02), box([0.2, 0.3, 0.6]), capsule(0.1, [0, 0, 0], [0, 0, 0.3])]
-    )
+    body = build_body("primitives", [sphere(0.02), box([0.2, 0.3, 0.6]), capsule(0.1, [0, 0, 0], [0, 0, 0.3])])
     np.testing.assert_allclose(body.radii, [0.02, 0.35, 0.25])
     np.testing.assert_allclose(body.centers, [[0, 0, 0], [0, 0, 0], [0, 0, 0.15]])
 

@@ -131,9 +131,7 @@ def test_small_holes_twisted_and_doubled_faces_are_repaired():
     twisted = cube()
     twisted.faces[3] = twisted.faces[3][::-1]
     doubled = cube()
-    doubled = trimesh.Trimesh(
-        doubled.vertices, np.concatenate([doubled.faces, doubled.faces[:1]]), process=False
-    )
+    doubled = trimesh.Trimesh(doubled.vertices, np.concatenate([doubled.faces, doubled.faces[:1]]), process=False)
     for mesh in (without(cube(), 5), twisted, doubled):
         closed, notes = watertight(mesh, "cube")
         assert closed.is_volume and closed.volume == pytest.approx(1)

@@ -30,9 +30,7 @@ def blobs(count: int, seed: int = 0) -> list[Piece]:
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 100, 3000])
-@pytest.mark.parametrize(
-    "pieces", [[box([0.1, 0.2, 0.3])], [sphere(0.1)], blobs(6)], ids=["box", "ball", "many"]
-)
+@pytest.mark.parametrize("pieces", [[box([0.1, 0.2, 0.3])], [sphere(0.1)], blobs(6)], ids=["box", "ball", "many"])
 def test_there_are_exactly_as_many_as_asked(pieces, count):
     found = sample(pieces, count, seed=0)
     assert found.points.shape == found.normals.shape == (count, 3)

@@ -107,9 +107,7 @@ def test_primitive_meshes_are_closed(spec, volume):
     assert mesh.volume == pytest.approx(volume, rel=0.02)
 
 
-@pytest.mark.parametrize(
-    "spec", ["box", "box:1,2", "box:a,b,c", "sphere:", "sphere:1,2", "cone:1,2", "", "box:1,2,3,"]
-)
+@pytest.mark.parametrize("spec", ["box", "box:1,2", "box:a,b,c", "sphere:", "sphere:1,2", "cone:1,2", "", "box:1,2,3,"])
 def test_other_forms_are_refused_with_the_valid_ones(spec):
     with pytest.raises(MeshError, match="use box:x,y,z or sphere:r or cylinder:r,h"):
         primitive_pieces(spec)

@@ -14,7 +14,8 @@ from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, capsule, sphere
 from grasp_refine.se3 import tangents
 from grasp_refine.witness.autograd import WitnessLayer
-from grasp_refine.witness.contact_kinematics import ContactKinematics, _fit, _raised
+from grasp_refine.witness.contact_kinematics import ContactKinematics, _fit
+from grasp_refine.witness.curvature import raised
 from grasp_refine.witness.neighborhood import Adaptive, Neighbors
 from grasp_refine.witness.scene import WitnessScene
 
@@ -177,6 +178,6 @@ def test_flat_faces_get_the_smallest_curvature() -> None:
 
 def test_raising_moves_small_eigenvalues_of_the_sum_and_no_others() -> None:
     K_a, K_b = np.diag([50.0, 1.0])[None, None], np.diag([10.0, -9.0])[None, None]
-    raised_a, raised_b = _raised(K_a, K_b, np.array([20.0]))
+    raised_a, raised_b = raised(K_a, K_b, np.array([20.0]))
     np.testing.assert_allclose(raised_a[0, 0], np.diag([50.0, 15.0]), atol=1e-12)
     np.testing.assert_allclose(raised_b[0, 0], np.diag([10.0, 5.0]), atol=1e-12)

@@ -1,0 +1,32 @@
+"""Dataclasses of arrays with one row per member of a batch: taking rows, joining, and choosing between two."""
+
+from dataclasses import fields, is_dataclass
+from typing import TypeVar
+
+import numpy as np
+
+Rows = TypeVar("Rows")
+"""An array with a leading batch dimension, or a dataclass of such (and of such dataclasses)."""
+
+
+def take(rows: Rows, index: np.ndarray) -> Rows:
+    """The rows `index`, which are numbers or a mask."""
+    if is_dataclass(rows):
+        return type(rows)(*(take(getattr(rows, field.name), index) for field in fields(rows)))
+    return rows[index]
+
+
+def join(first: Rows, second: Rows) -> Rows:
+    """All rows of the first, then all of the second."""
+    if is_dataclass(first):
+        names = [field.name for field in fields(first)]
+        return type(first)(*(join(getattr(first, name), getattr(second, name)) for name in names))
+    return np.concatenate([first, second])
+
+
+def choose(mask: np.ndarray, first: Rows, second: Rows) -> Rows:
+    """The rows of the first where the mask (batch,) holds, else those of the second."""
+    if is_dataclass(first):
+        names = [field.name for field in fields(first)]
+        return type(first)(*(choose(mask, getattr(first, name), getattr(second, name)) for name in names))
+    return np.where(mask.reshape(-1, *(1,) * (first.ndim - 1)), first, second)

@@ -1,0 +1,109 @@
+"""Levenberg-Marquardt: damped Gauss-Newton steps within bounds, accepted only where the true loss falls."""
+
+from dataclasses import dataclass
+
+from grasp_refine.errors import GraspRefineError
+from grasp_refine.se3 import Array, array_namespace, matvec
+
+
+@dataclass(frozen=True)
+class LevenbergMarquardt:
+    """Damped Gauss-Newton steps (Levenberg 1944, Marquardt 1963) for a sum of squared residuals r(x).
+
+    A step solves (J^T J + lambda W) dx = -J^T r within bounds on dx, W the metric of the unknowns, so that lambda
+    compares with the squared derivative of a residual. It is accepted where the loss |r|^2, evaluated anew, falls;
+    then, if the fall is as predicted, lambda shrinks. Where it is rejected lambda grows, and the derivative is
+    taken again with another width of the neighbourhoods. A member that stalls starts again elsewhere.
+    """
+
+    iterations: int = 200
+    """Most iterations per grasp, each one collision query."""
+    damping: float = 1e-2
+    """lambda at first."""
+    smallest: float = 1e-7
+    """Floor of lambda."""
+    largest: float = 1e8
+    """A member whose lambda grows beyond this stalls."""
+    shrink: float = 0.3
+    """Factor of lambda after a step that did what was predicted."""
+    grow: float = 4.0
+    """Factor of lambda after a rejected step."""
+    gain: float = 0.25
+    """Smallest share of the predicted fall that counts as what was predicted."""
+    patience: int = 6
+    """Iterations without progress after which a member stalls."""
+    progress: float = 0.3
+    """Smallest relative fall of the loss that counts as progress."""
+    restarts: int = 20
+    """How often a stalled grasp with given targets starts again elsewhere, from its own random numbers."""
+    widths: tuple[float, ...] = (1.0, 0.5, 2.0, 0.0)
+    """Factors of the neighbourhoods' radii, one after the other at each rejection; 0: no smoothing at all."""
+
+    def __post_init__(self) -> None:
+        """Refuse factors with which lambda would not move, or move the wrong way.
+
+        Raises:
+            GraspRefineError: shrink not in (0, 1), or grow not above 1.
+        """
+        if not 0.0 < self.shrink < 1.0 < self.grow:
+            raise GraspRefineError(
+                f"levenberg-marquardt: shrink must be in (0, 1) and grow above 1, got {self.shrink:g} and {self.grow:g}"
+            )
+
+    def adapted(self, damping: Array, accepted: Array, ratio: Array) -> Array:
+        """lambda (batch,) after a step, from whether it was accepted and its fall over the predicted one."""
+        xp = array_namespace(damping)
+        shrunk = xp.where(ratio > self.gain, self.shrink * damping, damping)
+        return xp.where(accepted, xp.maximum(shrunk, xp.full_like(damping, self.smallest)), self.grow * damping)
+
+
+def bounded_step(
+    J: Array, r: Array, damping: Array, metric: Array, lower: Array, upper: Array, passes: int = 4
+) -> tuple[Array, Array]:
+    """Steps dx (batch, n) within bounds, and the falls (batch,) of |r|^2 that they predict.
+
+    Unknowns that the step would take beyond a bound are held there and the others are solved for again, a few
+    times (an active-set method without release); what is still outside after that is cut off.
+
+    Args:
+        J: Jacobians (batch, m, n).
+        r: Residuals (batch, m).
+        damping: lambda (batch,).
+        metric: Diagonals of W (batch, n).
+        lower: Lower bounds of dx (batch, n), at most 0.
+        upper: Upper bounds, at least 0.
+        passes: Most solutions of the linear system.
+    """
+    xp = array_namespace(J)
+    J_transposed = xp.matrix_transpose(J)
+    H, g = J_transposed @ J, matvec(J_transposed, r)
+    damped = H + _diagonal(damping[:, None] * metric)
+    free = xp.ones_like(lower)
+    dx = xp.linalg.solve(damped, -g[..., None])[..., 0]
+    for _ in range(passes - 1):
+        held = xp.minimum(xp.maximum(dx, lower), upper)
+        outside = held != dx
+        if not bool(xp.any(outside)):
+            break
+        free = xp.where(outside, xp.zeros_like(free), free)
+        # What is held moves to the right-hand side; its own rows become those of the unit matrix.
+        right = free * (-g - matvec(damped, (1.0 - free) * held)) + (1.0 - free) * held
+        system = damped * free[:, :, None] * free[:, None, :] + _diagonal(1.0 - free)
+        dx = xp.linalg.solve(system, right[..., None])[..., 0]
+    dx = xp.minimum(xp.maximum(dx, lower), upper)
+    return dx, predicted_fall(H, g, dx)
+
+
+def predicted_fall(H: Array, g: Array, dx: Array) -> Array:
+    """By how much |r|^2 falls along dx (batch, n) if r is linear: -2 g . dx - dx . H dx."""
+    xp = array_namespace(H)
+    return -xp.sum(dx * (2.0 * g + matvec(H, dx)), axis=-1)
+
+
+def _diagonal(values: Array) -> Array:
+    """Diagonal matrices (batch, n, n) of values (batch, n)."""
+    xp = array_namespace(values)
+    n = values.shape[-1]
+    result = xp.zeros_like(values[:, :, None] + values[:, None, :])
+    result[:, range(n), range(n)] = values
+    return result

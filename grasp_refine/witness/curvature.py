@@ -1,0 +1,125 @@
+"""Curvatures of surfaces near witness points, fitted to all surface candidates at once.
+
+What `contact_kinematics` fits to a few samples, here for the solvers that need it in every iteration: weights and
+moments of all candidates of a body come from three matrix products, without any choice of samples.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from grasp_refine.geometry.body import Body
+
+_COS_NORMALS = -0.5
+"""Normals within 120 degrees of the contact normal count."""
+
+_RIDGE = 1e-3
+"""Of the least squares, as a fraction of rho^2: without it, candidates on a line would leave K undetermined."""
+
+_BLOCK = 128
+"""Witness points that are fitted together, so that their weights stay in the processor's cache."""
+
+_SAFE = 16.0
+"""So many of 1024 candidates lie within half the smallest radius, on a flat surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curvatures:
+    """Fits curvatures to the candidates of B bodies; single precision about their centres, which suffices."""
+
+    center: np.ndarray
+    """Mean of the candidates (B, 3), body frames, metres."""
+    safe: np.ndarray
+    """2 sqrt(16 area / (1024 pi)) of each body (B,), in metres: radii below half of it would hold too few."""
+    position: np.ndarray
+    """(v, |v|^2, 1) of each candidate (B, 5, N), about the centre."""
+    normal: np.ndarray
+    """Outward normals (B, 3, N)."""
+    products: np.ndarray
+    """1, v, n, v v^T and v n^T of each candidate (B, N, 25)."""
+
+    @staticmethod
+    def of(bodies: Sequence[Body]) -> "Curvatures":
+        """What is needed of some bodies, which have equally many candidates."""
+        points = np.stack([body.candidates.points for body in bodies])
+        n = np.stack([body.candidates.normals for body in bodies])
+        area = np.array([body.area for body in bodies])
+        center = points.mean(axis=1)
+        v = points - center[:, None]
+        one = np.ones_like(v[..., :1])
+        position = np.concatenate([v, (v * v).sum(axis=2, keepdims=True), one], axis=2).mT
+        squares = [(v[..., :, None] * other[..., None, :]).reshape(*v.shape[:2], 9) for other in (v, n)]
+        products = np.concatenate([one, v, n, *squares], axis=2)
+        single = (np.ascontiguousarray(array, dtype=np.float32) for array in (position, n.mT, products))
+        return Curvatures(center, 2.0 * np.sqrt(_SAFE * area / (1024 * np.pi)), *single)
+
+    def fit(self, body: np.ndarray, x: np.ndarray, normal: np.ndarray, E: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """Symmetric curvatures K (R, 2, 2) in 1/m, positive for convex: E^T n_j = b + K E^T (v_j - x).
+
+        Least squares over the candidates v_j, n_j within the radius rho, weighted by 1 - |v_j - x|^2 / rho^2;
+        eigenvalues are clipped to [-1/rho, 4/rho], what candidates of that spread can tell.
+
+        Args:
+            body: Which body each witness point is on (R,).
+            x: Witness points (R, 3), body frames, metres.
+            normal: Outward contact normals (R, 3), body frames.
+            E: Tangents (R, 3, 2) as columns, body frames.
+            radius: rho (R,) in metres.
+        """
+        moments = np.empty((len(x), self.products.shape[2]))
+        scale = 1.0 / (radius * radius)
+        y = x - self.center[body]
+        weigh = np.empty((len(x), 5), dtype=np.float32)
+        weigh[:, :3] = (2.0 * scale)[:, None] * y
+        weigh[:, 3] = -scale
+        weigh[:, 4] = 1.0 - scale * (y * y).sum(axis=1)
+        facing = normal.astype(np.float32)
+        order = np.argsort(body, kind="stable")
+        ends = np.searchsorted(body[order], np.arange(len(self.center) + 1))
+        for b in np.flatnonzero(np.diff(ends)):
+            for start in range(ends[b], ends[b + 1], _BLOCK):
+                rows = order[start : min(start + _BLOCK, ends[b + 1])]
+                weight = weigh[rows] @ self.position[b]
+                np.maximum(weight, 0.0, out=weight)
+                weight *= facing[rows] @ self.normal[b] >= _COS_NORMALS
+                moments[rows] = weight @ self.products[b]
+        return _curvature(moments, E, radius)
+
+
+def raised(K_a: np.ndarray, K_b: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same curvatures (..., 2, 2) with the eigenvalues of K_a + K_b lifted to the floor (...), half by each."""
+    half = 0.5 * with_eigenvalues(K_a + K_b, lambda values: np.maximum(floor - values, 0.0))
+    return K_a + half, K_b + half
+
+
+def with_eigenvalues(K: np.ndarray, function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """The matrices with the same eigenvectors as symmetric ones K (..., 2, 2) and a function of their eigenvalues."""
+    mean = 0.5 * (K[..., 0, 0] + K[..., 1, 1])
+    difference, mixed = K[..., 0, 0] - mean, K[..., 0, 1]
+    half = np.sqrt(difference * difference + mixed * mixed)
+    high, low = function(mean + half), function(mean - half)
+    mean = 0.5 * (high + low)
+    factor = 0.5 * (high - low) / np.where(half > 0, half, 1.0)
+    result = np.empty_like(K)
+    result[..., 0, 0], result[..., 1, 1] = mean + factor * difference, mean - factor * difference
+    result[..., 0, 1] = result[..., 1, 0] = factor * mixed
+    return result
+
+
+def _curvature(moments: np.ndarray, E: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """The curvatures (R, 2, 2) that moments (R, 25) and tangents (R, 3, 2) give."""
+    mean = moments[:, 1:] / np.maximum(moments[:, :1], np.finfo(np.float32).tiny)
+    v, v_and_n = mean[:, :3], mean[:, :6]
+    products = np.concatenate([mean[:, 6:15].reshape(-1, 3, 3), mean[:, 15:].reshape(-1, 3, 3)], axis=2)
+    spread = E.mT @ (products - v[:, :, None] * v_and_n[:, None, :])
+    A, B = spread[..., :3] @ E, spread[..., 3:] @ E
+    ridge = _RIDGE * radius * radius
+    a, b, c = A[:, 0, 0] + ridge, A[:, 0, 1], A[:, 1, 1] + ridge
+    # A and B are e e^T and e n^T: K^T = A^-1 B, and its symmetric part.
+    scale = 1.0 / (a * c - b * b)
+    K = np.empty_like(A)
+    K[:, 0, 0] = (c * B[:, 0, 0] - b * B[:, 1, 0]) * scale
+    K[:, 1, 1] = (a * B[:, 1, 1] - b * B[:, 0, 1]) * scale
+    K[:, 0, 1] = K[:, 1, 0] = 0.5 * scale * (c * B[:, 0, 1] - b * B[:, 1, 1] + a * B[:, 1, 0] - b * B[:, 0, 0])
+    return with_eigenvalues(K, lambda values: np.clip(values, -1.0 / radius, 4.0 / radius))

@@ -1,0 +1,104 @@
+"""Curvatures of both bodies at the witness points of many pairs, as contact kinematics needs them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from grasp_refine.collision.query import Pairs, Witness
+from grasp_refine.se3 import matvec
+from grasp_refine.witness.analytical import feature_slip
+from grasp_refine.witness.curvature import Curvatures, raised
+
+CORNER = 1e4
+"""Curvature in 1/m that stands for that across an edge or at a vertex, where the exact one is infinite."""
+
+FEATURE_TOLERANCE = 1e-6
+"""A face is active when the witness lies in its plane to within this fraction of the piece's size."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairCurvatures:
+    """Curvatures of the two bodies of P pairs at their witness points."""
+
+    pairs: Pairs
+    """The body pairs."""
+    bodies: Curvatures
+    """The distinct bodies."""
+    body: np.ndarray
+    """Which of them are the first bodies, then the second ones (2 P,)."""
+    floor: np.ndarray
+    """Floor (P,) of the eigenvalues of K_a + K_b, in 1/m."""
+
+    @staticmethod
+    def of(pairs: Pairs, smallest: float) -> PairCurvatures:
+        """Ready for some pairs; `smallest` is the floor of K_a + K_b, over the mean of the two bodies' diagonals."""
+        both = (*pairs.a, *pairs.b)
+        distinct = {id(body): body for body in both}
+        place = {key: index for index, key in enumerate(distinct)}
+        diagonal = np.array([body.diagonal for body in both]).reshape(2, -1)
+        return PairCurvatures(
+            pairs,
+            Curvatures.of(tuple(distinct.values())),
+            np.array([place[id(body)] for body in both]),
+            smallest / diagonal.mean(axis=0),
+        )
+
+    def fit(
+        self,
+        pair: np.ndarray,
+        T_world_a: np.ndarray,
+        T_world_b: np.ndarray,
+        witness: Witness,
+        E: np.ndarray,
+        miss: np.ndarray,
+        width: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """K_a and K_b (M, 2, 2) of M items in 1/m, in their tangent bases.
+
+        The neighbourhood of a witness has the radius max(2 width |t - x|, safe / 2); with a width of 0 there is
+        none, and the curvatures are those of the exact face, edge or vertex.
+
+        Args:
+            pair: Body pair (M,) of each item.
+            T_world_a: Poses of the first bodies (M, 4, 4).
+            T_world_b: Poses of the second bodies.
+            witness: Witness points (M,).
+            E: Tangents (M, 3, 2), world frame.
+            miss: Distances |t - x| (2, M) of the witness points from their targets on a, then on b, in metres.
+            width: Factors (M,) of the radii.
+        """
+        count = len(pair)
+        T = np.concatenate([T_world_a, T_world_b])
+        R = T[:, :3, :3].mT
+        x = matvec(R, np.concatenate([witness.point_a, witness.point_b]) - T[:, :3, 3])
+        normal = matvec(R, np.concatenate([witness.normal, -witness.normal]))
+        E = R @ np.concatenate([E, E])
+        body = np.concatenate([self.body[pair], self.body[pair + len(self.pairs)]])
+        both = np.concatenate([width, width])
+        radius = np.maximum(2.0 * both * miss.reshape(-1), 0.5 * self.bodies.safe[body])
+        K = self.bodies.fit(body, x, normal, E, radius)
+        exact = np.flatnonzero(both == 0)
+        if len(exact):
+            K[exact] = self._of_features(exact, x, normal, E, witness)
+        return raised(K[:count], K[count:], self.floor[pair])
+
+    def _of_features(
+        self, rows: np.ndarray, x: np.ndarray, normal: np.ndarray, E: np.ndarray, witness: Witness
+    ) -> np.ndarray:
+        """Curvatures (R, 2, 2) of the faces, edges and vertices at some rows of both bodies' witness points."""
+        count = len(witness.winner)
+        item, second = rows % count, rows >= count
+        winner = witness.winner[item]
+        slip = np.zeros((len(rows), 3, 3))
+        for side, pieces in zip((~second, second), self.pairs.piece_pairs, strict=True):
+            for number in np.unique(winner[side & (winner >= 0)]):
+                here = np.flatnonzero(side & (winner == number))
+                at = rows[here]
+                slip[here] = feature_slip(
+                    pieces[number], x[at], normal[at], witness.distance[item[here]], FEATURE_TOLERANCE
+                )
+        # Along the feature the witness slides freely: no curvature.
+        tangents = E[rows]
+        return CORNER * (np.eye(2) - tangents.mT @ slip @ tangents)
