@@ -3,9 +3,11 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from grasp_refine.losses import Weights
+from grasp_refine.losses import Scales, Weights
+from grasp_refine.solvers.adam import Adam
 from grasp_refine.solvers.descent import Descent
-from grasp_refine.targets import REACH
+from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.targets import Touching
 from grasp_refine.witness.autograd import Derivative
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 
@@ -14,18 +16,24 @@ from grasp_refine.witness.contact_kinematics import ContactKinematics
 class Config:
     """All settings of a refinement."""
 
-    solver: Descent = field(default_factory=Descent)
+    solver: LevenbergMarquardt | Descent | Adam = field(default_factory=LevenbergMarquardt)
     """How the hand moves."""
     derivative: Derivative = field(default_factory=ContactKinematics)
-    """How witness points are differentiated."""
+    """How witness points are differentiated by descent; Levenberg-Marquardt has contact kinematics of its own."""
+    touching: Touching = field(default_factory=Touching)
+    """Which links should touch the object where there are no targets."""
+    nearest: bool = False
+    """Without targets, the links that should touch have their first witness points as targets."""
     weights: Weights = field(default_factory=Weights)
     """How much each term of the loss counts."""
+    scales: Scales = field(default_factory=Scales)
+    """Which movements count the same where a grasp should stay near."""
     margin: float = 0.0
     """Contact margin in metres: the gap that contact links should keep."""
-    reach: float = REACH
-    """Without targets, contact links within this signed distance (metres) of the object are meant to touch it."""
-    tolerance: float = 1e-7
-    """A grasp has converged when its loss (m^2) is below this; 1e-7 is a third of a millimetre."""
+    tolerance: float = 1e-10
+    """A grasp has converged when its loss (m^2) is below this; 1e-10 is a hundredth of a millimetre."""
+    width: int = 256
+    """Most grasps that Levenberg-Marquardt works on at once; those that are done make room for others."""
     seed: int = 0
     """Seed of everything that is drawn."""
     dtype: Literal["float64", "float32"] = "float64"

@@ -1,19 +1,25 @@
-"""Refinement: the one loop that moves hands until their links touch the object where they should."""
+"""Refinement: hands move until their links touch the object where they should, and penetrate nothing."""
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
-from grasp_refine.collision.query import Witness
 from grasp_refine.config import Config
+from grasp_refine.goal import Goal, goal_of
+from grasp_refine.grasp_problem import GraspProblem
 from grasp_refine.objective import Objective
 from grasp_refine.scene import Scene
+from grasp_refine.solvers.batch import choose
+from grasp_refine.solvers.first_order import descend
+from grasp_refine.solvers.least_squares import Minimum, Point, minimise
+from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.solvers.status import Status
 
 __all__ = ["Config", "Refinement", "Scene", "refine"]
+
+Progress = Callable[[int, int, float], None]
+"""Gets the number of finished grasps, the iteration, and the mean loss of the grasps still running (m^2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +30,8 @@ class Refinement:
     """Poses (N, 4, 4) of the base link: the best iterate of each grasp by true loss."""
     q: np.ndarray
     """Joint values (N, n)."""
+    touching: np.ndarray
+    """Links (N, L) that were to touch the object."""
     target_link: np.ndarray
     """The targets that were used (N, L, 3), link frames; NaN: none."""
     target_object: np.ndarray
@@ -42,130 +50,72 @@ class Refinement:
     """Share of the CPU time of each grasp (N,), seconds."""
 
 
-def refine(
-    scene: Scene, config: Config | None = None, progress: Callable[[int, int, float], None] | None = None
-) -> Refinement:
+def refine(scene: Scene, config: Config | None = None, progress: Progress | None = None) -> Refinement:
     """Refine all grasps of a scene.
 
     Args:
         scene: Hand, object, initial grasps and, optionally, targets.
         config: All settings; the defaults when None.
-        progress: Called after each iteration with the number of finished grasps, the iteration, and the mean loss
-            of the grasps still running (m^2).
+        progress: Called after each iteration.
 
     Returns:
         The best iterate of each grasp by true loss. Not converging is a status, never an exception.
     """
     config = config or Config()
-    objective = Objective(scene, config)
-    target_link, target_object, queries = objective.targets()
-    run = _Run(objective, target_link, target_object, queries)
-    solver = config.solver
-    iteration = 0
-    while len(run.active) and iteration < solver.iterations:
-        mean_loss = run.iterate(iteration)
-        iteration += 1
-        if progress is not None:
-            progress(len(scene.q) - len(run.active), iteration, mean_loss)
-    return run.result()
+    goal = goal_of(scene, config.touching, nearest=config.nearest)
+    status = np.full(len(scene.q), Status.RUNNING)
+    status[~goal.touching.any(axis=1)] = Status.NO_TARGET
+    finite = np.isfinite(scene.T_world_root).all(axis=(1, 2)) & np.isfinite(scene.q).all(axis=1)
+    status[~finite] = Status.NOT_FINITE
+    solve = _least_squares if isinstance(config.solver, LevenbergMarquardt) else _first_order
+    found = solve(scene, goal, config, status, progress)
+    unreachable = (found.status != Status.CONVERGED) & (status == Status.RUNNING)
+    found.status[unreachable & (goal.off_surface > max(config.tolerance, OFF_SURFACE))] = Status.UNREACHABLE
+    hand = scene.hand
+    q = np.where(finite[:, None], np.clip(found.point.q, hand.lower, hand.upper), found.point.q)
+    return Refinement(
+        found.point.T, q, goal.touching, goal.target_link, goal.target_object, found.status, found.loss,
+        found.iterations, goal.queries + found.queries, found.wall_s, found.cpu_s,
+    )  # fmt: skip
 
 
-class _Run:
-    """The state of the loop: grasps that still run, the best of all grasps, and what they cost."""
+OFF_SURFACE = 1e-8
+"""Targets count as off their surfaces when that alone makes a loss above this, in m^2: a tenth of a millimetre."""
 
-    def __init__(
-        self, objective: Objective, target_link: np.ndarray, target_object: np.ndarray, queries: np.ndarray
-    ) -> None:
-        scene = objective.scene
-        count = len(scene.q)
-        self.objective = objective
-        self.targets = target_link, target_object
-        self.best_T, self.best_q = scene.T_world_root.copy(), scene.q.copy()
-        self.best = np.full(count, np.inf)
-        self.first = np.full(count, np.nan)
-        self.status = np.full(count, Status.RUNNING)
-        self.status[np.isnan(target_link).all(axis=(1, 2))] = Status.NO_TARGET
-        finite = np.isfinite(scene.T_world_root).all(axis=(1, 2)) & np.isfinite(scene.q).all(axis=1)
-        self.status[~finite] = Status.NOT_FINITE
-        self.iterations, self.queries = np.zeros(count, dtype=np.int64), queries.copy()
-        self.wall, self.cpu = np.zeros(count), np.zeros(count)
-        self.stage, self.since = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
-        self.mark = np.full(count, np.inf)
-        self.active = np.flatnonzero(self.status == Status.RUNNING)
-        self._load(scene.T_world_root[self.active], scene.q[self.active])
-        self.previous: Witness | None = None
 
-    def _load(self, T: np.ndarray, q: np.ndarray) -> None:
-        tensor = self.objective.tensor
-        self.T, self.q = tensor(T), tensor(q)
-        self.average = self.q.new_zeros(len(q), 6 + q.shape[1])
-        self.target_link, self.target_object = (tensor(target[self.active]) for target in self.targets)
-
-    def iterate(self, iteration: int) -> float:
-        """One evaluation and one step of all running grasps; returns their mean loss."""
-        solver = self.objective.config.solver
-        wall, cpu = time.perf_counter(), time.process_time()
-        active = self.active
-        loss, gradient, witness = self.objective.evaluate(
-            self.T, self.q, self.target_link, self.target_object, iteration, self.previous
+def _least_squares(
+    scene: Scene, goal: Goal, config: Config, status: np.ndarray, progress: Progress | None
+) -> Minimum:
+    """By Levenberg-Marquardt; with targets, from where inverse kinematics alone comes nearest to them."""
+    problem, solver = GraspProblem(scene, goal, config), config.solver
+    rows = np.flatnonzero(status == Status.RUNNING)
+    hand = scene.hand
+    given = Point(scene.T_world_root, np.clip(scene.q, hand.lower, hand.upper))
+    if not goal.aimed.any():
+        solver = replace(solver, restarts=0)
+        return minimise(
+            problem, given, solver, config.tolerance, status=status, width=config.width, progress=progress
         )
-        value = loss.double().cpu().numpy()
-        ended = self._judge(value, iteration)
-        stage = torch.as_tensor(self.stage[active], device=self.T.device)
-        T, q, average = solver.step(
-            self.T, self.q, gradient, self.average, stage, self.objective.lower, self.objective.upper
-        )
-        self.iterations[active] += 1
-        self.queries[active] += witness.asked.sum(axis=1)
-        keep = np.flatnonzero(~ended)
-        rows = torch.as_tensor(keep, device=self.T.device)
-        self.T, self.q, self.average = T[rows], q[rows], average[rows]
-        if len(keep) < len(active):
-            self.active = active[keep]
-            self.target_link, self.target_object = self.target_link[rows], self.target_object[rows]
-            witness = witness.rows(keep)
-        self.previous = witness
-        share = 1.0 / len(active)
-        self.wall[active] += (time.perf_counter() - wall) * share
-        self.cpu[active] += (time.process_time() - cpu) * share
-        known = value[np.isfinite(value)]
-        return float(known.mean()) if len(known) else 0.0
+    start = Point(given.T.copy(), given.q.copy())
+    reached = problem.reached(rows, Point(given.T[rows], given.q[rows]))
+    start.T[rows], start.q[rows] = reached.T, reached.q
+    found = minimise(problem, start, solver, config.tolerance, status=status, width=config.width, progress=progress)
+    # The grasp as it came counts too.
+    before = np.full(len(status), np.nan)
+    for block in np.split(rows, range(config.width, len(rows), config.width)):
+        before[block] = problem.evaluate(block, Point(given.T[block], given.q[block]), None).loss
+    first = before <= found.loss[:, 1]
+    loss = np.stack([before, np.where(first, before, found.loss[:, 1])], axis=1)
+    return replace(found, point=choose(first, given, found.point), loss=loss)
 
-    def _judge(self, value: np.ndarray, iteration: int) -> np.ndarray:
-        """Keep the best iterates, advance the schedule, and say which grasps end here (active,)."""
-        config, active = self.objective.config, self.active
-        solver = config.solver
-        if iteration == 0:
-            self.first[active] = value
-        better = value < self.best[active]
-        index = active[better]
-        self.best[index] = value[better]
-        self.best_T[index] = self.T.double().cpu().numpy()[better]
-        self.best_q[index] = self.q.double().cpu().numpy()[better]
-        progressed = value < (1.0 - solver.progress) * self.mark[active]
-        self.mark[active] = np.where(progressed, value, self.mark[active])
-        self.since[active] = np.where(progressed, 0, self.since[active] + 1)
-        stuck = self.since[active] >= solver.patience
-        last = self.stage[active] == len(solver.factors)
-        self.stage[active] = np.maximum(self.stage[active] + (stuck & ~last), solver.first_stage(iteration))
-        self.since[active] = np.where(stuck, 0, self.since[active])
-        converged, failed = value < config.tolerance, ~np.isfinite(value)
-        out_of_budget = np.full(len(active), iteration + 1 >= solver.iterations)
-        for mask, status in (
-            (out_of_budget, Status.BUDGET),
-            (stuck & last, Status.STALLED),
-            (converged, Status.CONVERGED),
-            (failed, Status.NOT_FINITE),
-        ):
-            self.status[active[mask]] = status
-        return out_of_budget | (stuck & last) | converged | failed
 
-    def result(self) -> Refinement:
-        """What came out."""
-        hand = self.objective.scene.hand
-        finite = np.isfinite(self.best_q).all(axis=1)
-        q = np.where(finite[:, None], np.clip(self.best_q, hand.lower, hand.upper), self.best_q)
-        return Refinement(
-            self.best_T, q, *self.targets, self.status, np.stack([self.first, self.best], axis=1), self.iterations,
-            self.queries, self.wall, self.cpu,
-        )  # fmt: skip
+def _first_order(scene: Scene, goal: Goal, config: Config, status: np.ndarray, progress: Progress | None) -> Minimum:
+    """By descent or Adam."""
+    return descend(
+        Objective(scene, goal, config),
+        Point(scene.T_world_root, scene.q),
+        config.solver,
+        config.tolerance,
+        status=status,
+        progress=progress,
+    )

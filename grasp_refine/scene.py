@@ -22,6 +22,8 @@ class Scene:
     """Where links should touch (N, L, 3), link frames, one column per link of `links`; NaN: nowhere. None: auto."""
     target_object: np.ndarray | None = None
     """Where the object should be touched (N, L, 3), object frame, metres."""
+    direction: np.ndarray | None = None
+    """Wanted contact normals from link to object (N, L, 3), object frame, unit length; NaN: any."""
 
     @property
     def links(self) -> tuple[str, ...]:

@@ -1,29 +1,113 @@
-"""Which link should touch the object where, when nobody says."""
+"""Which links should touch the object, and where, when nobody says."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from grasp_refine.collision.query import Witness
+from grasp_refine.errors import GraspRefineError, HandError
+from grasp_refine.hand import Hand
 from grasp_refine.se3 import inverse, transform_points
 
-REACH = 0.03
-"""Contact links farther from the object than this (metres) are not meant to touch it."""
+PALM = "palm"
+"""Group of the links that carry several fingers, or none."""
 
 
-def automatic_targets(
-    witness: Witness, T_world_a: np.ndarray, T_world_b: np.ndarray, reach: float = REACH
+@dataclass(frozen=True)
+class Touching:
+    """The links that are part of a grasp: those that are near the object at its start."""
+
+    reach: float = 0.01
+    """Contact links (fingertips) within this signed distance of the object touch it, in metres."""
+    reach_others: float = 0.003
+    """The same of all other links."""
+    farthest: float = 0.03
+    """If links of fewer than two groups (fingers, palm) are in reach, the nearest contact links up to here count."""
+    links: tuple[str, ...] = ()
+    """Instead of all that: these links touch."""
+
+    def __post_init__(self) -> None:
+        """Nothing.
+
+        Raises:
+            GraspRefineError: a distance below zero.
+        """
+        for name in ("reach", "reach_others", "farthest"):
+            if not getattr(self, name) >= 0:
+                raise GraspRefineError(f"{name} must be a distance of at least 0 m, got {getattr(self, name):g}")
+
+    def cutoff(self, hand: Hand, links: tuple[str, ...]) -> np.ndarray:
+        """How far each link (L,) may be away to matter, in metres: what a query need not find beyond."""
+        if self.links:
+            unknown = [link for link in self.links if link not in links]
+            if unknown:
+                raise HandError(
+                    f"hand {hand.name} has no link {', '.join(unknown)} with collision geometry; it has "
+                    f"{', '.join(dict.fromkeys(links))}"
+                )
+            return np.where(np.isin(links, self.links), np.inf, -np.inf)
+        tips = np.isin(links, [contact.link for contact in hand.contacts])
+        # What is exactly at the limit is asked.
+        return np.nextafter(np.where(tips, max(self.reach, self.farthest), self.reach_others), np.inf)
+
+    def choose(self, hand: Hand, links: tuple[str, ...], witness: Witness) -> np.ndarray:
+        """Links (N, L) that should touch, none of them twice.
+
+        Args:
+            hand: The hand.
+            links: Links with collision geometry, contact links first; one may come several times.
+            witness: Witness points (N, L) of links and object, for pairs below `cutoff`.
+        """
+        first = np.array([links.index(link) == column for column, link in enumerate(links)])
+        distance = np.where(witness.valid & first, witness.distance, np.inf)
+        if self.links:
+            return np.isfinite(distance) & np.isin(links, self.links)
+        tips = np.isin(links, [contact.link for contact in hand.contacts])
+        touching = distance <= np.where(tips, self.reach, self.reach_others)
+        group = np.unique(link_groups(hand, links), return_inverse=True)[1]
+        for row in np.flatnonzero(touching.any(axis=1) | (distance <= self.farthest).any(axis=1)):
+            for column in np.argsort(distance[row], kind="stable"):
+                if len(np.unique(group[touching[row]])) >= 2 or distance[row, column] > self.farthest:
+                    break
+                touching[row, column] |= tips[column] and group[column] not in group[touching[row]]
+        return touching
+
+
+def link_groups(hand: Hand, links: tuple[str, ...]) -> list[str]:
+    """The group of each link: that of the one finger which it is part of, else `PALM`."""
+    group = {contact.link: contact.group for contact in hand.contacts}
+    parent = {joint.child: joint.parent for joint in hand.joints}
+    carried: dict[str, set[str]] = {}
+    for contact in hand.contacts:
+        link: str | None = contact.link
+        while link is not None:
+            carried.setdefault(link, set()).add(contact.group)
+            link = parent.get(link)
+
+    def of(link: str) -> str:
+        if link in group:
+            return group[link]
+        fingers = carried.get(link, set())
+        return next(iter(fingers)) if len(fingers) == 1 else PALM
+
+    return [of(link) for link in links]
+
+
+def nearest_points(
+    witness: Witness, T_world_a: np.ndarray, T_world_b: np.ndarray, touching: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The present witness points of all pairs within reach as targets, in the bodies' frames.
+    """The present witness points of the links that should touch, in the bodies' frames, as targets.
 
     Args:
-        witness: Witness points of contact links (a) and object (b).
+        witness: Witness points of links (a) and object (b).
         T_world_a: Poses of the links (batch, pair, 4, 4).
         T_world_b: Poses of the object (batch, pair, 4, 4).
-        reach: Largest signed distance in metres at which a link counts as meant to touch.
+        touching: Links (batch, pair) that should touch.
 
     Returns:
-        Points on the links and on the object (batch, pair, 3) in metres, NaN for pairs out of reach.
+        Points on the links and on the object (batch, pair, 3) in metres, NaN for other links.
     """
-    near = (witness.valid & (witness.distance <= reach))[..., None]
+    wanted = touching[..., None]
     on_a = transform_points(inverse(T_world_a), witness.point_a)
     on_b = transform_points(inverse(T_world_b), witness.point_b)
-    return np.where(near, on_a, np.nan), np.where(near, on_b, np.nan)
+    return np.where(wanted, on_a, np.nan), np.where(wanted, on_b, np.nan)

@@ -108,11 +108,37 @@ def test_smoke_runs_all_methods(capfd: pytest.CaptureFixture[str]):
     found = document(*SMOKE)
     assert found["preset"] == "smoke"
     assert [row["method"] for row in pooled(found)] == [variant.method for variant in PRESETS["smoke"].variants]
-    assert len(pooled(found)) == 7
+    assert len(pooled(found)) == 9
     assert all(row["d9"] is not None for row in pooled(found))
     assert "  face-face " in capfd.readouterr().out
     (differences,) = (row for row in pooled(found) if row["method"] == "finite-difference")
     assert differences["queries_mean"] == 13 * differences["iterations_mean"] == 65
+
+
+def test_solvers_and_witnesses_are_compared(capfd: pytest.CaptureFixture[str]):
+    options = "--solvers descent levenberg-marquardt --witnesses plain patch --epsilon 2e-5 --margins 0 1e-3"
+    found = document(*TINY[:-2], "30", *options.split(), "--classes", "vertex-vertex", "face-face")
+    rows = pooled(found)
+    assert [(row["solver"], row["witness"], row["margin"]) for row in rows] == [
+        (solver, witness, margin)
+        for solver in ("descent", "levenberg-marquardt")
+        for witness in ("plain", "patch")
+        for margin in (0.0, 1e-3)
+    ]
+    for row in rows:
+        assert row["epsilon"] == row["patch"]["epsilon"] == 2e-5 and row["patch"]["targets"] == row["targets"]
+        assert row["iterations_mean"] == 30.0 if row["solver"] == "descent" else row["iterations_mean"] <= 30.0
+        assert sum(row["cpu_share"].values()) == pytest.approx(1.0, abs=0.2)
+    assert "patch: epsilon 20 µm" in " ".join(capfd.readouterr().out.split())
+
+
+def test_levenberg_marquardt_repeats_itself(capfd: pytest.CaptureFixture[str]):
+    runs = [timeless(document(*TINY, "--solvers", "levenberg-marquardt")) for _ in range(2)]
+    assert runs[0] == runs[1]
+    first, second = pooled(runs[0])
+    assert (first["budget"], second["budget"]) == (20, 40)
+    assert second["d9"] <= first["d9"] and first["patch"] is None
+    assert max(map(len, capfd.readouterr().out.splitlines())) <= 80
 
 
 def test_every_combination_is_run_once():
@@ -182,6 +208,15 @@ def test_a_report_is_one_file_that_names_what_was_compared(capfd: pytest.Capture
         ("--margins nan", "--margins must be finite and not negative, got nan"),
         ("--seconds -1", "--seconds must be finite and not negative, got -1"),
         ("--seconds 1 0", "--seconds must be positive, got 0"),
+        ("--epsilon 1e-5", "--epsilon is of the patch witness only: leave it out, or give --witnesses patch"),
+        ("--witnesses patch --epsilon 0", "--epsilon must be positive, got 0"),
+        ("--preset solvers --solvers descent", "--preset solvers says itself what is compared: leave out --solvers"),
+        ("--preset patch --witnesses patch", "--preset patch says itself what is compared: leave out --witnesses"),
+        ("--solvers levenberg-marquardt --methods rigid", "--methods is of descent only: leave it out, or add descent"),
+        ("--solvers levenberg-marquardt --no-transport", "--transport is of descent only"),
+        ("--solvers levenberg-marquardt --seconds 1", "--seconds is of descent only: levenberg-marquardt ends each"),
+        ("--preset smoke --seconds 1", "--seconds is of descent only: levenberg-marquardt ends each task on its own"),
+        ("--solvers newton", "invalid choice 'newton' for argument '--solvers'"),
         ("--seed -1", "--seed must be 0 to 4294967295, got -1"),
         ("--workers 0", "--workers must be at least 1, got 0"),
         ("--methods dist", "invalid choice 'dist' for argument '--methods'"),

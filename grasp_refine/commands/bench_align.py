@@ -18,10 +18,10 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.apps.bench.align.bodies import Kind
 from grasp_refine.apps.bench.align.page import page
-from grasp_refine.apps.bench.align.presets import PRESETS, Preset
+from grasp_refine.apps.bench.align.presets import EPSILON, PRESETS, Preset
 from grasp_refine.apps.bench.align.study import Study, run_study
 from grasp_refine.apps.bench.align.table import bench_table
-from grasp_refine.apps.bench.align.variants import MethodName, NeighborhoodName, Variant
+from grasp_refine.apps.bench.align.variants import MethodName, NeighborhoodName, SolverName, Variant, WitnessName
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
 from grasp_refine.commands.options import check_device, check_numbers
 from grasp_refine.errors import GraspRefineError
@@ -32,9 +32,13 @@ from grasp_refine.versions import versions
 from grasp_refine.witness.slip import Coupling
 
 Class = Literal["vertex-vertex", "face-vertex", "vertex-face", "face-face"]
-PresetName = Literal["table1", "table2", "table3", "table4", "margin", "step-size", "coupling", "smoke"]
+PresetName = Literal[
+    "table1", "table2", "table3", "table4", "margin", "step-size", "coupling", "solvers", "patch", "smoke"
+]
 
-COMPARED = ("methods", "neighborhoods", "couplings", "transport", "optimise", "margins", "step_sizes")
+DESCENT_ONLY = ("methods", "neighborhoods", "couplings", "transport", "optimise", "step_sizes")
+"""Options that only descent reads."""
+COMPARED = ("solvers", *DESCENT_ONLY, "margins", "witnesses", "epsilon")
 """Options that say what is compared; a preset says it itself."""
 
 
@@ -42,16 +46,17 @@ COMPARED = ("methods", "neighborhoods", "couplings", "transport", "optimise", "m
 class BenchAlign:
     """Measure run time against error on the alignment task of arXiv 2511.06267.
 
-    Two random bodies, a wanted contact point on each: body 2 moves by normalised gradient descent until the witness
-    points lie on the targets. The error of a task is |x_a - t_a|^2 + |x_b - t_b|^2 + (d - margin)^2 in m^2, so
-    that 1e-6 is about a millimetre. Every combination of what is asked for is run on the same tasks. Without
-    options, the paper's method on the embedded objects.
+    Two random bodies, a wanted contact point on each: body 2 moves by normalised gradient descent, or by
+    Levenberg-Marquardt, until the witness points lie on the targets. The error of a task is
+    |x_a - t_a|^2 + |x_b - t_b|^2 + (d - margin)^2 in m^2, so that 1e-6 is about a millimetre. Every combination of
+    what is asked for is run on the same tasks. Without options, the paper's method on the embedded objects.
     """
 
     preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
     """An experiment of the paper, or one of our own: table1 (all methods), table2 (smoothing x sampling x gradients),
-    table3 (time of a query by method), table4 (time of a backward pass), margin, step-size, coupling, smoke (under a
-    minute)."""
+    table3 (time of a query by method), table4 (time of a backward pass), margin, step-size, coupling, solvers
+    (levenberg-marquardt against descent), patch (plain against patch witness points, targets on two faces), smoke
+    (under a minute)."""
     meshes: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: embedded)")] = None
     """Folder of meshes from which pairs are drawn."""
     kinds: tuple[Kind, ...] = ("convex", "concave")
@@ -64,10 +69,14 @@ class BenchAlign:
         DisallowNone[tuple[Class, ...] | None], arg(help_behavior_hint="(default: all but face-face)")
     ] = None
     """Where the targets lie, on body 1 and on body 2. Face-face targets are counted apart."""
+    solvers: Annotated[DisallowNone[tuple[SolverName, ...] | None], arg(help_behavior_hint="(default: descent)")] = None
+    """How the bodies move: the paper's normalised gradient descent, or levenberg-marquardt, which ends each task when
+    its error is below 1e-14 m^2. The latter differentiates by contact kinematics over neighbourhoods of its own, moves
+    body 2 and runs in double precision on the CPU; a budget is the most iterations, each one query, of a task."""
     methods: Annotated[DisallowNone[tuple[MethodName, ...] | None], arg(help_behavior_hint="(default: distance)")] = (
         None
     )
-    """How witness points are differentiated."""
+    """How descent differentiates witness points."""
     neighborhoods: Annotated[
         DisallowNone[tuple[NeighborhoodName, ...] | None], arg(help_behavior_hint="(default: adaptive)")
     ] = None
@@ -84,20 +93,27 @@ class BenchAlign:
     """Contact margins in metres."""
     step_sizes: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: 10)")] = None
     """Sizes s_r of the first steps; s_t = s_r / 1000."""
+    witnesses: Annotated[DisallowNone[tuple[WitnessName, ...] | None], arg(help_behavior_hint="(default: plain)")] = (
+        None
+    )
+    """Which witness points the solver sees: plain, or patch, of all that are within epsilon of being the closest those
+    nearest to the targets, for targets on two faces. With patch, all rows are also judged by it."""
+    epsilon: Annotated[
+        DisallowNone[float | None], arg(metavar="METRES", help_behavior_hint=f"(default: {EPSILON:g} with patch)")
+    ] = None
+    """Epsilon of the patch witness in metres."""
     budgets: Annotated[
         DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 2000, or the preset's)")
     ] = None
     """Budgets in iterations; several make a line in the picture of error against time."""
     seconds: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: none)")] = None
-    """Budgets in CPU seconds per pair, all its targets together, instead of iterations."""
-    solver: Literal["descent"] = "descent"
-    """How the bodies move: the paper's normalised gradient descent."""
+    """Budgets in CPU seconds per pair, all its targets together, instead of iterations; of descent only."""
     seed: int = 0
     """Seed of pairs, targets, initial poses and samples."""
     dtype: Literal["float64", "float32"] = "float64"
-    """Number type of poses and losses; queries and derivatives always run in double precision."""
+    """Number type of poses and losses of descent; queries and derivatives always run in double precision."""
     device: str = "cpu"
-    """Torch device of poses and losses."""
+    """Torch device of poses and losses of descent."""
     threads: int = 1
     """Threads of torch in each process; more than one is slower for matrices this small."""
     workers: int = 1
@@ -185,8 +201,10 @@ class BenchAlign:
         for option in fields(self):
             if getattr(self, option.name) == ():
                 raise GraspRefineError(f"{_flag(option.name)} needs at least one value")
-        if 0.0 in (self.seconds or ()):
-            raise GraspRefineError("--seconds must be positive, got 0")
+        for name in ("seconds", "epsilon"):
+            value = getattr(self, name)
+            if 0.0 in (value if isinstance(value, tuple) else (value,)):
+                raise GraspRefineError(f"{_flag(name)} must be positive, got 0")
         if self.budgets is not None and self.seconds is not None:
             raise GraspRefineError(
                 "--budgets and --seconds exclude each other: a budget is in iterations or in CPU seconds"
@@ -198,8 +216,14 @@ class BenchAlign:
                         f"--preset {self.preset} says itself what is compared: leave out {_flag(name)}"
                     )
         preset = PRESETS[self.preset] if self.preset is not None else Preset("", self._variants())
+        if self.seconds is not None and any(variant.solver != "descent" for variant in preset.variants):
+            raise GraspRefineError(
+                "--seconds is of descent only: levenberg-marquardt ends each task on its own, so give --budgets"
+            )
         budgets = preset.budgets if self.budgets is None else self.budgets
-        timed = [{"budget": None, "budget_s": s} for s in self.seconds or ()] or [{"budget": n} for n in budgets]
+        timed = (
+            [{"budget": None, "budget_s": s} for s in self.seconds or ()] or [{"budget": n} for n in budgets] or [{}]
+        )
         return Study(
             variants=tuple(
                 dict.fromkeys(replace(variant, **budget) for variant in preset.variants for budget in timed)
@@ -218,6 +242,15 @@ class BenchAlign:
 
     def _variants(self) -> tuple[Variant, ...]:
         """Every combination of what is compared; what a method ignores is not varied."""
+        solvers, witnesses = self.solvers or ("descent",), self.witnesses or ("plain",)
+        if "descent" not in solvers:
+            for name in DESCENT_ONLY:
+                if getattr(self, name) is not None:
+                    raise GraspRefineError(
+                        f"{_flag(name)} is of descent only: leave it out, or add descent to --solvers"
+                    )
+        if self.epsilon is not None and "patch" not in witnesses:
+            raise GraspRefineError("--epsilon is of the patch witness only: leave it out, or give --witnesses patch")
         made = [
             Variant(method, near, coupling, margin=margin, step_size=size)
             for method, near, coupling, margin, size in product(
@@ -234,6 +267,16 @@ class BenchAlign:
         if self.optimise is not None:
             changes["optimise"] = self.optimise
         made = [replace(variant, **changes) for variant in made]
+        by_solver = {
+            "descent": made,
+            "levenberg-marquardt": [Variant.least_squares(margin=m) for m in self.margins or (Variant.margin,)],
+        }
+        epsilon = (EPSILON if self.epsilon is None else self.epsilon) if "patch" in witnesses else None
+        made = [
+            replace(variant, witness=witness, epsilon=epsilon)
+            for solver, witness in product(solvers, witnesses)
+            for variant in by_solver[solver]
+        ]
         distinct = {tuple(variant.columns().values()): variant for variant in reversed(made)}
         return tuple(reversed(distinct.values()))
 

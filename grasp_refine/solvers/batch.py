@@ -6,11 +6,13 @@ from typing import TypeVar
 import numpy as np
 
 Rows = TypeVar("Rows")
-"""An array with a leading batch dimension, or a dataclass of such (and of such dataclasses)."""
+"""An array with a leading batch dimension, a dataclass of such (and of such dataclasses), or None."""
 
 
 def take(rows: Rows, index: np.ndarray) -> Rows:
     """The rows `index`, which are numbers or a mask."""
+    if rows is None:
+        return None
     if is_dataclass(rows):
         return type(rows)(*(take(getattr(rows, field.name), index) for field in fields(rows)))
     return rows[index]

@@ -34,8 +34,6 @@ class Point:
 class Evaluated(Protocol):
     """What a problem knows of members at a point, rows of arrays."""
 
-    residual: np.ndarray
-    """Residuals (batch, m), those that have a derivative."""
     loss: np.ndarray
     """Sum of the squares of all residuals (batch,); NaN where it is not known."""
     asked: np.ndarray
@@ -53,8 +51,13 @@ class Problem(Protocol):
         """What is known at a point (an `Evaluated`); `previous` is what was known nearby, a help."""
         ...
 
-    def linearize(self, member: np.ndarray, point: Point, known: Any, width: np.ndarray) -> np.ndarray:
-        """Jacobians (batch, m, dof); `width` (batch,) multiplies the radii of neighbourhoods."""
+    def linearize(
+        self, member: np.ndarray, point: Point, known: Any, width: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (batch, m) that have a derivative, and their Jacobians (batch, m, dof).
+
+        `width` (batch,) multiplies the radii of neighbourhoods.
+        """
         ...
 
     def room(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
@@ -224,8 +227,10 @@ class _Run:
             since,
             slots.starts + starting,
         )
-        stuck = (since >= solver.patience) | (damping > solver.largest) | np.isinf(loss)
-        again = stuck & (slots.starts <= solver.restarts) & (slots.starts > 0)
+        more = (slots.starts <= solver.restarts) & (self.best_loss[member] >= solver.good)
+        patience = np.where(more, solver.patience, solver.last_patience)
+        stuck = (since >= patience) | (damping > solver.largest) | np.isinf(loss)
+        again = stuck & more
         ends = (
             (self.iterations[member] >= solver.iterations, Status.BUDGET),
             (stuck & ~again, Status.STALLED),
@@ -235,8 +240,9 @@ class _Run:
         for mask, status in ends:
             self.status[member[mask]] = status
         ended = np.logical_or.reduce([mask for mask, _ in ends])
-        if again.any():
-            slots = self._restarted(slots, np.flatnonzero(again & ~ended))
+        again = np.flatnonzero(again & ~ended)
+        if len(again):
+            slots = self._restarted(slots, again)
         return take(slots, ~ended) if ended.any() else slots
 
     def _restarted(self, slots: _Slots, rows: np.ndarray) -> _Slots:
@@ -252,9 +258,10 @@ class _Run:
     def stepped(self, slots: _Slots) -> _Slots:
         """The slots with their next trials."""
         problem, member = self.problem, slots.member
-        J = problem.linearize(member, slots.point, slots.known, self.widths[slots.rejections % len(self.widths)])
+        width = self.widths[slots.rejections % len(self.widths)]
+        residual, J = problem.linearize(member, slots.point, slots.known, width)
         lower, upper = problem.room(member, slots.point)
-        dx, predicted = bounded_step(J, slots.known.residual, slots.damping, problem.metric(member), lower, upper)
+        dx, predicted = bounded_step(J, residual, slots.damping, problem.metric(member), lower, upper)
         trial = problem.moved(member, slots.point, dx)
         starting = np.isinf(slots.loss)
         if starting.any():

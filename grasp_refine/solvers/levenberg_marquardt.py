@@ -31,11 +31,15 @@ class LevenbergMarquardt:
     gain: float = 0.25
     """Smallest share of the predicted fall that counts as what was predicted."""
     patience: int = 6
-    """Iterations without progress after which a member stalls."""
+    """Iterations without progress after which a member that can start again does."""
+    last_patience: int = 12
+    """The same for one that cannot, or is good enough; then it ends."""
     progress: float = 0.3
     """Smallest relative fall of the loss that counts as progress."""
     restarts: int = 20
     """How often a stalled grasp with given targets starts again elsewhere, from its own random numbers."""
+    good: float = 1e-7
+    """A member whose best loss (m^2) is below this does not start again; 1e-7 is a third of a millimetre."""
     widths: tuple[float, ...] = (1.0, 0.5, 2.0, 0.0)
     """Factors of the neighbourhoods' radii, one after the other at each rejection; 0: no smoothing at all."""
 

@@ -12,6 +12,7 @@ class Status(IntEnum):
     BUDGET = 3
     NO_TARGET = 4
     NOT_FINITE = 5
+    UNREACHABLE = 6
 
     @property
     def label(self) -> str:
@@ -27,8 +28,10 @@ class Status(IntEnum):
 _ADVICE = {
     Status.RUNNING: "",
     Status.CONVERGED: "",
-    Status.STALLED: "the loss no longer falls: the targets may be out of reach together; see the contact errors",
+    Status.STALLED: "the best compromise between contacts, penetration and joint limits that was found: see the "
+    "columns for what is left, or leave out a contact with --contacts",
     Status.BUDGET: "the iterations ran out while the loss still fell: raise --iterations",
-    Status.NO_TARGET: "no contact link is near the object: start closer to it, or give --targets",
+    Status.NO_TARGET: "no contact link is near the object: start closer to it, raise --reach, or give --targets",
     Status.NOT_FINITE: "the grasp holds NaN or infinite numbers, or a query failed: check the input",
+    Status.UNREACHABLE: "a target lies off the surface of its link or of the object: check frames, scale and targets",
 }

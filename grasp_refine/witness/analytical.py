@@ -71,7 +71,8 @@ def feature_slip(piece: Piece, x: np.ndarray, normal: np.ndarray, distance: np.n
         size = np.linalg.norm(np.ptp(piece.vertices, axis=0))
         active = np.abs(core @ normals.T - offsets) < tolerance * size
         # The null space of the active normals; nearly parallel ones count as one face.
-        gram = np.einsum("mf,fi,fj->mij", active.astype(np.float64), normals, normals)
+        products = (normals[:, :, None] * normals[:, None, :]).reshape(-1, 9)
+        gram = (active.astype(np.float64) @ products).reshape(-1, 3, 3)
         values, vectors = np.linalg.eigh(gram)
         free = values < 1e-9 * np.maximum(values[:, -1:], 1.0)
         along = (vectors * free[:, None, :]) @ vectors.mT

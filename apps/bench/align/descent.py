@@ -23,9 +23,12 @@ from grasp_refine.collision.query import Pairs, Witness
 from grasp_refine.losses import contact_targets
 from grasp_refine.se3 import body_gradient, retract
 from grasp_refine.witness.autograd import Derivative, WitnessLayer
+from grasp_refine.witness.patch import Patch
 from grasp_refine.witness.transport import EquivalentTransport
 
+from .aligned import Aligned, errors_at
 from .bodies import BodyPair
+from .patch_layer import PatchLayer
 from .stopwatch import Stopwatch, TimedDerivative, timed_pairs
 from .tasks import Tasks
 
@@ -57,30 +60,8 @@ class AlignDescent:
     """Budget in iterations; None: `seconds`."""
     seconds: float | None = None
     """Budget in CPU seconds per pair, all its tasks together."""
-
-
-@dataclass(frozen=True, eq=False)
-class Aligned:
-    """What came out of P pairs with N tasks each; arrays (N, P, ...)."""
-
-    error: np.ndarray
-    """Smallest |x_a - t_a|^2 + |x_b - t_b|^2 + (d - beta)^2 on the way (N, P), in square metres."""
-    last_error: np.ndarray
-    """The same at the end (N, P), which is what the paper reports."""
-    T_world_a: np.ndarray
-    """Poses (N, P, 4, 4) of the first bodies where the error was smallest."""
-    T_world_b: np.ndarray
-    """The same of the second ones."""
-    witness: Witness
-    """Witness points there."""
-    iterations: int
-    """Steps that were made."""
-    watch: Stopwatch
-    """CPU time by stage and pass, and narrow-phase queries."""
-    cpu_s: float
-    """CPU seconds of the loop."""
-    wall_s: float
-    """Wall seconds of the loop."""
+    patch: Patch | None = None
+    """Which witness points are used; None: plain ones."""
 
 
 def align(
@@ -109,7 +90,8 @@ def align(
 
     watch = Stopwatch()
     pairs = timed_pairs(Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies)), watch)
-    layer = WitnessLayer(pairs, TimedDerivative(solver.method, watch))
+    method = TimedDerivative(solver.method, watch)
+    layer = WitnessLayer(pairs, method) if solver.patch is None else PatchLayer(pairs, method, solver.patch)
     problem = _Problem(solver, layer, stacked("target_a"), stacked("target_b"), watch)
     T_a, T_b = stacked("T_world_a"), stacked("T_world_b")
     best = _Best(torch.full(T_a.shape[:2], torch.inf, dtype=dtype, device=device), T_a, T_b)
@@ -139,14 +121,15 @@ def align(
         last_error, _ = problem.errors(T_a, T_b, iteration)
         best.keep(last_error, T_a, T_b)
         _, found = problem.errors(best.T_world_a, best.T_world_b, iteration)
-    return Aligned(
-        *(x.double().cpu().numpy() for x in (best.error, last_error, best.T_world_a, best.T_world_b)),
-        found.detached(),
-        iteration,
-        watch,
-        cpu_s,
-        wall_s,
+    error, last_error, last_a, last_b, T_a, T_b = (
+        x.double().cpu().numpy() for x in (best.error, last_error, T_a, T_b, best.T_world_a, best.T_world_b)
     )
+    witness = found.detached()
+    if solver.patch is not None:
+        # What is reported is judged by plain witness points.
+        last_error, _ = errors_at(bodies, tasks, last_a, last_b, solver.margin)
+        error, witness = errors_at(bodies, tasks, T_a, T_b, solver.margin)
+    return Aligned(error, last_error, T_a, T_b, witness, np.full(error.shape, iteration), watch, cpu_s, wall_s)
 
 
 @dataclass(frozen=True, eq=False)

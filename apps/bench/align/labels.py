@@ -6,34 +6,57 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, get_args
 
 from .bodies import KINDS
-from .variants import MethodName
+from .variants import MethodName, SolverName
 
 Row = dict[str, Any]
 
-METHODS: tuple[str, ...] = get_args(MethodName)
-"""Order of the methods; each has the colour and the marker of the same place."""
-SETTINGS = ("solver", "neighborhood", "coupling", "transport", "optimise", "margin", "step_size", "witness", "dtype")
+METHODS: tuple[str, ...] = (*get_args(MethodName), *get_args(SolverName)[1:])
+"""Order of the methods of descent and of the other solvers; each has the colour and the marker of the same place."""
+SETTINGS = (
+    "solver", "neighborhood", "coupling", "transport", "optimise", "margin", "step_size", "witness", "epsilon", "dtype",
+)  # fmt: skip
 """What a row may differ in from another one of the same method, in the order of a label."""
 SWEPT = {"margin": "contact margin", "step_size": "step size of rotations at the start"}
 """Settings that get a chart of their own when several values were tried, and what they are."""
 
 
+def name_of(row: Row) -> str:
+    """What a row is called first: the method of descent, or the other solver."""
+    return row["method"] if row.get("solver") in (None, "descent") else row["solver"]
+
+
+def micrometres(epsilon: float) -> str:
+    """The epsilon of a patch witness as a person reads it."""
+    return f"{1e6 * epsilon:g} µm"
+
+
+def epsilons(rows: Iterable[Row]) -> str:
+    """Every epsilon of a patch witness among rows, in words; empty where there is none."""
+    found = sorted({row["patch"]["epsilon"] for row in rows if row.get("patch")})
+    return ", ".join(map(micrometres, found))
+
+
 def labels_of(rows: Sequence[Row], without: Iterable[str] = ()) -> list[str]:
     """A short label for each row: its method, and those settings that differ among the rows of that method.
+
+    A patch witness is always told, with its epsilon.
 
     Args:
         rows: All rows that are shown together.
         without: Settings that no label shall mention.
     """
-    keys = [key for key in SETTINGS if key not in set(without)]
+    keys = [key for key in SETTINGS if key not in {*without, "solver", "witness", "epsilon"}]
     varying = {}
-    for method in {row["method"] for row in rows}:
-        same = [row for row in rows if row["method"] == method]
-        varying[method] = [key for key in keys if len({row.get(key) for row in same}) > 1]
-    return [
-        " + ".join(filter(None, [row["method"], *(_words(key, row.get(key)) for key in varying[row["method"]])]))
-        for row in rows
-    ]
+    for name in {name_of(row) for row in rows}:
+        same = [row for row in rows if name_of(row) == name]
+        varying[name] = [key for key in keys if len({row.get(key) for row in same}) > 1]
+
+    def label(row: Row) -> str:
+        settings = [_words(key, row.get(key)) for key in varying[name_of(row)]]
+        patch = f"patch {micrometres(row['epsilon'])}" if row.get("witness") == "patch" else ""
+        return " + ".join(filter(None, [name_of(row), *settings, patch]))
+
+    return [label(row) for row in rows]
 
 
 def _words(key: str, value: Any) -> str:
@@ -53,7 +76,7 @@ def ordered(rows: Iterable[Row], label: Callable[[Row], str]) -> list[Row]:
     """Rows by kind, method, settings, pair and target class, then from the smallest to the largest budget."""
 
     def place(row: Row) -> tuple:
-        kind, method = row["kind"], row["method"]
+        kind, method = row["kind"], name_of(row)
         return (
             KINDS.index(kind) if kind in KINDS else len(KINDS),
             METHODS.index(method) if method in METHODS else len(METHODS),
@@ -89,10 +112,10 @@ def pooled(rows: Iterable[Row]) -> list[Row]:
 
 def swept(rows: Sequence[Row]) -> list[str]:
     """The settings of `SWEPT` that have several values with one method."""
-    methods = {row["method"] for row in rows}
+    methods = {name_of(row) for row in rows}
 
     def values(key: str, method: str) -> int:
-        return len({row.get(key) for row in rows if row["method"] == method} - {None})
+        return len({row.get(key) for row in rows if name_of(row) == method} - {None})
 
     return [key for key in SWEPT if any(values(key, method) > 1 for method in methods)]
 

@@ -10,9 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from .chart import stylesheet, sweep_chart, time_chart
+from ..panels import stylesheet
+from .chart import sweep_chart, time_chart
 from .failures import Failure, caption, picture
-from .labels import SETTINGS, SWEPT, Row, at_largest_budget, kinds_of, labels_of, ordered, pooled, swept
+from .labels import (
+    SETTINGS,
+    SWEPT,
+    Row,
+    at_largest_budget,
+    epsilons,
+    kinds_of,
+    labels_of,
+    micrometres,
+    ordered,
+    pooled,
+    swept,
+)
 from .stopwatch import STAGES
 from .tasks import CLASSES
 
@@ -105,6 +118,12 @@ def _query_us(row: Row) -> float | None:
 
 
 MILLIMETRE, TENTH = "Acc@1e-6", "Acc@1e-8"
+PATCH = (
+    Column("patch 1e-6", f"{MILLIMETRE} at the same poses, by patch", _of("patch", "acc_1e6"), _percent, max),
+    Column("patch 1e-8", f"{TENTH} at the same poses, by patch", _of("patch", "acc_1e8"), _percent, max),
+    Column("patch D9 [m²]", "9th decile of the error at the same poses, by patch", _of("patch", "d9"), _area, min),
+)
+"""What patch witness points tell; shown where they were asked."""
 COLUMNS = (
     Column(MILLIMETRE, "share of targets with an error below 1e-6 m² (1 mm)", _of("acc_1e6"), _percent, max),
     Column(TENTH, "share of targets with an error below 1e-8 m² (0.1 mm)", _of("acc_1e8"), _percent, max),
@@ -176,8 +195,12 @@ def _facts(document: dict[str, Any], every: Sequence[Row]) -> dict[str, Any]:
         if targets is not None and pairs is not None:
             counts.append(f"{targets} targets on {pairs} pairs of {kind} bodies")
     margins = sorted({row["margin"] for row in every if row.get("margin") is not None})
+    solvers = {row.get("solver") or "descent" for row in every}
     both = any(row.get("optimise") == "T1T2" for row in every)
     return {
+        "descent": "descent" in solvers,
+        "least_squares": "levenberg-marquardt" in solvers,
+        "patch": epsilons(every),
         "moves": "one or both bodies" if both else "body b",
         "counts": counts,
         "margin": ", ".join(f"{1e3 * margin:g}" for margin in margins) + " mm" if margins else "",
@@ -209,6 +232,8 @@ def _findings(rows: Sequence[Row], label: Callable[[Row], str]) -> list[str]:
 
 def _table(title: str, rows: Sequence[Row], label: Callable[[Row], str], columns: Sequence[Column] = COLUMNS) -> Table:
     """A table whose best numbers are marked: all that look the same, unless the whole column does."""
+    if any(row.get("patch") for row in rows):
+        columns = (*columns, *PATCH)
     best = []
     for column in columns:
         values = [value for row in rows if (value := column.value(row)) is not None]
@@ -226,7 +251,7 @@ def _table(title: str, rows: Sequence[Row], label: Callable[[Row], str], columns
 
 
 def _budget(row: Row) -> str:
-    """What ended a descent."""
+    """What ended a task at the latest."""
     if row.get("budget_s") is not None:
         return f"{row['budget_s']:g} CPU s"
     return f"{row['budget']:g} iterations" if row.get("budget") is not None else "–"
@@ -298,6 +323,8 @@ def _setting(key: str, value: Any) -> str:
         return "–"
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if key == "epsilon":
+        return micrometres(value)
     return f"{1e3 * value:g} mm" if key == "margin" else f"{value:g}" if isinstance(value, float) else str(value)
 
 

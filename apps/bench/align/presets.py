@@ -1,4 +1,4 @@
-"""The experiments of arXiv 2511.06267, and two of our own, as lists of variants."""
+"""The experiments of arXiv 2511.06267, and some of our own, as lists of variants."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ OURS = Variant()
 """The paper's method: distance smoothing, adaptive sampling, equivalent gradient transport."""
 BASELINE = Variant("direction", "neighbor", transport=False)
 """The method that the paper improves on (Montaut et al. 2022)."""
+EPSILON = 1e-5
+"""Of the patch witness, in metres."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Preset:
     targets: int = 64
     """Accepted targets of each pair."""
     budgets: tuple[int, ...] = (2000,)
-    """Budgets in iterations that every variant is run at."""
+    """Budgets in iterations that every variant is run at; none: each has its own."""
 
 
 def _table1() -> tuple[Variant, ...]:
@@ -80,6 +82,27 @@ def _coupling() -> tuple[Variant, ...]:
     )
 
 
+def _solvers() -> tuple[Variant, ...]:
+    least_squares = [Variant.least_squares(budget=budget) for budget in (200, 500)]
+    methods = (OURS, Variant("contact-kinematics"), *least_squares)
+    return tuple(replace(method, margin=margin) for margin in (0.0, 1e-3) for method in methods)
+
+
+def _patch() -> tuple[Variant, ...]:
+    methods = (OURS, Variant.least_squares(budget=500))
+    return tuple(
+        replace(method, witness=witness, epsilon=EPSILON) for method in methods for witness in ("plain", "patch")
+    )
+
+
+def _smoke() -> tuple[Variant, ...]:
+    return (
+        *_table1(),
+        Variant.least_squares(epsilon=EPSILON),
+        Variant.least_squares(witness="patch", epsilon=EPSILON),
+    )
+
+
 PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
         "table1": Preset("all methods, with face-face targets apart", _table1(), classes=CLASSES),
@@ -89,9 +112,17 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
         "margin": Preset("the contact margin, for smoothing by distance and by direction", _margin()),
         "step-size": Preset("the size of the first steps, for four methods plain and at their best", _step_size()),
         "coupling": Preset("one-sided (the paper's equations) against coupled slips", _coupling()),
+        "solvers": Preset(
+            "Levenberg-Marquardt at 200 and 500 iterations against descent at 2000; margins 0 and 1 mm",
+            _solvers(),
+            budgets=(),
+        ),
+        "patch": Preset(
+            "targets on two faces: plain against patch witness points", _patch(), classes=("face-face",), budgets=()
+        ),
         "smoke": Preset(
             "every method on a few tasks, in less than a minute",
-            _table1(),
+            _smoke(),
             classes=CLASSES,
             pairs=2,
             targets=8,

@@ -4,25 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from zlib import crc32
 
 import numpy as np
 
 from grasp_refine.collision.query import Pairs, Witness, query_items
+from grasp_refine.geometry.pieces import Piece
 from grasp_refine.se3 import cross, exp_so3, matvec, tangents, transform, transform_points
-from grasp_refine.solvers.batch import choose
+from grasp_refine.solvers.batch import choose, take
 from grasp_refine.solvers.least_squares import Point
 from grasp_refine.witness.contact_kinematics import slide
 from grasp_refine.witness.pair_curvature import PairCurvatures
+from grasp_refine.witness.patch import Patch
 
 from .bodies import BodyPair
+from .stopwatch import Stopwatch, timed_pairs
 from .tasks import Tasks
-
 
 NEAR, FAR = (0.01, 1.0), (0.3, 2.0)
 """Angles of new starts in radians: from the best pose (evenly in the logarithm), and from the present one."""
 
 TURN = 2.0
 """Most radians of a step."""
+
+FACE = 2e-5
+"""Faces this near to a patch point (metres), beside the nearest one, may support it."""
+UNDAMPED = 1e3
+"""Factor of residuals that damping shall not see: nothing but the whole step is of use."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,20 +54,45 @@ class Known:
 class AlignProblem:
     """The tasks of P pairs of bodies; bodies a rest."""
 
-    def __init__(self, bodies: Sequence[BodyPair], tasks: Sequence[Tasks], margin: float, seed: int) -> None:
-        """Members are the tasks of the first pair, then those of the second, and so on."""
-        self.pairs = Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies))
+    def __init__(
+        self,
+        bodies: Sequence[BodyPair],
+        tasks: Sequence[Tasks],
+        margin: float,
+        seed: int,
+        patch: Patch | None = None,
+        watch: Stopwatch | None = None,
+    ) -> None:
+        """Members are the tasks of the first pair, then those of the second, and so on.
+
+        Args:
+            bodies: P pairs.
+            tasks: Those of each pair.
+            margin: The wanted distance in metres.
+            seed: Of new starts.
+            patch: Which witness points are used; None: plain ones.
+            watch: Measures the stages, once it runs.
+        """
+        self.watch = Stopwatch() if watch is None else watch
+        self.pairs = timed_pairs(Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies)), self.watch)
         self.pair = np.repeat(np.arange(len(bodies)), [len(t) for t in tasks])
-        self.tasks, self.margin, self.seed = Tasks.join(tasks), margin, seed
+        self.tasks, self.margin, self.seed, self.patch = Tasks.join(tasks), margin, seed, patch
+        # What comes of a task must not depend on the others, so new starts are keyed by the task itself.
+        self.key = [crc32(T.tobytes()) for T in self.tasks.T_world_b]
         self.curvatures = PairCurvatures.of(self.pairs, smallest=1.0)
         self.length = np.array([0.25 * (pair.a.diagonal + pair.b.diagonal) for pair in bodies])
         self.several = any(len(body.pieces) > 1 for body in (*self.pairs.a, *self.pairs.b))
 
     def evaluate(self, member: np.ndarray, point: Point, previous: Known | None) -> Known:
         """One query of each task."""
+        with self.watch.lap("forward"):
+            return self._evaluated(member, point, previous)
+
+    def _evaluated(self, member: np.ndarray, point: Point, previous: Known | None) -> Known:
         T_a = self.tasks.T_world_a[member]
         before = previous.witness if previous is not None and self.several else None
-        w = query_items(self.pairs, self.pair[member], T_a, point.T, previous=before)
+        with self.watch.stage("broadphase"):
+            w = self._witness(self.pair[member], T_a, point.T, before, member)
         pivot = transform_points(point.T, self.tasks.target_b[member])
         miss_a = w.point_a - transform_points(T_a, self.tasks.target_a[member])
         miss_b = w.point_b - pivot
@@ -70,8 +103,20 @@ class AlignProblem:
         loss = np.where(w.valid, gap**2 + a + b, np.nan)
         return Known(residual, loss, w.asked, w, E, pivot, np.sqrt(np.stack([a, b], axis=1)))
 
-    def linearize(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> np.ndarray:
-        """Jacobians (M, 5, 6) in the twist of body b about its target."""
+    def linearize(
+        self, member: np.ndarray, point: Point, known: Known, width: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (M, 5) and Jacobians (M, 5, 6) in the twist of body b about its target."""
+        with self.watch.lap("backward"), self.watch.stage("derivative"):
+            residual, J = known.residual, self._jacobian(member, point, known, width)
+            rows = np.flatnonzero(width == 0)
+            if self.patch is None or not len(rows):
+                return residual, J
+            residual = residual.copy()
+            residual[rows], J[rows] = self._flattened(member[rows], point.T[rows], take(known, rows))
+            return residual, J
+
+    def _jacobian(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> np.ndarray:
         w = known.witness
         T_a = self.tasks.T_world_a[member]
         K_a, K_b = self.curvatures.fit(self.pair[member], T_a, point.T, w, known.E, known.miss.T, width)
@@ -79,6 +124,40 @@ class AlignProblem:
         U_a, U_b = slide(arm, w.normal, w.distance, known.E, K_a, K_b)
         gap = np.concatenate([w.normal, cross(arm, w.normal)], axis=1)[:, None]
         return np.concatenate([gap, U_a, U_b], axis=1)
+
+    def _flattened(self, member: np.ndarray, T_b: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (M, 5) and (M, 5, 6) that lay the two supporting faces on each other, the targets together.
+
+        [t_b - t_a - beta n, l E^T (n_a + n_b)]: while faces are tilted, the patch is a strip at an edge and does not
+        show that it becomes the whole face at once; no derivative of it does.
+        """
+        w, T_a = known.witness, self.tasks.T_world_a[member]
+        faces = []
+        for pieces, T, x, outward in zip(
+            self.pairs.piece_pairs, (T_a, T_b), (w.point_a, w.point_b), (w.normal, -w.normal), strict=True
+        ):
+            R = T[:, :3, :3]
+            local = supporting(pieces, w.winner, matvec(R.mT, x - T[:, :3, 3]), matvec(R.mT, outward))
+            faces.append(matvec(R, local))
+        n_a, n_b = faces
+        apart = known.pivot - transform_points(T_a, self.tasks.target_a[member]) - self.margin * w.normal
+        length = self.length[self.pair[member], None]
+        rows = known.E.mT
+        J = np.zeros((len(member), 5, 6))
+        J[:, :3, :3] = np.eye(3)
+        J[:, 3:, 3:] = length[..., None] * cross(n_b[:, None] + np.zeros_like(rows), rows)
+        residual = np.concatenate([apart, length * matvec(rows, n_a + n_b)], axis=1)
+        return UNDAMPED * residual, UNDAMPED * J
+
+    def _witness(
+        self, pair: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, before: Witness | None, member: np.ndarray
+    ) -> Witness:
+        """Plain witness points, or those of the patch."""
+        found = query_items(self.pairs, pair, T_a, T_b, previous=before)
+        if self.patch is None:
+            return found
+        goals = self.tasks.target_a[member], self.tasks.target_b[member]
+        return self.patch.refine(self.pairs, pair, T_a, T_b, found, *goals)
 
     def metric(self, member: np.ndarray) -> np.ndarray:
         """A quarter of both diagonals, l: W = diag(1, 1, 1, l^2, l^2, l^2)."""
@@ -105,7 +184,7 @@ class AlignProblem:
         w = np.empty((len(member), 3))
         near = start % 3 == 0
         for row, (m, k, close) in enumerate(zip(member.tolist(), start.tolist(), near.tolist(), strict=True)):
-            rng = np.random.default_rng((self.seed, m, k))
+            rng = np.random.default_rng((self.seed, self.key[m], k))
             axis = rng.normal(size=3)
             angle = np.exp(rng.uniform(*np.log(NEAR))) if close else rng.uniform(*FAR)
             w[row] = axis / np.linalg.norm(axis) * angle
@@ -113,6 +192,19 @@ class AlignProblem:
         pivot = transform_points(T, self.tasks.target_b[member])
         goal = transform_points(self.tasks.T_world_a[member], self.tasks.target_a[member])
         return Point(_turned(T, pivot, w, goal), now.q)
+
+
+def supporting(pieces: Sequence[Piece], winner: np.ndarray, x: np.ndarray, outward: np.ndarray) -> np.ndarray:
+    """Normals (M, 3) of the faces at points x (M, 3) of pieces `winner` (M,) that face outward (M, 3) most."""
+    found = outward.copy()
+    for number in np.unique(winner[winner >= 0]):
+        rows = np.flatnonzero(winner == number)
+        normals, offsets = pieces[number].planes
+        if len(normals):
+            away = np.abs(x[rows] @ normals.T - offsets - pieces[number].radius)
+            near = away <= FACE + away.min(axis=1, keepdims=True)
+            found[rows] = normals[np.where(near, outward[rows] @ normals.T, -np.inf).argmax(axis=1)]
+    return found
 
 
 def _turned(T: np.ndarray, pivot: np.ndarray, w: np.ndarray, to: np.ndarray) -> np.ndarray:

@@ -47,13 +47,14 @@ def summary(errors: np.ndarray, weights: np.ndarray | None = None) -> dict[str, 
 def _of_group(kind: str, variant: Variant, group: Sequence[Done], targets: int, dtype: str) -> Iterator[dict[str, Any]]:
     names = [pair.name for one in group for pair in one.job.pairs]
     tasks = [tasks for one in group for tasks in one.job.tasks]
-    found = [one.errors(p) for one in group for p in range(len(one.job.pairs))]
-    best, last = ([errors[k] for errors in found] for k in range(2))
+    found = [(*one.errors(p), one.patch_errors(p)) for one in group for p in range(len(one.job.pairs))]
+    best, last, patch = ([errors[k] for errors in found] for k in range(3))
     # Face-face targets are shown apart: where two planes touch, the witness is not unique.
     plain = [t.target_class != CLASSES.index("face-face") for t in tasks]
     alone = not any(mask.any() for mask in plain)
     times = _times(variant, group, targets)
-    base = {"kind": kind, **variant.columns(), "dtype": dtype}
+    # Levenberg-Marquardt knows double precision only.
+    base = {"kind": kind, **variant.columns(), "dtype": dtype if variant.solver == "descent" else "float64"}
 
     def row(masks: Sequence[np.ndarray], pair: str, target_class: str, pairs: int) -> dict[str, Any]:
         return {
@@ -62,6 +63,7 @@ def _of_group(kind: str, variant: Variant, group: Sequence[Done], targets: int, 
             "target_class": target_class,
             "pairs": pairs,
             **_statistics(tasks, best, last, masks),
+            "patch": None if variant.epsilon is None else _patch(variant.epsilon, tasks, patch, masks),
             **(times if pair == "all" and target_class == "all" else dict.fromkeys(times)),
         }
 
@@ -80,31 +82,39 @@ def _statistics(
     tasks: Sequence[Tasks], best: Sequence[np.ndarray], last: Sequence[np.ndarray], masks: Sequence[np.ndarray]
 ) -> dict[str, Any]:
     """Of accepted tasks; of those surely reachable; of all that were drawn; and of the last iterates."""
-
-    def picked(arrays: Sequence[np.ndarray]) -> np.ndarray:
-        return np.concatenate([array[mask] for array, mask in zip(arrays, masks, strict=True)])
-
-    errors, final = picked(best), picked(last)
-    accepted, reachable = (picked([getattr(t, name) for t in tasks]) for name in ("accepted", "reachable"))
+    errors, final = _picked(best, masks), _picked(last, masks)
+    accepted, reachable = (_picked([getattr(t, name) for t in tasks], masks) for name in ("accepted", "reachable"))
     return {
         **summary(errors[accepted]),
         "reachable": summary(errors[reachable]),
-        "unfiltered": summary(errors, picked([t.weight for t in tasks])),
+        "unfiltered": summary(errors, _picked([t.weight for t in tasks], masks)),
         "last": summary(final[accepted]),
     }
+
+
+def _patch(
+    epsilon: float, tasks: Sequence[Tasks], errors: Sequence[np.ndarray], masks: Sequence[np.ndarray]
+) -> dict[str, Any]:
+    """Of accepted tasks, at the same poses, but judged by the patch witness."""
+    accepted = _picked([t.accepted for t in tasks], masks)
+    return {"epsilon": epsilon, **summary(_picked(errors, masks)[accepted])}
+
+
+def _picked(arrays: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> np.ndarray:
+    """The entries of all pairs that are asked for."""
+    return np.concatenate([array[mask] for array, mask in zip(arrays, masks, strict=True)])
 
 
 def _times(variant: Variant, group: Sequence[Done], targets: int) -> dict[str, Any]:
     """Costs of a variant; those of a pair are for the number of targets that it was to have."""
     results = [one.aligned for one in group]
-    items = np.array([result.error.size for result in results])
-    count = int(items.sum())
-    queries = int(sum(items * [result.iterations for result in results]))
+    iterations = np.concatenate([result.iterations[result.iterations > 0] for result in results])
+    count, queries = len(iterations), int(iterations.sum())
 
     cpu_s, wall_s = (sum(getattr(result, name) for result in results) for name in ("cpu_s", "wall_s"))
     return {
         **{f"{name}_us": 1e6 * sum(r.watch.passes_s[name] for r in results) / queries for name in PASSES},
-        "queries_mean": float(np.average([variant.queries(r.iterations) for r in results], weights=items)),
+        "queries_mean": float(variant.queries(iterations).mean()),
         "narrow_queries_mean": sum(result.watch.asked for result in results) / count,
         "iterations_mean": queries / count,
         "cpu_s_per_pair": cpu_s / count * targets,

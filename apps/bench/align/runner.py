@@ -11,13 +11,18 @@ from traceback import format_exception
 import numpy as np
 import torch
 
-from .bodies import BodyPair
-from .descent import Aligned, align
+from .aligned import Aligned, errors_at, padded
+from .bodies import KINDS, BodyPair
+from .descent import AlignDescent, align
+from .levenberg_marquardt import minimised
 from .tasks import Tasks
 from .variants import Variant
 
-WIDTH = {"convex": 32, "concave": 2}
-"""Pairs that go through the witness layer together: many where the cost is that of small operations."""
+WIDTH = {"descent": {"convex": 32, "concave": 2}, "levenberg-marquardt": {"convex": 32, "concave": 4}}
+"""Solver -> kind -> pairs that go through it together: many where the cost is that of small operations."""
+
+SOLVED_EARLY = 0.1
+"""About the share of its budget that Levenberg-Marquardt uses, and of the time of an iteration of descent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +45,8 @@ class Job:
         )
         items = sum(map(len, self.tasks))
         length = self.variant.budget if self.variant.budget is not None else 1000.0 * self.variant.budget_s
-        return length * (30.0 * items + pieces) * (13.0 if self.variant.every > 1 else 1.0)
+        early = SOLVED_EARLY if self.variant.solver == "levenberg-marquardt" else 1.0
+        return early * length * (30.0 * items + pieces) * (13.0 if self.variant.every > 1 else 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +55,17 @@ class Done:
 
     job: Job
     aligned: Aligned
+    patch_error: np.ndarray | None = None
+    """Errors (N, P) at the best poses by the patch witness, in square metres; None: not judged so."""
 
     def errors(self, pair: int) -> tuple[np.ndarray, np.ndarray]:
         """Best and last errors of the tasks of a pair."""
         count = len(self.job.tasks[pair])
         return self.aligned.error[:count, pair], self.aligned.last_error[:count, pair]
+
+    def patch_errors(self, pair: int) -> np.ndarray | None:
+        """Errors of the tasks of a pair by the patch witness."""
+        return None if self.patch_error is None else self.patch_error[: len(self.job.tasks[pair]), pair]
 
 
 def jobs(
@@ -68,11 +80,12 @@ def jobs(
 ) -> list[Job]:
     """One job for each variant and each group of pairs of one kind."""
     made = []
-    for kind, width in WIDTH.items():
+    for kind in KINDS:
         # Pairs with about as many pieces go together: they are padded to the largest number.
         index = [i for i, pair in enumerate(pairs) if pair.kind == kind]
         index.sort(key=lambda i: len(pairs[i].a.pieces) * len(pairs[i].b.pieces))
         for variant in variants:
+            width = WIDTH[variant.solver][kind]
             for start in range(0, len(index), width):
                 group = index[start : start + width]
                 chosen = tuple(tasks[i] if variant.every == 1 else tasks[i].every(variant.every) for i in group)
@@ -146,20 +159,19 @@ def _side_by_side(
 def do(job: Job, progress: Callable[[float], None] = lambda share: None) -> Done:
     """Run a job in this process."""
     torch.set_num_threads(job.threads)
-    count = max(map(len, job.tasks))
-    # Pairs with fewer tasks repeat theirs.
-    padded = [tasks.take(np.arange(count) % len(tasks)) for tasks in job.tasks]
-    aligned = align(
-        job.pairs,
-        padded,
-        job.variant.solver(job.seed),
-        dtype=getattr(torch, job.dtype),
-        device=job.device,
-        progress=progress,
-    )
-    return Done(job, aligned)
+    variant, tasks = job.variant, padded(job.tasks)
+    solver = variant.built(job.seed)
+    if isinstance(solver, AlignDescent):
+        dtype = getattr(torch, job.dtype)
+        aligned = align(job.pairs, tasks, solver, dtype=dtype, device=job.device, progress=progress)
+    else:
+        aligned = minimised(job.pairs, job.tasks, solver, progress=progress)
+    if variant.patch is None:
+        return Done(job, aligned)
+    poses = aligned.T_world_a, aligned.T_world_b
+    return Done(job, aligned, errors_at(job.pairs, tasks, *poses, variant.margin, variant.patch)[0])
 
 
 def label(job: Job) -> str:
     """What a job is, for a progress bar."""
-    return f"{job.variant.method}, {job.pairs[0].kind}"
+    return f"{job.variant.name}, {job.pairs[0].kind}"

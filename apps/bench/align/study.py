@@ -98,12 +98,13 @@ def run_study(study: Study, say: Callable[[str], None], progress: Callable[[floa
 def typical_failures(done: Sequence[Done]) -> list[Failure]:
     """Of each method and kind one reachable task that was missed: where its blind spot shows, if it does.
 
-    Looked at are the first variant of each method, at the largest budget, and no face-face targets, whose witness
-    points are not unique. Of the tasks that come into question, the one with the median error is shown.
+    Looked at are the first variant of each method of descent, and of Levenberg-Marquardt, at the largest budget, and
+    no face-face targets, whose witness points are not unique. Of the tasks that come into question, the one with the
+    median error is shown.
     """
     found: dict[tuple[str, str], list[Done]] = {}
     for one in sorted(done, key=lambda one: -(one.job.variant.budget or one.job.variant.budget_s)):
-        same = found.setdefault((one.job.variant.method, one.job.pairs[0].kind), [])
+        same = found.setdefault((one.job.variant.name, one.job.pairs[0].kind), [])
         if not same or same[0].job.variant == one.job.variant:
             same.append(one)
     typical = []
@@ -133,7 +134,7 @@ def _missed(tasks: Tasks, error: np.ndarray) -> list[int]:
 def _failure(done: Done, p: int, i: int) -> Failure:
     pair, tasks, witness = done.job.pairs[p], done.job.tasks[p], done.aligned.witness
     return Failure(
-        method=done.job.variant.method,
+        method=done.job.variant.name,
         kind=pair.kind,
         target_class=CLASSES[tasks.target_class[i]],
         body_a=pair.a,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from rich.box import SIMPLE
 from rich.table import Table
 
-from .labels import Row, labels_of
+from .labels import Row, epsilons, labels_of
 
 
 def _percent(value: float) -> str:
@@ -18,7 +18,8 @@ def _short(value: float) -> str:
     return f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e+")
 
 
-COLUMNS: Sequence[tuple[str, Callable[[Row], float | None], Callable[[float], str]]] = (
+Column = tuple[str, Callable[[Row], float | None], Callable[[float], str]]
+COLUMNS: Sequence[Column] = (
     ("Acc@\n1e-6", lambda row: row["acc_1e6"], _percent),
     ("Acc@\n1e-8", lambda row: row["acc_1e8"], _percent),
     ("D5\nm²", lambda row: row["d5"], _short),
@@ -31,12 +32,24 @@ COLUMNS: Sequence[tuple[str, Callable[[Row], float | None], Callable[[float], st
 )
 
 
+DRAWN = "all\ndrawn"
+PATCH: Sequence[Column] = (
+    ("patch\n1e-6", lambda row: row["patch"] and row["patch"]["acc_1e6"], _percent),
+    ("patch\n1e-8", lambda row: row["patch"] and row["patch"]["acc_1e8"], _percent),
+)
+"""The accuracies at the same poses by patch witness points; they take the place of what all drawn tasks give."""
+
+
 def _sum(*parts: float | None) -> float | None:
     return None if None in parts else sum(parts)
 
 
 def bench_table(rows: Sequence[Row], title: str) -> Table:
     """The pooled rows, with face-face targets on lines of their own."""
+    patch = epsilons(rows)
+    columns = [*(column for column in COLUMNS if column[0] != DRAWN), *PATCH] if patch else COLUMNS
+    if patch:
+        title = f"{title}; patch: epsilon {patch}"
     labels = dict(zip(map(id, rows), labels_of(rows), strict=True))
     shown = [row for row in rows if row["pair"] == "all" and row["target_class"] in ("all", "face-face")]
     several = len({(row["budget"], row["budget_s"]) for row in shown}) > 1
@@ -44,7 +57,7 @@ def bench_table(rows: Sequence[Row], title: str) -> Table:
     table.add_column("variant", min_width=18)
     if several:
         table.add_column("budget", justify="right", no_wrap=True)
-    for name, _, _ in COLUMNS:
+    for name, _, _ in columns:
         table.add_column(name, justify="right", no_wrap=True)
     kind = None
     for row in shown:
@@ -56,10 +69,10 @@ def bench_table(rows: Sequence[Row], title: str) -> Table:
         if row["target_class"] == "face-face" and any(r["target_class"] == "all" and r is not row for r in shown):
             name = "  face-face"
         budget = [f"{row['budget']}" if row["budget"] else f"{row['budget_s']:g} s"] if several else []
-        cells = [(words(value) if value is not None else "-") for value, words in _values(row)]
+        cells = [(words(value) if value is not None else "-") for value, words in _values(row, columns)]
         table.add_row(name, *budget, *cells)
     return table
 
 
-def _values(row: Row) -> list[tuple[float | None, Callable[[float], str]]]:
-    return [(value(row), words) for _, value, words in COLUMNS]
+def _values(row: Row, columns: Sequence[Column]) -> list[tuple[float | None, Callable[[float], str]]]:
+    return [(value(row), words) for _, value, words in columns]

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Literal
 
+import numpy as np
+
 from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.autograd import Derivative
 from grasp_refine.witness.contact_kinematics import ContactKinematics
@@ -14,17 +16,21 @@ from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.finite_difference import FiniteDifference
 from grasp_refine.witness.neighborhood import Adaptive, Fixed
+from grasp_refine.witness.patch import Patch
 from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.slip import Coupling
 from grasp_refine.witness.zeroth_order import ZerothOrder
 
 from .descent import AlignDescent
+from .levenberg_marquardt import AlignLevenbergMarquardt
 
 MethodName = Literal[
     "distance", "direction", "analytical", "zeroth-order", "finite-difference", "contact-kinematics", "rigid"
 ]
 NeighborhoodName = Literal["adaptive", "fixed", "neighbor"]
+SolverName = Literal["descent", "levenberg-marquardt"]
+WitnessName = Literal["plain", "patch"]
 
 NEIGHBORHOODS: Mapping[NeighborhoodName, Adaptive | Fixed | Neighbor] = MappingProxyType(
     {"adaptive": Adaptive(), "fixed": Fixed(), "neighbor": Neighbor()}
@@ -36,7 +42,11 @@ FEW_TARGETS = 8
 
 @dataclass(frozen=True)
 class Variant:
-    """A derivative method with all that descent does with it; one row of a table for each kind of body."""
+    """A derivative method with all that a solver does with it; one row of a table for each kind of body.
+
+    Levenberg-Marquardt moves body 2 by contact kinematics over neighbourhoods of its own: nothing of it can be chosen
+    but the margin, the budget in iterations and the witness.
+    """
 
     method: MethodName = "distance"
     """How witness points are differentiated."""
@@ -56,11 +66,32 @@ class Variant:
     """Iterations; None: `budget_s`."""
     budget_s: float | None = None
     """CPU seconds per pair, all its tasks together."""
+    solver: SolverName = "descent"
+    """How the bodies move."""
+    witness: WitnessName = "plain"
+    """Which witness points the solver sees."""
+    epsilon: float | None = None
+    """Epsilon in metres of the patch witness that is used, or judges beside the plain one; None: there is none."""
+
+    @staticmethod
+    def least_squares(**settings: Any) -> Variant:
+        """Levenberg-Marquardt; `settings` are margin, budget, witness and epsilon."""
+        return Variant("contact-kinematics", transport=False, solver="levenberg-marquardt", **settings)
+
+    @property
+    def name(self) -> str:
+        """What it is called first: the method of descent, or the other solver."""
+        return self.method if self.solver == "descent" else self.solver
+
+    @property
+    def patch(self) -> Patch | None:
+        """The patch witness that is used, or judges beside the plain one."""
+        return None if self.epsilon is None else Patch(self.epsilon)
 
     @property
     def samples(self) -> bool:
-        """Whether the method uses a neighbourhood."""
-        return self.method in ("distance", "direction", "contact-kinematics")
+        """Whether the method uses a neighbourhood that can be chosen."""
+        return self.solver == "descent" and self.method in ("distance", "direction", "contact-kinematics")
 
     @property
     def slips(self) -> bool:
@@ -93,8 +124,11 @@ class Variant:
             case "rigid":
                 return Rigid()
 
-    def solver(self, seed: int) -> AlignDescent:
-        """The descent that runs it."""
+    def built(self, seed: int) -> AlignDescent | AlignLevenbergMarquardt:
+        """The solver that runs it."""
+        patch = self.patch if self.witness == "patch" else None
+        if self.solver == "levenberg-marquardt":
+            return AlignLevenbergMarquardt(self.margin, self.budget, patch, seed)
         return AlignDescent(
             method=self.derivative(seed),
             transport=self.transport,
@@ -104,10 +138,11 @@ class Variant:
             iterations=self.budget,
             # A budget is for all targets of a pair.
             seconds=None if self.budget_s is None else self.budget_s / self.every,
+            patch=patch,
         )
 
-    def queries(self, iterations: int) -> int:
-        """Witness queries of a task: one an iteration, and those of the method itself."""
+    def queries(self, iterations: np.ndarray) -> np.ndarray:
+        """Witness queries of tasks: one an iteration, and those of the method itself."""
         inner = {"zeroth-order": 2 * ZerothOrder().samples, "finite-difference": 12}
         return iterations * (1 + inner.get(self.method, 0))
 
@@ -116,13 +151,14 @@ class Variant:
         return {
             "method": self.method,
             "neighborhood": self.neighborhood if self.samples else None,
-            "solver": "descent",
+            "solver": self.solver,
             "transport": self.transport,
             "margin": self.margin,
             "budget": self.budget,
             "budget_s": self.budget_s,
-            "witness": "plain",
+            "witness": self.witness,
+            "epsilon": self.epsilon,
             "coupling": self.coupling if self.slips else None,
-            "step_size": self.step_size,
+            "step_size": self.step_size if self.solver == "descent" else None,
             "optimise": self.optimise,
         }

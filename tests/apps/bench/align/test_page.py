@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import subprocess
 import sys
@@ -11,15 +12,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 pytest.importorskip("matplotlib", reason="charts are drawn with matplotlib")
 pytest.importorskip("jinja2", reason="the page is a template of jinja2")
 
 from apps.bench.align import page as module  # noqa: E402
-from apps.bench.align.chart import spread, styles, sweep_chart, time_chart  # noqa: E402
+from apps.bench.align.chart import styles, sweep_chart, time_chart  # noqa: E402
 from apps.bench.align.failures import Failure, WitnessPoints  # noqa: E402
 from apps.bench.align.labels import at_largest_budget, labels_of, swept  # noqa: E402
 from apps.bench.align.page import page  # noqa: E402
+from apps.bench.align.table import bench_table  # noqa: E402
+from apps.bench.panels import spread  # noqa: E402
 from grasp_refine.geometry.body import build_body  # noqa: E402
 from grasp_refine.geometry.pieces import box  # noqa: E402
 
@@ -213,6 +217,58 @@ def test_labels_say_only_what_differs():
     assert labels_of(rows, without=["margin"]) == ["distance + adaptive", "distance + fixed"]
     assert labels_of([row(optimise="T1T2"), row()])[0] == "distance + both bodies move"
     assert labels_of([]) == []
+
+
+def least_squares(**changes: Any) -> dict[str, Any]:
+    """A row of Levenberg-Marquardt."""
+    nothing = {"neighborhood": None, "coupling": None, "step_size": None}
+    return row("contact-kinematics", solver="levenberg-marquardt", **nothing, **changes)
+
+
+def patched(epsilon: float = 1e-5, **changes: Any) -> dict[str, Any]:
+    """What the patch says of a row."""
+    patch = {"epsilon": epsilon, "targets": 200, "acc_1e6": 0.9871, "acc_1e8": 0.8, "d5": 1e-12, "d9": 3e-7}
+    return {"epsilon": epsilon, "patch": patch, **changes}
+
+
+def test_another_solver_has_its_own_name_and_colour():
+    rows = [row("contact-kinematics"), least_squares(budget=10, cpu_s_per_pair=0.1), least_squares()]
+    assert labels_of(rows) == ["contact-kinematics", "levenberg-marquardt", "levenberg-marquardt"]
+    found = styles(rows, labels_of(rows))
+    assert found["contact-kinematics"].color != found["levenberg-marquardt"].color
+    svg = time_chart(rows).svg
+    assert ">levenberg-marquardt<" in svg and "var(--c7)" in svg
+    words = text_of(page(document(rows), []))
+    assert "Levenberg-Marquardt" in words and "gradient descent" in words
+    alone = text_of(page(document(rows[1:]), []))
+    assert "gradient descent" not in alone and "Levenberg-Marquardt moves body b" in alone
+    assert "Levenberg-Marquardt" not in text_of(page(document(rows[:1]), [])).partition("How it was measured")[0]
+
+
+def test_a_patch_is_told_with_its_epsilon_wherever_it_appears():
+    rows = [row(**patched()), row(**patched(witness="patch"))]
+    assert labels_of(rows) == ["distance", "distance + patch 10 µm"]
+    html = page(document(rows), [])
+    words = text_of(html)
+    assert "epsilon = 10 µm" in words and "98.71 %" in words and "patch 1e-6" in words
+    plain = text_of(page(document([row(), row("rigid")]), []))
+    assert "patch" not in plain.partition("How it was measured")[0]
+    # Alone, too.
+    assert labels_of([row(**patched(2e-6, witness="patch"))]) == ["distance + patch 2 µm"]
+
+
+def test_the_table_shows_both_metrics():
+    def printed(rows: list[dict[str, Any]]) -> str:
+        console = Console(width=120, record=True, file=io.StringIO())
+        console.print(bench_table(rows, "title"))
+        return console.export_text()
+
+    last = {"last": {"acc_1e6": 0.5}}
+    both = printed([row(**last, **patched()), least_squares(**last, **patched(witness="patch"))])
+    assert "patch: epsilon 10 µm" in both and both.count("98.7") == 2 and "drawn" not in both
+    assert "levenberg-marquardt + patch 10 µm" in both
+    plain = printed([row(**last, patch=None)])
+    assert "patch" not in plain and "drawn" in plain
 
 
 def test_methods_keep_their_colours_and_variants_get_their_own():

@@ -7,12 +7,14 @@ from typing import get_args
 
 import pytest
 
-from apps.bench.align.presets import BASELINE, MARGINS, OURS, PRESETS, STEP_SIZES
+from apps.bench.align.levenberg_marquardt import AlignLevenbergMarquardt
+from apps.bench.align.presets import BASELINE, EPSILON, MARGINS, OURS, PRESETS, STEP_SIZES
 from apps.bench.align.tasks import CLASSES
 from apps.bench.align.variants import FEW_TARGETS, MethodName, Variant
 from grasp_refine.commands.bench_align import PresetName
 from grasp_refine.witness.autograd import Derivative
 from grasp_refine.witness.distance import Distance
+from grasp_refine.witness.patch import Patch
 
 METHODS = set(get_args(MethodName))
 
@@ -27,14 +29,19 @@ def test_the_variants_of_a_preset_differ_and_can_be_built(name: str):
     # Not only as values: rows that look alike would be two names of one thing.
     shown = [tuple(variant.columns().values()) for variant in preset.variants]
     assert len(set(shown)) == len(shown) > 1
-    assert preset.what and preset.pairs >= 1 and preset.targets >= 1 and preset.budgets
+    assert preset.what and preset.pairs >= 1 and preset.targets >= 1
     assert set(preset.classes) <= set(CLASSES)
     for variant in preset.variants:
-        solver = variant.solver(3)
+        solver = variant.built(3)
+        assert solver.margin == variant.margin
+        assert solver.patch == (Patch(EPSILON) if variant.witness == "patch" else None)
+        if isinstance(solver, AlignLevenbergMarquardt):
+            assert (solver.seed, solver.iterations) == (3, variant.budget)
+            continue
         assert isinstance(solver.method, Derivative)
         assert getattr(solver.method, "seed", 3) == 3
         assert (solver.transport, solver.optimise) == (variant.transport, variant.optimise)
-        assert (solver.margin, solver.step_size) == (variant.margin, variant.step_size)
+        assert solver.step_size == variant.step_size
         assert (solver.iterations, solver.seconds) == (2000, None)
 
 
@@ -54,7 +61,9 @@ def test_table1_compares_all_methods():
 
 def test_smoke_runs_all_methods_on_little():
     smoke = PRESETS["smoke"]
-    assert smoke.variants == variants("table1")
+    others = {(variant.solver, variant.witness) for variant in smoke.variants[7:]}
+    assert smoke.variants[:7] == variants("table1")
+    assert others == {("levenberg-marquardt", "plain"), ("levenberg-marquardt", "patch")}
     assert smoke.pairs * smoke.targets <= 16 and max(smoke.budgets) <= 200
 
 
@@ -89,6 +98,23 @@ def test_margins_and_step_sizes_are_swept():
         assert {"distance", "direction"} <= methods
     assert {"finite-difference", "zeroth-order"} <= {variant.method for variant in variants("step-size")}
     assert {v.coupling for v in variants("coupling")} == {"one-sided", "coupled"}
+
+
+def test_solvers_are_compared_each_at_its_own_budgets():
+    preset = PRESETS["solvers"]
+    assert preset.budgets == () and "face-face" not in preset.classes
+    for margin in (0.0, 1e-3):
+        assert [(v.name, v.budget) for v in preset.variants if v.margin == margin] == [
+            ("distance", 2000), ("contact-kinematics", 2000), ("levenberg-marquardt", 200), ("levenberg-marquardt", 500)
+        ]  # fmt: skip
+
+
+def test_patch_is_compared_on_faces_by_both_metrics():
+    preset = PRESETS["patch"]
+    assert preset.classes == ("face-face",) and {variant.epsilon for variant in preset.variants} == {EPSILON}
+    assert [(variant.name, variant.witness) for variant in preset.variants] == [
+        (name, witness) for name in ("distance", "levenberg-marquardt") for witness in ("plain", "patch")
+    ]
 
 
 def test_methods_of_many_queries_run_an_eighth_of_the_targets():

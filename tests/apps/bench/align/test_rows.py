@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from shapes_for_tests import convex_body
 
+from apps.bench.align.aligned import Aligned
 from apps.bench.align.bodies import BodyPair
-from apps.bench.align.descent import Aligned
 from apps.bench.align.rows import LEVELS, rows, summary
 from apps.bench.align.runner import Done, Job
 from apps.bench.align.stopwatch import STAGES, Stopwatch
@@ -23,8 +23,8 @@ SUMMARY = {"targets", "acc_1e6", "acc_1e8", "d5", "d9"}
 CONTRACT = {
     "kind", "method", "neighborhood", "solver", "transport", "margin", "budget", "budget_s", "pairs", *SUMMARY,
     "reachable", "unfiltered", "last", "pair", "target_class", "witness", "coupling", "step_size", "optimise", "dtype",
-    "forward_us", "backward_us", "sampling_us", "queries_mean", "narrow_queries_mean", "iterations_mean",
-    "cpu_s_per_pair", "wall_s_per_pair", "cpu_share",
+    "epsilon", "patch", "forward_us", "backward_us", "sampling_us", "queries_mean", "narrow_queries_mean",
+    "iterations_mean", "cpu_s_per_pair", "wall_s_per_pair", "cpu_share",
 }  # fmt: skip
 TIMES = {
     "forward_us", "backward_us", "sampling_us", "queries_mean", "narrow_queries_mean", "iterations_mean",
@@ -56,6 +56,7 @@ def done(
     backward_s: float = 0.3,
     cpu_s: float = 1.0,
     asked: int = 1000,
+    patch_error: np.ndarray | None = None,
 ) -> Done:
     """A result with these errors (N, P); the last ones are ten times as large."""
     pairs = tuple(BodyPair(f"pair {p}", kind, A, B) for p in range(len(tasks)))
@@ -63,8 +64,8 @@ def done(
     stages = {stage: share * cpu_s for stage, share in zip(STAGES, shares, strict=True)}
     watch = Stopwatch(stages, {"forward": forward_s, "backward": backward_s, "sampling": 0.5 * backward_s}, asked)
     T = np.broadcast_to(np.eye(4), (*error.shape, 4, 4))
-    aligned = Aligned(error, 10 * error, T, T, WITNESS, iterations, watch, cpu_s, 2 * cpu_s)
-    return Done(Job(variant, pairs, tuple(tasks), 0, "float64", "cpu", 1), aligned)
+    aligned = Aligned(error, 10 * error, T, T, WITNESS, np.full(error.shape, iterations), watch, cpu_s, 2 * cpu_s)
+    return Done(Job(variant, pairs, tuple(tasks), 0, "float64", "cpu", 1), aligned, patch_error)
 
 
 def by(found: list[dict[str, Any]], **values: Any) -> dict[str, Any]:
@@ -121,7 +122,8 @@ def test_rows_have_the_keys_of_the_contract():
     assert [row["targets"] for row in found] == [5, 3, 2, 3, 2]
     settings = {"kind": "convex", "method": "distance", "neighborhood": "adaptive", "solver": "descent",
                 "transport": True, "margin": 1e-3, "budget": 2000, "budget_s": None, "witness": "plain",
-                "coupling": "one-sided", "step_size": 10.0, "optimise": "T2", "dtype": "float64"}  # fmt: skip
+                "coupling": "one-sided", "step_size": 10.0, "optimise": "T2", "epsilon": None, "patch": None,
+                "dtype": "float64"}  # fmt: skip
     assert found[0].items() >= settings.items()
     json.loads(dumps(found))
 
@@ -137,6 +139,40 @@ def test_what_a_method_ignores_is_null():
     ):
         row = rows([done([plain(1)], np.ones((1, 1)), variant=Variant(method))], 1, "float32")[0]
         assert (row["neighborhood"], row["coupling"], row["dtype"]) == (neighborhood, coupling, "float32")
+
+
+def test_what_levenberg_marquardt_is():
+    row = rows([done([plain(1)], np.ones((1, 1)), variant=Variant.least_squares(budget=500))], 1, "float32")[0]
+    settings = {"method": "contact-kinematics", "solver": "levenberg-marquardt", "neighborhood": None,
+                "coupling": None, "transport": False, "step_size": None, "optimise": "T2", "budget": 500,
+                "budget_s": None, "margin": 1e-3, "witness": "plain", "patch": None, "dtype": "float64"}  # fmt: skip
+    assert row.items() >= settings.items()
+
+
+def test_the_patch_judges_the_same_tasks_beside_the_plain_witness():
+    face = CLASSES.index("face-face")
+    tasks = tasks_of([0, 0, face, face], [True, False, True, True], [True] * 4, [1.0] * 4)
+    patch_error = np.array([[1e-9], [1e-9], [1e-9], [1e-7]])
+    variant = Variant(witness="patch", epsilon=2e-5)
+    found = rows([done([tasks], np.ones((4, 1)), variant=variant, patch_error=patch_error)], 4, "float64")
+    pooled, apart = by(found, pair="all", target_class="all"), by(found, target_class="face-face")
+    assert (pooled["witness"], pooled["epsilon"], pooled["acc_1e6"], apart["acc_1e6"]) == ("patch", 2e-5, 0.0, 0.0)
+    assert pooled["patch"] == {"epsilon": 2e-5, "targets": 1, "acc_1e6": 1.0, "acc_1e8": 1.0, "d5": 1e-9, "d9": 1e-9}
+    assert apart["patch"] == {"epsilon": 2e-5, "targets": 2, "acc_1e6": 1.0, "acc_1e8": 0.5, "d5": 1e-9, "d9": 1e-7}
+    # A plain variant may be judged by it as well.
+    judged = Variant(epsilon=2e-5)
+    row = rows([done([tasks], np.ones((4, 1)), variant=judged, patch_error=patch_error)], 4, "float64")[0]
+    assert row["witness"] == "plain" and row["patch"] == pooled["patch"]
+
+
+def test_iterations_are_those_of_each_task_and_padding_has_none():
+    one = done([plain(3), plain(1)], np.ones((3, 2)), cpu_s=1.0, forward_s=0.4, asked=40)
+    one.aligned.iterations[:] = [[10, 20], [2, 0], [8, 0]]
+    row = rows([one], 8, "float64")[0]
+    assert row["iterations_mean"] == row["queries_mean"] == row["narrow_queries_mean"] == 10.0
+    assert row["forward_us"] == pytest.approx(0.4e6 / 40)
+    # One second for four tasks; a pair was to have eight.
+    assert row["cpu_s_per_pair"] == pytest.approx(2.0)
 
 
 def test_accepted_reachable_and_unfiltered_tasks_by_hand():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,9 @@ from apps.bench.align.bodies import BodyPair
 from apps.bench.align.runner import Job, do, jobs, label, run
 from apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from apps.bench.align.variants import Variant
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.se3 import transform_points
+from grasp_refine.witness.patch import Patch
 
 PAIRS = [
     BodyPair("concave 0", "concave", ring_body(), cluster_body(3, 4)),
@@ -48,13 +52,13 @@ def quiet(share: float, what: str) -> None:
 
 
 def test_each_variant_sees_each_pair_once(tasks: list[Tasks], monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "WIDTH", {"convex": 1, "concave": 2})
+    monkeypatch.setitem(module.WIDTH, "descent", {"convex": 1, "concave": 2})
     todo = made(tasks)
     seen = Counter((job.variant, pair.name) for job in todo for pair in job.pairs)
     assert seen == {(variant, pair.name): 1 for variant in VARIANTS for pair in PAIRS}
     for job in todo:
         assert len({pair.kind for pair in job.pairs}) == 1
-        assert len(job.pairs) == len(job.tasks) <= module.WIDTH[job.pairs[0].kind]
+        assert len(job.pairs) == len(job.tasks) <= module.WIDTH[job.variant.solver][job.pairs[0].kind]
         for pair, chosen in zip(job.pairs, job.tasks, strict=True):
             full = tasks[PAIRS.index(pair)]
             expected = full if job.variant.method == "distance" else full.every(8)
@@ -71,6 +75,8 @@ def test_work_grows_with_what_there_is_to_do(tasks: list[Tasks]):
     (timed,) = made(tasks[1:2], PAIRS[1:2], (Variant(budget=None, budget_s=1.0),))
     assert timed.work > 0
     assert label(short) == "distance, convex"
+    (quick,) = made(tasks[1:2], PAIRS[1:2], (Variant.least_squares(budget=20),))
+    assert label(quick) == "levenberg-marquardt, convex" and 0 < quick.work < long.work
 
 
 def test_pairs_of_fewer_tasks_are_padded_and_cut_again(tasks: list[Tasks]):
@@ -131,6 +137,30 @@ def test_a_job_that_fails_does_not_end_the_others(workers: int, tasks: list[Task
     assert [one.job.variant for one in done] == [good.variant]
     (problem,) = problems
     assert problem.startswith("distance, ") and "Traceback" in problem and "float5" in problem
+
+
+@pytest.mark.parametrize("witness", ["plain", "patch"])
+@pytest.mark.parametrize("make", [Variant, Variant.least_squares])
+def test_final_poses_are_judged_by_queries_of_their_own(make: Callable[..., Variant], witness: str, tasks: list[Tasks]):
+    variant = make(budget=30, witness=witness, epsilon=1e-4)
+    (job,) = made([tasks[1], tasks[2].take(np.arange(4))], PAIRS[1:3], (variant,))
+    done = do(job)
+    for p, its in enumerate(job.tasks):
+        T_a, T_b = done.aligned.T_world_a[: len(its), p], done.aligned.T_world_b[: len(its), p]
+        pairs = Pairs((job.pairs[p].a,), (job.pairs[p].b,))
+        found = query(pairs, T_a[:, None], T_b[:, None]).reshape(-1)
+        goals = its.target_a, its.target_b
+        moved = Patch(1e-4).refine(pairs, np.zeros(len(its), dtype=int), T_a, T_b, found, *goals)
+        for errors, w in ((done.errors(p)[0], found), (done.patch_errors(p), moved)):
+            miss_a = w.point_a - transform_points(T_a, its.target_a)
+            miss_b = w.point_b - transform_points(T_b, its.target_b)
+            expected = (miss_a**2).sum(axis=1) + (miss_b**2).sum(axis=1) + (w.distance - variant.margin) ** 2
+            np.testing.assert_allclose(errors, expected, rtol=1e-6, atol=1e-18)
+
+
+def test_without_a_patch_nothing_is_judged_by_it(tasks: list[Tasks]):
+    (job,) = made(tasks[1:2], PAIRS[1:2], VARIANTS[:1])
+    assert do(job).patch_errors(0) is None
 
 
 def test_what_is_done_survives_an_interruption(tasks: list[Tasks]):

@@ -12,6 +12,7 @@ from shapes_for_tests import cluster_body, convex_body, ring_body
 from apps.bench.align import stopwatch as module
 from apps.bench.align.bodies import BodyPair
 from apps.bench.align.descent import align
+from apps.bench.align.levenberg_marquardt import minimised
 from apps.bench.align.stopwatch import STAGES, Stopwatch, TimedDerivative, timed_pairs
 from apps.bench.align.tasks import draw_tasks
 from apps.bench.align.variants import Variant
@@ -114,10 +115,14 @@ def test_timed_derivatives_are_the_same(method: str):
     assert (watch.asked > 10 * T_a.shape[0] * len(pairs)) == (method != "distance")
 
 
-def test_the_stages_of_a_run_sum_to_its_time():
+@pytest.mark.parametrize("solver", ["descent", "levenberg-marquardt"])
+def test_the_stages_of_a_run_sum_to_its_time(solver: str):
     pair = BodyPair("hulls", "convex", convex_body(1, 30), convex_body(2, 30))
     tasks = draw_tasks(pair, ["vertex-vertex"], 4, 0)
-    result = align([pair], [tasks], Variant(budget=30).solver(0))
+    if solver == "descent":
+        result = align([pair], [tasks], Variant(budget=30).built(0))
+    else:
+        result = minimised([pair], [tasks], Variant.least_squares(budget=30).built(0))
     spent = result.watch.cpu_s
     assert set(spent) == set(STAGES) and min(spent.values()) > 0.0
     assert result.cpu_s * 0.98 < sum(spent.values()) < result.cpu_s * 1.02

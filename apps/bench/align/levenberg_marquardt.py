@@ -1,0 +1,79 @@
+"""Levenberg-Marquardt on alignment tasks: each task ends when it is solved, or when its budget is spent."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from grasp_refine.solvers.least_squares import WIDTH, Point, minimise
+from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.witness.patch import Patch
+
+from .aligned import Aligned, errors_at, padded
+from .bodies import BodyPair
+from .problem import AlignProblem
+from .stopwatch import Stopwatch
+from .tasks import Tasks
+
+TOLERANCE = 1e-14
+"""Errors (m^2) below this, a tenth of a micrometre, end a task."""
+
+
+@dataclass(frozen=True)
+class AlignLevenbergMarquardt:
+    """Levenberg-Marquardt with the derivative of contact kinematics; a stalled task starts again without limit."""
+
+    margin: float = 0.0
+    """Contact margin beta in metres: the gap that is aimed at."""
+    iterations: int = 200
+    """Budget of a task in iterations, each one witness query."""
+    patch: Patch | None = None
+    """Which witness points are used; None: plain ones."""
+    seed: int = 0
+    """Of new starts."""
+
+
+def minimised(
+    bodies: Sequence[BodyPair],
+    tasks: Sequence[Tasks],
+    solver: AlignLevenbergMarquardt,
+    *,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Aligned:
+    """Run the tasks of several pairs together; what comes of a task does not depend on the others.
+
+    Args:
+        bodies: P pairs.
+        tasks: Those of each pair; some may have more than others.
+        solver: Budget and witness.
+        progress: Called now and then with the share of the budget that is spent.
+    """
+    watch = Stopwatch()
+    problem = AlignProblem(bodies, tasks, solver.margin, solver.seed, solver.patch, watch)
+    counts = np.array([len(its) for its in tasks])
+    first = np.cumsum(counts) - counts
+    start = Point(problem.tasks.T_world_b, np.zeros((counts.sum(), 0)))
+    # What is built at the first call is not part of the loop's time.
+    problem.evaluate(first, Point(start.T[first], start.q[first]), None)
+    most = solver.iterations * -(-counts.sum() // WIDTH)
+
+    def told(done: int, iteration: int, loss: float) -> None:
+        if iteration % 10 == 0:
+            progress(min(iteration / most, 1.0))
+
+    settings = LevenbergMarquardt(iterations=solver.iterations, restarts=solver.iterations, good=0.0)
+    start_cpu, start_wall = time.process_time(), time.perf_counter()
+    watch.running = True
+    with watch.stage("solver"):
+        found = minimise(problem, start, settings, TOLERANCE, progress=told)
+    watch.running = False
+    cpu_s, wall_s = time.process_time() - start_cpu, time.perf_counter() - start_wall
+    task = np.arange(counts.max())[:, None]
+    member = first + task % counts
+    T_a, T_b = problem.tasks.T_world_a[member], found.point.T[member]
+    error, witness = errors_at(bodies, padded(tasks), T_a, T_b, solver.margin)
+    iterations = np.where(task < counts, found.iterations[member], 0)
+    return Aligned(error, error, T_a, T_b, witness, iterations, watch, cpu_s, wall_s)

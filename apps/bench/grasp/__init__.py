@@ -1,0 +1,1 @@
+"""How accurate and how fast grasps are refined, by solver and batch size."""

@@ -1,0 +1,75 @@
+"""The experiments that have a name, as lists of variants."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+from types import MappingProxyType
+
+from .tasks import Kind
+from .variants import Variant
+
+FIRST_ORDER = ("descent", "adam")
+
+
+@dataclass(frozen=True)
+class Preset:
+    """An experiment."""
+
+    what: str
+    """One line on what it shows."""
+    variants: tuple[Variant, ...]
+    """What is compared."""
+    kinds: tuple[Kind, ...] = ("targets", "nothing")
+    """Whether targets are given."""
+    count: int | None = None
+    """Tasks of each object and scale; None: all real grasps, and 64 with targets."""
+    scenes: int | None = None
+    """Objects and scales of each set, evenly chosen; None: all."""
+    singles: int = 32
+    """Tasks of a set that are run one at a time."""
+
+
+def _over_time() -> tuple[Variant, ...]:
+    quick = [Variant(budget=budget, batch=64) for budget in (5, 10, 20, 50, 100, 200)]
+    slow = [
+        Variant(solver, budget=budget, batch=64)
+        for solver, budget in product(FIRST_ORDER, (50, 100, 200, 500, 1000, 2000))
+    ]
+    return (*quick, *slow)
+
+
+PRESETS: Mapping[str, Preset] = MappingProxyType(
+    {
+        "targets": Preset(
+            "true grasps that were disturbed: Levenberg-Marquardt at batch 1 to 256",
+            tuple(Variant(batch=batch) for batch in (1, 16, 64, 256)),
+            kinds=("targets",),
+            count=256,
+        ),
+        "nothing": Preset(
+            "real grasps as they come: Levenberg-Marquardt at batch 1 to 256",
+            tuple(Variant(batch=batch) for batch in (1, 16, 64, 256)),
+            kinds=("nothing",),
+        ),
+        "time-to-error": Preset(
+            "error over CPU time of Levenberg-Marquardt, descent and Adam on the same disturbed grasps",
+            _over_time(),
+            kinds=("targets",),
+            count=32,
+            scenes=3,
+        ),
+        "smoke": Preset(
+            "every solver on a few tasks of both kinds, in less than a minute",
+            (
+                Variant(batch=1),
+                Variant(batch=16),
+                *(Variant(solver, budget=40, batch=16) for solver in FIRST_ORDER),
+            ),
+            count=4,
+            singles=4,
+        ),
+    }
+)
+"""Name -> experiment."""

@@ -1,0 +1,160 @@
+"""Runs a variant on the tasks of a set, and measures what comes out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from grasp_refine.refine import refine
+from grasp_refine.validation.geometry import Movement, movement
+
+from .measures import Measures, measured
+from .sets import GraspSet
+from .tasks import Kind, Tasks
+from .variants import Variant
+
+WARM_UP = 2
+"""Iterations, of as many grasps, before anything is timed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What came out of N tasks on one object."""
+
+    tasks: Tasks
+    before: Measures
+    after: Measures
+    moved: Movement
+    touching: np.ndarray
+    """Links (N, L) that were to touch."""
+    status: np.ndarray
+    """A `Status` for each (N,)."""
+    iterations: np.ndarray
+    queries: np.ndarray
+    """Narrow-phase queries of the solver (N,)."""
+    cpu_s: np.ndarray
+    """CPU seconds (N,): of its call, shared evenly by the grasps in it."""
+    wall_s: np.ndarray
+    """The same of the clock."""
+
+
+@dataclass(frozen=True, eq=False)
+class Done:
+    """What came out of a job."""
+
+    job: SetJob
+    parts: tuple[Part, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SetJob:
+    """One variant on tasks of one kind of one set."""
+
+    variant: Variant
+    set: str
+    """Name of the set."""
+    hand: str
+    """Name of the hand."""
+    kind: Kind
+    """Whether targets are given."""
+    tasks: tuple[Tasks, ...]
+    """By object and scale."""
+    seed: int
+    tolerance: float
+    threads: int
+
+    @property
+    def work(self) -> float:
+        """About how long it takes: grasps times iterations, of which Levenberg-Marquardt seldom needs all."""
+        most = self.variant.iterations
+        return float(sum(map(len, self.tasks)) * (min(most, 30) if self.variant.least_squares else most))
+
+    @property
+    def label(self) -> str:
+        """What it is, for a progress bar."""
+        return f"{self.set}, {self.variant.solver}, batch {self.variant.batch}"
+
+    def do(self, progress: Callable[[float], None]) -> Done:
+        """Refine and measure all tasks, in this process."""
+        torch.set_num_threads(self.threads)
+        total, finished, parts = sum(map(len, self.tasks)), 0, []
+        for tasks in self.tasks:
+            before = finished
+
+            def within(done: int, before: int = before) -> None:
+                progress((before + done) / total)
+
+            parts.append(self._part(tasks, within))
+            finished += len(tasks)
+        return Done(self, tuple(parts))
+
+    def _part(self, tasks: Tasks, progress: Callable[[int], None]) -> Part:
+        config = self.variant.config(self.seed, self.tolerance)
+        # What is built once, such as hulls and the pairs of a hand's links, is not timed.
+        short = replace(config, solver=replace(config.solver, iterations=WARM_UP))
+        refine(tasks.take(slice(WARM_UP)).scene, short)
+        found, cpu, wall = [], [], []
+        for start, stop in calls(len(tasks), self.variant):
+            scene = tasks.take(slice(start, stop)).scene
+            clock, own = time.perf_counter(), time.process_time()
+            found.append(refine(scene, config, lambda done, *_, start=start: progress(start + done)))
+            share = 1.0 / (stop - start)
+            cpu += [(time.process_time() - own) * share] * (stop - start)
+            wall += [(time.perf_counter() - clock) * share] * (stop - start)
+        scene = tasks.scene
+        T, q, touching, status, iterations, queries = (
+            np.concatenate([getattr(one, name) for one in found])
+            for name in ("T_world_root", "q", "touching", "status", "iterations", "queries")
+        )
+        return Part(
+            tasks=tasks,
+            before=measured(scene, scene.T_world_root, scene.q),
+            after=measured(scene, T, q),
+            moved=movement(scene.T_world_root, scene.q, T, q),
+            touching=touching,
+            status=status,
+            iterations=iterations,
+            queries=queries,
+            cpu_s=np.array(cpu),
+            wall_s=np.array(wall),
+        )
+
+
+def calls(count: int, variant: Variant) -> list[tuple[int, int]]:
+    """First and last tasks of each call of `refine`: Levenberg-Marquardt itself keeps its batch full, others cannot."""
+    size = count if variant.least_squares and variant.batch > 1 else variant.batch
+    return [(start, min(start + size, count)) for start in range(0, count, size)]
+
+
+def jobs(
+    variants: Sequence[Variant],
+    sets: Sequence[tuple[GraspSet, Kind, tuple[Tasks, ...]]],
+    *,
+    singles: int,
+    seed: int,
+    tolerance: float,
+    threads: int,
+) -> list[SetJob]:
+    """One job for each set, kind of tasks and variant.
+
+    Args:
+        variants: What is compared.
+        sets: Sets with a kind of tasks and these tasks, by object and scale.
+        singles: Most tasks of a set that are run one at a time.
+        seed: Of everything that a solver draws.
+        tolerance: Loss in m^2 below which a grasp is done.
+        threads: Threads of torch.
+    """
+    made = []
+    for grasp_set, kind, tasks in sets:
+        for variant in variants:
+            chosen = tasks
+            if variant.batch == 1:
+                # Evenly from all objects.
+                chosen = tuple(its.take(slice(-(-singles // len(tasks)))) for its in tasks[:singles])
+            made.append(SetJob(variant, grasp_set.name, grasp_set.hand, kind, chosen, seed, tolerance, threads))
+    return made

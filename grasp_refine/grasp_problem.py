@@ -1,0 +1,411 @@
+"""The grasps of a scene as least-squares problems over root pose and joint values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from grasp_refine.chain import Chain, Frames, moved
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query_items
+from grasp_refine.config import Config
+from grasp_refine.geometry.body import Body
+from grasp_refine.goal import Goal
+from grasp_refine.losses import (
+    contact_direction,
+    contact_direction_covectors,
+    contact_gap,
+    contact_targets,
+    contact_targets_covectors,
+    gap_covectors,
+    penetration,
+    stay_near,
+    stay_near_jacobian,
+)
+from grasp_refine.scene import Scene
+from grasp_refine.se3 import exp_so3, inverse, matvec, tangents, transform, transform_points
+from grasp_refine.self_collision import touching_pairs
+from grasp_refine.solvers.batch import choose
+from grasp_refine.solvers.least_squares import Point
+from grasp_refine.solvers.levenberg_marquardt import bounded_step
+from grasp_refine.witness.pair_curvature import PairCurvatures
+
+ROOT_TURN, JOINT_TURN = 0.05, 0.04
+"""A radian of the root, and of a joint, is as much movement as so many metres of the root."""
+
+BOX = (0.05, 1.0, 0.5)
+"""Largest step of the root in metres and radians, and of a joint in radians."""
+
+NOISE = (0.01, 0.3, 0.2)
+"""Standard deviations of new starts: metres and radians of the root, radians of joints."""
+
+CLEAR = 0.01
+"""Pairs that may penetrate are asked up to this distance in metres; those beyond it are not asked again before they
+can have moved so far."""
+
+REACHING, REACHING_DAMPING = 8, 1e-3
+"""Steps of the position-only inverse kinematics before the first query, and their lambda."""
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """M grasps at a point: where their links are, and what touches what."""
+
+    loss: np.ndarray
+    asked: np.ndarray
+    T_link: np.ndarray
+    """Poses of the links (M, L, 4, 4)."""
+    axes: np.ndarray
+    """Unit twists of root and joints (M, 6, 6 + m)."""
+    witness: Witness
+    """Links and object (M, L)."""
+    own: Witness
+    """Pairs of links (M, S)."""
+
+
+class GraspProblem:
+    """The grasps of a scene; the object rests at the world's origin."""
+
+    def __init__(self, scene: Scene, goal: Goal, config: Config) -> None:
+        """Prepare chain, pairs and curvatures."""
+        self.scene, self.goal, self.config = scene, goal, config
+        hand, links = scene.hand, scene.links
+        bodies = [hand.links_by_name[name].body for name in links]
+        self.chain = Chain(hand, links)
+        self.pairs = Pairs.against(bodies, scene.object.body)
+        weights = config.weights
+        own = touching_pairs(hand) if weights.self_penetration > 0 else ()
+        first, second = (np.array([links.index(pair[side]) for pair in own], dtype=np.int64) for side in (0, 1))
+        self.own_first, self.own_second = first, second
+        self.own_pairs = Pairs(tuple(bodies[i] for i in first), tuple(bodies[j] for j in second)) if own else None
+        self.balls = np.array([_ball(body) for body in bodies])
+        corners = np.stack([piece.bounds for piece in scene.object.body.pieces])
+        self.box = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+        self.aimed_columns = np.flatnonzero(goal.aimed.any(axis=0))
+        self.gap_columns = np.flatnonzero((goal.touching & ~goal.aimed).any(axis=0))
+        aims = len(self.aimed_columns) or goal.direction is not None
+        self.curvatures = PairCurvatures.of(self.pairs, smallest=1.0) if aims else None
+        prismatic = np.array([hand.joints_by_name[name].kind == "prismatic" for name in hand.joint_names], dtype=bool)
+        joints = np.where(prismatic, 1.0, JOINT_TURN**2)
+        self.scales = np.concatenate([np.ones(3), np.full(3, ROOT_TURN**2), joints])
+        self.step = np.concatenate([np.full(3, BOX[0]), np.full(3, BOX[1]), np.where(prismatic, BOX[0], BOX[2])])
+
+    # what a solver asks
+
+    def evaluate(self, member: np.ndarray, point: Point, previous: Known | None) -> Known:
+        """Kinematics and queries; of links that should not touch only those that penetrate are found."""
+        frames = self.chain(point.T, point.q)
+        T = frames.T_world_link
+        witness = self._against_object(member, T, previous)
+        own = self._against_itself(T, previous)
+        asked = witness.asked.sum(axis=1) + own.asked.sum(axis=1)
+        unknown = (witness.status > QueryStatus.FAR).any(axis=1) | (own.status > QueryStatus.FAR).any(axis=1)
+        loss = np.where(unknown, np.nan, self._loss(member, point, T, witness, own))
+        return Known(loss, asked, T, frames.axes, witness, own)
+
+    def linearize(
+        self, member: np.ndarray, point: Point, known: Known, width: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (M, m) and their Jacobians (M, m, 6 + n); rows that are zero for all are left out."""
+        weights, frames = self.config.weights, Frames(known.T_link, known.axes)
+        rows = _Rows(len(member))
+        self._add_contacts(rows, member, known, width)
+        if weights.penetration > 0:
+            rows.add_active(penetration(known.witness), -gap_covectors(known.witness), weights.penetration)
+        if self.own_pairs is not None:
+            rows.add_active(
+                penetration(known.own), -gap_covectors(known.own), weights.self_penetration,
+                self.own_first, self.own_second,
+            )  # fmt: skip
+        residual, covector, link, minus = rows.stacked()
+        J = self.chain.pull(frames, covector, link)
+        if minus is not None:
+            J -= self.chain.pull(frames, np.where(minus[..., None] >= 0, covector, 0.0), np.maximum(minus, 0))
+        if weights.stay_near > 0:
+            away = self._away(member, point)
+            scale = np.sqrt(weights.stay_near)
+            residual = np.concatenate([residual, scale * away], axis=1)
+            J = np.concatenate([J, scale * stay_near_jacobian(away, self.config.scales)], axis=1)
+        return residual, J
+
+    def metric(self, member: np.ndarray) -> np.ndarray:
+        """1 for translations, `ROOT_TURN`^2 and `JOINT_TURN`^2 for rotations."""
+        return np.broadcast_to(self.scales, (len(member), len(self.scales)))
+
+    def room(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
+        """How far a step may go: joints to their limits, nothing farther than the box."""
+        hand = self.scene.hand
+        lower, upper = np.tile(-self.step, (len(member), 1)), np.tile(self.step, (len(member), 1))
+        lower[:, 6:] = np.maximum(lower[:, 6:], hand.lower - point.q)
+        upper[:, 6:] = np.minimum(upper[:, 6:], hand.upper - point.q)
+        return lower, upper
+
+    def moved(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
+        """The grasps after steps; joints never leave their limits."""
+        hand = self.scene.hand
+        q = np.minimum(np.maximum(point.q + dx[:, 6:], hand.lower), hand.upper)
+        return Point(moved(point.T, dx[:, :6]), q)
+
+    def restarted(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
+        """Noise on the best grasp and, every other time, on the present one; then inverse kinematics."""
+        noise = np.empty((len(member), len(self.scales)))
+        for row, (m, k) in enumerate(zip(member.tolist(), start.tolist(), strict=True)):
+            noise[row] = np.random.default_rng((self.config.seed, m, k)).normal(size=noise.shape[1])
+        noise *= np.concatenate([np.full(3, NOISE[0]), np.full(3, NOISE[1]), np.full(noise.shape[1] - 6, NOISE[2])])
+        return self.reached(member, self.moved(member, choose(start % 2 == 1, best, now), noise))
+
+    def reached(self, member: np.ndarray, point: Point) -> Point:
+        """Grasps whose target points on links come near those on the object: no query, no collision."""
+        if not len(self.aimed_columns):
+            return point
+        columns = self.aimed_columns
+        aimed = self.goal.aimed[member][:, columns]
+        on_link = np.nan_to_num(self.goal.target_link[member][:, columns])
+        on_object = np.nan_to_num(self.goal.target_object[member][:, columns])
+        damping = np.full(len(member), REACHING_DAMPING)
+        link = np.repeat(columns, 3)
+        for _ in range(REACHING):
+            frames = self.chain(point.T, point.q)
+            p = transform_points(frames.T_world_link[:, columns], on_link)
+            residual = np.where(aimed[..., None], p - on_object, 0.0).reshape(len(member), -1)
+            forces = np.broadcast_to(np.eye(3), (*p.shape, 3))
+            covector = np.concatenate([forces, np.cross(p[..., None, :], forces)], axis=-1)
+            covector = np.where(aimed[..., None, None], covector, 0.0).reshape(len(member), -1, 6)
+            lower, upper = self.room(member, point)
+            J = self.chain.pull(frames, covector, link)
+            dx, _ = bounded_step(J, residual, damping, self.metric(member), lower, upper)
+            point = self.moved(member, point, dx)
+        return point
+
+    # queries
+
+    def _against_object(self, member: np.ndarray, T: np.ndarray, previous: Known | None) -> Witness:
+        """Witness points of links and object; pairs that need no answer, or are surely apart, are FAR."""
+        touching = self.goal.touching[member]
+        center = transform_points(T, self.balls[:, :3])
+        low, high = self.box
+        outside = np.maximum(np.maximum(low - center, center - high), 0.0)
+        bound = np.sqrt((outside * outside).sum(axis=-1)) - self.balls[:, 3]
+        before = None
+        if previous is not None:
+            before = previous.witness
+            bound = np.fmax(bound, before.distance - self._motion(previous.T_link, T))
+        if self.config.weights.penetration == 0:
+            bound = np.where(np.isfinite(bound), np.inf, bound)
+        T_object = np.broadcast_to(np.eye(4), T.shape)
+        return _asked(self.pairs, bound, T, T_object, np.where(touching, np.inf, CLEAR), before)
+
+    def _against_itself(self, T: np.ndarray, previous: Known | None) -> Witness:
+        """Witness points of the pairs of links that penetrate."""
+        if self.own_pairs is None:
+            return _nothing(np.zeros((len(T), 0)))
+        first, second = self.own_first, self.own_second
+        center = transform_points(T, self.balls[:, :3])
+        away = center[:, first] - center[:, second]
+        bound = np.sqrt((away * away).sum(axis=-1)) - self.balls[first, 3] - self.balls[second, 3]
+        before = None
+        if previous is not None:
+            before, motion = previous.own, self._motion(previous.T_link, T)
+            bound = np.fmax(bound, before.distance - motion[:, first] - motion[:, second])
+        return _asked(self.own_pairs, bound, T[:, first], T[:, second], np.full(bound.shape, CLEAR), before)
+
+    def _motion(self, T_before: np.ndarray, T_now: np.ndarray) -> np.ndarray:
+        """How far (M, L) any point of each link moved at most, in metres."""
+        moved = transform_points(T_now, self.balls[:, :3]) - transform_points(T_before, self.balls[:, :3])
+        turned = (T_now - T_before)[..., :3, :3]
+        # A turn by theta moves a point at distance r by 2 r sin(theta / 2), and |R - R'| is sqrt(8) sin(theta / 2).
+        chord = np.sqrt(0.5 * (turned * turned).sum(axis=(-1, -2)))
+        return np.sqrt((moved * moved).sum(axis=-1)) + self.balls[:, 3] * chord
+
+    # terms
+
+    def _loss(
+        self, member: np.ndarray, point: Point, T: np.ndarray, witness: Witness, own: Witness
+    ) -> np.ndarray:
+        """The weighted sum of squares (M,)."""
+        goal, config, weights = self.goal, self.config, self.config.weights
+        touching = goal.touching[member]
+        total = np.zeros(len(member))
+        if len(self.aimed_columns):
+            columns = self.aimed_columns
+            residual = contact_targets(
+                witness.pairs(columns),
+                T[:, columns],
+                np.broadcast_to(np.eye(4), T[:, columns].shape),
+                goal.target_link[member][:, columns],
+                goal.target_object[member][:, columns],
+                config.margin,
+            )
+            total += weights.contact * (residual**2).sum(axis=(1, 2))
+            touching = touching & ~goal.aimed[member]
+        if len(self.gap_columns):
+            total += weights.contact * (contact_gap(witness, touching, config.margin) ** 2).sum(axis=1)
+        if weights.penetration > 0:
+            total += weights.penetration * (penetration(witness) ** 2).sum(axis=1)
+        if self.own_pairs is not None:
+            total += weights.self_penetration * (penetration(own) ** 2).sum(axis=1)
+        if goal.direction is not None:
+            total += weights.direction * (contact_direction(witness, goal.direction[member]) ** 2).sum(axis=(1, 2))
+        if weights.stay_near > 0:
+            total += weights.stay_near * (self._away(member, point) ** 2).sum(axis=1)
+        return total
+
+    def _away(self, member: np.ndarray, point: Point) -> np.ndarray:
+        scene = self.scene
+        return stay_near(point.T, point.q, scene.T_world_root[member], scene.q[member], self.config.scales)
+
+    def _add_contacts(self, rows: _Rows, member: np.ndarray, known: Known, width: np.ndarray) -> None:
+        """Rows of targets, gaps and directions."""
+        goal, config, weights = self.goal, self.config, self.config.weights
+        if self.curvatures is not None:
+            columns = self.aimed_columns
+            if goal.direction is not None:
+                columns = np.union1d(columns, np.flatnonzero(~np.isnan(goal.direction[..., 0]).all(axis=0)))
+            w = known.witness.pairs(columns)
+            T = known.T_link[:, columns]
+            E = tangents(np.where(w.valid[..., None], w.normal, [0.0, 0.0, 1.0]))
+            miss_link = w.point_a - transform_points(T, goal.target_link[member][:, columns])
+            miss_object = w.point_b - goal.target_object[member][:, columns]
+            K_link, K_object = self._curvatures(columns, T, w, E, miss_link, miss_object, width)
+            aimed = (goal.aimed[member][:, columns] & w.valid)[..., None]
+            misses = [matvec(E.mT, np.where(aimed, miss, 0.0)) for miss in (miss_link, miss_object)]
+            gap = np.where(aimed, w.distance[..., None] - config.margin, 0.0)
+            covector = contact_targets_covectors(w, E, K_link, K_object)
+            covector = np.where(aimed[..., None], covector, 0.0)
+            rows.add(np.concatenate([gap, *misses], axis=-1), covector, weights.contact, columns)
+            if goal.direction is not None:
+                turned = contact_direction(w, goal.direction[member][:, columns])
+                covector = contact_direction_covectors(w, E, K_link, K_object)
+                wanted = (turned != 0).any(axis=-1)[..., None, None]
+                rows.add(turned, np.where(wanted, covector, 0.0), weights.direction, columns)
+        if len(self.gap_columns):
+            columns = self.gap_columns
+            w = known.witness.pairs(columns)
+            touching = (goal.touching & ~goal.aimed)[member][:, columns] & w.valid
+            covector = np.where(touching[..., None], gap_covectors(w), 0.0)
+            gap = contact_gap(w, touching, config.margin)
+            rows.add(gap[..., None], covector[..., None, :], weights.contact, columns)
+
+    def _curvatures(
+        self,
+        columns: np.ndarray,
+        T: np.ndarray,
+        w: Witness,
+        E: np.ndarray,
+        miss_link: np.ndarray,
+        miss_object: np.ndarray,
+        width: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Curvatures (M, C, 2, 2) of links and object; where there are no witness points, they mean nothing."""
+        shape = w.distance.shape
+        item = np.flatnonzero(w.valid.reshape(-1))
+        count = len(item)
+        miss = np.stack([np.linalg.norm(side.reshape(-1, 3)[item], axis=1) for side in (miss_link, miss_object)])
+        K = self.curvatures.fit(
+            np.tile(columns, shape[0])[item],
+            T.reshape(-1, 4, 4)[item],
+            np.broadcast_to(np.eye(4), (count, 4, 4)),
+            w.reshape(-1).rows(item),
+            E.reshape(-1, 3, 2)[item],
+            np.nan_to_num(miss),
+            np.repeat(width, shape[1])[item],
+        )
+        every = np.broadcast_to(np.eye(2), (2, shape[0] * shape[1], 2, 2)).copy()
+        every[0, item], every[1, item] = K
+        return every[0].reshape(*shape, 2, 2), every[1].reshape(*shape, 2, 2)
+
+
+class _Rows:
+    """Residuals of M grasps with their covectors on the twists of links, stacked."""
+
+    def __init__(self, count: int) -> None:
+        self.residuals = [np.zeros((count, 0))]
+        self.covectors = [np.zeros((count, 0, 6))]
+        self.links = [np.zeros((count, 0), dtype=np.int64)]
+        self.minus = [np.zeros((count, 0), dtype=np.int64)]
+        self.relative = False
+
+    def add(self, residual: np.ndarray, covector: np.ndarray, weight: float, link: np.ndarray) -> None:
+        """Residuals (M, C, k) of the links (C,), with their covectors (M, C, k, 6)."""
+        M, C, k = residual.shape
+        scale = np.sqrt(weight)
+        self.residuals.append(scale * residual.reshape(M, C * k))
+        self.covectors.append(scale * covector.reshape(M, C * k, 6))
+        self.links.append(np.broadcast_to(np.repeat(link, k), (M, C * k)))
+        self.minus.append(np.full((M, C * k), -1))
+
+    def add_active(
+        self,
+        residual: np.ndarray,
+        covector: np.ndarray,
+        weight: float,
+        link: np.ndarray | None = None,
+        minus: np.ndarray | None = None,
+    ) -> None:
+        """Those of one-sided residuals (M, P) with covectors (M, P, 6) that are not zero, as few rows as hold them."""
+        active = residual > 0
+        most = int(active.sum(axis=1).max(initial=0))
+        if not most:
+            return
+        place = np.argsort(~active, axis=1, kind="stable")[:, :most]
+        chosen = np.take_along_axis(active, place, axis=1)
+        scale = np.sqrt(weight)
+        self.residuals.append(scale * np.take_along_axis(residual, place, axis=1))
+        picked = np.take_along_axis(covector, place[..., None], axis=1)
+        self.covectors.append(scale * np.where(chosen[..., None], picked, 0.0))
+        self.links.append(place if link is None else link[place])
+        self.minus.append(np.full(place.shape, -1) if minus is None else minus[place])
+        self.relative |= minus is not None
+
+    def stacked(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+        """Residuals (M, R), covectors (M, R, 6), links (M, R) and, if any, those whose twists are taken off."""
+        join = [np.concatenate(parts, axis=1) for parts in (self.residuals, self.covectors, self.links, self.minus)]
+        return join[0], join[1], join[2], join[3] if self.relative else None
+
+
+def _asked(
+    pairs: Pairs,
+    bound: np.ndarray,
+    T_a: np.ndarray,
+    T_b: np.ndarray,
+    cutoff: np.ndarray,
+    previous: Witness | None,
+) -> Witness:
+    """The answers (M, P) of the pairs that may penetrate, or have no cutoff; the others are FAR, at their bounds.
+
+    Args:
+        pairs: The P pairs.
+        bound: Lower bounds (M, P) of the signed distances; NaN where a pose is not finite.
+        T_a: Poses (M, P, 4, 4) of the first bodies.
+        T_b: Those of the second bodies.
+        cutoff: How far apart (M, P) pairs may be to be worth an answer.
+        previous: The last answers.
+    """
+    M, P = bound.shape
+    item = np.flatnonzero(np.isinf(cutoff) | ~(bound > 0))
+    found = query_items(
+        pairs,
+        item % P,
+        T_a.reshape(-1, 4, 4)[item],
+        T_b.reshape(-1, 4, 4)[item],
+        cutoff=cutoff.reshape(-1)[item],
+        previous=None if previous is None else previous.reshape(-1).rows(item),
+    )
+    every = _nothing(bound).reshape(-1)
+    for field in fields(Witness):
+        getattr(every, field.name)[item] = getattr(found, field.name)
+    return every.reshape(M, P)
+
+
+def _nothing(bound: np.ndarray) -> Witness:
+    """Pairs (M, P) that were not asked, because they are farther apart than their bounds."""
+    point, zero = np.zeros((3, *bound.shape, 3)), np.zeros((2, *bound.shape), dtype=np.int64)
+    status = np.full(bound.shape, QueryStatus.FAR, dtype=np.int8)
+    return Witness(*point, bound.copy(), status, zero[0] - 1, zero[1])
+
+
+def _ball(body: Body) -> np.ndarray:
+    """Centre and radius (4,) of a ball around all pieces of a body, in its frame."""
+    center = 0.5 * (body.centers.min(axis=0) + body.centers.max(axis=0))
+    radius = (np.linalg.norm(body.centers - center, axis=1) + body.radii).max()
+    return np.append(center, radius)
