@@ -24,6 +24,7 @@ COMMANDS = {
     "run": "refine grasps of a hand on an object; without options, an embedded example",
     "hands": "the hands that come with the program, or what a URDF is read as",
     "bench align": "run time against error of witness derivatives: the experiments of the paper",
+    "bench grasp": "how accurate and how fast grasps are refined, by solver and batch size",
     "doctor": "what is installed here, what is missing, and what this machine can do",
 }
 """Name of each command -> what it does."""

@@ -13,7 +13,6 @@ from grasp_refine.geometry.pieces import sphere
 from grasp_refine.scene import Scene
 from grasp_refine.targets import Touching, nearest_points
 
-
 POINT = 1e-6
 """Radius in metres of the balls that stand for target points."""
 

@@ -12,6 +12,8 @@ from grasp_refine.config import Config
 from grasp_refine.geometry.body import Body
 from grasp_refine.goal import Goal
 from grasp_refine.losses import (
+    below_plane,
+    below_plane_covectors,
     contact_direction,
     contact_direction_covectors,
     contact_gap,
@@ -23,7 +25,7 @@ from grasp_refine.losses import (
     stay_near_jacobian,
 )
 from grasp_refine.scene import Scene
-from grasp_refine.se3 import exp_so3, inverse, matvec, tangents, transform, transform_points
+from grasp_refine.se3 import matvec, tangents, transform_points
 from grasp_refine.self_collision import touching_pairs
 from grasp_refine.solvers.batch import choose
 from grasp_refine.solvers.least_squares import Point
@@ -81,6 +83,8 @@ class GraspProblem:
         self.balls = np.array([_ball(body) for body in bodies])
         corners = np.stack([piece.bounds for piece in scene.object.body.pieces])
         self.box = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+        plane = scene.table if weights.table > 0 else None
+        self.table = None if plane is None else (np.asarray(plane.normal), plane.offset)
         self.aimed_columns = np.flatnonzero(goal.aimed.any(axis=0))
         self.gap_columns = np.flatnonzero((goal.touching & ~goal.aimed).any(axis=0))
         aims = len(self.aimed_columns) or goal.direction is not None
@@ -117,6 +121,10 @@ class GraspProblem:
                 penetration(known.own), -gap_covectors(known.own), weights.self_penetration,
                 self.own_first, self.own_second,
             )  # fmt: skip
+        if self.table is not None:
+            points = self._lowest(known.T_link)
+            depth = below_plane(points, *self.table)
+            rows.add_active(depth, below_plane_covectors(points, *self.table), weights.table)
         residual, covector, link, minus = rows.stacked()
         J = self.chain.pull(frames, covector, link)
         if minus is not None:
@@ -244,11 +252,17 @@ class GraspProblem:
             total += weights.penetration * (penetration(witness) ** 2).sum(axis=1)
         if self.own_pairs is not None:
             total += weights.self_penetration * (penetration(own) ** 2).sum(axis=1)
+        if self.table is not None:
+            total += weights.table * (below_plane(self._lowest(T), *self.table) ** 2).sum(axis=1)
         if goal.direction is not None:
             total += weights.direction * (contact_direction(witness, goal.direction[member]) ** 2).sum(axis=(1, 2))
         if weights.stay_near > 0:
             total += weights.stay_near * (self._away(member, point) ** 2).sum(axis=1)
         return total
+
+    def _lowest(self, T: np.ndarray) -> np.ndarray:
+        """The lowest point of each link (M, L, 3) over the table, world frame."""
+        return transform_points(T, self.scene.table.lowest(self.pairs.a, T))
 
     def _away(self, member: np.ndarray, point: Point) -> np.ndarray:
         scene = self.scene

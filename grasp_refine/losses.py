@@ -9,7 +9,7 @@ origin, while the object rests. Distances have exact derivatives; how witness po
 from dataclasses import dataclass
 
 from grasp_refine.collision.query import Witness
-from grasp_refine.se3 import Array, array_namespace, cross, log_so3, matvec, transform_points
+from grasp_refine.se3 import Array, array_namespace, cross, log_so3, transform_points
 from grasp_refine.witness.contact_kinematics import slide
 
 
@@ -23,6 +23,8 @@ class Weights:
     """Of the depth of every link in the object (metres)."""
     self_penetration: float = 100.0
     """Of the depth of links in each other (metres)."""
+    table: float = 100.0
+    """Of the depth of every link below the table, where there is one (metres)."""
     joint_limits: float = 0.01
     """Of joint values beyond their limits (radians, or metres for prismatic joints), in m^2/rad^2; with
     levenberg-marquardt, limits hold exactly and this means nothing."""
@@ -92,7 +94,7 @@ def contact_targets_covectors(witness: Witness, E: Array, K_a: Array, K_b: Array
 
 
 def contact_gap(witness: Witness, touching: Array, margin: float = 0.0) -> Array:
-    """d - beta (..., pair) in metres of the links that should touch; zero for others and without witness points."""
+    """D - beta (..., pair) in metres of the links that should touch; zero for others and without witness points."""
     xp = array_namespace(witness.distance)
     wanted = xp.asarray(witness.valid, device=witness.distance.device) & touching
     return xp.where(wanted, witness.distance - margin, xp.zeros_like(witness.distance))
@@ -179,7 +181,7 @@ def stay_near_jacobian(residual: Array, scales: Scales) -> Array:
 
 
 def contact_direction(witness: Witness, wanted: Array) -> Array:
-    """n - n_wanted (..., pair, 3) of the contact normals, from link to object; zero where none is wanted (NaN).
+    """N - n_wanted (..., pair, 3) of the contact normals, from link to object; zero where none is wanted (NaN).
 
     Args:
         witness: Witness points, world frame.

@@ -17,6 +17,7 @@ from grasp_refine.config import Config
 from grasp_refine.goal import Goal
 from grasp_refine.kinematics import Kinematics
 from grasp_refine.losses import (
+    below_plane,
     contact_direction,
     contact_gap,
     contact_targets,
@@ -25,7 +26,7 @@ from grasp_refine.losses import (
     stay_near,
 )
 from grasp_refine.scene import Scene
-from grasp_refine.se3 import body_gradient
+from grasp_refine.se3 import body_gradient, transform_points
 from grasp_refine.self_collision import touching_pairs
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.transport import EquivalentTransport
@@ -120,6 +121,12 @@ class Objective:
         gap = contact_gap(witness, torch.as_tensor(touching & ~aimed, device=T_link.device), config.margin)
         loss = weights.contact * (contact.square().sum((1, 2)) + gap.square().sum(1))
         loss = loss + weights.penetration * penetration(witness).square().sum(1)
+        table = self.scene.table
+        if table is not None:
+            lowest = table.lowest(self.layer.pairs.a, T_link.detach().double().cpu().numpy())
+            points = transform_points(T_link, self.tensor(lowest))
+            depth = below_plane(points, self.tensor(np.asarray(table.normal)), table.offset)
+            loss = loss + weights.table * depth.square().sum(1)
         if goal.direction is not None:
             turned = contact_direction(witness, self.tensor(goal.direction[member]))
             loss = loss + weights.direction * turned.square().sum((1, 2))

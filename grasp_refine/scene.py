@@ -6,6 +6,7 @@ import numpy as np
 
 from grasp_refine.hand import Hand
 from grasp_refine.objects import Object
+from grasp_refine.plane import Plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +25,8 @@ class Scene:
     """Where the object should be touched (N, L, 3), object frame, metres."""
     direction: np.ndarray | None = None
     """Wanted contact normals from link to object (N, L, 3), object frame, unit length; NaN: any."""
+    table: Plane | None = None
+    """A plane that no link may go through."""
 
     @property
     def links(self) -> tuple[str, ...]:

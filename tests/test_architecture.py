@@ -31,6 +31,7 @@ ORDER = (
     "objects",
     "npz",
     "grasps",
+    "plane",
     "scene",
     "formats",
     "collision",

@@ -19,11 +19,12 @@ from grasp_refine.geometry.shapes import EMBEDDED
 from grasp_refine.grasps import GraspSet, Targets, choose_rows, load_grasps, match_joints
 from grasp_refine.hand import Hand, list_hands, load_hand
 from grasp_refine.objects import PRIMITIVE_FORMS, find_object, load_object
+from grasp_refine.plane import Plane
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import transform_from_pose
 
-AUTO = "auto"
-"""The value of --targets that takes the targets of the grasp file, or else finds some."""
+AUTO, NEAREST = "auto", "nearest"
+"""Values of --targets: those of the grasp file, if any; or the points where links are nearest to the object."""
 
 EXAMPLE_OBJECT = "mug"
 """The object of the example that is refined when nobody says what."""
@@ -84,7 +85,10 @@ class Inputs:
     index: Annotated[tuple[int, ...], arg(metavar="I [I ...]", help_behavior_hint="(default: all)")] = ()
     """Which grasps of the object; 0 is its first one in the file."""
     targets: str = AUTO
-    """A grasp file with targets, or auto: those of --grasps, or else where contact links are near the object."""
+    """Where links should touch: a grasp file with targets; auto: as --grasps says, else anywhere; or nearest: where
+    they are nearest to the object at first."""
+    table: Annotated[DisallowNone[float | None], arg(metavar="Z", help_behavior_hint="(default: none)")] = None
+    """A table at this height (metres) of the object's frame, z up, that no link may go through."""
     threshold: float = Decomposition.threshold
     """Largest concavity, 0.01 to 1, of the pieces that CoACD cuts a concave object into; lower is finer."""
 
@@ -96,6 +100,9 @@ class Inputs:
         """
         if not (np.isfinite(self.scale) and self.scale > 0):
             raise GraspRefineError(f"--scale must be positive and finite, got {self.scale:g}")
+        if self.table is not None and not np.isfinite(self.table):
+            raise GraspRefineError(f"--table must be a height in metres, got {self.table:g}")
+        table = None if self.table is None else Plane(offset=self.table)
         decomposition = Decomposition(threshold=self.threshold)
         path = self.grasps if self.grasps is not None else self._example()
         grasps = load_grasps(path)
@@ -118,9 +125,9 @@ class Inputs:
                 )
                 notes += [f"{name}: {note}" for note in obj.notes]
                 T = transform_from_pose(grasps.hand_pose[rows[at]])
-                scene = _aimed(Scene(hand, obj, T, q[rows[at]]), targets, rows[at])
+                scene = _aimed(Scene(hand, obj, T, q[rows[at]], table=table), targets, rows[at])
                 groups.append(Group(name, float(scale), scene, rows[at], index[at], place[at]))
-        files = (path,) if self.targets == AUTO else (path, Path(self.targets))
+        files = (path,) if self.targets in (AUTO, NEAREST) else (path, Path(self.targets))
         return Problem(hand, files, tuple(groups), tuple(dict.fromkeys(notes)))
 
     def _example(self) -> Path:
@@ -182,8 +189,8 @@ class Inputs:
 
     def _targets(self, grasps: GraspSet, path: Path) -> Targets | None:
         """The targets of all rows of the grasp file; None: they are to be found."""
-        if self.targets == AUTO:
-            return grasps.targets
+        if self.targets in (AUTO, NEAREST):
+            return grasps.targets if self.targets == AUTO else None
         aimed = load_grasps(self.targets)
         if aimed.targets is None:
             raise GraspFileError(

@@ -19,6 +19,9 @@ Command = TypeVar("Command")
 
 LARGEST_SEED = 2**32 - 1
 
+MAY_BE_ZERO = ("seed", "restarts")
+"""Whole numbers that may be 0."""
+
 _FRAME, _RULE = "│| \n", "│╭╮╰╯─|+- "
 """What tyro draws its boxes with, also where it has only ASCII."""
 _ANSI = re.compile(r"\x1b\[[0-9;]*m")
@@ -69,7 +72,7 @@ def _one_line(box: str) -> str:
 def check_numbers(options: Any, prefix: str = "--") -> None:
     """Nothing, when the numbers in a dataclass, and in those inside it, are such as settings can be.
 
-    Floats are finite and not negative, whole numbers at least 1, seeds at least 0.
+    Floats are finite and not negative, whole numbers at least 1, some of them at least 0.
 
     Raises:
         GraspRefineError: names the option, its value and what it may be.
@@ -87,8 +90,9 @@ def check_numbers(options: Any, prefix: str = "--") -> None:
                 continue
             if field.name == "seed" and not 0 <= number <= LARGEST_SEED:
                 raise GraspRefineError(f"{flag} must be 0 to {LARGEST_SEED}, got {number}")
-            if field.name != "seed" and number < 1:
-                raise GraspRefineError(f"{flag} must be at least 1, got {number}")
+            least = 0 if field.name in MAY_BE_ZERO else 1
+            if number < least:
+                raise GraspRefineError(f"{flag} must be at least {least}, got {number}")
 
 
 def check_device(device: str, dtype: str) -> None:

@@ -12,7 +12,7 @@ import torch
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
-from grasp_refine.commands.inputs import Inputs, Problem
+from grasp_refine.commands.inputs import NEAREST, Inputs, Problem
 from grasp_refine.commands.settings import Settings
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
@@ -57,7 +57,7 @@ class Run:
             GraspRefineError: an input that cannot be used; then nothing is written.
         """
         wall, cpu = time.perf_counter(), cpu_seconds()
-        config = self.settings.config()
+        config = self.settings.config(nearest=self.inputs.targets == NEAREST)
         # The tensors of a batch of grasps are small.
         torch.set_num_threads(1)
         with Reporter(screen(stderr=True)) as reporter:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import Literal, TypeVar, get_args, get_type_hints
+from typing import Annotated, Literal, TypeVar, get_args, get_type_hints
 
-from tyro.conf import Suppress
+from tyro.conf import DisallowNone, Suppress, arg
 
 from grasp_refine.commands.options import check_device, check_numbers
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.losses import Weights
+from grasp_refine.losses import Scales, Weights
+from grasp_refine.solvers.adam import Adam
 from grasp_refine.solvers.descent import Descent
+from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.targets import Touching
 from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.direction import Direction
@@ -24,6 +27,9 @@ from grasp_refine.witness.zeroth_order import ZerothOrder
 
 Method = TypeVar("Method")
 
+FIRST_ORDER_TOLERANCE = 1e-7
+"""Default of --tolerance with descent and adam, which slow down on the way to smaller losses."""
+
 
 # What has an option of its own, without a prefix, is left out of the options of a method.
 @dataclass(frozen=True)
@@ -32,6 +38,21 @@ class DescentOptions(Descent):
 
     iterations: Suppress[int] = Descent.iterations
     transport: Suppress[bool] = Descent.transport
+
+
+@dataclass(frozen=True)
+class AdamOptions(Adam):
+    """The options of Adam."""
+
+    iterations: Suppress[int] = Adam.iterations
+    transport: Suppress[bool] = Adam.transport
+
+
+@dataclass(frozen=True)
+class LevenbergMarquardtOptions(LevenbergMarquardt):
+    """The options of Levenberg-Marquardt."""
+
+    iterations: Suppress[int] = LevenbergMarquardt.iterations
 
 
 @dataclass(frozen=True)
@@ -84,34 +105,50 @@ class RigidOptions(Rigid):
 class Settings:
     """How grasps are refined. A method that is chosen by name has its options in the field of that name."""
 
-    solver: Literal["descent"] = "descent"
-    """How the hand moves: normalised gradient descent."""
+    solver: Literal["levenberg-marquardt", "descent", "adam"] = "levenberg-marquardt"
+    """How the hand moves: by damped Gauss-Newton steps, normalised gradient descent (the paper's), or Adam."""
     derivative: Literal[
         "contact-kinematics", "distance", "direction", "analytical", "zeroth-order", "finite-difference", "rigid"
     ] = "contact-kinematics"
-    """How witness points are differentiated: by fitted curvatures, by the paper's distance smoothing, or by what it is
+    """How descent and adam differentiate witness points: by fitted curvatures, by the paper's distance smoothing, or by what it is
     compared with (`bench align` measures them all)."""
     neighborhood: Literal["adaptive", "fixed", "neighbor"] = "adaptive"
     """Which samples stand for the surface near a witness: as far as the target is, within a fixed fraction of the body,
     or the mesh vertices around it."""
-    iterations: int = Descent.iterations
+    iterations: Annotated[
+        DisallowNone[int | None],
+        arg(help_behavior_hint=f"(default: {LevenbergMarquardt.iterations}; descent, adam: {Descent.iterations})"),
+    ] = None
     """Most iterations per grasp."""
-    tolerance: float = Config.tolerance
-    """Converged when the loss (m^2) is below this; 1e-7 is a third of a millimetre."""
+    tolerance: Annotated[
+        DisallowNone[float | None],
+        arg(help_behavior_hint=f"(default: {Config.tolerance:g}; descent, adam: {FIRST_ORDER_TOLERANCE:g})"),
+    ] = None
+    """Converged when the loss (m^2) is below this; 1e-10 is a hundredth of a millimetre, 1e-7 a third of one."""
     margin: float = Config.margin
     """Gap in metres that contact links should keep."""
-    reach: float = Config.reach
-    """Automatic targets: contact links within this distance (metres) of the object are meant to touch it."""
+    reach: float = Touching.reach
+    """Without targets, contact links (fingertips) within this distance (metres) of the object should touch it."""
+    reach_others: float = Touching.reach_others
+    """The same of all other links."""
+    contacts: Annotated[tuple[str, ...], arg(metavar="LINK [LINK ...]", help_behavior_hint="(default: by reach)")] = ()
+    """Links that should touch, instead of those within reach."""
     transport: bool = Descent.transport
-    """Equivalent gradient transport: the object's gradient acts through the links."""
+    """Equivalent gradient transport with descent or adam: the object's gradient acts through the links."""
+    width: int = Config.width
+    """Most grasps that levenberg-marquardt works on at once."""
     seed: int = Config.seed
     """Seed of everything that is drawn."""
     dtype: Literal["float64", "float32"] = Config.dtype
     """Number type of kinematics and losses; collision queries always run in double precision."""
     device: str = Config.device
     """Torch device of kinematics and losses, such as cuda; collision queries always run on the CPU."""
+    levenberg_marquardt: LevenbergMarquardtOptions = field(default_factory=LevenbergMarquardtOptions)
+    """With --solver levenberg-marquardt."""
     descent: DescentOptions = field(default_factory=DescentOptions)
     """With --solver descent."""
+    adam: AdamOptions = field(default_factory=AdamOptions)
+    """With --solver adam."""
     contact_kinematics: ContactKinematicsOptions = field(default_factory=ContactKinematicsOptions)
     """With --derivative contact-kinematics."""
     distance: DistanceOptions = field(default_factory=DistanceOptions)
@@ -133,9 +170,14 @@ class Settings:
     """With --neighborhood neighbor."""
     weights: Weights = field(default_factory=Weights)
     """How much each term of the loss, a sum of squares, counts."""
+    scales: Scales = field(default_factory=Scales)
+    """Which movements count the same, with --weights.stay-near."""
 
-    def config(self) -> Config:
+    def config(self, *, nearest: bool = False) -> Config:
         """The settings of the refinement.
+
+        Args:
+            nearest: Links should touch where they are nearest at first.
 
         Raises:
             GraspRefineError: a number out of its range, options of a method that was not chosen, or a device that
@@ -147,20 +189,40 @@ class Settings:
         check_device(self.device, self.dtype)
         if self.neighborhood != Settings.neighborhood and not self._has_samples():
             raise GraspRefineError(f"--derivative {self.derivative} has no use for --neighborhood {self.neighborhood}")
+        if self.solver == "levenberg-marquardt":
+            self._check_least_squares()
         solver, derivative, neighborhood = (
             getattr(self, name.replace("-", "_")) for name in (self.solver, self.derivative, self.neighborhood)
         )
+        iterations = solver.iterations if self.iterations is None else self.iterations
+        tolerance = self.tolerance
+        if tolerance is None:
+            tolerance = Config.tolerance if self.solver == "levenberg-marquardt" else FIRST_ORDER_TOLERANCE
         return Config(
-            solver=_method(solver, iterations=self.iterations, transport=self.transport),
+            solver=_method(solver, iterations=iterations, transport=self.transport),
             derivative=_method(derivative, neighborhood=neighborhood, seed=self.seed),
+            touching=Touching(self.reach, self.reach_others, max(self.reach, Touching.farthest), self.contacts),
+            nearest=nearest,
             weights=self.weights,
+            scales=self.scales,
             margin=self.margin,
-            reach=self.reach,
-            tolerance=self.tolerance,
+            tolerance=tolerance,
+            width=self.width,
             seed=self.seed,
             dtype=self.dtype,
             device=self.device,
         )
+
+    def _check_least_squares(self) -> None:
+        """Refuse what Levenberg-Marquardt would ignore."""
+        for name in ("derivative", "neighborhood", "transport", "dtype", "device"):
+            value = getattr(self, name)
+            if value != getattr(Settings, name):
+                said = f"--{name}" if isinstance(value, bool) else f"--{name} {value}"
+                raise GraspRefineError(
+                    f"{said} is for --solver descent or adam: levenberg-marquardt has contact kinematics of its own, in "
+                    "double precision on the CPU"
+                )
 
     def _has_samples(self) -> bool:
         """Whether the derivative method looks at surface samples."""

@@ -62,7 +62,8 @@ def _grasp(outcome: Outcome, i: int) -> dict[str, Any]:
             "after": {"max": worst[1], "mean": mean[1]},
         },
         "penetration_m": {"before": outcome.penetration[i, 0], "after": outcome.penetration[i, 1]},
-        "self_penetration_m": None,
+        "self_penetration_m": outcome.self_penetration[i, 1],
+        "self_penetration_before_m": outcome.self_penetration[i, 0],
         "wrench_residual": None,
         "limits_violated": outcome.limits_violated[i],
         "moved": {

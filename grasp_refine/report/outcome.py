@@ -11,6 +11,7 @@ import torch
 from grasp_refine.kinematics import Kinematics
 from grasp_refine.refine import Refinement
 from grasp_refine.scene import Scene
+from grasp_refine.self_collision import self_penetration, touching_pairs
 from grasp_refine.se3 import inverse, pose_from_transform, transform_points
 from grasp_refine.solvers.status import Status
 from grasp_refine.validation.geometry import measure, movement
@@ -45,9 +46,11 @@ class Outcome:
     cpu_s: np.ndarray
     """Share of its CPU time (N,), seconds."""
     contact_error: np.ndarray
-    """Largest of gap and target misses, before and after (N, 2, L), metres; NaN for links without a target."""
+    """Largest of gap and target misses, before and after (N, 2, L), metres; NaN for links that should not touch."""
     penetration: np.ndarray
     """Deepest penetration over all links, before and after (N, 2), metres."""
+    self_penetration: np.ndarray
+    """Deepest penetration of links in each other, before and after (N, 2), metres."""
     limits_violated: np.ndarray
     """Number of refined joint values beyond their limits (N,)."""
     palm_m: np.ndarray
@@ -56,12 +59,14 @@ class Outcome:
     """How far it turned (N,), radians."""
     joints_rad: np.ndarray
     """Largest joint movement (N,), radians (metres for prismatic joints)."""
+    touching: np.ndarray
+    """Links that should touch (N, L)."""
     target_link: np.ndarray
     """Where links should touch (N, L, 3), link frames, metres; NaN: nowhere."""
     target_object: np.ndarray
     """Where the object should be touched (N, L, 3), object frame, metres."""
     contact_link: np.ndarray
-    """Refined witness points on links with a target (N, L, 3), link frames, metres; NaN for other links."""
+    """Refined witness points on links that should touch (N, L, 3), link frames, metres; NaN for other links."""
     contact_object: np.ndarray
     """The same on the object (N, L, 3), object frame."""
     contact_normal: np.ndarray
@@ -75,12 +80,12 @@ class Outcome:
 
     @property
     def usable(self) -> np.ndarray:
-        """Which grasps (N,) were refined at all: they had a target and their queries were answered."""
+        """Which grasps (N,) were refined at all: they had something to touch and their queries were answered."""
         return ~np.isin(self.status, (Status.NO_TARGET, Status.NOT_FINITE))
 
     @property
     def worst_error(self) -> np.ndarray:
-        """Worst contact error before and after (N, 2), metres; NaN for grasps without a target."""
+        """Worst contact error before and after (N, 2), metres; NaN for grasps without contacts."""
         return np.where(
             np.isnan(self.contact_error).all(axis=2),
             np.nan,
@@ -89,7 +94,7 @@ class Outcome:
 
     @property
     def mean_error(self) -> np.ndarray:
-        """Mean contact error over the targets before and after (N, 2), metres; NaN for grasps without a target."""
+        """Mean contact error over the contacts before and after (N, 2), metres; NaN for grasps without contacts."""
         aimed = ~np.isnan(self.contact_error)
         count = aimed.sum(axis=2)
         total = np.where(aimed, self.contact_error, 0.0).sum(axis=2)
@@ -137,17 +142,20 @@ def compare(
         np.concatenate([refinement.target_link, refinement.target_link]),
         np.concatenate([refinement.target_object, refinement.target_object]),
         margin,
+        np.concatenate([refinement.touching, refinement.touching]),
     )
+    pairs = touching_pairs(scene.hand)
+    own = self_penetration(scene.hand, pairs, np.concatenate([scene.q, refinement.q]))
     witness = geometry.witness.rows(slice(count, None))
-    aimed = ~np.isnan(refinement.target_link[..., 0]) & witness.valid
+    touching = refinement.touching & witness.valid
     T_link = Kinematics(scene.hand, scene.links)(torch.as_tensor(T_after), torch.as_tensor(refinement.q)).numpy()
     moved = movement(T_before, scene.q, T_after, refinement.q)
 
     def before_after(values: np.ndarray) -> np.ndarray:
         return np.stack([values[:count], values[count:]], axis=1)
 
-    def at_targets(values: np.ndarray) -> np.ndarray:
-        return np.where(aimed.reshape(aimed.shape + (1,) * (values.ndim - 2)), values, np.nan)
+    def at_contacts(values: np.ndarray) -> np.ndarray:
+        return np.where(touching.reshape(touching.shape + (1,) * (values.ndim - 2)), values, np.nan)
 
     return Outcome(
         object=np.full(count, name),
@@ -164,14 +172,16 @@ def compare(
         cpu_s=refinement.cpu_s,
         contact_error=before_after(geometry.contact_error),
         penetration=before_after(geometry.penetration),
+        self_penetration=before_after(own),
         limits_violated=geometry.limits_violated[count:],
         palm_m=moved.palm_m,
         palm_rad=moved.palm_rad,
         joints_rad=moved.joints_rad,
+        touching=refinement.touching,
         target_link=refinement.target_link,
         target_object=refinement.target_object,
-        contact_link=at_targets(transform_points(inverse(T_link), witness.point_a)),
-        contact_object=at_targets(witness.point_b),
-        contact_normal=at_targets(witness.normal),
-        contact_distance=at_targets(witness.distance),
+        contact_link=at_contacts(transform_points(inverse(T_link), witness.point_a)),
+        contact_object=at_contacts(witness.point_b),
+        contact_normal=at_contacts(witness.normal),
+        contact_distance=at_contacts(witness.distance),
     )

@@ -56,7 +56,7 @@ class Reporter:
 
         def progress(finished: int, iteration: int, mean_loss: float) -> None:
             # Most grasps finish late: those that run count by how far they are.
-            running = (count - finished) * iteration / self._iterations
+            running = (count - finished) * min(iteration / self._iterations, 1.0)
             self._bar.update(
                 self._task,
                 completed=before + finished + running,

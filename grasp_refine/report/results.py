@@ -33,25 +33,27 @@ def save_results(
 ) -> None:
     """Write the grasps of one object, whole or not at all, as a grasp file that holds more.
 
-        contact_link                        (K,)       links with a target, the same as target_link
+        contact_link                        (K,)       links that should touch in any of the grasps
         contact_point_link                  (N, K, 3)  witness point on the link, link frame, metres
         contact_point_object                (N, K, 3)  the same on the object, object frame
         contact_normal                      (N, K, 3)  unit normal from link to object, object frame
         contact_distance                    (N, K)     signed distance, metres
         contact_error_before, _after        (N,)       worst of gap and target misses, metres
         penetration_before, _after          (N,)       deepest of all links, metres
+        self_penetration_before, _after     (N,)       deepest of links in each other, metres
         status                              (N,)       how the refinement ended
         iterations                          (N,)
         loss                                (N,)       after refinement, m^2
         provenance                          ()         JSON: versions, seed, config, source, index and row
 
-    NaN stands where a grasp has no such target.
+    NaN stands where a grasp has no such contact or target.
 
     Raises:
         GraspFileError: the file cannot be written.
     """
     aimed = np.flatnonzero(~np.isnan(outcome.target_link[..., 0]).all(axis=0))
     names = tuple(links[k] for k in aimed)
+    touching = np.flatnonzero(outcome.touching.any(axis=0))
     targets = Targets(names, outcome.target_link[:, aimed], outcome.target_object[:, aimed]) if names else None
     grasps = GraspSet(
         hand=hand.name,
@@ -68,15 +70,17 @@ def save_results(
         path,
         {
             **grasps.arrays(),
-            "contact_link": np.array(names, dtype=str),
-            "contact_point_link": outcome.contact_link[:, aimed],
-            "contact_point_object": outcome.contact_object[:, aimed],
-            "contact_normal": outcome.contact_normal[:, aimed],
-            "contact_distance": outcome.contact_distance[:, aimed],
+            "contact_link": np.array([links[k] for k in touching], dtype=str),
+            "contact_point_link": outcome.contact_link[:, touching],
+            "contact_point_object": outcome.contact_object[:, touching],
+            "contact_normal": outcome.contact_normal[:, touching],
+            "contact_distance": outcome.contact_distance[:, touching],
             "contact_error_before": error[:, 0],
             "contact_error_after": error[:, 1],
             "penetration_before": outcome.penetration[:, 0],
             "penetration_after": outcome.penetration[:, 1],
+            "self_penetration_before": outcome.self_penetration[:, 0],
+            "self_penetration_after": outcome.self_penetration[:, 1],
             "status": np.array([Status(status).label for status in outcome.status]),
             "iterations": outcome.iterations,
             "loss": np.where(np.isfinite(outcome.loss[:, 1]), outcome.loss[:, 1], np.nan),

@@ -25,7 +25,11 @@ _COLORS = {
     Status.BUDGET: "yellow",
     Status.NO_TARGET: "red",
     Status.NOT_FINITE: "red",
+    Status.UNREACHABLE: "red",
 }
+NEGLIGIBLE = 1e-5
+"""Errors and depths below this (metres) are not worth mentioning."""
+
 NONE = "-"
 """Stands for what there is none of."""
 
@@ -118,15 +122,33 @@ def _over(of: Callable[..., Any], values: np.ndarray) -> Any:
 
 
 def _verdict(outcome: Outcome) -> list[Text]:
-    """How many converged, and what can be done about the others."""
+    """How many converged, what became of the grasps, and what can be done about those that did not converge."""
     converged = int((outcome.status == Status.CONVERGED).sum())
     color = "green" if converged == len(outcome) else "yellow"
     lines = [Text.assemble((f"{converged} of {_count(len(outcome), 'grasp')} converged", color))]
+    measures = (
+        ("contact error", outcome.worst_error),
+        ("penetration", outcome.penetration),
+        ("self-penetration", outcome.self_penetration),
+    )
+    changes = [_improvement(name, values[outcome.usable]) for name, values in measures]
+    lines += [Text(f"less {change}") for change in changes if change]
     for status in Status:
         count = int((outcome.status == status).sum())
         if count and status.advice:
             lines.append(Text.assemble((f"{count} {status.label}", _COLORS[status]), f": {status.advice}"))
     return lines
+
+
+def _improvement(name: str, values: np.ndarray) -> str:
+    """In how many grasps a measure (N, 2) in metres fell, if it was or is anywhere worth mentioning."""
+    known = values[np.isfinite(values).all(axis=1)]
+    relevant = known[(known > NEGLIGIBLE).any(axis=1)]
+    if not len(relevant):
+        return ""
+    better = int((relevant[:, 1] < relevant[:, 0]).sum())
+    mean = " → ".join(_number(value * 1e3, 3) for value in known.mean(axis=0))
+    return f"{name} in {better} of {len(relevant)} with any; mean {mean} mm"
 
 
 def _change(values: np.ndarray) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from grasp_refine.solvers.least_squares import Minimum, Point
 from grasp_refine.solvers.status import Status
 
 
+@runtime_checkable
 class Differentiable(Protocol):
     """Losses of a batch of members with their gradients."""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class Point:
     """Joint values (batch, n); n may be 0."""
 
 
+@runtime_checkable
 class Evaluated(Protocol):
     """What a problem knows of members at a point, rows of arrays."""
 
@@ -40,6 +41,7 @@ class Evaluated(Protocol):
     """Narrow-phase queries (batch,)."""
 
 
+@runtime_checkable
 class Problem(Protocol):
     """Independent least-squares problems of the same form, one for each member."""
 

@@ -55,7 +55,7 @@ class LevenbergMarquardt:
             )
 
     def adapted(self, damping: Array, accepted: Array, ratio: Array) -> Array:
-        """lambda (batch,) after a step, from whether it was accepted and its fall over the predicted one."""
+        """Lambda (batch,) after a step, from whether it was accepted and its fall over the predicted one."""
         xp = array_namespace(damping)
         shrunk = xp.where(ratio > self.gain, self.shrink * damping, damping)
         return xp.where(accepted, xp.maximum(shrunk, xp.full_like(damping, self.smallest)), self.grow * damping)

@@ -31,7 +31,7 @@ _ADVICE = {
     Status.STALLED: "the best compromise between contacts, penetration and joint limits that was found: see the "
     "columns for what is left, or leave out a contact with --contacts",
     Status.BUDGET: "the iterations ran out while the loss still fell: raise --iterations",
-    Status.NO_TARGET: "no contact link is near the object: start closer to it, raise --reach, or give --targets",
+    Status.NO_TARGET: "no contact link is near the object: start closer, raise --reach, or give --targets",
     Status.NOT_FINITE: "the grasp holds NaN or infinite numbers, or a query failed: check the input",
     Status.UNREACHABLE: "a target lies off the surface of its link or of the object: check frames, scale and targets",
 }

@@ -22,7 +22,7 @@ class Geometry:
     distance: np.ndarray
     """Signed distance (N, L) in metres of each link to the object; NaN where no query could answer."""
     contact_error: np.ndarray
-    """Largest of gap |d| and target misses (N, L) in metres; NaN for links without a target."""
+    """Largest of gap |d - beta| and target misses (N, L) in metres; NaN for links that should not touch."""
     penetration: np.ndarray
     """Deepest penetration (N,) over all links, in metres."""
     limits_violated: np.ndarray
@@ -52,6 +52,7 @@ def measure(
     target_link: np.ndarray,
     target_object: np.ndarray,
     margin: float = 0.0,
+    touching: np.ndarray | None = None,
 ) -> Geometry:
     """Measures of grasps (N poses (N, 4, 4) and joint values (N, n)) on one object at the world's origin.
 
@@ -64,6 +65,7 @@ def measure(
         target_link: Where links should touch (N, L, 3), link frames; NaN: nowhere.
         target_object: Where the object should be touched (N, L, 3), object frame.
         margin: Gap in metres that contact links should keep.
+        touching: Links (N, L) that should touch; None: those with a target.
     """
     bodies = hand.links_by_name
     pairs = Pairs.against([bodies[name].body for name in links], obj.body)
@@ -74,7 +76,11 @@ def measure(
     distance = np.where(valid, witness.distance, np.nan)
     miss_link = np.linalg.norm(witness.point_a - transform_points(T_link, target_link), axis=-1)
     miss_object = np.linalg.norm(witness.point_b - target_object, axis=-1)
-    error = np.maximum(np.abs(distance - margin), np.maximum(miss_link, miss_object))
+    gap, miss = np.abs(distance - margin), np.maximum(miss_link, miss_object)
+    if touching is None:
+        error = np.maximum(gap, miss)
+    else:
+        error = np.where(touching, np.fmax(gap, np.where(np.isnan(gap), np.nan, miss)), np.nan)
     deepest = np.where(valid, witness.distance, np.inf).min(axis=1)
     return Geometry(
         distance=distance,

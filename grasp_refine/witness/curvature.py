@@ -80,10 +80,11 @@ class Curvatures:
         for b in np.flatnonzero(np.diff(ends)):
             for start in range(ends[b], ends[b + 1], _BLOCK):
                 rows = order[start : min(start + _BLOCK, ends[b + 1])]
-                weight = weigh[rows] @ self.position[b]
+                # One row at a time: in a product of many, how a row is rounded depends on how many there are.
+                weight = weigh[rows, None] @ self.position[b]
                 np.maximum(weight, 0.0, out=weight)
-                weight *= facing[rows] @ self.normal[b] >= _COS_NORMALS
-                moments[rows] = weight @ self.products[b]
+                weight *= facing[rows, None] @ self.normal[b] >= _COS_NORMALS
+                moments[rows] = (weight @ self.products[b])[:, 0]
         return _curvature(moments, E, radius)
 
 

@@ -21,6 +21,11 @@ from .tasks import Tasks
 TOLERANCE = 1e-14
 """Errors (m^2) below this, a tenth of a micrometre, end a task."""
 
+PATIENCE = 9
+"""Iterations without progress before a new start."""
+WIDTHS = (1.0, 0.5, 2.0, 0.25, 0.0, np.inf)
+"""Factors of the neighbourhoods' radii, one after the other at each rejection; the last takes faces as planes."""
+
 
 @dataclass(frozen=True)
 class AlignLevenbergMarquardt:
@@ -64,7 +69,9 @@ def minimised(
         if iteration % 10 == 0:
             progress(min(iteration / most, 1.0))
 
-    settings = LevenbergMarquardt(iterations=solver.iterations, restarts=solver.iterations, good=0.0)
+    settings = LevenbergMarquardt(
+        iterations=solver.iterations, restarts=solver.iterations, patience=PATIENCE, good=0.0, widths=WIDTHS
+    )
     start_cpu, start_wall = time.process_time(), time.perf_counter()
     watch.running = True
     with watch.stage("solver"):

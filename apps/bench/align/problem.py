@@ -21,14 +21,14 @@ from .bodies import BodyPair
 from .stopwatch import Stopwatch, timed_pairs
 from .tasks import Tasks
 
-NEAR, FAR = (0.01, 1.0), (0.3, 2.0)
+NEAR, FAR = (0.003, 0.5), (0.3, np.pi)
 """Angles of new starts in radians: from the best pose (evenly in the logarithm), and from the present one."""
 
 TURN = 2.0
 """Most radians of a step."""
 
 FACE = 2e-5
-"""Faces this near to a patch point (metres), beside the nearest one, may support it."""
+"""Faces this near to a witness point (metres), beside the nearest one, may support it."""
 UNDAMPED = 1e3
 """Factor of residuals that damping shall not see: nothing but the whole step is of use."""
 
@@ -106,13 +106,16 @@ class AlignProblem:
     def linearize(
         self, member: np.ndarray, point: Point, known: Known, width: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (M, 5) and Jacobians (M, 5, 6) in the twist of body b about its target."""
+        """Residuals (M, 5) and Jacobians (M, 5, 6) in the twist of body b about its target.
+
+        A width without end stands for the supporting faces as planes (see `_flattened`).
+        """
         with self.watch.lap("backward"), self.watch.stage("derivative"):
-            residual, J = known.residual, self._jacobian(member, point, known, width)
-            rows = np.flatnonzero(width == 0)
-            if self.patch is None or not len(rows):
-                return residual, J
-            residual = residual.copy()
+            rows = np.flatnonzero(np.isinf(width))
+            J = self._jacobian(member, point, known, np.where(np.isinf(width), 1.0, width))
+            if not len(rows):
+                return known.residual, J
+            residual = known.residual.copy()
             residual[rows], J[rows] = self._flattened(member[rows], point.T[rows], take(known, rows))
             return residual, J
 
@@ -128,8 +131,8 @@ class AlignProblem:
     def _flattened(self, member: np.ndarray, T_b: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray]:
         """Rows (M, 5) and (M, 5, 6) that lay the two supporting faces on each other, the targets together.
 
-        [t_b - t_a - beta n, l E^T (n_a + n_b)]: while faces are tilted, the patch is a strip at an edge and does not
-        show that it becomes the whole face at once; no derivative of it does.
+        [t_b - t_a - beta n, l E^T (n_a + n_b)]: flat surfaces touch at an edge or a corner until they are parallel, and
+        then anywhere at once. No derivative of witness points, however it is smoothed, shows how far to turn.
         """
         w, T_a = known.witness, self.tasks.T_world_a[member]
         faces = []

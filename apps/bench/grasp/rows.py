@@ -49,9 +49,9 @@ def _of_job(done: Done) -> list[Row]:
 def _statistics(parts: Sequence[Part], aimed: bool, batch: int) -> Row:
     before, after = (_joined([getattr(part, name) for part in parts]) for name in ("before", "after"))
     touching = np.concatenate([part.touching for part in parts])
-    status, iterations, queries, cpu_s, wall_s = (
+    status, iterations, queries, cpu_s, wall_s, solver_cpu_s = (
         np.concatenate([getattr(part, name) for part in parts])
-        for name in ("status", "iterations", "queries", "cpu_s", "wall_s")
+        for name in ("status", "iterations", "queries", "cpu_s", "wall_s", "solver_cpu_s")
     )
     moved = {
         name: np.concatenate([getattr(part.moved, name) for part in parts])
@@ -76,6 +76,7 @@ def _statistics(parts: Sequence[Part], aimed: bool, batch: int) -> Row:
         "queries_mean": float(queries.mean()),
         "cpu_ms_per_grasp": 1e3 * float(typical(cpu_s)),
         "wall_ms_per_grasp": 1e3 * float(typical(wall_s)),
+        "solver_cpu_ms_per_grasp": 1e3 * float(typical(solver_cpu_s)),
         **{f"moved_{name.replace('_', '_median_')}": _median(values) for name, values in moved.items()},
     }
 

@@ -40,6 +40,8 @@ class Part:
     """CPU seconds (N,): of its call, shared evenly by the grasps in it."""
     wall_s: np.ndarray
     """The same of the clock."""
+    solver_cpu_s: np.ndarray
+    """CPU seconds (N,) that the solver itself counts: those of its loop."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +108,9 @@ class SetJob:
             cpu += [(time.process_time() - own) * share] * (stop - start)
             wall += [(time.perf_counter() - clock) * share] * (stop - start)
         scene = tasks.scene
-        T, q, touching, status, iterations, queries = (
+        T, q, touching, status, iterations, queries, solver_cpu_s = (
             np.concatenate([getattr(one, name) for one in found])
-            for name in ("T_world_root", "q", "touching", "status", "iterations", "queries")
+            for name in ("T_world_root", "q", "touching", "status", "iterations", "queries", "cpu_s")
         )
         return Part(
             tasks=tasks,
@@ -121,6 +123,7 @@ class SetJob:
             queries=queries,
             cpu_s=np.array(cpu),
             wall_s=np.array(wall),
+            solver_cpu_s=solver_cpu_s,
         )
 
 

@@ -11,13 +11,14 @@ from shapes_for_tests import cluster_body, convex_body, ring_body
 from apps.bench.align.aligned import Aligned
 from apps.bench.align.bodies import BodyPair, normalised
 from apps.bench.align.levenberg_marquardt import TOLERANCE, AlignLevenbergMarquardt, minimised
-from apps.bench.align.problem import AlignProblem
+from apps.bench.align.problem import AlignProblem, supporting
 from apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.geometry.body import build_body
-from grasp_refine.geometry.pieces import box
-from grasp_refine.se3 import transform_points
+from grasp_refine.geometry.pieces import box, sphere
+from grasp_refine.se3 import exp_se3, transform_points
 from grasp_refine.solvers.least_squares import Point
+from grasp_refine.solvers.levenberg_marquardt import bounded_step
 from grasp_refine.witness.patch import Patch
 
 PAIR = BodyPair("hulls", "convex", normalised(convex_body(1, 24), 0.06), normalised(convex_body(2, 24), 0.09))
@@ -108,6 +109,35 @@ def test_the_patch_solves_targets_on_faces():
     assert (judged < 1e-8).mean() >= 0.9
     # By plain witness points, which jump from corner to corner there, the same poses are no better than before.
     assert (plain.error < 1e-8).mean() < 0.5 and (patch.error < 1e-8).mean() < 0.5
+
+
+def test_tilted_faces_are_laid_on_each_other_in_one_step():
+    """Boxes tilted by a degree stay at an edge whatever curvature is taken; faces as planes put them together."""
+    target_a, target_b = np.array([[0.005, -0.01, 0.03]]), np.array([[0.01, 0.004, -0.025]])
+    T_b = exp_se3(np.array([[0.0, 0.0, 0.06, np.radians(1.0), -0.01, 0.3]]))
+    one, yes = np.ones(1), np.ones(1, dtype=bool)
+    tasks = Tasks(np.full(1, CLASSES.index("face-face")), target_a, target_b, np.eye(4)[None], T_b, yes, yes, one)
+    problem = AlignProblem([BOXES], [tasks], 1e-3, 0, Patch(1e-5))
+    member, start = np.arange(1), Point(T_b, np.zeros((1, 0)))
+    known = problem.evaluate(member, start, None)
+    residual, J = problem.linearize(member, start, known, np.full(1, np.inf))
+    free = np.full((1, 6), np.inf)
+    dx, _ = bounded_step(J, residual, np.full(1, 1.0), problem.metric(member), -free, free)
+    after = problem.evaluate(member, problem.moved(member, start, dx), known)
+    assert known.loss[0] > 1e-4 and after.loss[0] < 1e-8
+    # The other widths are left as they are.
+    np.testing.assert_array_equal(problem.linearize(member, start, known, one)[0], known.residual)
+
+
+def test_the_supporting_face_is_the_one_that_faces_outward_most():
+    (piece,) = BOXES.b.pieces
+    outward = np.array([[0.1, 0.2, 0.97], [0.8, 0.0, 0.6], [0.0, 0.0, -1.0]])
+    x = np.array([[0.025, 0.025, 0.025], [0.025, 0.0, 0.025], [0.0, 0.0, -0.025]])
+    found = supporting([piece], np.zeros(3, dtype=int), x, outward)
+    np.testing.assert_allclose(found, [[0, 0, 1], [1, 0, 0], [0, 0, -1]], atol=1e-12)
+    # Without a winner, or on a ball, it is the contact normal.
+    np.testing.assert_array_equal(supporting([piece], np.full(3, -1), x, outward), outward)
+    np.testing.assert_array_equal(supporting([sphere(0.01)], np.zeros(3, dtype=int), x, outward), outward)
 
 
 def test_progress_grows_to_one_at_most():

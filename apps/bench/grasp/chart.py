@@ -1,0 +1,86 @@
+"""Error and misses against CPU time as SVG: a line for each solver, a point for each budget."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from ..panels import COLORS, MARKERS, PLAIN, Line, Style, draw, logarithmic, share_axis, time_axis
+from .labels import label, sets_of
+from .rows import Row
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FLOOR = 1e-8
+"""Errors below this (metres) are drawn at it."""
+
+Height = Callable[[Row], tuple[float, bool] | None]
+"""Where a row is drawn, and whether it stands for a smaller value; None: nowhere."""
+
+
+def time_chart(rows: Sequence[Row]) -> str:
+    """Median contact error, and share of grasps with a contact off by more than a millimetre, against CPU time.
+
+    Args:
+        rows: Pooled rows of tasks with targets.
+    """
+    panels: list[tuple[str, Height, Callable[[Axes, list[Line]], None]]] = [
+        ("contact error, median  [m]", _error, _length_axis),
+        ("grasps with a contact off by 1 mm", _misses, share_axis),
+    ]
+    sets = sets_of(rows)
+    style = _styles(rows)
+    grid = [[(name, _lines(rows, name, style, height), axis) for name in sets] for _, height, axis in panels]
+    return draw(grid, [name for name, _, _ in panels], "CPU time per grasp", time_axis, "grasp", "Error over time")
+
+
+def line_name(row: Row) -> str:
+    """What a line stands for: budgets make its points."""
+    return label(row) if row["batch"] != 1 else f"{label(row)}, one at a time"
+
+
+def _styles(rows: Sequence[Row]) -> dict[str, Style]:
+    names = dict.fromkeys(line_name(row) for row in rows)
+    return {
+        name: Style(COLORS[k % len(COLORS)][0], MARKERS[k % len(MARKERS)], ("-", "--", ":")[k // len(COLORS) % 3])
+        for k, name in enumerate(names)
+    }
+
+
+def _lines(rows: Sequence[Row], name: str, styles: dict[str, Style], height: Height) -> list[Line]:
+    found = []
+    for line, style in styles.items():
+        mine = [row for row in rows if row["set"] == name and line_name(row) == line]
+        mine.sort(key=lambda row: (row["batch"], row["budget"]))
+        points = [(1e-3 * row["cpu_ms_per_grasp"], *y) for row in mine if (y := height(row)) is not None]
+        if points:
+            found.append(Line(line, style, *zip(*points, strict=True)))
+    return found
+
+
+def _error(row: Row) -> tuple[float, bool] | None:
+    value = row["contact_error_median_m"]
+    return (max(value, FLOOR), value < FLOOR) if value is not None and isfinite(value) else None
+
+
+def _misses(row: Row) -> tuple[float, bool] | None:
+    if row["acc_1e6"] is None:
+        return None
+    least, share = 0.5 / row["grasps"], 1.0 - row["acc_1e6"]
+    return max(share, least), share < least
+
+
+def _length_axis(axes: Axes, lines: list[Line]) -> None:
+    """A vertical axis of lengths, with a line at a millimetre."""
+    values = [y for line in lines for y in line.y]
+    logarithmic(axes.yaxis, axes.set_yscale, axes.set_ylim, [*values, 1e-3], _length)
+    axes.axhline(1e-3, color=PLAIN["muted"][0], linewidth=0.8, dashes=(4, 3), zorder=2)
+
+
+def _length(value: float) -> str:
+    for unit, size in (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6)):
+        if value >= 0.999 * size:
+            return f"{value / size:.4g} {unit}"
+    return f"{1e9 * value:.4g} nm"

@@ -1,0 +1,38 @@
+"""Rows as people read them: what they are called, and which belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from .rows import Row
+from .variants import Variant
+
+SHORT = {"levenberg-marquardt": "LM"}
+"""Solvers with a shorter name than theirs."""
+
+
+def label(row: Row) -> str:
+    """The solver, and its derivative if that is not the usual one."""
+    name = SHORT.get(row["solver"], row["solver"])
+    return name if row["derivative"] == Variant.derivative else f"{name}, {row['derivative']}"
+
+
+def batch(row: Row) -> str:
+    """The batch size, and how many grasps there were for it if they were fewer."""
+    mean = round(row["batch_mean"])
+    return f"{row['batch']}" if mean >= row["batch"] else f"{row['batch']} ({mean})"
+
+
+def pooled(rows: Sequence[Row], task: str) -> list[Row]:
+    """The rows over all objects, of one kind of task."""
+    return [row for row in rows if row["object"] == "all" and row["task"] == task]
+
+
+def sets_of(rows: Sequence[Row]) -> list[str]:
+    """Names of the sets in the order of the rows."""
+    return list(dict.fromkeys(row["set"] for row in rows))
+
+
+def deep(row: Row) -> str:
+    """How many starts are deep, and how many of these did not escape."""
+    return "-" if row["deep_starts"] is None else f"{row['deep_stuck']}/{row['deep_starts']}"

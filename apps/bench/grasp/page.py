@@ -1,0 +1,155 @@
+"""The report of the grasp benchmark: one HTML file with a chart and tables, and nothing from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+from grasp_refine.solvers.status import Status
+
+from ..panels import stylesheet
+from .chart import time_chart
+from .labels import batch, deep, label, pooled, sets_of
+from .rows import Row
+
+TEMPLATE = "page.html.jinja"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A number of each row."""
+
+    name: str
+    """Its head."""
+    hint: str
+    """What it is, in words."""
+    words: Callable[[Row], str]
+    """The number of a row as it is shown."""
+
+
+def _number(key: str, factor: float = 1.0, form: str = ".3g") -> Callable[[Row], str]:
+    def words(row: Row) -> str:
+        value = row[key]
+        return "–" if value is None else f"{factor * value:{form}}"
+
+    return words
+
+
+def _percent(key: str) -> Callable[[Row], str]:
+    return _number(key, 100.0, ".2f")
+
+
+def _statuses(row: Row) -> str:
+    counts = {one.label: row[f"status_{one.name.lower()}"] for one in Status if one != Status.RUNNING}
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+
+
+MOVED = "median; of the base link in mm and degrees, of the joint that moved most in degrees"
+COST = (
+    Column("iterations", "mean", _number("iterations_mean", 1.0, ".1f")),
+    Column("queries", "narrow-phase queries per grasp, mean", _number("queries_mean", 1.0, ".0f")),
+    Column("CPU ms", "per grasp, of the whole call", _number("cpu_ms_per_grasp")),
+    Column("wall ms", "per grasp, of the whole call", _number("wall_ms_per_grasp")),
+    Column("loop ms", "CPU per grasp within the solver's loop", _number("solver_cpu_ms_per_grasp")),
+)
+PENETRATION = (
+    Column("pen. at first", "deepest penetration of any link in mm, mean", _number("penetration_before_mean_m", 1e3)),
+    Column("mean", "the same afterwards", _number("penetration_after_mean_m", 1e3)),
+    Column("median", "the same afterwards", _number("penetration_after_median_m", 1e3)),
+    Column("p95", "the same afterwards", _number("penetration_after_p95_m", 1e3)),
+    Column("worst", "the same afterwards", _number("penetration_after_worst_m", 1e3)),
+    Column("≤ 0.05 mm", "share of grasps in %", _percent("penetration_after_share_50um")),
+    Column(
+        "self at first",
+        "penetration of links in each other in mm, worst",
+        _number("self_penetration_before_worst_m", 1e3),
+    ),
+    Column("self worst", "the same afterwards", _number("self_penetration_after_worst_m", 1e3)),
+    Column("self > 0.01 mm", "share of grasps in %", _percent("self_penetration_after_share_above_10um")),
+)
+REST = (
+    Column("limits", "joint values beyond their limits", _number("limits_violated", 1.0, ".0f")),
+    Column("moved", MOVED, lambda row: _moved(row)),
+    Column("ended as", "how the solver ended", _statuses),
+)
+COLUMNS = {
+    "targets": (
+        Column("Acc@1e-6", "share of grasps in % whose contacts are all below 1e-6 m² (1 mm)", _percent("acc_1e6")),
+        Column("Acc@1e-8", "the same below 1e-8 m² (0.1 mm)", _percent("acc_1e8")),
+        Column("median mm", "error of the worst contact of a grasp", _number("contact_error_median_m", 1e3)),
+        Column("worst mm", "the same of the worst grasp", _number("contact_error_worst_m", 1e3)),
+        *COST,
+        *PENETRATION,
+        *REST,
+    ),
+    "nothing": (
+        *PENETRATION,
+        Column("gap median", "gap of the links that should touch, in mm", _number("gap_median_m", 1e3)),
+        Column("gap p90", "the same: nine of ten are smaller", _number("gap_p90_m", 1e3)),
+        Column("gap worst", "the same", _number("gap_worst_m", 1e3)),
+        Column("deep, left", "starts 10 mm deep or more: how many did not escape, of how many", deep),
+        *COST,
+        *REST,
+    ),
+}
+HEADS = {"targets": "Given targets", "nothing": "Given nothing"}
+
+
+def page(document: dict[str, Any]) -> str:
+    """The report of a run of `bench grasp` as HTML; the same input gives the same text.
+
+    Args:
+        document: What the benchmark writes as JSON.
+    """
+    import jinja2
+
+    rows = document["rows"]
+    light, dark = stylesheet()
+    text = (files(__package__) / TEMPLATE).read_text(encoding="utf-8")
+    environment = jinja2.Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
+    return environment.from_string(text).render(
+        document=document,
+        light=light,
+        dark=dark,
+        chart=time_chart(pooled(rows, "targets")),
+        tables=[(HEADS[task], COLUMNS[task], _lines(rows, task)) for task in COLUMNS if pooled(rows, task)],
+        stuck=_stuck(rows),
+    )
+
+
+def _lines(rows: Sequence[Row], task: str) -> list[tuple[str, list[Row], list[Row]]]:
+    """For each set its name, its pooled rows, and those by object; each with what it is called."""
+    mine = [row for row in rows if row["task"] == task]
+    found = []
+    for name in sets_of(mine):
+        its = [{**row, "label": label(row), "batch_words": batch(row)} for row in mine if row["set"] == name]
+        found.append(
+            (name, [row for row in its if row["object"] == "all"], [row for row in its if row["object"] != "all"])
+        )
+    return found
+
+
+def _stuck(rows: Sequence[Row]) -> list[tuple[str, str, float, float]]:
+    """The grasps that some Levenberg-Marquardt run did not free: set, name, and depths in mm at first and after."""
+    found = {
+        (row["set"], f"{one['object']} {one['index']}"): (
+            1e3 * one["penetration_before_m"], 1e3 * one["penetration_after_m"],
+        )
+        for row in pooled(rows, "nothing")
+        if row["solver"] == "levenberg-marquardt"
+        for one in row["deep_stuck_grasps"]
+    }  # fmt: skip
+    return [(*name, *depths) for name, depths in found.items()]
+
+
+def _moved(row: Row) -> str:
+    parts = (
+        ("moved_palm_median_m", 1e3, "mm"),
+        ("moved_palm_median_rad", 57.29578, "°"),
+        ("moved_joints_median_rad", 57.29578, "°"),
+    )
+    return " / ".join("–" if row[key] is None else f"{factor * row[key]:.2g} {unit}" for key, factor, unit in parts)

@@ -1,0 +1,283 @@
+"""`refine-grasp bench grasp`: how accurate and how fast grasps are refined, by solver and batch size."""
+
+from __future__ import annotations
+
+import shlex
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import torch
+from rich.markup import escape
+from tyro.conf import DisallowNone, arg
+
+from grasp_refine.apps.bench.bar import progress_bar
+from grasp_refine.apps.bench.grasp.page import page
+from grasp_refine.apps.bench.grasp.presets import PRESETS, Preset
+from grasp_refine.apps.bench.grasp.sets import PLACES, GraspSet, Group
+from grasp_refine.apps.bench.grasp.study import COUNT, Study, run_study
+from grasp_refine.apps.bench.grasp.table import bench_tables
+from grasp_refine.apps.bench.grasp.tasks import Disturbance, Kind
+from grasp_refine.apps.bench.grasp.variants import DerivativeName, SolverName, Variant
+from grasp_refine.apps.bench.machine import machine
+from grasp_refine.assets import resource_dir
+from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
+from grasp_refine.commands.inputs import AUTO, Inputs
+from grasp_refine.commands.options import check_numbers
+from grasp_refine.config import Config
+from grasp_refine.errors import GraspRefineError
+from grasp_refine.report.document import settings
+from grasp_refine.report.screen import screen
+from grasp_refine.report.writing import SCHEMA, check_writable, save_json, save_text
+from grasp_refine.versions import versions
+
+PresetName = Literal["targets", "nothing", "time-to-error", "smoke"]
+SetName = Literal["bodex_shadow", "dexgraspnet_shadow", "frogger_allegro", "leap_cube"]
+
+COMPARED = ("tasks", "solvers", "derivatives", "budgets")
+"""Options that say what is compared; a preset says it itself."""
+BATCHES = (1, 16, 64, 256)
+"""Batch sizes where nobody says which."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is measured, and how."""
+
+    preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
+    """An experiment: targets (disturbed true grasps, batch 1 to 256), nothing (real grasps as they come, batch 1 to
+    256), time-to-error (all solvers at several budgets, for a picture of error over time), smoke (under a minute)."""
+    assets: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
+    """Folder with hands/, objects/ and grasps/normalised/, of which --sets are taken, instead of --hand, --object and
+    --grasps. Without any of these, the embedded Allegro examples."""
+    sets: Annotated[DisallowNone[tuple[SetName, ...] | None], arg(help_behavior_hint="(default: all)")] = None
+    """Sets of grasps in the folder of assets."""
+    tasks: Annotated[DisallowNone[tuple[Kind, ...] | None], arg(help_behavior_hint="(default: both)")] = None
+    """targets: true grasps, whose fingertips all touch, are disturbed and must come back to where they touched;
+    nothing: real grasps as they come are to touch and not to penetrate."""
+    solvers: Annotated[
+        DisallowNone[tuple[SolverName, ...] | None], arg(help_behavior_hint="(default: levenberg-marquardt)")
+    ] = None
+    """How the hand moves."""
+    derivatives: Annotated[
+        DisallowNone[tuple[DerivativeName, ...] | None], arg(help_behavior_hint="(default: contact-kinematics)")
+    ] = None
+    """How descent and adam differentiate witness points."""
+    budgets: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: the solver's)")] = None
+    """Most iterations of a grasp; each budget is a run of its own, a point in the picture of error over time."""
+    batches: Annotated[
+        DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 1 16 64 256, or the preset's)")
+    ] = None
+    """Grasps that are worked on at once; with 1, each is a call of its own, and times are medians."""
+    count: Annotated[
+        DisallowNone[int | None], arg(help_behavior_hint=f"(default: {COUNT} with targets, else all; or the preset's)")
+    ] = None
+    """Tasks on each object at each scale."""
+    scenes: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all, or the preset's)")] = None
+    """Objects at one scale of each set, evenly chosen."""
+    singles: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 32, or the preset's)")] = None
+    """Tasks of a set that are run at batch 1, about evenly from all objects."""
+    shift: float = Disturbance.translation
+    """Disturbance: metres by which the root is moved in a random direction."""
+    turn: Annotated[float, arg(help_behavior_hint="(default: 0.2618, which is 15 degrees)")] = Disturbance.rotation
+    """Disturbance: radians by which the root is turned about a random axis."""
+    noise: float = Disturbance.joints
+    """Disturbance: standard deviation of joint values in radians, clipped to the limits."""
+    tolerance: float = Config.tolerance
+    """A grasp is done when its loss (m^2) is below this."""
+    seed: int = 0
+    """Seed of disturbances, and of what solvers draw."""
+    threads: int = 1
+    """Threads of torch in each process."""
+    workers: int = 1
+    """Processes. CPU times are least disturbed with 1."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write all rows to this file, in SI units but for times, which are in ms."""
+    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write a report with a picture of error over time to this file."""
+
+
+@dataclass(frozen=True)
+class BenchGrasp:
+    """Measure how accurate and how fast grasps are refined, by solver, batch size and budget.
+
+    All accuracies and penetrations are those of a plain query of the final grasps, not what a solver says. Without
+    options, Levenberg-Marquardt on the embedded Allegro examples.
+    """
+
+    inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
+    options: Annotated[Options, arg(name="")] = field(default_factory=Options)
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            GraspRefineError: options that do not go together, or grasps that cannot be used.
+        """
+        wall, cpu = time.perf_counter(), cpu_seconds()
+        options, study = self.options, self.study()
+        files = [path for path in (options.json, options.html) if path is not None]
+        for path in files:
+            check_writable(path)
+        if len({path.absolute() for path in files}) < len(files):
+            raise GraspRefineError(f"--json and --html are both {options.json}: one would replace the other")
+        torch.set_num_threads(options.threads)
+        with progress_bar(screen(stderr=True)) as bar:
+            task = bar.add_task("loading", total=1.0)
+
+            def say(line: str) -> None:
+                bar.console.print(escape(line), style="dim", soft_wrap=True)
+
+            def progress(share: float, what: str) -> None:
+                bar.update(task, completed=share, description=what)
+
+            outcome = run_study(study, [self._load(*named, say) for named in self._sources()], say, progress)
+        document = {
+            "schema": SCHEMA,
+            "command": "bench grasp",
+            "invocation": self._invocation(),
+            "versions": versions(),
+            "machine": machine(),
+            "preset": options.preset,
+            "config": settings(replace(self, options=replace(options, json=None, html=None))),
+            "seed": options.seed,
+            "wall_s": time.perf_counter() - wall,
+            "cpu_s": cpu_seconds() - cpu,
+            "problems": outcome.problems,
+            "rows": outcome.rows,
+        }
+        console = screen()
+        for problem in outcome.problems:
+            screen(stderr=True).print(problem, style="red", markup=False, soft_wrap=True)
+        if not outcome.rows:
+            console.print("nothing usable came out; nothing was written")
+            return NOTHING_USABLE
+        if options.json is not None:
+            save_json(options.json, document)
+        if options.html is not None:
+            save_text(options.html, page(document))
+        for table in bench_tables(outcome.rows):
+            console.print(table)
+            console.print()
+        wrote = f"; wrote {', '.join(map(str, files))}" if files else ""
+        console.print(
+            f"{document['wall_s']:.1f} s, {document['cpu_s']:.1f} s of CPU{wrote}", soft_wrap=True, markup=False
+        )
+        return 0
+
+    def study(self) -> Study:
+        """What the options ask for.
+
+        Raises:
+            GraspRefineError: a number out of its range, or options that do not go together.
+        """
+        options = self.options
+        check_numbers(options)
+        for option in fields(options):
+            if getattr(options, option.name) == ():
+                raise GraspRefineError(f"{_flag(option.name)} needs at least one value")
+        if options.preset is not None:
+            for name in COMPARED:
+                if getattr(options, name) is not None:
+                    raise GraspRefineError(
+                        f"--preset {options.preset} says itself what is compared: leave out {_flag(name)}"
+                    )
+        if self.inputs.targets != AUTO:
+            raise GraspRefineError("--targets: the benchmark makes its own targets, from grasps that touch exactly")
+        preset = PRESETS[options.preset] if options.preset is not None else Preset("", self._variants())
+        variants = preset.variants
+        if options.batches is not None:
+            variants = tuple(replace(variant, batch=batch) for variant in variants for batch in options.batches)
+        return Study(
+            variants=tuple(dict.fromkeys(variants)),
+            kinds=preset.kinds if options.tasks is None else tuple(dict.fromkeys(options.tasks)),
+            count=preset.count if options.count is None else options.count,
+            scenes=preset.scenes if options.scenes is None else options.scenes,
+            singles=preset.singles if options.singles is None else options.singles,
+            disturbance=Disturbance(options.shift, options.turn, options.noise),
+            tolerance=options.tolerance,
+            seed=options.seed,
+            threads=options.threads,
+            workers=options.workers,
+        )
+
+    def _variants(self) -> tuple[Variant, ...]:
+        """Every combination of what is compared; Levenberg-Marquardt has no derivatives to choose."""
+        options = self.options
+        solvers = options.solvers or (Variant.solver,)
+        if options.derivatives is not None and set(solvers) == {"levenberg-marquardt"}:
+            raise GraspRefineError("--derivatives is of descent and adam only: leave it out, or add one to --solvers")
+        usual = (Variant.derivative,)
+        return tuple(
+            Variant(solver, derivative, budget, batch)
+            for solver in solvers
+            for derivative, budget, batch in product(
+                usual if solver == "levenberg-marquardt" else options.derivatives or usual,
+                options.budgets or (None,),
+                options.batches or BATCHES,
+            )
+        )
+
+    def _sources(self) -> list[tuple[str, list[Inputs]]]:
+        """Names of the sets, each with what is to be loaded."""
+        inputs, options = self.inputs, self.options
+        plain = replace(inputs, threshold=Inputs.threshold) == Inputs()
+        if options.assets is None:
+            if options.sets is not None:
+                raise GraspRefineError("--sets are those of a folder of assets: give it with --assets")
+            if not plain:
+                return [(inputs.grasps.stem if inputs.grasps is not None else f"{inputs.hand} example", [inputs])]
+            examples = sorted((resource_dir("robots") / inputs.hand).glob("*.npz"))
+            return [(f"{inputs.hand} examples", [replace(inputs, grasps=path) for path in examples])]
+        if not plain:
+            raise GraspRefineError(
+                "--assets has hands, objects and grasps of its own: leave it out, or else --hand, --object, --objects, "
+                "--object-name, --scale, --grasps and --index"
+            )
+        folder, found = options.assets, []
+        for name in dict.fromkeys(options.sets or tuple(PLACES)):
+            path, place = folder / "grasps" / "normalised" / f"{name}.npz", PLACES[name]
+            if not path.is_file():
+                raise GraspRefineError(f"--assets {folder}: has no set {name}, that is grasps/normalised/{name}.npz")
+            objects = folder / "objects" if place.object is None else None
+            found.append(
+                (
+                    name,
+                    [replace(inputs, hand=str(folder / place.hand), object=place.object, objects=objects, grasps=path)],
+                )
+            )
+        return found
+
+    def _load(self, name: str, parts: list[Inputs], say: Callable[[str], None]) -> GraspSet:
+        """A set, joined of what several inputs mean."""
+        problems = [part.load(self.options.seed, say) for part in parts]
+        return GraspSet(
+            name,
+            tuple(
+                Group(group.object, group.scale, group.scene, group.index)
+                for problem in problems
+                for group in problem.groups
+            ),
+        )
+
+    def _invocation(self) -> str:
+        """The command line that asks for the same, without the files that are written."""
+        return shlex.join(["refine-grasp", "bench", "grasp", *_words(self)])
+
+
+def _words(options: Any) -> Iterator[str]:
+    """The options of a dataclass, and of those inside it, that differ from their defaults."""
+    for option in fields(options):
+        value = getattr(options, option.name)
+        if is_dataclass(value):
+            yield from _words(value)
+        elif value != option.default and option.name not in ("json", "html"):
+            yield from (_flag(option.name), *map(str, value if isinstance(value, tuple) else (value,)))
+
+
+def _flag(name: str) -> str:
+    """The option of a field."""
+    return f"--{name.replace('_', '-')}"
