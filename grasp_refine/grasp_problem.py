@@ -41,7 +41,7 @@ BOX = (0.05, 1.0, 0.5)
 NOISE = (0.01, 0.3, 0.2)
 """Standard deviations of new starts: metres and radians of the root, radians of joints."""
 
-CLEAR = 0.01
+CLEAR = 0.003
 """Pairs that may penetrate are asked up to this distance in metres; those beyond it are not asked again before they
 can have moved so far."""
 

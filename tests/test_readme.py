@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -82,7 +83,7 @@ def test_the_links_and_places_exist():
 
 def test_the_options_are_those_of_the_commands():
     known = set()
-    for command in ("run", "bench align"):
+    for command in ("run", "bench align", "bench grasp"):
         code = f"from grasp_refine.cli import main; main([*{command.split()}, '--help'])"
         result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
         known |= set(re.findall(r"--[a-z][\w.-]*", result.stdout))
@@ -92,11 +93,11 @@ def test_the_options_are_those_of_the_commands():
     assert named - elsewhere <= known
 
 
-def test_the_presets_of_the_benchmark_are_listed():
-    from grasp_refine.apps.bench.align.presets import PRESETS
-
-    section = TEXT.partition("## Benchmarks")[2].partition("\n## ")[0]
+@pytest.mark.parametrize(("heading", "bench"), [("Benchmarks", "align"), ("Benchmark of grasps", "grasp")])
+def test_the_presets_of_the_benchmarks_are_listed(heading: str, bench: str):
+    presets = import_module(f"grasp_refine.apps.bench.{bench}.presets").PRESETS
+    section = TEXT.partition(f"## {heading}\n")[2].partition("\n## ")[0]
     listed = re.findall(
         r"`([\w-]+)`", "".join(line.split("|")[1] for line in section.splitlines() if line.startswith("|"))
     )
-    assert set(listed) == set(PRESETS)
+    assert set(listed) == set(presets)

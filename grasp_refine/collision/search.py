@@ -105,7 +105,7 @@ class Search:
         if warm is not None:
             column = np.where(warm.column >= 0, warm.column, column)
             guess, apart = warm.guess, warm.apart
-        first = bound[items, column]
+        first = self._raised_by_boxes(bound[items, column], column)
         found = self.narrow_phase.closest(
             self.R,
             self.t,
@@ -119,6 +119,14 @@ class Search:
         )
         bound[items, column] = np.where(found.asked > 0, np.inf, first)
         return found
+
+    def _raised_by_boxes(self, first: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Lower bounds (M,) of one column of each item, raised by boxes where that may save the query."""
+        left = np.flatnonzero((first < self.limit) & np.isfinite(self.limit))
+        if len(left):
+            raised = self._box_bound(Left(left, column[left], first[left]))
+            first[left] = np.maximum(first[left], raised)
+        return first
 
     def _ask_rest(self, bound: np.ndarray, found: Closest) -> None:
         """Ask all that can still beat what was found first, and put what does in its place."""

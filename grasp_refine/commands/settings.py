@@ -110,8 +110,8 @@ class Settings:
     derivative: Literal[
         "contact-kinematics", "distance", "direction", "analytical", "zeroth-order", "finite-difference", "rigid"
     ] = "contact-kinematics"
-    """How descent and adam differentiate witness points: by fitted curvatures, by the paper's distance smoothing, or by what it is
-    compared with (`bench align` measures them all)."""
+    """How descent and adam differentiate witness points: by fitted curvatures, by the paper's distance smoothing, or by
+    what it is compared with (`bench align` measures them all)."""
     neighborhood: Literal["adaptive", "fixed", "neighbor"] = "adaptive"
     """Which samples stand for the surface near a witness: as far as the target is, within a fixed fraction of the body,
     or the mesh vertices around it."""
@@ -131,7 +131,9 @@ class Settings:
     """Without targets, contact links (fingertips) within this distance (metres) of the object should touch it."""
     reach_others: float = Touching.reach_others
     """The same of all other links."""
-    contacts: Annotated[tuple[str, ...], arg(metavar="LINK [LINK ...]", help_behavior_hint="(default: by reach)")] = ()
+    contacts: Annotated[
+        tuple[str, ...], arg(metavar="LINK [LINK ...]", help_behavior_hint="(default: those within reach)")
+    ] = ()
     """Links that should touch, instead of those within reach."""
     transport: bool = Descent.transport
     """Equivalent gradient transport with descent or adam: the object's gradient acts through the links."""
@@ -220,8 +222,8 @@ class Settings:
             if value != getattr(Settings, name):
                 said = f"--{name}" if isinstance(value, bool) else f"--{name} {value}"
                 raise GraspRefineError(
-                    f"{said} is for --solver descent or adam: levenberg-marquardt has contact kinematics of its own, in "
-                    "double precision on the CPU"
+                    f"{said} is for --solver descent or adam: levenberg-marquardt has contact kinematics of its own, "
+                    "in double precision on the CPU"
                 )
 
     def _has_samples(self) -> bool:

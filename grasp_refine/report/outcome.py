@@ -11,8 +11,8 @@ import torch
 from grasp_refine.kinematics import Kinematics
 from grasp_refine.refine import Refinement
 from grasp_refine.scene import Scene
-from grasp_refine.self_collision import self_penetration, touching_pairs
 from grasp_refine.se3 import inverse, pose_from_transform, transform_points
+from grasp_refine.self_collision import self_penetration, touching_pairs
 from grasp_refine.solvers.status import Status
 from grasp_refine.validation.geometry import measure, movement
 

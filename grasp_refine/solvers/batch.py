@@ -20,6 +20,8 @@ def take(rows: Rows, index: np.ndarray) -> Rows:
 
 def join(first: Rows, second: Rows) -> Rows:
     """All rows of the first, then all of the second."""
+    if first is None:
+        return None
     if is_dataclass(first):
         names = [field.name for field in fields(first)]
         return type(first)(*(join(getattr(first, name), getattr(second, name)) for name in names))
@@ -28,6 +30,8 @@ def join(first: Rows, second: Rows) -> Rows:
 
 def choose(mask: np.ndarray, first: Rows, second: Rows) -> Rows:
     """The rows of the first where the mask (batch,) holds, else those of the second."""
+    if first is None:
+        return None
     if is_dataclass(first):
         names = [field.name for field in fields(first)]
         return type(first)(*(choose(mask, getattr(first, name), getattr(second, name)) for name in names))

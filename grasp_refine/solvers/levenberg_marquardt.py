@@ -62,12 +62,14 @@ class LevenbergMarquardt:
 
 
 def bounded_step(
-    J: Array, r: Array, damping: Array, metric: Array, lower: Array, upper: Array, passes: int = 4
+    J: Array, r: Array, damping: Array, metric: Array, lower: Array, upper: Array, passes: int = 8
 ) -> tuple[Array, Array]:
-    """Steps dx (batch, n) within bounds, and the falls (batch,) of |r|^2 that they predict.
+    """Steps dx (batch, n) within bounds that minimise |J dx + r|^2 + lambda dx . W dx, and the falls of |r|^2 (batch,).
 
-    Unknowns that the step would take beyond a bound are held there and the others are solved for again, a few
-    times (an active-set method without release); what is still outside after that is cut off.
+    A primal-dual active-set method (Hintermueller, Ito and Kunisch 2003): unknowns that go beyond a bound are held
+    there, held ones that would come back are released, and the others are solved for again. That mostly settles
+    within five passes. In rare cases it goes round in circles: the second half of the passes releases nothing, and
+    what is still outside at the end is cut off.
 
     Args:
         J: Jacobians (batch, m, n).
@@ -77,25 +79,41 @@ def bounded_step(
         lower: Lower bounds of dx (batch, n), at most 0.
         upper: Upper bounds, at least 0.
         passes: Most solutions of the linear system.
+
+    Returns:
+        The steps, and by how much |r|^2 falls along them if r is linear.
     """
     xp = array_namespace(J)
     J_transposed = xp.matrix_transpose(J)
     H, g = J_transposed @ J, matvec(J_transposed, r)
     damped = H + _diagonal(damping[:, None] * metric)
-    free = xp.ones_like(lower)
     dx = xp.linalg.solve(damped, -g[..., None])[..., 0]
-    for _ in range(passes - 1):
-        held = xp.minimum(xp.maximum(dx, lower), upper)
-        outside = held != dx
-        if not bool(xp.any(outside)):
+    held = xp.zeros_like(dx, dtype=xp.bool)
+    for number in range(passes - 1):
+        kept = held if 2 * number >= passes else xp.zeros_like(held)
+        # A held unknown goes back into its room if the slope there says so.
+        slope = xp.where(held & ~kept, matvec(damped, dx) + g, xp.zeros_like(dx))
+        wanted = dx - slope / xp.linalg.diagonal(damped)
+        limited = xp.minimum(xp.maximum(wanted, lower), upper)
+        outside = (limited != wanted) | kept
+        (rows,) = xp.nonzero(xp.any(outside != held, axis=-1))
+        if not len(rows):
             break
-        free = xp.where(outside, xp.zeros_like(free), free)
-        # What is held moves to the right-hand side; its own rows become those of the unit matrix.
-        right = free * (-g - matvec(damped, (1.0 - free) * held)) + (1.0 - free) * held
-        system = damped * free[:, :, None] * free[:, None, :] + _diagonal(1.0 - free)
-        dx = xp.linalg.solve(system, right[..., None])[..., 0]
+        held = outside
+        dx[rows] = _with_held(damped[rows], g[rows], held[rows], limited[rows])
     dx = xp.minimum(xp.maximum(dx, lower), upper)
     return dx, predicted_fall(H, g, dx)
+
+
+def _with_held(damped: Array, g: Array, held: Array, value: Array) -> Array:
+    """Solutions (batch, n) of damped dx = -g in the free unknowns, the held ones being at a value."""
+    xp = array_namespace(damped)
+    fixed = xp.where(held, xp.ones_like(value), xp.zeros_like(value))
+    free, value = 1.0 - fixed, fixed * value
+    # What is held moves to the right-hand side; its own rows become those of the unit matrix.
+    right = free * (-g - matvec(damped, value)) + value
+    system = damped * free[:, :, None] * free[:, None, :] + _diagonal(fixed)
+    return xp.linalg.solve(system, right[..., None])[..., 0]
 
 
 def predicted_fall(H: Array, g: Array, dx: Array) -> Array:

@@ -42,7 +42,8 @@ class Schedule:
         """
         if len(self.shares) != len(self.factors):
             raise GraspRefineError(
-                f"descent: shares and factors belong together, got {len(self.shares)} and {len(self.factors)} numbers"
+                f"{type(self).__name__.lower()}: shares and factors belong together, got {len(self.shares)} and "
+                f"{len(self.factors)} numbers"
             )
 
     def first_stage(self, iteration: int) -> int:

@@ -15,6 +15,7 @@ from torch.autograd.function import once_differentiable
 from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.se3 import ambient_gradient
 from grasp_refine.witness.neighborhood import Surfaces
+from grasp_refine.witness.patch import Patch
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
 
@@ -45,10 +46,15 @@ class WitnessLayer:
     surfaces. Poses get gradients once (no double backward).
     """
 
-    def __init__(self, pairs: Pairs, method: Derivative) -> None:
-        """Prepare the pairs; `method` is used in backward passes only."""
+    def __init__(self, pairs: Pairs, method: Derivative, patch: Patch | None = None) -> None:
+        """Prepare the pairs; `method` is used in backward passes only.
+
+        With a `patch`, witness points move over it towards their targets. How it moves itself has no derivative:
+        its points slip as `method` says of any.
+        """
         self.pairs = pairs
         self.method = method
+        self.patch = patch
         self._columns: dict[bytes, tuple[Pairs, Surfaces]] = {}
 
     def __call__(
@@ -82,8 +88,11 @@ class WitnessLayer:
                 f"poses must have shape (batch, {len(self.pairs)}, 4, 4), got {tuple(T_world_a.shape)} and "
                 f"{tuple(T_world_b.shape)}"
             )
-        found = query(self.pairs, _array(T_world_a), _array(T_world_b), cutoff=cutoff, previous=previous)
-        points = _WitnessFunction.apply(T_world_a, T_world_b, self, found, _target(target_a), _target(target_b), key)
+        T_a, T_b, targets = _array(T_world_a), _array(T_world_b), (_target(target_a), _target(target_b))
+        found = query(self.pairs, T_a, T_b, cutoff=cutoff, previous=previous)
+        if self.patch is not None:
+            found = self.patch.refine(self.pairs, T_a, T_b, found, *targets)
+        points = _WitnessFunction.apply(T_world_a, T_world_b, self, found, *targets, key)
         return Witness(*points, found.status, found.winner, found.asked)
 
     def columns(self, columns: np.ndarray) -> tuple[Pairs, Surfaces]:

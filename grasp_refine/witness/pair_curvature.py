@@ -58,7 +58,7 @@ class PairCurvatures:
         """K_a and K_b (M, 2, 2) of M items in 1/m, in their tangent bases.
 
         The neighbourhood of a witness has the radius max(2 width |t - x|, safe / 2); with a width of 0 there is
-        none, and the curvatures are those of the exact face, edge or vertex.
+        none, and the curvatures are those of the exact face, edge or vertex, rounded or not.
 
         Args:
             pair: Body pair (M,) of each item.
@@ -91,14 +91,13 @@ class PairCurvatures:
         count = len(witness.winner)
         item, second = rows % count, rows >= count
         winner = witness.winner[item]
-        slip = np.zeros((len(rows), 3, 3))
+        K = np.zeros((len(rows), 2, 2))
         for side, pieces in zip((~second, second), self.pairs.piece_pairs, strict=True):
             for number in np.unique(winner[side & (winner >= 0)]):
                 here = np.flatnonzero(side & (winner == number))
-                at = rows[here]
-                slip[here] = feature_slip(
-                    pieces[number], x[at], normal[at], witness.distance[item[here]], FEATURE_TOLERANCE
-                )
-        # Along the feature the witness slides freely: no curvature.
-        tangents = E[rows]
-        return CORNER * (np.eye(2) - tangents.mT @ slip @ tangents)
+                at, radius = rows[here], pieces[number].radius
+                # Infinitely far away, slip is 1 along the feature and 0 across, also where the piece is round.
+                slip = feature_slip(pieces[number], x[at], normal[at], np.full(len(at), np.inf), FEATURE_TOLERANCE)
+                across = np.eye(2) - E[at].mT @ slip @ E[at]
+                K[here] = (1.0 / radius if radius > 0 else CORNER) * across
+        return K

@@ -52,14 +52,13 @@ class Patch:
     def refine(
         self,
         pairs: Pairs,
-        pair: np.ndarray,
         T_world_a: np.ndarray,
         T_world_b: np.ndarray,
         witness: Witness,
         target_a: np.ndarray | None,
         target_b: np.ndarray | None,
     ) -> Witness:
-        """The witness with points and distance moved over the patch, for M items; the normal stays.
+        """The witness with points and distance moved over the patch, for items of any shape (...); the normal stays.
 
         Along n the points stay on the surfaces of the pieces. Kept as they are, bit for bit: items without points,
         with spheres or capsules, with a patch that surely reaches no farther than 10 epsilon, and those whose sum of
@@ -69,13 +68,17 @@ class Patch:
 
         Args:
             pairs: The body pairs that were asked.
-            pair: The body pair of each item (M,).
-            T_world_a: Poses (M, 4, 4) of the first bodies.
+            T_world_a: Poses (..., 4, 4) of the first bodies.
             T_world_b: Poses of the second bodies.
-            witness: Their witness as NumPy arrays, leading shape (M,).
-            target_a: Point (M, 3) to touch, frame of body a, metres. NaN: none, only that of body b counts.
+            witness: Their witness as NumPy arrays, leading shape (...).
+            target_a: Point (..., 3) to touch, frame of body a, metres. NaN: none, only that of body b counts.
             target_b: The same of body b. Items without either keep their witness.
         """
+        shape = witness.distance.shape
+        if len(shape) > 1:
+            T = (T.reshape(-1, 4, 4) for T in (T_world_a, T_world_b))
+            targets = (None if target is None else target.reshape(-1, 3) for target in (target_a, target_b))
+            return self.refine(pairs, *T, witness.reshape(-1), *targets).reshape(*shape)
         goals = _Goals.of(witness, (T_world_a, T_world_b), (target_a, target_b))
         pieces_a, pieces_b = pairs.piece_pairs
         used = np.unique(witness.winner[witness.valid])

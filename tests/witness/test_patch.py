@@ -37,7 +37,7 @@ def refined(
 ) -> tuple[Witness, Witness]:
     """Plain and patch witness of one pair at M poses."""
     pairs, w = asked(a, b, T_a, T_b)
-    return w, Patch().refine(pairs, np.zeros(len(T_a), dtype=int), T_a, T_b, w, t_a, t_b)
+    return w, Patch().refine(pairs, T_a, T_b, w, t_a, t_b)
 
 
 def still(count: int) -> np.ndarray:
@@ -258,7 +258,7 @@ def test_spheres_capsules_and_items_without_targets_or_points_are_untouched():
     assert (patch.point_a[1] != plain.point_a[1]).any()
     pairs, w = asked(body(BASE), body(BLOCK), T_a, T_b)
     far = replace(w, status=np.full(2, 2, dtype=np.int8), winner=np.full(2, -1))
-    assert same(far, Patch().refine(pairs, np.zeros(2, dtype=int), T_a, T_b, far, target, target))
+    assert same(far, Patch().refine(pairs, T_a, T_b, far, target, target))
 
 
 BODIES = {
@@ -296,10 +296,9 @@ def test_swapping_the_bodies_swaps_the_points():
     T_a, T_b = face_to_face(rng, 40, 1e-4, 1e-3)
     t_a, t_b = rng.normal(size=(2, 40, 3)) * [0.015, 0.015, 0] + [0, 0, 0.02]
     pairs, w = asked(a, b, T_a, T_b)
-    none = np.zeros(40, dtype=int)
-    one = Patch().refine(pairs, none, T_a, T_b, w, t_a, t_b)
+    one = Patch().refine(pairs, T_a, T_b, w, t_a, t_b)
     swapped = replace(w, point_a=w.point_b, point_b=w.point_a, normal=-w.normal)
-    other = Patch().refine(Pairs((b,), (a,)), none, T_b, T_a, swapped, t_b, t_a)
+    other = Patch().refine(Pairs((b,), (a,)), T_b, T_a, swapped, t_b, t_a)
     np.testing.assert_allclose(other.point_b, one.point_a, atol=1e-9)
     np.testing.assert_allclose(other.point_a, one.point_b, atol=1e-9)
     np.testing.assert_allclose(other.distance, one.distance, atol=1e-11)
@@ -312,10 +311,10 @@ def test_a_common_motion_moves_the_points_along():
     t_a, t_b = rng.normal(size=(2, 40, 3)) * [0.015, 0.015, 0] + [0, 0, 0.02]
     G = transform(exp_so3(rng.normal(size=(40, 3))), rng.normal(size=(40, 3)))
     pairs, w = asked(a, b, T_a, T_b)
-    one = Patch().refine(pairs, np.zeros(40, dtype=int), T_a, T_b, w, t_a, t_b)
+    one = Patch().refine(pairs, T_a, T_b, w, t_a, t_b)
     x_a, x_b = transform_points(G, w.point_a), transform_points(G, w.point_b)
     moved = replace(w, point_a=x_a, point_b=x_b, normal=matvec(G[:, :3, :3], w.normal))
-    other = Patch().refine(pairs, np.zeros(40, dtype=int), G @ T_a, G @ T_b, moved, t_a, t_b)
+    other = Patch().refine(pairs, G @ T_a, G @ T_b, moved, t_a, t_b)
     np.testing.assert_allclose(other.point_a, transform_points(G, one.point_a), atol=1e-9)
     np.testing.assert_allclose(other.distance, one.distance, atol=1e-11)
 
@@ -326,9 +325,9 @@ def test_an_item_does_not_depend_on_its_company():
     T_a, T_b = random_poses(rng, 700)
     t_a, t_b = rng.normal(size=(2, 700, 3)) * 0.02
     pairs, w = asked(a, b, T_a, T_b)
-    whole = Patch().refine(pairs, np.zeros(700, dtype=int), T_a, T_b, w, t_a, t_b)
+    whole = Patch().refine(pairs, T_a, T_b, w, t_a, t_b)
     some = rng.choice(700, 23, replace=False)
-    part = Patch().refine(pairs, np.zeros(23, dtype=int), T_a[some], T_b[some], w.rows(some), t_a[some], t_b[some])
+    part = Patch().refine(pairs, T_a[some], T_b[some], w.rows(some), t_a[some], t_b[some])
     np.testing.assert_allclose(part.point_a, whole.point_a[some], atol=1e-10)
 
 

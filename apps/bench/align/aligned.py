@@ -72,27 +72,10 @@ def errors_at(
     target_a, target_b = (np.stack([getattr(its, name) for its in tasks], axis=1) for name in ("target_a", "target_b"))
     found = query(pairs, T_world_a, T_world_b)
     if patch is not None:
-        found = moved_on_patch(patch, pairs, T_world_a, T_world_b, found, target_a, target_b)
+        found = patch.refine(pairs, T_world_a, T_world_b, found, target_a, target_b)
     misses = (
         found.point_a - transform_points(T_world_a, target_a),
         found.point_b - transform_points(T_world_b, target_b),
     )
     error = sum((miss**2).sum(axis=-1) for miss in misses) + (found.distance - margin) ** 2
     return np.where(found.valid, error, np.inf), found
-
-
-def moved_on_patch(
-    patch: Patch,
-    pairs: Pairs,
-    T_world_a: np.ndarray,
-    T_world_b: np.ndarray,
-    found: Witness,
-    target_a: np.ndarray,
-    target_b: np.ndarray,
-) -> Witness:
-    """The witness (N, P) of all pairs with its points moved towards targets (N, P, 3), body frames."""
-    shape = found.distance.shape
-    T_a, T_b = (T.reshape(-1, 4, 4) for T in (T_world_a, T_world_b))
-    goals = (target.reshape(-1, 3) for target in (target_a, target_b))
-    pair = np.tile(np.arange(shape[1]), shape[0])
-    return patch.refine(pairs, pair, T_a, T_b, found.reshape(-1), *goals).reshape(*shape)

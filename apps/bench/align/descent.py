@@ -28,7 +28,6 @@ from grasp_refine.witness.transport import EquivalentTransport
 
 from .aligned import Aligned, errors_at
 from .bodies import BodyPair
-from .patch_layer import PatchLayer
 from .stopwatch import Stopwatch, TimedDerivative, timed_pairs
 from .tasks import Tasks
 
@@ -91,7 +90,7 @@ def align(
     watch = Stopwatch()
     pairs = timed_pairs(Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies)), watch)
     method = TimedDerivative(solver.method, watch)
-    layer = WitnessLayer(pairs, method) if solver.patch is None else PatchLayer(pairs, method, solver.patch)
+    layer = WitnessLayer(pairs, method, solver.patch)
     problem = _Problem(solver, layer, stacked("target_a"), stacked("target_b"), watch)
     T_a, T_b = stacked("T_world_a"), stacked("T_world_b")
     best = _Best(torch.full(T_a.shape[:2], torch.inf, dtype=dtype, device=device), T_a, T_b)

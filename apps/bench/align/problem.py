@@ -160,7 +160,7 @@ class AlignProblem:
         if self.patch is None:
             return found
         goals = self.tasks.target_a[member], self.tasks.target_b[member]
-        return self.patch.refine(self.pairs, pair, T_a, T_b, found, *goals)
+        return self.patch.refine(self.pairs, T_a, T_b, found, *goals)
 
     def metric(self, member: np.ndarray) -> np.ndarray:
         """A quarter of both diagonals, l: W = diag(1, 1, 1, l^2, l^2, l^2)."""

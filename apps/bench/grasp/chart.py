@@ -36,13 +36,14 @@ def time_chart(rows: Sequence[Row]) -> str:
     return draw(grid, [name for name, _, _ in panels], "CPU time per grasp", time_axis, "grasp", "Error over time")
 
 
-def line_name(row: Row) -> str:
-    """What a line stands for: budgets make its points."""
-    return label(row) if row["batch"] != 1 else f"{label(row)}, one at a time"
+def line_names(rows: Sequence[Row]) -> list[str]:
+    """What the line of each row stands for: a solver and, if there are several, its batch size."""
+    several = {row["solver"] for row in rows if len({r["batch"] for r in rows if r["solver"] == row["solver"]}) > 1}
+    return [f"{label(row)}, batch {row['batch']}" if row["solver"] in several else label(row) for row in rows]
 
 
 def _styles(rows: Sequence[Row]) -> dict[str, Style]:
-    names = dict.fromkeys(line_name(row) for row in rows)
+    names = dict.fromkeys(line_names(rows))
     return {
         name: Style(COLORS[k % len(COLORS)][0], MARKERS[k % len(MARKERS)], ("-", "--", ":")[k // len(COLORS) % 3])
         for k, name in enumerate(names)
@@ -51,9 +52,10 @@ def _styles(rows: Sequence[Row]) -> dict[str, Style]:
 
 def _lines(rows: Sequence[Row], name: str, styles: dict[str, Style], height: Height) -> list[Line]:
     found = []
+    names = line_names(rows)
     for line, style in styles.items():
-        mine = [row for row in rows if row["set"] == name and line_name(row) == line]
-        mine.sort(key=lambda row: (row["batch"], row["budget"]))
+        mine = [row for row, own in zip(rows, names, strict=True) if row["set"] == name and own == line]
+        mine.sort(key=lambda row: row["budget"])
         points = [(1e-3 * row["cpu_ms_per_grasp"], *y) for row in mine if (y := height(row)) is not None]
         if points:
             found.append(Line(line, style, *zip(*points, strict=True)))

@@ -158,6 +158,7 @@ def jobs(
             chosen = tasks
             if variant.batch == 1:
                 # Evenly from all objects.
-                chosen = tuple(its.take(slice(-(-singles // len(tasks)))) for its in tasks[:singles])
+                each, more = divmod(singles, len(tasks))
+                chosen = tuple(its.take(slice(each + (i < more))) for i, its in enumerate(tasks[:singles]))
             made.append(SetJob(variant, grasp_set.name, grasp_set.hand, kind, chosen, seed, tolerance, threads))
     return made

@@ -100,7 +100,7 @@ def test_the_patch_solves_targets_on_faces():
         minimised([BOXES], [tasks], AlignLevenbergMarquardt(1e-3, 200, witness)) for witness in (None, Patch(1e-5))
     )
     w = Patch(1e-5).refine(
-        Pairs((BOXES.a,), (BOXES.b,)), np.zeros(len(tasks), dtype=int), tasks.T_world_a, patch.T_world_b[:, 0],
+        Pairs((BOXES.a,), (BOXES.b,)), tasks.T_world_a, patch.T_world_b[:, 0],
         patch.witness.reshape(-1), tasks.target_a, tasks.target_b,
     )  # fmt: skip
     miss_a = w.point_a - transform_points(tasks.T_world_a, tasks.target_a)

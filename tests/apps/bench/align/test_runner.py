@@ -150,7 +150,7 @@ def test_final_poses_are_judged_by_queries_of_their_own(make: Callable[..., Vari
         pairs = Pairs((job.pairs[p].a,), (job.pairs[p].b,))
         found = query(pairs, T_a[:, None], T_b[:, None]).reshape(-1)
         goals = its.target_a, its.target_b
-        moved = Patch(1e-4).refine(pairs, np.zeros(len(its), dtype=int), T_a, T_b, found, *goals)
+        moved = Patch(1e-4).refine(pairs, T_a, T_b, found, *goals)
         for errors, w in ((done.errors(p)[0], found), (done.patch_errors(p), moved)):
             miss_a = w.point_a - transform_points(T_a, its.target_a)
             miss_b = w.point_b - transform_points(T_b, its.target_b)

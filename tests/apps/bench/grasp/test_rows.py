@@ -1,0 +1,178 @@
+"""Rows: numbers that can be counted by hand, and who is pooled with whom."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from apps.bench.grasp.chart import line_names, time_chart
+from apps.bench.grasp.measures import Measures
+from apps.bench.grasp.page import page
+from apps.bench.grasp.rows import contact_errors, rows
+from apps.bench.grasp.runner import Done, Part, SetJob
+from apps.bench.grasp.table import bench_tables
+from apps.bench.grasp.tasks import Kind, Tasks
+from apps.bench.grasp.variants import Variant
+from grasp_refine.report.writing import dumps
+from grasp_refine.solvers.status import Status
+from grasp_refine.validation.geometry import Movement
+
+NAN = np.nan
+
+
+def measures(depth: list[float], error: list[list[float]] | None = None, own: float = 0.0) -> Measures:
+    n = len(depth)
+    errors = np.full((n, 2), NAN) if error is None else np.array(error)
+    points = np.zeros((n, 2, 3))
+    return Measures(
+        contact_error=errors,
+        distance=np.array([[-d, 0.002] for d in depth]),
+        penetration=np.array(depth),
+        self_penetration=np.full(n, own),
+        limits_violated=np.zeros(n, dtype=np.int64),
+        point_link=points,
+        point_object=points,
+    )
+
+
+def part(kind: Kind, name: str, before: Measures, after: Measures, cpu_s: list[float]) -> Part:
+    n = len(cpu_s)
+    return Part(
+        # Rows look at neither scene nor object.
+        tasks=Tasks(kind, name, 1.0, None, np.arange(10, 10 + n)),  # type: ignore[arg-type]
+        before=before,
+        after=after,
+        moved=Movement(np.full(n, 0.01), np.full(n, 0.1), np.full(n, 0.2)),
+        touching=np.tile([True, False], (n, 1)),
+        status=np.full(n, Status.CONVERGED),
+        iterations=np.arange(1, n + 1),
+        queries=np.full(n, 7),
+        cpu_s=np.array(cpu_s),
+        wall_s=2.0 * np.array(cpu_s),
+        solver_cpu_s=np.array(cpu_s),
+    )
+
+
+def done(kind: Kind, parts: list[Part], variant: Variant | None = None) -> Done:
+    job = SetJob(variant or Variant(), "set", "hand", kind, tuple(p.tasks for p in parts), 0, 1e-10, 1)
+    return Done(job, tuple(parts))
+
+
+@pytest.fixture
+def nothing() -> Done:
+    """Five real grasps on two objects; three start deep, of which one is freed."""
+    cup = part("nothing", "cup", measures([0.02, 0.012, 0.001]), measures([0.02, 4e-4, 0.0]), [1e-3, 2e-3, 9e-3])
+    can = part("nothing", "can", measures([0.01, 0.0]), measures([6e-4, 5e-5], own=2e-5), [1e-3, 2e-3])
+    return done("nothing", [cup, can])
+
+
+def test_a_grasp_counts_when_all_its_contacts_do():
+    error = np.array([[1e-7, NAN], [2e-6, 1e-12], [1e-9, 4e-9], [9e-9, 9e-7]])
+    found = contact_errors(error, aimed=True)
+    assert (found["acc_1e6"], found["acc_1e8"]) == (0.75, 0.25)
+    assert found["contact_error_worst_m"] == pytest.approx(2e-6**0.5)
+    assert found["contact_error_median_m"] == pytest.approx(((1e-7 + 9e-7) / 2) ** 0.5)
+    nobody = contact_errors(np.full((2, 2), NAN), aimed=True)
+    assert (nobody["acc_1e6"], nobody["contact_error_worst_m"]) == (0.0, np.inf)
+    assert set(contact_errors(error, aimed=False).values()) == {None}
+
+
+def test_deep_starts_are_counted_and_those_that_stay_are_named(nothing: Done):
+    pooled, cup, can = rows([nothing])
+    assert [row["object"] for row in (pooled, cup, can)] == ["all", "cup", "can"]
+    assert [(row["deep_starts"], row["deep_stuck"]) for row in (pooled, cup, can)] == [(3, 2), (2, 1), (1, 1)]
+    assert [(one["object"], one["index"]) for one in pooled["deep_stuck_grasps"]] == [("cup", 10), ("can", 10)]
+    assert can["deep_stuck_grasps"][0]["penetration_after_m"] == 6e-4
+
+
+def test_depths_are_those_of_all_grasps(nothing: Done):
+    row = rows([nothing])[0]
+    assert row["grasps"] == 5
+    assert row["penetration_before_mean_m"] == pytest.approx((0.02 + 0.012 + 0.001 + 0.01) / 5)
+    assert row["penetration_after_worst_m"] == row["penetration_after_p95_m"] == 0.02
+    assert row["penetration_after_share_50um"] == 0.4
+    assert row["self_penetration_after_share_above_10um"] == 0.4
+    # Of the link that should touch only.
+    assert row["gap_median_m"] == pytest.approx(4e-4) and row["gap_worst_m"] == 0.02
+    assert row["acc_1e6"] is None
+    assert row["status_converged"] == 5 and row["status_stalled"] == 0 and "status_running" not in row
+
+
+def test_what_cannot_be_measured_counts_as_the_worst():
+    lost = part("nothing", "cup", measures([0.02, 0.0]), measures([NAN, 0.0]), [1.0, 1.0])
+    (row,) = rows([done("nothing", [lost])])
+    assert row["penetration_after_worst_m"] == np.inf and row["penetration_after_share_50um"] == 0.5
+    assert row["deep_stuck"] == 1
+
+
+def test_times_are_medians_of_single_calls_and_means_of_others(nothing: Done):
+    assert rows([nothing])[0]["cpu_ms_per_grasp"] == pytest.approx(3.0)
+    single = done("nothing", list(nothing.parts), Variant(batch=1))
+    row = rows([single])[0]
+    assert row["cpu_ms_per_grasp"] == pytest.approx(2.0) and row["wall_ms_per_grasp"] == pytest.approx(4.0)
+    assert (row["batch"], row["batch_mean"]) == (1, 1.0)
+    # Three and two grasps cannot fill a batch of 64.
+    assert rows([nothing])[0]["batch_mean"] == pytest.approx((3 * 3 + 2 * 2) / 5)
+
+
+def targets(variant: Variant, error: float, cpu_s: float) -> Done:
+    after = measures([0.0, 0.0], [[error, NAN], [error, error / 4]])
+    return done("targets", [part("targets", "cup", measures([0.02, 0.0]), after, [cpu_s, cpu_s])], variant)
+
+
+@pytest.fixture
+def document(nothing: Done) -> dict[str, Any]:
+    found = [
+        targets(Variant(solver, budget=budget), error, cpu)
+        for solver, budget, error, cpu in (
+            ("levenberg-marquardt", 10, 1e-4, 1e-3),
+            ("levenberg-marquardt", 20, 1e-20, 2e-3),
+            ("adam", 100, 1e-3, 0.1),
+            ("adam", 200, 4e-7, 0.2),
+        )
+    ]
+    return {
+        "schema": 1, "command": "bench grasp", "invocation": "refine-grasp bench grasp", "preset": None, "seed": 0,
+        "versions": {"numpy": "2"}, "machine": {"cpus": 2, "cpu": "<fast>", "system": "Linux"}, "cpu_s": 3.0,
+        "rows": rows([nothing, *found]),
+    }  # fmt: skip
+
+
+def test_rows_are_flat_but_for_the_names_of_grasps(document: dict[str, Any]):
+    plain = json.loads(dumps(document["rows"]))
+    assert len({tuple(row) for row in plain}) == 1
+    for row in plain:
+        assert not any(isinstance(value, (dict, list)) for key, value in row.items() if key != "deep_stuck_grasps")
+
+
+def test_tables_fit_a_narrow_terminal(document: dict[str, Any], capsys: pytest.CaptureFixture[str]):
+    from rich.console import Console
+
+    for row in document["rows"]:
+        row |= {"cpu_ms_per_grasp": 1234.5, "wall_ms_per_grasp": 1234.5, "batch": 256, "iterations_mean": 2000.0}
+        if row["task"] == "nothing":
+            row |= {"deep_stuck": 123, "deep_starts": 1234, "penetration_before_mean_m": 0.0123}
+    for table in bench_tables(document["rows"]):
+        Console(width=200).print(table)
+    out = capsys.readouterr().out
+    assert max(map(len, map(str.rstrip, out.splitlines()))) <= 80
+    assert "set, 5 grasps, given nothing" in out and "123/1234" in out and "budget" in out
+
+
+def test_the_page_draws_a_line_for_each_solver(document: dict[str, Any]):
+    html = page(document)
+    assert html == page(document)
+    assert html.count('class="chart"') == 1 and ">LM<" in html and ">adam<" in html
+    assert "cup 10, 20.0 mm → 20.00 mm" in html and "&lt;fast&gt;" in html
+    assert "http" not in html.split("<style>")[0]
+    for row in document["rows"]:
+        row |= {"contact_error_median_m": None, "acc_1e6": None}
+    assert time_chart([row for row in document["rows"] if row["task"] == "targets"]) == ""
+
+
+def test_batch_sizes_are_lines_of_their_own_where_there_are_several():
+    made = [targets(Variant(batch=batch), 1e-9, 1e-3) for batch in (1, 64)] + [targets(Variant("adam"), 1e-9, 1.0)]
+    assert line_names([row for one in made for row in rows([one])]) == ["LM, batch 1", "LM, batch 64", "adam"]

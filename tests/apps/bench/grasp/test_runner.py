@@ -1,0 +1,79 @@
+"""Jobs: which tasks go together, and that neither failures nor interruptions lose what is done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from apps.bench.grasp.runner import calls, jobs
+from apps.bench.grasp.sets import GraspSet, Group
+from apps.bench.grasp.tasks import Tasks
+from apps.bench.grasp.variants import DERIVATIVES, SOLVERS, Variant
+from apps.bench.jobs import run_jobs
+from grasp_refine.hand import load_hand
+from grasp_refine.objects import load_object
+from grasp_refine.scene import Scene
+
+
+@dataclass(frozen=True)
+class Fake:
+    """A job that gives its name, or fails."""
+
+    label: str
+    work: float = 1.0
+
+    def do(self, progress: Callable[[float], None]) -> str:
+        progress(0.5)
+        if self.label == "stop":
+            raise KeyboardInterrupt
+        if self.label == "bad":
+            raise ValueError("no luck")
+        return self.label
+
+
+def test_a_failed_job_does_not_end_the_others():
+    told: list[tuple[float, str]] = []
+    results, problems = run_jobs([Fake("a"), Fake("bad"), Fake("b", 2.0)], 1, lambda *what: told.append(what))
+    assert results == ["a", "b"]
+    (problem,) = problems
+    assert problem.startswith("bad: Traceback") and problem.endswith("ValueError: no luck")
+    assert told == [(0.125, "a"), (0.375, "bad"), (0.75, "b")]
+
+
+def test_an_interruption_keeps_what_is_done():
+    results, problems = run_jobs([Fake("a"), Fake("stop"), Fake("b")], 1, lambda *_: None)
+    assert (results, problems) == (["a"], ["interrupted: 1 of 3 jobs were done"])
+
+
+def test_first_order_solvers_are_called_batch_by_batch():
+    assert calls(5, Variant(batch=2)) == [(0, 5)]
+    assert calls(5, Variant("adam", batch=2)) == [(0, 2), (2, 4), (4, 5)]
+    assert calls(3, Variant(batch=1)) == calls(3, Variant("descent", batch=1)) == [(0, 1), (1, 2), (2, 3)]
+
+
+def test_single_tasks_come_evenly_from_all_objects():
+    hand, ball = load_hand("allegro", candidates=16), load_object("sphere:0.03", candidates=16)
+    scene = Scene(hand, ball, np.tile(np.eye(4), (6, 1, 1)), np.tile(hand.rest, (6, 1)))
+    groups = tuple(Group(name, 1.0, scene, np.arange(6)) for name in "abc")
+    tasks = tuple(Tasks("nothing", group.object, 1.0, scene, group.index) for group in groups)
+    sets = [(GraspSet("balls", groups), "nothing", tasks)]
+    options = {"seed": 3, "tolerance": 1e-9, "threads": 1}
+    one, few, rest = jobs((Variant(batch=1), Variant(batch=2)), sets, singles=4, **options)[:2] + jobs(
+        (Variant(batch=1),), sets, singles=2, **options
+    )
+    assert [len(its) for its in one.tasks] == [2, 1, 1]
+    assert [len(its) for its in few.tasks] == [6, 6, 6]
+    assert [its.object for its in rest.tasks] == ["a", "b"] and [len(its) for its in rest.tasks] == [1, 1]
+    assert few.work == 18 / 4 * one.work and one.label == "balls, levenberg-marquardt, batch 1"
+
+
+def test_a_variant_says_all_that_is_refined_with():
+    for solver in SOLVERS:
+        for derivative in DERIVATIVES:
+            config = Variant(solver, derivative, 7, 5).config(seed=3, tolerance=1e-9)
+            assert isinstance(config.solver, SOLVERS[solver]) and config.solver.iterations == 7
+            assert (config.width, config.seed, config.tolerance) == (5, 3, 1e-9)
+            assert getattr(config.derivative, "seed", 3) == 3
+    assert Variant("adam").columns()["budget"] == SOLVERS["adam"]().iterations

@@ -1,0 +1,105 @@
+"""Tasks: true grasps touch, disturbances are what they say, and no task depends on the others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from apps.bench.grasp.sets import GraspSet, Group
+from apps.bench.grasp.tasks import NEAR, Disturbance, Tasks, given_nothing, given_targets, true_grasps
+from grasp_refine.assets import resource_dir
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.grasps import load_grasps
+from grasp_refine.hand import load_hand
+from grasp_refine.kinematics import Kinematics
+from grasp_refine.objects import load_object
+from grasp_refine.scene import Scene
+from grasp_refine.se3 import transform_from_pose, transform_points
+
+
+@pytest.fixture(scope="module")
+def group() -> Group:
+    """The example grasps of the embedded hand on the embedded box."""
+    grasps = load_grasps(resource_dir("robots") / "allegro/example_rounded_box.npz")
+    hand, box = load_hand("allegro", candidates=256), load_object("rounded_box", candidates=256)
+    return Group("box", 1.0, Scene(hand, box, transform_from_pose(grasps.hand_pose), grasps.q), np.arange(len(grasps)))
+
+
+@pytest.fixture(scope="module")
+def true(group: Group) -> Tasks:
+    return true_grasps(group)
+
+
+def test_true_grasps_touch_with_every_fingertip_where_their_targets_are(true: Tasks):
+    scene = true.scene
+    hand, tips = scene.hand, [contact.link for contact in scene.hand.contacts]
+    assert len(true) >= 3 and len(set(tips)) == 4
+    T = Kinematics(hand, tips)(torch.tensor(scene.T_world_root), torch.tensor(scene.q)).numpy()
+    pairs = Pairs.against([hand.links_by_name[tip].body for tip in tips], scene.object.body)
+    found = query(pairs, T, np.broadcast_to(np.eye(4), T.shape))
+    assert np.abs(found.distance).max() < 1e-5
+    assert scene.links[:4] == tuple(tips)
+    np.testing.assert_allclose(transform_points(T, scene.target_link[:, :4]), found.point_a, atol=1e-9)
+    np.testing.assert_allclose(scene.target_object[:, :4], found.point_b, atol=1e-9)
+    assert np.isnan(scene.target_link[:, 4:]).all() and np.isnan(scene.target_object[:, 4:]).all()
+    assert ((scene.q >= hand.lower) & (scene.q <= hand.upper)).all()
+
+
+def test_grasps_with_a_fingertip_far_away_are_not_tried(group: Group):
+    away = group.scene.T_world_root.copy()
+    away[:, :3, 3] += 1.0 + NEAR
+    far = replace(group, scene=replace(group.scene, T_world_root=away))
+    assert len(true_grasps(far)) == 0
+    assert given_targets(GraspSet("far", (far,)), 2, Disturbance(), 0) == ()
+
+
+def test_a_disturbance_is_as_large_as_it_says(true: Tasks):
+    scene = true.scene
+    keys = [(0, i) for i in range(len(true))]
+    T, q = Disturbance(0.02, np.radians(15.0), 0.2).apply(scene.hand, scene.T_world_root, scene.q, keys)
+    moved = np.linalg.norm(T[:, :3, 3] - scene.T_world_root[:, :3, 3], axis=1)
+    np.testing.assert_allclose(moved, 0.02, rtol=1e-12)
+    R = T[:, :3, :3] @ scene.T_world_root[:, :3, :3].mT
+    angle = np.arccos((np.trace(R, axis1=1, axis2=2) - 1.0) / 2.0)
+    np.testing.assert_allclose(np.degrees(angle), 15.0, rtol=1e-9)
+    assert ((q >= scene.hand.lower) & (q <= scene.hand.upper)).all()
+    still, same = Disturbance(0.02, 0.0, 0.0).apply(scene.hand, scene.T_world_root, scene.q, keys)
+    np.testing.assert_array_equal(same, scene.q)
+    np.testing.assert_allclose(still[:, :3, :3], scene.T_world_root[:, :3, :3], atol=1e-15)
+
+
+def test_joint_noise_has_its_deviation_where_no_limit_cuts_it(true: Tasks):
+    scene = true.scene
+    n = scene.q.shape[1]
+    free = replace(scene.hand, lower=np.full(n, -np.inf), upper=np.full(n, np.inf))
+    T, q = (np.repeat(array[:1], 400, axis=0) for array in (scene.T_world_root, scene.q))
+    _, disturbed = Disturbance(joints=0.2).apply(free, T, q, [(1, i) for i in range(400)])
+    assert (disturbed - q).std() == pytest.approx(0.2, rel=0.03)
+    assert (disturbed - q).mean() == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_task_does_not_depend_on_how_many_others_there_are(group: Group):
+    few, many, other = (
+        given_targets(GraspSet("box", (group,)), count, Disturbance(), seed)[0]
+        for count, seed in ((2, 0), (7, 0), (2, 1))
+    )
+    for name in ("T_world_root", "q", "target_link", "target_object"):
+        np.testing.assert_array_equal(getattr(few.scene, name), getattr(many.scene, name)[:2])
+    np.testing.assert_array_equal(few.index, many.index[:2])
+    assert len(many) == 7
+    assert np.abs(few.scene.q - other.scene.q).max() > 0.01
+    # The same grasp again is disturbed in another way.
+    again = np.flatnonzero(many.index == many.index[0])
+    assert len(again) > 1 and np.abs(np.diff(many.scene.q[again], axis=0)).max() > 0.01
+
+
+def test_real_grasps_stay_as_they_come(group: Group):
+    nowhere = np.zeros((len(group.index), len(group.scene.links), 3))
+    aimed = replace(group, scene=replace(group.scene, target_link=nowhere, target_object=nowhere))
+    (tasks,) = given_nothing(GraspSet("box", (aimed,)), 3)
+    assert len(tasks) == 3 and tasks.scene.target_link is None and tasks.scene.target_object is None
+    np.testing.assert_array_equal(tasks.scene.q, group.scene.q[:3])
+    assert len(given_nothing(GraspSet("box", (aimed,)), None)[0]) == len(group.index)

@@ -1,0 +1,175 @@
+"""`refine-grasp bench grasp` as a user meets it: tables, documents that repeat themselves, and refusals."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from command_line import refused
+from grasp_refine.apps.bench.grasp.sets import PLACES
+
+from grasp_refine.assets import resource_dir
+from grasp_refine.cli import main
+
+pytestmark = pytest.mark.usefixtures("workplace")
+
+BOX = ("bench", "grasp", "--object", "rounded_box")
+TINY = (*BOX, "--count", "2", "--batches", "2")
+
+
+@pytest.fixture(autouse=True)
+def threads() -> Iterator[None]:
+    """What a run sets is undone."""
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def document(*arguments: str | Path) -> dict[str, Any]:
+    """What a run writes as JSON."""
+    assert main([*map(str, arguments), "--json", "bench.json"]) == 0
+    return json.loads(Path("bench.json").read_text())
+
+
+def numbers(row: dict[str, Any]) -> dict[str, float]:
+    """The numbers of a row but for times."""
+    return {
+        key: value for key, value in row.items() if isinstance(value, int | float) and not key.endswith("_ms_per_grasp")
+    }
+
+
+# Runs
+
+
+def test_a_run_prints_its_tables_and_writes_its_rows(capfd: pytest.CaptureFixture[str]):
+    found = document(*TINY, "--noise", "0.1")
+    out, error = capfd.readouterr()
+    assert error == ""
+    assert "allegro example, 2 grasps, given targets" in out and "allegro example, 2 grasps, given nothing" in out
+    assert max(map(len, map(str.rstrip, out.splitlines()))) <= 80 and "wrote bench.json" in out
+    assert list(found) == [
+        "schema", "command", "invocation", "versions", "machine", "preset", "config", "seed", "wall_s", "cpu_s",
+        "problems", "rows",
+    ]  # fmt: skip
+    assert (found["schema"], found["command"], found["preset"]) == (1, "bench grasp", None)
+    assert found["invocation"] == ("refine-grasp bench grasp --object rounded_box --batches 2 --count 2 --noise 0.1")
+    targets, nothing = found["rows"]
+    for row in found["rows"]:
+        assert (row["set"], row["hand"], row["object"]) == ("allegro example", "allegro", "all")
+        assert (row["solver"], row["derivative"], row["batch"], row["grasps"]) == (
+            "levenberg-marquardt", "contact-kinematics", 2, 2
+        )  # fmt: skip
+        assert row["limits_violated"] == 0
+        assert sum(value for key, value in row.items() if key.startswith("status_")) == 2
+        assert 0 < row["iterations_mean"] <= row["budget"] and row["queries_mean"] > 0
+        assert row["cpu_ms_per_grasp"] > 0 and row["wall_ms_per_grasp"] > 0
+        assert row["penetration_after_mean_m"] <= row["penetration_before_mean_m"]
+    assert (targets["task"], nothing["task"]) == ("targets", "nothing")
+    assert targets["acc_1e6"] == 1.0 and targets["contact_error_worst_m"] < 1e-3
+    # The disturbance is undone.
+    assert 0.005 < targets["moved_palm_median_m"] < 0.05
+    assert nothing["acc_1e6"] is None and nothing["deep_starts"] == 0 and nothing["gap_median_m"] < 5e-5
+    assert {path.name for path in Path().iterdir()} == {"bench.json"}
+
+
+def test_smoke_compares_all_solvers_and_reports_in_one_file(capfd: pytest.CaptureFixture[str]):
+    for module in ("matplotlib", "jinja2"):
+        pytest.importorskip(module, reason="the report needs it")
+    found = document(*BOX, "--preset", "smoke", "--count", "1", "--batches", "2", "--html", "bench.html")
+    assert [(row["task"], row["solver"], row["budget"]) for row in found["rows"]] == [
+        (task, solver, budget)
+        for task in ("targets", "nothing")
+        for solver, budget in (("levenberg-marquardt", 200), ("descent", 40), ("adam", 40))
+    ]
+    assert "wrote bench.json, bench.html" in capfd.readouterr().out
+    text = Path("bench.html").read_text(encoding="utf-8")
+    assert "<svg" in text and not re.search(r"""(?:src|href)=["']https?:""", text)
+    assert {path.name for path in Path().iterdir()} == {"bench.json", "bench.html"}
+
+
+def test_neither_processes_nor_batches_change_what_comes_out():
+    options = (*BOX, "--count", "2", "--tasks", "targets", "--batches", "1", "2")
+    single, together = map(numbers, document(*options)["rows"])
+    # But for rounding.
+    assert [numbers(row) for row in document(*options, "--workers", "2")["rows"]] == [
+        pytest.approx(row, rel=1e-3, abs=1e-9) for row in (single, together)
+    ]
+    together |= {"batch": 1, "batch_mean": 1.0}
+    assert together == pytest.approx(single, rel=1e-3, abs=1e-9)
+
+
+def test_another_seed_disturbs_in_another_way():
+    runs = [document(*TINY, "--tasks", "targets", "--seed", seed)["rows"][0] for seed in ("0", "1")]
+    assert runs[0]["penetration_before_mean_m"] != runs[1]["penetration_before_mean_m"]
+
+
+def test_every_combination_is_run_once():
+    options = "--tasks nothing nothing --solvers adam levenberg-marquardt --derivatives rigid rigid --budgets 1 2 1"
+    found = document(*TINY, *options.split())["rows"]
+    assert [(row["solver"], row["derivative"], row["budget"]) for row in found] == [
+        ("adam", "rigid", 1), ("adam", "rigid", 2), ("levenberg-marquardt", "contact-kinematics", 1),
+        ("levenberg-marquardt", "contact-kinematics", 2),
+    ]  # fmt: skip
+
+
+def test_a_preset_takes_other_batches():
+    found = document(*BOX, "--preset", "nothing", "--batches", "4", "--count", "1")["rows"]
+    assert [(row["task"], row["batch"], row["batch_mean"]) for row in found] == [("nothing", 4, 1.0)]
+
+
+def test_sets_of_the_assets_are_found_by_name(shared_assets: Path):
+    options = ["--sets", "leap_cube", "--tasks", "nothing", "--count", "2", "--batches", "2"]
+    (row,) = document("bench", "grasp", "--assets", shared_assets, *options)["rows"]
+    assert (row["set"], row["hand"], row["grasps"]) == ("leap_cube", "leap_right", 2)
+    assert all((shared_assets / place.hand).is_file() for place in PLACES.values())
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ("--preset smoke --solvers adam", "--preset smoke says itself what is compared: leave out --solvers"),
+        ("--preset targets --tasks nothing", "--preset targets says itself what is compared: leave out --tasks"),
+        ("--preset time-to-error --budgets 3", "says itself what is compared: leave out --budgets"),
+        ("--preset table1", "invalid choice 'table1' for argument '--preset'"),
+        ("--batches 0", "--batches must be at least 1, got 0"),
+        ("--budgets 5 0", "--budgets must be at least 1, got 0"),
+        ("--count 0", "--count must be at least 1, got 0"),
+        ("--scenes 0", "--scenes must be at least 1, got 0"),
+        ("--shift -1", "--shift must be finite and not negative, got -1"),
+        ("--turn nan", "--turn must be finite and not negative, got nan"),
+        ("--seed -1", "--seed must be 0 to 4294967295, got -1"),
+        ("--solvers newton", "invalid choice 'newton' for argument '--solvers'"),
+        ("--derivatives distance", "--derivatives is of descent and adam only"),
+        ("--sets mine --assets .", "invalid choice 'mine' for argument '--sets'"),
+        ("--sets leap_cube", "--sets are those of a folder of assets: give it with --assets"),
+        ("--sets leap_cube --assets .", "--assets .: has no set leap_cube, that is grasps/normalised/leap_cube.npz"),
+        ("--assets . --object mug", "--assets has hands, objects and grasps of its own"),
+        ("--targets mine.npz", "--targets: the benchmark makes its own targets"),
+        ("--object teapot", "no example grasps of hand 'allegro' on 'teapot'"),
+        ("--hand nobody", "no hand is called 'nobody'"),
+        ("--json same --html same", "--json and --html are both same: one would replace the other"),
+        ("--json .", ".: is a folder, a file is to be written there"),
+        ("--html .", ".: is a folder, a file is to be written there"),
+    ],
+)
+def test_bad_options_are_refused(options: str, complaint: str, capfd: pytest.CaptureFixture[str]):
+    assert complaint in refused(capfd, "bench", "grasp", *options.split())
+
+
+def test_grasps_that_cannot_touch_are_refused_with_targets(capfd: pytest.CaptureFixture[str]):
+    grasps = resource_dir("robots") / "allegro/example_mug.npz"
+    options = ["--grasps", str(grasps), "--object", "sphere:0.001", "--tasks", "targets", "--json", "bench.json"]
+    assert main(["bench", "grasp", *options]) == 2
+    out, error = capfd.readouterr()
+    assert out == "" and not Path("bench.json").exists()
+    left_out, answer = error.splitlines()
+    assert left_out.startswith("example_mug: 1 of 1 objects (at their scales) left out with targets")
+    assert answer.startswith("refine-grasp: error: no grasp can be made to touch with every fingertip")

@@ -1,0 +1,214 @@
+"""Curvatures fitted to all candidates: surfaces of known curvature, eigenvalues, and rows that ignore each other."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.pieces import box, capsule, hull, sphere
+from grasp_refine.se3 import exp_so3, tangents
+from grasp_refine.witness import curvature
+from grasp_refine.witness.curvature import Curvatures, raised, with_eigenvalues
+
+FINE = 8192
+"""Candidates of finely sampled bodies."""
+
+
+def ball(radius: float, center: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Body:
+    return build_body("ball", [sphere(radius, center)], candidates=FINE)
+
+
+def random_directions(count: int, seed: int) -> np.ndarray:
+    n = np.random.default_rng(seed).normal(size=(count, 3))
+    return n / np.linalg.norm(n, axis=1, keepdims=True)
+
+
+def fit(body: Body, x: np.ndarray, n: np.ndarray, radius: float, E: np.ndarray | None = None) -> np.ndarray:
+    """Curvatures (R, 2, 2) of one body at x (R, 3)."""
+    E = tangents(n) if E is None else E
+    return Curvatures.of([body]).fit(np.zeros(len(x), dtype=int), x, n, E, np.full(len(x), radius))
+
+
+# surfaces of known curvature
+
+
+@pytest.mark.parametrize("radius", [0.01, 0.03, 0.2])
+def test_balls_have_one_over_their_radius_all_round(
+    radius: float, record_property: Callable[[str, object], None]
+) -> None:
+    """Off by the ridge (rho^2 / 1000 over the spread rho^2 / 6 of the offsets), by the bend, and by sampling noise."""
+    center = np.array([0.1, -0.2, 0.3])
+    n = random_directions(50, 1)
+    K = fit(ball(radius, tuple(center)), center + radius * n, n, 0.3 * radius)
+    values = radius * np.linalg.eigvalsh(K)
+    record_property("relative bias", float(values.mean() - 1.0))
+    assert abs(values.mean() - 1.0) < 0.03 and values.std() < 0.05
+    np.testing.assert_array_equal(K[:, 0, 1], K[:, 1, 0])
+
+
+def test_a_cylinder_bends_across_its_axis_only() -> None:
+    rod = build_body("rod", [capsule(0.02, (0, 0, -0.1), (0, 0, 0.1))], candidates=FINE)
+    angle = np.linspace(0, 6, 20)
+    n = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    E = tangents(n)
+    K = fit(rod, 0.02 * n, n, 0.008)
+    in_space = E @ K @ E.mT
+    around = np.cross([0.0, 0.0, 1.0], n)
+    expected = around[:, :, None] * around[:, None, :] / 0.02
+    np.testing.assert_allclose(in_space, expected, atol=0.1 / 0.02)
+
+
+def test_a_plane_is_flat_and_its_edge_is_as_sharp_as_the_neighbourhood_can_tell() -> None:
+    body = build_body("box", [box([0.2, 0.2, 0.2])], candidates=FINE)
+    up = np.array([[0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(fit(body, np.array([[0.01, 0.02, 0.1]]), up, 0.02), 0.0, atol=1e-3)
+    E = np.eye(3)[None, :, :2]
+    n = np.array([[np.sqrt(0.5), 0.0, np.sqrt(0.5)]])
+    E = np.stack([np.array([[-np.sqrt(0.5), 0.0, np.sqrt(0.5)]]), np.array([[0.0, 1.0, 0.0]])], axis=-1)
+    K = fit(body, np.array([[0.1, 0.0, 0.1]]), n, 0.01, E)
+    assert 0.5 / 0.01 < K[0, 0, 0] <= 4.0 / 0.01 and abs(K[0, 1, 1]) < 0.05 / 0.01
+
+
+def test_the_inside_of_a_ring_is_concave() -> None:
+    """Forty wedges: around its axis -1/R, along it flat."""
+    edges = np.linspace(0.0, 2.0 * np.pi, 41)
+    corners = [
+        [(r * np.cos(a), r * np.sin(a), z) for r in (0.05, 0.07) for a in pair for z in (-0.04, 0.04)]
+        for pair in zip(edges[:-1], edges[1:], strict=True)
+    ]
+    ring = build_body("ring", [hull(c) for c in corners], candidates=FINE)
+    n = -np.array([[np.cos(a), np.sin(a), 0.0] for a in np.linspace(0, 6, 15)])
+    E = tangents(n)
+    in_space = E @ fit(ring, -0.05 * n, n, 0.02) @ E.mT
+    around = np.cross([0.0, 0.0, 1.0], n)
+    bent = np.einsum("ri,rij,rj->r", around, in_space, around)
+    np.testing.assert_allclose(bent, -1 / 0.05, atol=0.2 / 0.05)
+    np.testing.assert_allclose(in_space[:, 2, 2], 0.0, atol=0.1 / 0.05)
+
+
+def test_the_other_side_of_a_thin_plate_does_not_count() -> None:
+    """Its normals are more than 120 degrees away; else the plate would look curved, or like nothing at all."""
+    plate = build_body("plate", [box([0.2, 0.2, 0.001])], candidates=FINE)
+    up = np.array([[0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(fit(plate, np.array([[0.01, 0.0, 0.0005]]), up, 0.02), 0.0, atol=1e-3)
+
+
+def test_another_basis_and_another_frame_give_the_same_tensor() -> None:
+    body, n = build_body("rod", [capsule(0.02, (0, 0, -0.05), (0, 0.02, 0.05))], candidates=2048), None
+    c = body.candidates
+    x, n = c.points[:40], c.normals[:40]
+    E = tangents(n)
+    turn = exp_so3(np.array([0.0, 0.0, 0.7]))[:2, :2]
+    K, turned = fit(body, x, n, 0.01, E), fit(body, x, n, 0.01, E @ turn)
+    np.testing.assert_allclose(turn @ turned @ turn.T, K, atol=1e-9 / 0.01)
+
+
+@pytest.mark.parametrize("radius", [1e-7, 0.3])
+def test_where_there_are_no_candidates_or_all_the_fit_is_finite_and_within_what_they_can_tell(radius: float) -> None:
+    n = random_directions(20, 2)
+    values = np.linalg.eigvalsh(fit(ball(0.02), 0.02 * n + 1e-4, n, radius))
+    assert (values >= -1.0 / radius * 1.000001).all() and (values <= 4.0 / radius * 1.000001).all()
+    if radius < 1e-6:
+        np.testing.assert_array_equal(values, 0.0)
+
+
+def test_the_safe_radius_holds_sixteen_of_1024_candidates_on_a_plane() -> None:
+    body = build_body("box", [box([0.3, 0.3, 0.3])], candidates=1024)
+    bodies = Curvatures.of([body])
+    x = np.random.default_rng(3).uniform(-0.1, 0.1, (50, 2))
+    on_top = body.candidates.points[body.candidates.normals[:, 2] > 0.5][:, :2]
+    inside = (np.linalg.norm(on_top - x[:, None], axis=2) < 0.5 * bodies.safe[0]).sum(axis=1)
+    assert inside.mean() == pytest.approx(16, abs=2)
+
+
+# rows
+
+
+def many_rows(count: int) -> tuple[Curvatures, tuple[np.ndarray, ...]]:
+    """Items on two bodies in random order, with radii that hold few candidates, so that rounding shows."""
+    bodies = [
+        build_body("rod", [capsule(0.02, (0, 0, -0.05), (0, 0, 0.05))], candidates=256),
+        build_body("box", [box([0.05, 0.06, 0.07])], candidates=256),
+    ]
+    rng = np.random.default_rng(4)
+    body, pick = rng.integers(2, size=count), rng.integers(256, size=count)
+    x = np.stack([bodies[b].candidates.points[p] for b, p in zip(body, pick, strict=True)])
+    n = np.stack([bodies[b].candidates.normals[p] for b, p in zip(body, pick, strict=True)])
+    return Curvatures.of(bodies), (body, x, n, tangents(n), rng.uniform(0.005, 0.03, count))
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 64, 129])
+def test_a_row_does_not_depend_on_the_others_to_the_last_bit(count: int) -> None:
+    """One matrix product for all rows once made K differ by 5e-4 with their number: refined grasps then did, too."""
+    bodies, rows = many_rows(300)
+    every = bodies.fit(*rows)
+    rng = np.random.default_rng(count)
+    for _ in range(5):
+        some = rng.permutation(300)[:count]
+        np.testing.assert_array_equal(bodies.fit(*(a[some] for a in rows)), every[some])
+
+
+def test_nothing_at_all_can_be_fitted() -> None:
+    bodies, rows = many_rows(3)
+    assert bodies.fit(*(a[:0] for a in rows)).shape == (0, 2, 2)
+
+
+def test_single_precision_about_the_centre_suffices() -> None:
+    """Against the same least squares in double precision, on a body a metre off its origin."""
+    body, radius = build_body("rod", [capsule(0.02, (1, 0, -0.05), (1, 0, 0.05))], candidates=1024), 0.012
+    c = body.candidates
+    x, n = c.points[:30], c.normals[:30]
+    E = tangents(n)
+    expected = []
+    for at, facing, basis in zip(x, n, E, strict=True):
+        offset = c.points - at
+        weight = np.maximum(1.0 - (offset**2).sum(axis=1) / radius**2, 0.0) * (c.normals @ facing >= -0.5)
+        weight /= weight.sum()
+        e, m = offset @ basis, c.normals @ basis
+        e, m = e - weight @ e, m - weight @ m
+        K = np.linalg.solve((weight * e.T) @ e + 1e-3 * radius**2 * np.eye(2), (weight * e.T) @ m)
+        values, vectors = np.linalg.eigh(0.5 * (K + K.T))
+        expected.append(vectors @ np.diag(np.clip(values, -1 / radius, 4 / radius)) @ vectors.T)
+    np.testing.assert_allclose(fit(body, x, n, radius), expected, atol=1e-3 / radius)
+
+
+# eigenvalues
+
+
+def symmetric(count: int, seed: int) -> np.ndarray:
+    M = np.random.default_rng(seed).normal(size=(count, 2, 2)) * 10.0 ** np.arange(-3, count - 3)[:, None, None]
+    M = M + M.mT
+    M[0], M[1] = 0.0, 3.0 * np.eye(2)
+    M[2] = np.diag([2.0, -1.0])
+    return M
+
+
+@pytest.mark.parametrize("function", [np.abs, lambda v: np.clip(v, -1.0, 4.0), lambda v: 2.0 + 0.0 * v])
+def test_functions_of_eigenvalues_are_those_of_eigh(function: Callable[[np.ndarray], np.ndarray]) -> None:
+    K = symmetric(9, 5)
+    values, vectors = np.linalg.eigh(K)
+    expected = vectors @ (function(values)[..., None] * vectors.mT)
+    scale = 1.0 + np.abs(K).max(axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(with_eigenvalues(K, function) / scale, expected / scale, atol=1e-14)
+
+
+def test_the_sum_is_raised_to_its_floor_and_the_difference_stays() -> None:
+    rng = np.random.default_rng(6)
+    K_a, K_b = (M + M.mT for M in rng.normal(size=(2, 30, 2, 2)) * 20)
+    floor = rng.uniform(0, 40, 30)
+    new_a, new_b = raised(K_a, K_b, floor)
+    np.testing.assert_allclose(new_a - new_b, K_a - K_b, atol=1e-12)
+    before, vectors = np.linalg.eigh(K_a + K_b)
+    expected = vectors @ (np.maximum(before, floor[:, None])[..., None] * vectors.mT)
+    np.testing.assert_allclose(new_a + new_b, expected, atol=1e-12)
+    high = (before >= floor[:, None]).all(axis=1)
+    assert high.any() and not high.all()
+    np.testing.assert_allclose(new_a[high], K_a[high], atol=1e-12)
+
+
+def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    bodies, rows = many_rows(40)
+    expected = bodies.fit(*rows)
+    monkeypatch.setattr(curvature, "_BLOCK", 7)
+    np.testing.assert_array_equal(bodies.fit(*rows), expected)

@@ -1,0 +1,226 @@
+"""Curvatures of pairs at their witness points: fitted, raised, or those of the exact feature."""
+
+import numpy as np
+import pytest
+from shapes_for_tests import ring_body
+from twists import poses_at_gap, random_poses
+
+from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import box, capsule, hull, sphere
+from grasp_refine.losses import contact_direction_covectors
+from grasp_refine.se3 import inverse, matvec, tangents
+from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.neighborhood import Adaptive
+from grasp_refine.witness.pair_curvature import CORNER, PairCurvatures
+from grasp_refine.witness.scene import WitnessScene
+
+
+def items(pairs: Pairs, gap: float, count: int = 12, seed: int = 1) -> tuple[np.ndarray, np.ndarray, Witness]:
+    """Poses (M, 4, 4) and witness points (M,) of one pair."""
+    T_a, T_b = poses_at_gap(pairs, count, gap, seed)
+    return T_a[:, 0], T_b[:, 0], query(pairs, T_a, T_b).reshape(-1)
+
+
+def fit(
+    pairs: Pairs,
+    T_a: np.ndarray,
+    T_b: np.ndarray,
+    witness: Witness,
+    width: float = 1.0,
+    miss: float = 0.0,
+    smallest: float = 1.0,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Tangents and both curvatures."""
+    count, E = len(T_a), tangents(witness.normal)
+    misses = np.full((2, count), miss)
+    found = PairCurvatures.of(pairs, smallest).fit(
+        np.zeros(count, dtype=int), T_a, T_b, witness, E, misses, np.full(count, width)
+    )
+    return E, *found
+
+
+def pair(*pieces: object, candidates: int = 1024) -> Pairs:
+    return Pairs(*((build_body("body", [piece], candidates=candidates),) for piece in pieces))
+
+
+@pytest.mark.parametrize("gap", [0.01, -0.004])
+def test_balls_seen_by_a_pair_have_their_curvatures(gap: float) -> None:
+    pairs = pair(sphere(0.03, (0.01, 0, 0)), sphere(0.02), candidates=8192)
+    _, K_a, K_b = fit(pairs, *items(pairs, gap), smallest=0.0)
+    np.testing.assert_allclose(0.03 * np.linalg.eigvalsh(K_a), 1.0, atol=0.15)
+    np.testing.assert_allclose(0.02 * np.linalg.eigvalsh(K_b), 1.0, atol=0.15)
+
+
+def test_a_common_motion_turns_the_tensors_with_the_bodies() -> None:
+    pairs = pair(capsule(0.02, (0, 0, -0.05), (0, 0, 0.05)), box([0.05, 0.06, 0.07]))
+    T_a, T_b, w = items(pairs, 0.003)
+    M = random_poses(1, 3)[0, 0]
+    moved = query(pairs, (M @ T_a)[:, None], (M @ T_b)[:, None]).reshape(-1)
+    E, K_a, K_b = fit(pairs, T_a, T_b, w)
+    E_moved, K_a_moved, K_b_moved = fit(pairs, M @ T_a, M @ T_b, moved)
+    R = M[:3, :3]
+    for K, K_moved in ((K_a, K_a_moved), (K_b, K_b_moved)):
+        # Single precision: the fits see the same candidates, at rounded places.
+        np.testing.assert_allclose(E_moved @ K_moved @ E_moved.mT, R @ (E @ K @ E.mT) @ R.T, atol=0.5)
+
+
+def test_the_sum_is_at_least_one_over_the_mean_diagonal() -> None:
+    pairs = pair(box([0.08, 0.08, 0.04]), box([0.1, 0.1, 0.02]))
+    T = np.eye(4)[None]
+    T_b = T.copy()
+    T_b[0, :3, 3] = 0.003, 0.004, 0.035
+    w = query(pairs, T[:, None], T_b[:, None]).reshape(-1)
+    w = Witness(
+        *(getattr(w, name) for name in ("point_a", "point_b", "normal", "distance", "status")), w.winner, w.asked
+    )
+    w.point_a[:], w.point_b[:] = [0.001, 0.002, 0.02], [0.001, 0.002, 0.025]
+    _, K_a, K_b = fit(pairs, T, T_b, w, smallest=3.0)
+    floor = 3.0 / (0.5 * (pairs.a[0].diagonal + pairs.b[0].diagonal))
+    assert (np.linalg.eigvalsh(K_a + K_b) >= floor * (1 - 1e-9)).all()
+
+
+def test_the_neighbourhood_grows_with_the_miss() -> None:
+    """Near the edge of a box: a wide one sees the edge and is curved, a narrow one on the face is flat."""
+    pairs = pair(sphere(0.02), box([0.2, 0.2, 0.2]), candidates=8192)
+    T_a, T_b = np.eye(4)[None].copy(), np.eye(4)[None]
+    T_a[0, :3, 3] = 0.05, 0.01, 0.125
+    w = query(pairs, T_a[:, None], T_b[:, None]).reshape(-1)
+    bent = [np.linalg.eigvalsh(fit(pairs, T_a, T_b, w, width, 0.01, 0.0)[2])[0, 1] for width in (0.5, 1.0, 5.0)]
+    assert abs(bent[0]) < 0.1 and abs(bent[1]) < 0.1 and bent[2] > 5.0
+
+
+# features
+
+
+def features(x: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """On how many faces (M,) of a box with half sizes (3,) points lie."""
+    return (np.abs(np.abs(x) - half) < 1e-9).sum(axis=1)
+
+
+@pytest.mark.parametrize("gap", [0.01, -0.002])
+def test_without_width_faces_are_flat_edges_bend_across_and_vertices_all_round(gap: float) -> None:
+    half = np.array([0.03, 0.04, 0.05])
+    pairs = pair(hull(np.random.default_rng(2).normal(size=(12, 3)) * 0.02), box(2 * half))
+    T_a, T_b, w = items(pairs, gap, count=60)
+    E, _, K_b = fit(pairs, T_a, T_b, w, width=0.0, smallest=0.0)
+    x = matvec(inverse(T_b)[:, :3, :3], w.point_b - T_b[:, :3, 3])
+    count = features(x, half)
+    values = np.linalg.eigvalsh(K_b)
+    assert (count >= 1).all() and (np.bincount(count, minlength=4)[1:] > 0).sum() >= 2
+    for faces, expected in ((1, (0.0, 0.0)), (2, (0.0, CORNER)), (3, (CORNER, CORNER))):
+        np.testing.assert_allclose(values[count == faces], np.tile(expected, ((count == faces).sum(), 1)), atol=1e-6)
+    # Along an edge it slides freely.
+    for i in np.flatnonzero(count == 2):
+        axis = T_b[i, :3, :3] @ (np.abs(np.abs(x[i]) - half) >= 1e-9)
+        np.testing.assert_allclose(K_b[i] @ E[i].T @ axis, 0.0, atol=1e-6)
+
+
+def test_without_width_a_vertex_of_a_lies_where_a_is() -> None:
+    """The two sides are not mixed up: a box's corner over the middle of another box's face."""
+    pairs = pair(box([0.02, 0.02, 0.02]), box([0.2, 0.2, 0.2]))
+    T_a, T_b = np.eye(4)[None].copy(), np.eye(4)[None]
+    # A cube on its corner.
+    z = np.ones(3) / np.sqrt(3)
+    t = np.linalg.svd(z[None])[2][1:]
+    R = np.stack([t[0], np.cross(z, t[0]), z])
+    T_a[0, :3, :3], T_a[0, :3, 3] = R, [0.01, 0.02, 0.1 + 0.01 * np.sqrt(3) + 0.004]
+    w = query(pairs, T_a[:, None], T_b[:, None]).reshape(-1)
+    assert w.distance[0] == pytest.approx(0.004, abs=1e-9)
+    _, K_a, K_b = fit(pairs, T_a, T_b, w, width=0.0, smallest=0.0)
+    np.testing.assert_allclose(K_a[0], CORNER * np.eye(2), rtol=1e-9)
+    np.testing.assert_allclose(K_b[0], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("gap", [0.005, 0.0, -0.002])
+def test_without_width_round_pieces_keep_their_radius(gap: float) -> None:
+    """It once was CORNER d / (r + d): flat at contact, concave in penetration."""
+    pairs = pair(sphere(0.03, (0.01, 0, 0)), capsule(0.02, (0, 0, -0.05), (0, 0, 0.05)))
+    T_a, T_b, w = items(pairs, gap)
+    E, K_a, K_b = fit(pairs, T_a, T_b, w, width=0.0, smallest=0.0)
+    np.testing.assert_allclose(K_a, np.tile(np.eye(2) / 0.03, (len(K_a), 1, 1)), rtol=1e-9, atol=1e-6)
+    z = T_b[:, :3, 2]
+    at = ((w.point_b - T_b[:, :3, 3]) * z).sum(axis=1)
+    side = np.abs(at) < 0.0499
+    assert side.any() and not side.all()
+    axis = (z[:, None] @ E)[:, 0] * side[:, None]
+    expected = (np.eye(2) - axis[:, :, None] * axis[:, None, :]) / 0.02
+    np.testing.assert_allclose(K_b, expected, atol=1e-4)
+
+
+# rows
+
+
+def test_items_do_not_depend_on_each_other_nor_on_their_order() -> None:
+    bodies = [
+        build_body("rod", [capsule(0.02, (0, 0, -0.05), (0, 0, 0.05))], candidates=256),
+        build_body("box", [box([0.05, 0.06, 0.07])], candidates=256),
+    ]
+    other = build_body("hull", [hull(np.random.default_rng(5).normal(size=(40, 3)) * 0.03)], candidates=256)
+    pairs = Pairs.against(bodies, other)
+    count = 60
+    rng = np.random.default_rng(6)
+    which = rng.integers(2, size=count)
+    T_a, T_b = random_poses(count, 7)[:, 0], random_poses(count, 8)[:, 0]
+    both = query(pairs, np.stack([T_a, T_a], axis=1), np.stack([T_b, T_b], axis=1)).reshape(-1)
+    w = both.rows(2 * np.arange(count) + which)
+    assert w.valid.all()
+    E, miss, width = tangents(w.normal), rng.uniform(0, 0.02, (2, count)), rng.choice([0.0, 0.5, 1.0, 2.0], count)
+    curvatures = PairCurvatures.of(pairs, 1.0)
+    every = curvatures.fit(which, T_a, T_b, w, E, miss, width)
+    for size in (1, 2, 9, 33):
+        some = rng.permutation(count)[:size]
+        found = curvatures.fit(which[some], T_a[some], T_b[some], w.rows(some), E[some], miss[:, some], width[some])
+        for K, K_every in zip(found, every, strict=True):
+            np.testing.assert_array_equal(K, K_every[some])
+
+
+def test_the_fit_agrees_with_that_of_contact_kinematics_within_its_noise() -> None:
+    """All candidates, weights from the witness point: the same neighbourhood rule gives nearly the same numbers."""
+    pairs = pair(capsule(0.02, (0, 0, -0.05), (0, 0, 0.05)), sphere(0.03), candidates=4096)
+    T_a, T_b, w = items(pairs, 0.005)
+    E, K_a, K_b = fit(pairs, T_a, T_b, w)
+    method = ContactKinematics(Adaptive(samples=None), smallest_curvature=1.0)
+    columns = WitnessLayer(pairs, method).columns(np.array([0]))
+    scene = WitnessScene(*columns, T_a[:, None], T_b[:, None], w.reshape(-1, 1), None, None, 0)
+    sampled = method.curvatures(scene, E[:, None])
+    for found, other, size in zip((K_a, K_b), sampled, (1 / 0.02, 1 / 0.03), strict=True):
+        assert np.median(np.abs(found - other[:, 0])) < 0.1 * size
+
+
+# the paper's motivating case
+
+
+@pytest.mark.parametrize("gap", [0.003, -0.001])
+def test_a_ball_in_a_real_ring_is_told_to_move_the_right_way(gap: float) -> None:
+    """Ten wedges whose inner wall is flat piece by piece: the fit sees the ring, the exact feature does not.
+
+    The slope is compared with that of a finite motion of the ball, over two of its ten flats.
+    """
+    pairs = Pairs((build_body("ball", [sphere(0.02)]),), (ring_body(),))
+    at = 0.035 * np.cos(np.pi / 10) - 0.02 - gap
+    angle = np.pi * (np.arange(10) + 0.5) / 5
+    out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    T_a, T_b = np.tile(np.eye(4), (2, 10, 1, 1))
+    T_a[:, :3, 3] = at * out
+    across = np.cross([0.0, 0.0, 1.0], out)
+    w = query(pairs, T_a[:, None], T_b[:, None]).reshape(-1)
+
+    def normal(step: float) -> np.ndarray:
+        T = T_a.copy()
+        T[:, :3, 3] += step * across
+        return query(pairs, T[:, None], T_b[:, None]).normal[:, 0]
+
+    seen = ((normal(0.005) - normal(-0.005)) * across).sum(axis=1) / 0.01
+
+    def told(width: float, miss: float) -> np.ndarray:
+        E, K_a, K_b = fit(pairs, T_a, T_b, w, width, miss)
+        return np.einsum("ri,rij,rj->r", across, contact_direction_covectors(w, E, K_a, K_b)[..., :3], across)
+
+    fitted = told(1.0, 0.01)
+    frozen = -1.0 / w.distance
+    assert (seen > 0).all() and (fitted > 0).all() and ((frozen < 0) == (gap > 0)).all()
+    assert np.median(fitted / seen) == pytest.approx(1.0, abs=0.7)
+    # A flat is all that the exact feature sees: the normal stays, and says nothing about where to go.
+    assert np.abs(told(0.0, 0.01)).max() < 0.05 * seen.mean()
