@@ -397,6 +397,8 @@ def _asked(
     """
     M, P = bound.shape
     item = np.flatnonzero(np.isinf(cutoff) | ~(bound > 0))
+    if not len(item):
+        return _nothing(bound)
     found = query_items(
         pairs,
         item % P,

@@ -36,15 +36,27 @@ class Touching:
             if not getattr(self, name) >= 0:
                 raise GraspRefineError(f"{name} must be a distance of at least 0 m, got {getattr(self, name):g}")
 
+    def check(self, hand: Hand, links: tuple[str, ...]) -> None:
+        """Nothing, when all `links` that were named are among those with collision geometry.
+
+        Raises:
+            HandError: they are not.
+        """
+        unknown = [link for link in self.links if link not in links]
+        if unknown:
+            raise HandError(
+                f"hand {hand.name} has no link {', '.join(unknown)} with collision geometry; it has "
+                f"{', '.join(dict.fromkeys(links))}"
+            )
+
     def cutoff(self, hand: Hand, links: tuple[str, ...]) -> np.ndarray:
-        """How far each link (L,) may be away to matter, in metres: what a query need not find beyond."""
+        """How far each link (L,) may be away to matter, in metres: what a query need not find beyond.
+
+        Raises:
+            HandError: a link that was named is not there.
+        """
+        self.check(hand, links)
         if self.links:
-            unknown = [link for link in self.links if link not in links]
-            if unknown:
-                raise HandError(
-                    f"hand {hand.name} has no link {', '.join(unknown)} with collision geometry; it has "
-                    f"{', '.join(dict.fromkeys(links))}"
-                )
             return np.where(np.isin(links, self.links), np.inf, -np.inf)
         tips = np.isin(links, [contact.link for contact in hand.contacts])
         # What is exactly at the limit is asked.

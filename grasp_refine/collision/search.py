@@ -132,8 +132,13 @@ class Search:
         """Ask all that can still beat what was found first, and put what does in its place."""
         best = np.minimum(found.distance, self.limit)
         left = Left.below(best, bound)
-        left = left.raised(self._gap_bound(left, found.normal), best)
-        left = left.raised(self._box_bound(left), best).ascending()
+        if len(left.item):
+            left = left.raised(self._gap_bound(left, found.normal), best)
+        if len(left.item):
+            left = left.raised(self._box_bound(left), best)
+        if not len(left.item):
+            return
+        left = left.ascending()
         active, starts = left.runs(len(best))
         more = self.narrow_phase.closest(
             self.R[active],

@@ -64,6 +64,7 @@ class Run:
             if self.output.json is not None:
                 check_writable(self.output.json)
             problem = self.inputs.load(config.seed, reporter.say)
+            config.touching.check(problem.hand, problem.groups[0].scene.links)
             paths = self._paths(problem)
             for note in problem.notes:
                 reporter.say(f"note: {note}")

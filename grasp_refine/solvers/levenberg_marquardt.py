@@ -90,13 +90,13 @@ def bounded_step(
     dx = xp.linalg.solve(damped, -g[..., None])[..., 0]
     held = xp.zeros_like(dx, dtype=xp.bool)
     for number in range(passes - 1):
-        kept = held if 2 * number >= passes else xp.zeros_like(held)
+        kept = held if 2 * number > passes else xp.zeros_like(held)
         # A held unknown goes back into its room if the slope there says so.
         slope = xp.where(held & ~kept, matvec(damped, dx) + g, xp.zeros_like(dx))
         wanted = dx - slope / xp.linalg.diagonal(damped)
         limited = xp.minimum(xp.maximum(wanted, lower), upper)
         outside = (limited != wanted) | kept
-        (rows,) = xp.nonzero(xp.any(outside != held, axis=-1))
+        (rows,) = xp.nonzero(xp.any((outside != held) | (outside & (limited != dx)), axis=-1))
         if not len(rows):
             break
         held = outside
@@ -113,7 +113,7 @@ def _with_held(damped: Array, g: Array, held: Array, value: Array) -> Array:
     # What is held moves to the right-hand side; its own rows become those of the unit matrix.
     right = free * (-g - matvec(damped, value)) + value
     system = damped * free[:, :, None] * free[:, None, :] + _diagonal(fixed)
-    return xp.linalg.solve(system, right[..., None])[..., 0]
+    return xp.where(held, value, xp.linalg.solve(system, right[..., None])[..., 0])
 
 
 def predicted_fall(H: Array, g: Array, dx: Array) -> Array:
