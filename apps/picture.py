@@ -137,7 +137,9 @@ def draw_example() -> Float[np.ndarray, "H W 3"]:
         ("Before", scene.T_world_root, scene.q),
         ("After refinement", refined.T_world_root, refined.q),
     ):
-        geometry = measure(hand, obj, scene.links, T, q, refined.target_link, refined.target_object)
+        geometry = measure(
+            hand, obj, scene.links, T, q, refined.target_link, refined.target_object, touching=refined.touching
+        )
         photo = photograph(hand_models(hand, T[0], q[0]), solid, camera)
         image = Image.fromarray((255 * photo).round().astype(np.uint8))
         annotate(ImageDraw.Draw(image), camera, title, geometry, len(hand.contacts))

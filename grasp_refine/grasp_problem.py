@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from grasp_refine.chain import Chain, Frames, moved
-from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query_items
+from grasp_refine.collision.culling import bounding_ball, motion, nothing_near, query_near
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness
 from grasp_refine.config import Config
-from grasp_refine.geometry.body import Body
 from grasp_refine.goal import Goal
 from grasp_refine.losses import (
     below_plane,
@@ -30,6 +30,7 @@ from grasp_refine.self_collision import touching_pairs
 from grasp_refine.solvers.batch import choose
 from grasp_refine.solvers.least_squares import Point
 from grasp_refine.solvers.levenberg_marquardt import bounded_step
+from grasp_refine.solvers.rows import Rows
 from grasp_refine.witness.pair_curvature import PairCurvatures
 
 ROOT_TURN, JOINT_TURN = 0.05, 0.04
@@ -80,7 +81,7 @@ class GraspProblem:
         first, second = (np.array([links.index(pair[side]) for pair in own], dtype=np.int64) for side in (0, 1))
         self.own_first, self.own_second = first, second
         self.own_pairs = Pairs(tuple(bodies[i] for i in first), tuple(bodies[j] for j in second)) if own else None
-        self.balls = np.array([_ball(body) for body in bodies])
+        self.balls = np.array([bounding_ball(body) for body in bodies])
         corners = np.stack([piece.bounds for piece in scene.object.body.pieces])
         self.box = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
         plane = scene.table if weights.table > 0 else None
@@ -112,7 +113,7 @@ class GraspProblem:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (M, m) and their Jacobians (M, m, 6 + n); rows that are zero for all are left out."""
         weights, frames = self.config.weights, Frames(known.T_link, known.axes)
-        rows = _Rows(len(member))
+        rows = Rows(len(member))
         self._add_contacts(rows, member, known, width)
         if weights.penetration > 0:
             rows.add_active(penetration(known.witness), -gap_covectors(known.witness), weights.penetration)
@@ -197,33 +198,25 @@ class GraspProblem:
         before = None
         if previous is not None:
             before = previous.witness
-            bound = np.fmax(bound, before.distance - self._motion(previous.T_link, T))
+            bound = np.fmax(bound, before.distance - motion(self.balls, previous.T_link, T))
         if self.config.weights.penetration == 0:
             bound = np.where(np.isfinite(bound), np.inf, bound)
         T_object = np.broadcast_to(np.eye(4), T.shape)
-        return _asked(self.pairs, bound, T, T_object, np.where(touching, np.inf, CLEAR), before)
+        return query_near(self.pairs, bound, T, T_object, np.where(touching, np.inf, CLEAR), before)
 
     def _against_itself(self, T: np.ndarray, previous: Known | None) -> Witness:
         """Witness points of the pairs of links that penetrate."""
         if self.own_pairs is None:
-            return _nothing(np.zeros((len(T), 0)))
+            return nothing_near(np.zeros((len(T), 0)))
         first, second = self.own_first, self.own_second
         center = transform_points(T, self.balls[:, :3])
         away = center[:, first] - center[:, second]
         bound = np.sqrt((away * away).sum(axis=-1)) - self.balls[first, 3] - self.balls[second, 3]
         before = None
         if previous is not None:
-            before, motion = previous.own, self._motion(previous.T_link, T)
-            bound = np.fmax(bound, before.distance - motion[:, first] - motion[:, second])
-        return _asked(self.own_pairs, bound, T[:, first], T[:, second], np.full(bound.shape, CLEAR), before)
-
-    def _motion(self, T_before: np.ndarray, T_now: np.ndarray) -> np.ndarray:
-        """How far (M, L) any point of each link moved at most, in metres."""
-        moved = transform_points(T_now, self.balls[:, :3]) - transform_points(T_before, self.balls[:, :3])
-        turned = (T_now - T_before)[..., :3, :3]
-        # A turn by theta moves a point at distance r by 2 r sin(theta / 2), and |R - R'| is sqrt(8) sin(theta / 2).
-        chord = np.sqrt(0.5 * (turned * turned).sum(axis=(-1, -2)))
-        return np.sqrt((moved * moved).sum(axis=-1)) + self.balls[:, 3] * chord
+            before, moves = previous.own, motion(self.balls, previous.T_link, T)
+            bound = np.fmax(bound, before.distance - moves[:, first] - moves[:, second])
+        return query_near(self.own_pairs, bound, T[:, first], T[:, second], np.full(bound.shape, CLEAR), before)
 
     # terms
 
@@ -268,7 +261,7 @@ class GraspProblem:
         scene = self.scene
         return stay_near(point.T, point.q, scene.T_world_root[member], scene.q[member], self.config.scales)
 
-    def _add_contacts(self, rows: _Rows, member: np.ndarray, known: Known, width: np.ndarray) -> None:
+    def _add_contacts(self, rows: Rows, member: np.ndarray, known: Known, width: np.ndarray) -> None:
         """Rows of targets, gaps and directions."""
         goal, config, weights = self.goal, self.config, self.config.weights
         if self.curvatures is not None:
@@ -327,101 +320,3 @@ class GraspProblem:
         every = np.broadcast_to(np.eye(2), (2, shape[0] * shape[1], 2, 2)).copy()
         every[0, item], every[1, item] = K
         return every[0].reshape(*shape, 2, 2), every[1].reshape(*shape, 2, 2)
-
-
-class _Rows:
-    """Residuals of M grasps with their covectors on the twists of links, stacked."""
-
-    def __init__(self, count: int) -> None:
-        self.residuals = [np.zeros((count, 0))]
-        self.covectors = [np.zeros((count, 0, 6))]
-        self.links = [np.zeros((count, 0), dtype=np.int64)]
-        self.minus = [np.zeros((count, 0), dtype=np.int64)]
-        self.relative = False
-
-    def add(self, residual: np.ndarray, covector: np.ndarray, weight: float, link: np.ndarray) -> None:
-        """Residuals (M, C, k) of the links (C,), with their covectors (M, C, k, 6)."""
-        M, C, k = residual.shape
-        scale = np.sqrt(weight)
-        self.residuals.append(scale * residual.reshape(M, C * k))
-        self.covectors.append(scale * covector.reshape(M, C * k, 6))
-        self.links.append(np.broadcast_to(np.repeat(link, k), (M, C * k)))
-        self.minus.append(np.full((M, C * k), -1))
-
-    def add_active(
-        self,
-        residual: np.ndarray,
-        covector: np.ndarray,
-        weight: float,
-        link: np.ndarray | None = None,
-        minus: np.ndarray | None = None,
-    ) -> None:
-        """Those of one-sided residuals (M, P) with covectors (M, P, 6) that are not zero, as few rows as hold them."""
-        active = residual > 0
-        most = int(active.sum(axis=1).max(initial=0))
-        if not most:
-            return
-        place = np.argsort(~active, axis=1, kind="stable")[:, :most]
-        chosen = np.take_along_axis(active, place, axis=1)
-        scale = np.sqrt(weight)
-        self.residuals.append(scale * np.take_along_axis(residual, place, axis=1))
-        picked = np.take_along_axis(covector, place[..., None], axis=1)
-        self.covectors.append(scale * np.where(chosen[..., None], picked, 0.0))
-        self.links.append(place if link is None else link[place])
-        self.minus.append(np.full(place.shape, -1) if minus is None else minus[place])
-        self.relative |= minus is not None
-
-    def stacked(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Residuals (M, R), covectors (M, R, 6), links (M, R) and, if any, those whose twists are taken off."""
-        join = [np.concatenate(parts, axis=1) for parts in (self.residuals, self.covectors, self.links, self.minus)]
-        return join[0], join[1], join[2], join[3] if self.relative else None
-
-
-def _asked(
-    pairs: Pairs,
-    bound: np.ndarray,
-    T_a: np.ndarray,
-    T_b: np.ndarray,
-    cutoff: np.ndarray,
-    previous: Witness | None,
-) -> Witness:
-    """The answers (M, P) of the pairs that may penetrate, or have no cutoff; the others are FAR, at their bounds.
-
-    Args:
-        pairs: The P pairs.
-        bound: Lower bounds (M, P) of the signed distances; NaN where a pose is not finite.
-        T_a: Poses (M, P, 4, 4) of the first bodies.
-        T_b: Those of the second bodies.
-        cutoff: How far apart (M, P) pairs may be to be worth an answer.
-        previous: The last answers.
-    """
-    M, P = bound.shape
-    item = np.flatnonzero(np.isinf(cutoff) | ~(bound > 0))
-    if not len(item):
-        return _nothing(bound)
-    found = query_items(
-        pairs,
-        item % P,
-        T_a.reshape(-1, 4, 4)[item],
-        T_b.reshape(-1, 4, 4)[item],
-        cutoff=cutoff.reshape(-1)[item],
-        previous=None if previous is None else previous.reshape(-1).rows(item),
-    )
-    every = _nothing(bound).reshape(-1)
-    for field in fields(Witness):
-        getattr(every, field.name)[item] = getattr(found, field.name)
-    return every.reshape(M, P)
-
-
-def _nothing(bound: np.ndarray) -> Witness:
-    """Pairs (M, P) that were not asked, because they are farther apart than their bounds."""
-    point, zero = np.zeros((3, *bound.shape, 3)), np.zeros((2, *bound.shape), dtype=np.int64)
-    status = np.full(bound.shape, QueryStatus.FAR, dtype=np.int8)
-    return Witness(*point, bound.copy(), status, zero[0] - 1, zero[1])
-
-
-def _ball(body: Body) -> np.ndarray:
-    """Centre and radius (4,) of a ball around all pieces of a body, in its frame."""
-    center = 0.5 * (body.centers.min(axis=0) + body.centers.max(axis=0))
-    radius = (np.linalg.norm(body.centers - center, axis=1) + body.radii).max()
-    return np.append(center, radius)

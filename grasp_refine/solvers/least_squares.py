@@ -207,7 +207,8 @@ class _Run:
         starting = np.isinf(slots.loss)
         accepted = known.loss < slots.loss
         fall = np.where(starting, 0.0, slots.loss) - known.loss
-        ratio = fall / np.maximum(slots.predicted, np.finfo(np.float64).tiny)
+        # Nothing was predicted of a start; a floor at the smallest number would overflow.
+        ratio = fall / np.maximum(slots.predicted, 1e-200)
         damping = np.where(starting, slots.damping, solver.adapted(slots.damping, accepted, ratio))
         loss = np.where(accepted, known.loss, slots.loss)
         better = member[loss < self.best_loss[member]]

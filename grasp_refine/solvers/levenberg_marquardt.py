@@ -62,14 +62,14 @@ class LevenbergMarquardt:
 
 
 def bounded_step(
-    J: Array, r: Array, damping: Array, metric: Array, lower: Array, upper: Array, passes: int = 8
+    J: Array, r: Array, damping: Array, metric: Array, lower: Array, upper: Array, passes: int = 10
 ) -> tuple[Array, Array]:
     """Steps dx (batch, n) within bounds that minimise |J dx + r|^2 + lambda dx . W dx, and the falls of |r|^2 (batch,).
 
     A primal-dual active-set method (Hintermueller, Ito and Kunisch 2003): unknowns that go beyond a bound are held
     there, held ones that would come back are released, and the others are solved for again. That mostly settles
-    within five passes. In rare cases it goes round in circles: the second half of the passes releases nothing, and
-    what is still outside at the end is cut off.
+    within five passes. It may go round in circles, though: the last three passes release nothing, and what is still
+    outside then is cut off.
 
     Args:
         J: Jacobians (batch, m, n).
@@ -90,7 +90,7 @@ def bounded_step(
     dx = xp.linalg.solve(damped, -g[..., None])[..., 0]
     held = xp.zeros_like(dx, dtype=xp.bool)
     for number in range(passes - 1):
-        kept = held if 2 * number > passes else xp.zeros_like(held)
+        kept = held if number > passes - 4 else xp.zeros_like(held)
         # A held unknown goes back into its room if the slope there says so.
         slope = xp.where(held & ~kept, matvec(damped, dx) + g, xp.zeros_like(dx))
         wanted = dx - slope / xp.linalg.diagonal(damped)

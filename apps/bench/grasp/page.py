@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from math import degrees
 from typing import Any
 
 from grasp_refine.solvers.status import Status
@@ -41,57 +42,63 @@ def _percent(key: str) -> Callable[[Row], str]:
     return _number(key, 100.0, ".2f")
 
 
+def _millimetres(key: str) -> Callable[[Row], str]:
+    """A function that writes a length; below a tenth of a micrometre, digits mean nothing."""
+
+    def words(row: Row) -> str:
+        value = row[key]
+        return "–" if value is None else "< 1e-4" if value < 1e-7 else f"{1e3 * value:.3g}"
+
+    return words
+
+
 def _statuses(row: Row) -> str:
     counts = {one.label: row[f"status_{one.name.lower()}"] for one in Status if one != Status.RUNNING}
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
-MOVED = "median; of the base link in mm and degrees, of the joint that moved most in degrees"
-COST = (
+def _moved(row: Row) -> str:
+    palm, turned, joints = (row[f"moved_{name}"] for name in ("palm_median_m", "palm_median_rad", "joints_median_rad"))
+    if palm is None:
+        return "–"
+    return f"{1e3 * palm:.1f} mm, {degrees(turned):.1f}°; {degrees(joints):.1f}°"
+
+
+PENETRATION = (
+    Column("pen. before", "deepest penetration of any link in mm, mean", _millimetres("penetration_before_mean_m")),
+    Column("pen. after", "the same afterwards", _millimetres("penetration_after_mean_m")),
+    Column("p95", "19 of 20 are smaller", _millimetres("penetration_after_p95_m")),
+    Column("worst", "the largest", _millimetres("penetration_after_worst_m")),
+    Column("≤ 0.05 mm, %", "share of grasps", _percent("penetration_after_share_50um")),
+    Column("self before", "links in each other, mm, worst", _millimetres("self_penetration_before_worst_m")),
+    Column("self after", "the same afterwards", _millimetres("self_penetration_after_worst_m")),
+    Column("> 0.01 mm, %", "share of grasps", _percent("self_penetration_after_share_above_10um")),
+)
+COSTS = (
     Column("iterations", "mean", _number("iterations_mean", 1.0, ".1f")),
+    Column("median", "of the iterations", _number("iterations_median", 1.0, ".0f")),
     Column("queries", "narrow-phase queries per grasp, mean", _number("queries_mean", 1.0, ".0f")),
     Column("CPU ms", "per grasp, of the whole call", _number("cpu_ms_per_grasp")),
     Column("wall ms", "per grasp, of the whole call", _number("wall_ms_per_grasp")),
-    Column("loop ms", "CPU per grasp within the solver's loop", _number("solver_cpu_ms_per_grasp")),
-)
-PENETRATION = (
-    Column("pen. at first", "deepest penetration of any link in mm, mean", _number("penetration_before_mean_m", 1e3)),
-    Column("mean", "the same afterwards", _number("penetration_after_mean_m", 1e3)),
-    Column("median", "the same afterwards", _number("penetration_after_median_m", 1e3)),
-    Column("p95", "the same afterwards", _number("penetration_after_p95_m", 1e3)),
-    Column("worst", "the same afterwards", _number("penetration_after_worst_m", 1e3)),
-    Column("≤ 0.05 mm", "share of grasps in %", _percent("penetration_after_share_50um")),
-    Column(
-        "self at first",
-        "penetration of links in each other in mm, worst",
-        _number("self_penetration_before_worst_m", 1e3),
-    ),
-    Column("self worst", "the same afterwards", _number("self_penetration_after_worst_m", 1e3)),
-    Column("self > 0.01 mm", "share of grasps in %", _percent("self_penetration_after_share_above_10um")),
-)
-REST = (
+    Column("loop ms", "CPU per grasp that the solver counts itself", _number("solver_cpu_ms_per_grasp")),
     Column("limits", "joint values beyond their limits", _number("limits_violated", 1.0, ".0f")),
-    Column("moved", MOVED, lambda row: _moved(row)),
+    Column("moved", "median; base link, and the joint that moved most", _moved),
     Column("ended as", "how the solver ended", _statuses),
 )
-COLUMNS = {
+RESULTS = {
     "targets": (
         Column("Acc@1e-6", "share of grasps in % whose contacts are all below 1e-6 m² (1 mm)", _percent("acc_1e6")),
         Column("Acc@1e-8", "the same below 1e-8 m² (0.1 mm)", _percent("acc_1e8")),
-        Column("median mm", "error of the worst contact of a grasp", _number("contact_error_median_m", 1e3)),
-        Column("worst mm", "the same of the worst grasp", _number("contact_error_worst_m", 1e3)),
-        *COST,
+        Column("median", "error of the worst contact of a grasp in mm", _millimetres("contact_error_median_m")),
+        Column("worst", "the same of the worst grasp", _millimetres("contact_error_worst_m")),
         *PENETRATION,
-        *REST,
     ),
     "nothing": (
         *PENETRATION,
-        Column("gap median", "gap of the links that should touch, in mm", _number("gap_median_m", 1e3)),
-        Column("gap p90", "the same: nine of ten are smaller", _number("gap_p90_m", 1e3)),
-        Column("gap worst", "the same", _number("gap_worst_m", 1e3)),
-        Column("deep, left", "starts 10 mm deep or more: how many did not escape, of how many", deep),
-        *COST,
-        *REST,
+        Column("gap", "of the links that should touch in mm, median", _millimetres("gap_median_m")),
+        Column("p90", "nine of ten are smaller", _millimetres("gap_p90_m")),
+        Column("worst", "the largest", _millimetres("gap_worst_m")),
+        Column("deep stuck", "starts 10 mm deep or more: how many did not escape, of how many", deep),
     ),
 }
 HEADS = {"targets": "Given targets", "nothing": "Given nothing"}
@@ -116,7 +123,8 @@ def page(document: dict[str, Any]) -> str:
         light=light,
         dark=dark,
         chart=time_chart(pooled(rows, "targets")),
-        tables=[(HEADS[task], COLUMNS[task], _lines(rows, task)) for task in COLUMNS if pooled(rows, task)],
+        tables=[(HEADS[task], RESULTS[task], _lines(rows, task)) for task in RESULTS if pooled(rows, task)],
+        costs=COSTS,
         stuck=_stuck(rows),
     )
 
@@ -144,12 +152,3 @@ def _stuck(rows: Sequence[Row]) -> list[tuple[str, str, float, float]]:
         for one in row["deep_stuck_grasps"]
     }  # fmt: skip
     return [(*name, *depths) for name, depths in found.items()]
-
-
-def _moved(row: Row) -> str:
-    parts = (
-        ("moved_palm_median_m", 1e3, "mm"),
-        ("moved_palm_median_rad", 57.29578, "°"),
-        ("moved_joints_median_rad", 57.29578, "°"),
-    )
-    return " / ".join("–" if row[key] is None else f"{factor * row[key]:.2g} {unit}" for key, factor, unit in parts)

@@ -1,0 +1,74 @@
+"""Queries in the loop of a solver: what is surely apart is not asked, and not asked again before it can have met."""
+
+from dataclasses import fields
+
+import numpy as np
+
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query_items
+from grasp_refine.geometry.body import Body
+from grasp_refine.se3 import transform_points
+
+
+def query_near(
+    pairs: Pairs,
+    bound: np.ndarray,
+    T_a: np.ndarray,
+    T_b: np.ndarray,
+    cutoff: np.ndarray,
+    previous: Witness | None,
+) -> Witness:
+    """The answers (M, P) of the pairs that may penetrate, or have no cutoff; the others are FAR, at their bounds.
+
+    Args:
+        pairs: The P pairs.
+        bound: Lower bounds (M, P) of the signed distances; NaN where a pose is not finite.
+        T_a: Poses (M, P, 4, 4) of the first bodies.
+        T_b: Those of the second bodies.
+        cutoff: How far apart (M, P) pairs may be to be worth an answer.
+        previous: The last answers.
+    """
+    M, P = bound.shape
+    item = np.flatnonzero(np.isinf(cutoff) | ~(bound > 0))
+    if not len(item):
+        return nothing_near(bound)
+    found = query_items(
+        pairs,
+        item % P,
+        T_a.reshape(-1, 4, 4)[item],
+        T_b.reshape(-1, 4, 4)[item],
+        cutoff=cutoff.reshape(-1)[item],
+        previous=None if previous is None else previous.reshape(-1).rows(item),
+    )
+    every = nothing_near(bound).reshape(-1)
+    for field in fields(Witness):
+        getattr(every, field.name)[item] = getattr(found, field.name)
+    return every.reshape(M, P)
+
+
+def nothing_near(bound: np.ndarray) -> Witness:
+    """Pairs (M, P) that were not asked, because they are farther apart than their bounds."""
+    point, zero = np.zeros((3, *bound.shape, 3)), np.zeros((2, *bound.shape), dtype=np.int64)
+    status = np.full(bound.shape, QueryStatus.FAR, dtype=np.int8)
+    return Witness(*point, bound.copy(), status, zero[0] - 1, zero[1])
+
+
+def bounding_ball(body: Body) -> np.ndarray:
+    """Centre and radius (4,) of a ball around all pieces of a body, in its frame."""
+    center = 0.5 * (body.centers.min(axis=0) + body.centers.max(axis=0))
+    radius = (np.linalg.norm(body.centers - center, axis=1) + body.radii).max()
+    return np.append(center, radius)
+
+
+def motion(balls: np.ndarray, T_before: np.ndarray, T_now: np.ndarray) -> np.ndarray:
+    """How far (M, L) any point of each of L bodies moved at most, in metres.
+
+    Args:
+        balls: Their bounding balls (L, 4).
+        T_before: Poses (M, L, 4, 4).
+        T_now: Later ones.
+    """
+    moved = transform_points(T_now, balls[:, :3]) - transform_points(T_before, balls[:, :3])
+    turned = (T_now - T_before)[..., :3, :3]
+    # A turn by theta moves a point at distance r by 2 r sin(theta / 2), and |R - R'| is sqrt(8) sin(theta / 2).
+    chord = np.sqrt(0.5 * (turned * turned).sum(axis=(-1, -2)))
+    return np.sqrt((moved * moved).sum(axis=-1)) + balls[:, 3] * chord
