@@ -165,6 +165,8 @@ def _number(value: float, digits: int) -> str:
 
 
 def _seconds(value: float) -> str:
+    if value < 0.0995:
+        return f"{1e3 * value:.0f} ms"
     return f"{value:.2f} s" if value < 9.995 else f"{value:.0f} s"
 
 

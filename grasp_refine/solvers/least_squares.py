@@ -153,7 +153,7 @@ def minimise(
             slots = run.judged(slots, problem.evaluate(members, slots.trial, slots.known))
         free = width - (0 if slots is None else len(slots.member))
         # A few free places are not worth the copying.
-        if len(waiting) and free >= min(len(waiting), width // 8):
+        if len(waiting) and free >= max(1, min(len(waiting), width // 8)):
             entering, waiting = waiting[:free], waiting[free:]
             members = np.concatenate([members, entering])
             new = run.entered(entering)
@@ -211,10 +211,9 @@ class _Run:
         ratio = fall / np.maximum(slots.predicted, 1e-200)
         damping = np.where(starting, slots.damping, solver.adapted(slots.damping, accepted, ratio))
         loss = np.where(accepted, known.loss, slots.loss)
-        better = member[loss < self.best_loss[member]]
-        index = loss < self.best_loss[member]
-        self.best_loss[better] = loss[index]
-        self.best.T[better], self.best.q[better] = slots.trial.T[index], slots.trial.q[index]
+        better = np.flatnonzero(loss < self.best_loss[member])
+        self.best_loss[member[better]] = loss[better]
+        self.best.T[member[better]], self.best.q[member[better]] = slots.trial.T[better], slots.trial.q[better]
         progressed = loss < (1.0 - solver.progress) * slots.mark
         since = np.where(progressed, 0, slots.since + 1)
         slots = _Slots(
