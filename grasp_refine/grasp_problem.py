@@ -39,7 +39,7 @@ ROOT_TURN, JOINT_TURN = 0.05, 0.04
 BOX = (0.05, 1.0, 0.5)
 """Largest step of the root in metres and radians, and of a joint in radians."""
 
-NOISE = (0.01, 0.3, 0.2)
+NOISE = (0.01, 0.2, 0.1)
 """Standard deviations of new starts: metres and radians of the root, radians of joints."""
 
 CLEAR = 0.003
@@ -102,10 +102,15 @@ class GraspProblem:
         frames = self.chain(point.T, point.q)
         T = frames.T_world_link
         witness = self._against_object(member, T, previous)
-        own = self._against_itself(T, previous)
+        loss = self._loss(member, point, T, witness)
+        # What will be rejected anyway need not be asked about the pairs of links.
+        rejected = np.zeros(len(member), dtype=bool) if previous is None else loss >= previous.loss
+        own = self._against_itself(T, previous, rejected)
+        if self.own_pairs is not None:
+            loss = loss + self.config.weights.self_penetration * (penetration(own) ** 2).sum(axis=1)
         asked = witness.asked.sum(axis=1) + own.asked.sum(axis=1)
         unknown = (witness.status > QueryStatus.FAR).any(axis=1) | (own.status > QueryStatus.FAR).any(axis=1)
-        loss = np.where(unknown, np.nan, self._loss(member, point, T, witness, own))
+        loss = np.where(unknown, np.nan, loss)
         return Known(loss, asked, T, frames.axes, witness, own)
 
     def linearize(
@@ -204,8 +209,8 @@ class GraspProblem:
         T_object = np.broadcast_to(np.eye(4), T.shape)
         return query_near(self.pairs, bound, T, T_object, np.where(touching, np.inf, CLEAR), before)
 
-    def _against_itself(self, T: np.ndarray, previous: Known | None) -> Witness:
-        """Witness points of the pairs of links that penetrate."""
+    def _against_itself(self, T: np.ndarray, previous: Known | None, rejected: np.ndarray) -> Witness:
+        """Witness points of the pairs of links that penetrate, but for grasps that are rejected (M,)."""
         if self.own_pairs is None:
             return nothing_near(np.zeros((len(T), 0)))
         first, second = self.own_first, self.own_second
@@ -216,14 +221,13 @@ class GraspProblem:
         if previous is not None:
             before, moves = previous.own, motion(self.balls, previous.T_link, T)
             bound = np.fmax(bound, before.distance - moves[:, first] - moves[:, second])
+        bound = np.where(rejected[:, None], np.inf, bound)
         return query_near(self.own_pairs, bound, T[:, first], T[:, second], np.full(bound.shape, CLEAR), before)
 
     # terms
 
-    def _loss(
-        self, member: np.ndarray, point: Point, T: np.ndarray, witness: Witness, own: Witness
-    ) -> np.ndarray:
-        """The weighted sum of squares (M,)."""
+    def _loss(self, member: np.ndarray, point: Point, T: np.ndarray, witness: Witness) -> np.ndarray:
+        """The weighted sum of squares (M,), without those of pairs of links."""
         goal, config, weights = self.goal, self.config, self.config.weights
         touching = goal.touching[member]
         total = np.zeros(len(member))
@@ -243,8 +247,6 @@ class GraspProblem:
             total += weights.contact * (contact_gap(witness, touching, config.margin) ** 2).sum(axis=1)
         if weights.penetration > 0:
             total += weights.penetration * (penetration(witness) ** 2).sum(axis=1)
-        if self.own_pairs is not None:
-            total += weights.self_penetration * (penetration(own) ** 2).sum(axis=1)
         if self.table is not None:
             total += weights.table * (below_plane(self._lowest(T), *self.table) ** 2).sum(axis=1)
         if goal.direction is not None:

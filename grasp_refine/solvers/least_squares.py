@@ -50,7 +50,11 @@ class Problem(Protocol):
         ...
 
     def evaluate(self, member: np.ndarray, point: Point, previous: Any | None) -> Any:
-        """What is known at a point (an `Evaluated`); `previous` is what was known nearby, a help."""
+        """What is known at a point (an `Evaluated`); `previous` is what was known nearby, a help.
+
+        A point whose loss is not below `previous.loss` will be rejected: as soon as that is certain, the loss that is
+        given may be any between the two. It is infinite where a member starts again.
+        """
         ...
 
     def linearize(
@@ -255,7 +259,8 @@ class _Run:
         damping, since = slots.damping.copy(), slots.since.copy()
         T[rows], q[rows], loss[rows], mark[rows] = trial.T, trial.q, np.inf, np.inf
         damping[rows], since[rows] = self.solver.damping, 0
-        return replace(slots, trial=Point(T, q), loss=loss, mark=mark, damping=damping, since=since)
+        known = replace(slots.known, loss=np.where(np.isinf(loss), np.inf, slots.known.loss))
+        return replace(slots, known=known, trial=Point(T, q), loss=loss, mark=mark, damping=damping, since=since)
 
     def stepped(self, slots: _Slots) -> _Slots:
         """The slots with their next trials."""

@@ -141,4 +141,4 @@ def true_grasps(group: Group) -> Tasks:
 
 def _untargeted(scene: Scene) -> Scene:
     """The scene without the targets of its file."""
-    return replace(scene, target_link=None, target_object=None)
+    return replace(scene, target_link=None, target_object=None, direction=None)
