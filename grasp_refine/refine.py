@@ -69,7 +69,7 @@ def refine(scene: Scene, config: Config | None = None, progress: Progress | None
     status[~finite] = Status.NOT_FINITE
     solve = _least_squares if isinstance(config.solver, LevenbergMarquardt) else _first_order
     found = solve(scene, goal, config, status, progress)
-    unreachable = (found.status != Status.CONVERGED) & (status == Status.RUNNING)
+    unreachable = np.isin(found.status, (Status.STALLED, Status.BUDGET))
     found.status[unreachable & (goal.off_surface > max(config.tolerance, OFF_SURFACE))] = Status.UNREACHABLE
     hand = scene.hand
     q = np.where(finite[:, None], np.clip(found.point.q, hand.lower, hand.upper), found.point.q)
@@ -103,7 +103,9 @@ def _least_squares(
     # The grasp as it came counts too.
     before = np.full(len(status), np.nan)
     for block in np.split(rows, range(config.width, len(rows), config.width)):
-        before[block] = problem.evaluate(block, Point(given.T[block], given.q[block]), None).loss
+        known = problem.evaluate(block, Point(given.T[block], given.q[block]), None)
+        before[block] = known.loss
+        found.queries[block] += known.asked
     first = before <= found.loss[:, 1]
     loss = np.stack([before, np.where(first, before, found.loss[:, 1])], axis=1)
     return replace(found, point=choose(first, given, found.point), loss=loss)
@@ -113,7 +115,7 @@ def _first_order(scene: Scene, goal: Goal, config: Config, status: np.ndarray, p
     """By descent or Adam."""
     return descend(
         Objective(scene, goal, config),
-        Point(scene.T_world_root, scene.q),
+        Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper)),
         config.solver,
         config.tolerance,
         status=status,

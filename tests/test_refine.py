@@ -1,4 +1,4 @@
-"""The loop: it converges, ends with a status, and no grasp depends on another."""
+"""The loop: it converges, ends with a status, and no grasp depends on another, whatever the solver."""
 
 from dataclasses import replace
 
@@ -7,23 +7,36 @@ import pytest
 import torch
 
 from grasp_refine.assets import resource_dir
-from grasp_refine.collision.query import QueryStatus, Witness, query
+from grasp_refine.chain import moved
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.config import Config
+from grasp_refine.goal import Goal, goal_of
 from grasp_refine.grasps import load_grasps
 from grasp_refine.hand import load_hand
 from grasp_refine.kinematics import Kinematics
+from grasp_refine.losses import Scales, Weights, stay_near
 from grasp_refine.objective import Objective
 from grasp_refine.objects import load_object
 from grasp_refine.refine import Refinement, refine
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import exp_se3, transform_from_pose, transform_points
+from grasp_refine.self_collision import touching_pairs
+from grasp_refine.solvers.adam import Adam
 from grasp_refine.solvers.descent import Descent
+from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.solvers.status import Status
+from grasp_refine.targets import Touching
 from grasp_refine.validation.geometry import measure, movement
 from grasp_refine.witness import autograd
 from grasp_refine.witness.distance import Distance
 
-SHORT = Config(solver=Descent(iterations=60))
+SOLVERS = {
+    "levenberg-marquardt": LevenbergMarquardt(iterations=60, restarts=1),
+    "descent": Descent(iterations=20),
+    "adam": Adam(iterations=20),
+}
+NEAREST = Config(nearest=True)
+SHORT = Config(solver=Descent(iterations=15), nearest=True)
 
 
 @pytest.fixture(scope="module")
@@ -38,101 +51,306 @@ def scene() -> Scene:
     )
 
 
+@pytest.fixture(scope="module")
+def touched(scene: Scene) -> Refinement:
+    """The example grasps as they come out by default."""
+    return refine(scene)
+
+
+@pytest.fixture(scope="module")
+def aimed(scene: Scene, touched: Refinement) -> Scene:
+    """Hands that once touched, moved away by 1 cm, 9 degrees and 0.1 rad, that should touch there again."""
+    there = replace(scene, T_world_root=touched.T_world_root, q=touched.q)
+    goal, rng = goal_of(there, Touching(), nearest=True), np.random.default_rng(0)
+    dx = rng.normal(size=(4, 6)) * [0.006, 0.006, 0.006, 0.1, 0.1, 0.1]
+    q = np.clip(there.q + 0.1 * rng.normal(size=there.q.shape), scene.hand.lower, scene.hand.upper)
+    return Scene(scene.hand, scene.object, moved(there.T_world_root, dx), q, goal.target_link, goal.target_object)
+
+
 def rows(scene: Scene, index: list[int]) -> Scene:
-    return replace(scene, T_world_root=scene.T_world_root[index], q=scene.q[index])
+    targets = {
+        name: None if getattr(scene, name) is None else getattr(scene, name)[index]
+        for name in ("target_link", "target_object")
+    }
+    return replace(scene, T_world_root=scene.T_world_root[index], q=scene.q[index], **targets)
 
 
-@pytest.mark.parametrize("derivative", [Config().derivative, Distance()], ids=["contact-kinematics", "distance"])
-def test_contact_error_and_penetration_fall(scene: Scene, derivative: object) -> None:
-    result = refine(scene, Config(solver=Descent(iterations=300), derivative=derivative))
-    errors, depths = [], []
-    for T, q in ((scene.T_world_root, scene.q), (result.T_world_root, result.q)):
-        found = measure(scene.hand, scene.object, scene.links, T, q, result.target_link, result.target_object)
-        errors.append(np.nanmax(found.contact_error, axis=1))
-        depths.append(found.penetration)
-    assert np.median(errors[0]) > 5e-3
-    # Distance smoothing is biased close to contact and in penetration; it gets nearer, and not much more.
-    assert np.median(errors[1]) < (1e-3 if derivative == Config().derivative else np.median(errors[0]))
-    assert np.median(depths[1]) < np.median(depths[0])
-    assert (result.loss[:, 1] < result.loss[:, 0]).all()
-    assert (result.q >= scene.hand.lower).all() and (result.q <= scene.hand.upper).all()
+def true_loss(scene: Scene, T: np.ndarray, q: np.ndarray, found: Refinement, config: Config) -> np.ndarray:
+    """The loss by plain queries and another kinematics, term by term."""
+    measured = measure(scene.hand, scene.object, scene.links, T, q, found.target_link, found.target_object)
+    w, d = measured.witness, measured.distance
+    poses = Kinematics(scene.hand, scene.links)(torch.from_numpy(T), torch.from_numpy(q)).numpy()
+    miss_link = w.point_a - transform_points(poses, found.target_link)
+    miss_object = w.point_b - found.target_object
+    loss = config.weights.contact * (found.touching * (d - config.margin) ** 2).sum(axis=1)
+    loss += config.weights.contact * (np.nansum(miss_link**2, axis=(1, 2)) + np.nansum(miss_object**2, axis=(1, 2)))
+    loss += config.weights.penetration * (np.minimum(d, 0.0) ** 2).sum(axis=1)
+    own = touching_pairs(scene.hand)
+    first, second = ([scene.links.index(pair[side]) for pair in own] for side in (0, 1))
+    bodies = [scene.hand.links_by_name[name].body for name in scene.links]
+    pairs = Pairs(tuple(bodies[i] for i in first), tuple(bodies[i] for i in second))
+    deep = np.minimum(query(pairs, poses[:, first], poses[:, second]).distance, 0.0)
+    return loss + config.weights.self_penetration * (deep**2).sum(axis=1)
 
 
-def test_the_result_does_not_depend_on_the_batch(scene: Scene) -> None:
-    together = refine(scene, SHORT)
-    for i in (0, 3):
-        alone = refine(rows(scene, [i]), SHORT)
-        np.testing.assert_allclose(alone.T_world_root[0], together.T_world_root[i], atol=1e-9)
-        np.testing.assert_allclose(alone.q[0], together.q[i], atol=1e-9)
-        assert alone.status[0] == together.status[i]
+def within_limits(scene: Scene, q: np.ndarray) -> bool:
+    return bool((q >= scene.hand.lower).all() and (q <= scene.hand.upper).all())
 
 
-def test_one_bad_member_spoils_only_itself(scene: Scene) -> None:
-    clean = refine(scene, SHORT)
-    T, q = scene.T_world_root.copy(), scene.q.copy()
-    T[1, 0, 3] = np.nan
-    q[2, 4] = np.inf
-    found = refine(replace(scene, T_world_root=T, q=q), SHORT)
-    assert found.status[1] == found.status[2] == Status.NOT_FINITE
-    for i in (0, 3):
-        np.testing.assert_allclose(found.T_world_root[i], clean.T_world_root[i], atol=1e-9)
-        assert found.status[i] == clean.status[i]
+# the default
+
+
+def test_by_default_links_that_are_near_come_to_touch_and_nothing_penetrates(scene: Scene, touched: Refinement) -> None:
+    assert (touched.status == Status.CONVERGED).all() and (touched.loss[:, 1] < 1e-10).all()
+    assert (touched.iterations < 20).all()
+    none = np.full((4, len(scene.links), 3), np.nan)
+    before, after = (
+        measure(scene.hand, scene.object, scene.links, T, q, none, none)
+        for T, q in ((scene.T_world_root, scene.q), (touched.T_world_root, touched.q))
+    )
+    gaps = np.where(touched.touching, np.abs(after.distance), 0.0).max(axis=1)
+    assert (gaps < 1e-5).all() and (after.penetration < 1e-5).all() and not after.limits_violated.any()
+    assert np.where(touched.touching, np.abs(before.distance), 0.0).max() > 5e-3
+    assert np.isnan(touched.target_link).all() and within_limits(scene, touched.q)
+
+
+def test_nearest_points_are_reached_or_nearly(scene: Scene) -> None:
+    found = refine(scene, NEAREST)
+    assert (found.loss[:, 1] < 1e-3 * found.loss[:, 0]).all() and (found.status == Status.CONVERGED).any()
+    np.testing.assert_array_equal(np.isfinite(found.target_link[..., 0]), found.touching)
+
+
+def test_given_targets_are_reached_again(aimed: Scene) -> None:
+    found = refine(aimed)
+    np.testing.assert_array_equal(found.target_link, aimed.target_link)
+    np.testing.assert_array_equal(found.touching, np.isfinite(aimed.target_link[..., 0]))
+    assert (found.status == Status.CONVERGED).sum() >= 3
+    after = measure(
+        aimed.hand, aimed.object, aimed.links, found.T_world_root, found.q, found.target_link, found.target_object
+    )
+    error = np.nanmax(after.contact_error, axis=1)
+    assert (error[found.status == Status.CONVERGED] < 1e-5).all()
+
+
+def test_a_margin_is_kept(scene: Scene) -> None:
+    found = refine(scene, Config(margin=2e-3))
+    assert (found.status == Status.CONVERGED).all()
+    none = np.full((4, len(scene.links), 3), np.nan)
+    after = measure(scene.hand, scene.object, scene.links, found.T_world_root, found.q, none, none)
+    np.testing.assert_allclose(after.distance[found.touching], 2e-3, atol=1.1e-5)
+
+
+def test_links_given_by_name_touch_and_others_need_not(scene: Scene) -> None:
+    names = scene.links[1], scene.links[3]
+    found = refine(scene, Config(touching=Touching(links=names)))
+    np.testing.assert_array_equal(found.touching, np.tile(np.isin(scene.links, names), (4, 1)))
+    assert (found.status == Status.CONVERGED).all()
+    none = np.full((4, len(scene.links), 3), np.nan)
+    after = measure(scene.hand, scene.object, scene.links, found.T_world_root, found.q, none, none)
+    np.testing.assert_allclose(after.distance[found.touching], 0.0, atol=1.1e-5)
+
+
+def test_staying_near_shortens_the_movement_and_costs_little(scene: Scene) -> None:
+    free = refine(scene, Config(tolerance=0.0))
+    held = refine(scene, Config(tolerance=0.0, weights=Weights(stay_near=1e-8)))
+    away = [
+        (stay_near(f.T_world_root, f.q, scene.T_world_root, scene.q, Scales()) ** 2).sum(axis=1) for f in (free, held)
+    ]
+    assert (away[1] < away[0]).all()
+    assert (true_loss(scene, held.T_world_root, held.q, held, Config()) < 1e-6).all()
+
+
+# every solver
+
+
+@pytest.mark.parametrize("nearest", [False, True], ids=["gap", "nearest"])
+@pytest.mark.parametrize("name", SOLVERS)
+def test_every_solver_lowers_the_true_loss_within_the_limits(scene: Scene, name: str, nearest: bool) -> None:
+    config = Config(solver=SOLVERS[name], nearest=nearest, weights=Weights(joint_limits=0.0))
+    found = refine(scene, config)
+    fall = 0.1 if name == "levenberg-marquardt" else 0.8
+    assert (found.loss[:, 1] < fall * found.loss[:, 0]).all() and within_limits(scene, found.q)
+    start = np.clip(scene.q, scene.hand.lower, scene.hand.upper)
+    np.testing.assert_allclose(
+        true_loss(scene, scene.T_world_root, start, found, config), found.loss[:, 0], rtol=1e-6, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        true_loss(scene, found.T_world_root, found.q, found, config), found.loss[:, 1], rtol=1e-4, atol=1e-12
+    )
+    R = found.T_world_root[:, :3, :3]
+    np.testing.assert_allclose(R @ R.mT, np.broadcast_to(np.eye(3), R.shape), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_every_solver_accounts_for_its_work(scene: Scene, name: str) -> None:
+    said: list[tuple[int, int, float]] = []
+    config = Config(solver=SOLVERS[name], tolerance=1e-7)
+    found = refine(scene, config, lambda *now: said.append(now))
+    done, iterations, loss = (np.array(column) for column in zip(*said, strict=True))
+    assert done[-1] == 4 and (np.diff(done) >= 0).all() and np.isfinite(loss).all()
+    np.testing.assert_array_equal(iterations, np.arange(1, found.iterations.max() + 1))
+    assert (found.queries >= found.iterations).all() and (found.wall_s > 0).all() and (found.cpu_s >= 0).all()
+    np.testing.assert_array_equal(found.status == Status.CONVERGED, found.loss[:, 1] < 1e-7)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_grasps_that_begin_beyond_their_limits_end_within_them(scene: Scene, name: str) -> None:
+    """The loss is that of the grasp which is returned; descent once gave that of joints beyond their limits."""
+    q = scene.q.copy()
+    q[0, 1], q[1, 5] = scene.hand.upper[1] + 0.2, scene.hand.lower[5] - 0.2
+    config = Config(solver=SOLVERS[name])
+    found = refine(replace(scene, q=q), config)
+    assert within_limits(scene, found.q) and (found.loss[:, 1] < found.loss[:, 0]).all()
+    np.testing.assert_allclose(
+        true_loss(scene, found.T_world_root, found.q, found, config), found.loss[:, 1], rtol=1e-4, atol=1e-12
+    )
+
+
+# ends
+
+
+def test_targets_off_the_surface_are_named_as_such(aimed: Scene) -> None:
+    on_object, on_link = aimed.target_object.copy(), aimed.target_link.copy()
+    column = int(np.flatnonzero(np.isfinite(on_object[0, :, 0]))[0])
+    away = on_object[0, column] / np.linalg.norm(on_object[0, column])
+    on_object[0, column] += 0.005 * away
+    link = int(np.flatnonzero(np.isfinite(on_link[1, :, 0]))[0])
+    on_link[1, link] += [0.0, 0.0, 0.03]
+    config = Config(solver=LevenbergMarquardt(iterations=60))
+    found = refine(replace(aimed, target_object=on_object, target_link=on_link), config)
+    np.testing.assert_array_equal(found.status[:2], [Status.UNREACHABLE, Status.UNREACHABLE])
+    assert (found.status[2:] != Status.UNREACHABLE).all() and "frames, scale and targets" in Status.UNREACHABLE.advice
+    # What they ask for is approached all the same.
+    assert (found.loss[:2, 1] < found.loss[:2, 0]).all() and (found.loss[:2, 1] > 1e-6).all()
 
 
 def test_a_grasp_far_away_has_no_target(scene: Scene) -> None:
     T = scene.T_world_root[:2].copy()
     T[0, 0, 3] += 1.0
-    found = refine(replace(scene, T_world_root=T, q=scene.q[:2]), SHORT)
-    assert found.status[0] == Status.NO_TARGET and "--targets" in Status.NO_TARGET.advice
-    np.testing.assert_array_equal(found.T_world_root[0], T[0])
-    assert found.status[1] != Status.NO_TARGET
+    for config in (Config(), NEAREST, SHORT):
+        found = refine(replace(scene, T_world_root=T, q=scene.q[:2]), config)
+        assert found.status[0] == Status.NO_TARGET and "--targets" in Status.NO_TARGET.advice
+        np.testing.assert_array_equal(found.T_world_root[0], T[0])
+        assert found.status[1] != Status.NO_TARGET and found.iterations[0] == 0
 
 
-def test_same_seed_same_result(scene: Scene) -> None:
-    one, two = refine(rows(scene, [0, 1]), SHORT), refine(rows(scene, [0, 1]), SHORT)
+def test_what_deep_penetrations_do_not_escape_has_not_converged(scene: Scene) -> None:
+    """Two hands in the middle of a box of half a metre, from which ways out differ by link; two that are 1 cm deep."""
+    T = scene.T_world_root.copy()
+    big = load_object("box:0.5,0.5,0.5", candidates=256)
+    T[:, :3, 3] += 0.21 * T[:, :3, 3] / np.linalg.norm(T[:, :3, 3], axis=1, keepdims=True)
+    T[:2, :3, 3] = 0.0
+    found = refine(replace(scene, object=big, T_world_root=T), Config(solver=LevenbergMarquardt(iterations=40)))
+    none = np.full((4, len(scene.links), 3), np.nan)
+    after = measure(scene.hand, big, scene.links, found.T_world_root, found.q, none, none)
+    np.testing.assert_array_equal(found.status == Status.CONVERGED, found.loss[:, 1] < 1e-10)
+    deep = after.penetration > 1e-4
+    assert deep.any() and np.isin(found.status[deep], [Status.STALLED, Status.BUDGET]).all()
+    assert (found.loss[deep, 1] > 1e-8).all() and (found.loss[:, 1] <= found.loss[:, 0]).all()
+
+
+@pytest.mark.parametrize("config", [Config(), NEAREST, SHORT], ids=["gap", "nearest", "descent"])
+def test_no_grasps_at_all_are_refined_at_once(scene: Scene, config: Config) -> None:
+    found = refine(rows(scene, []), config)
+    assert found.T_world_root.shape == (0, 4, 4) and found.loss.shape == (0, 2)
+
+
+@pytest.mark.parametrize("side", ["target_link", "target_object"])
+def test_targets_on_one_side_only_are_no_targets(aimed: Scene, side: str) -> None:
+    """The grasp once ended as converged before it began."""
+    points = getattr(aimed, side).copy()
+    points[:2] = np.nan
+    for solver in (LevenbergMarquardt(iterations=10), Descent(iterations=10)):
+        found = refine(replace(aimed, **{side: points}), Config(solver=solver))
+        assert (found.status[:2] == Status.NO_TARGET).all() and (found.status[2:] != Status.NO_TARGET).all()
+        assert np.isnan(found.target_link[:2]).all() and np.isnan(found.target_object[:2]).all()
+        np.testing.assert_array_equal(found.q[:2], aimed.q[:2])
+
+
+# grasps on their own
+
+
+def same(one: Refinement, other: Refinement, index: list[int], own: list[int]) -> None:
+    """The grasps `index` of one result are `own` of the other: status and counts exactly, numbers to 1e-9."""
+    for name in ("status", "iterations", "queries"):
+        np.testing.assert_array_equal(getattr(one, name)[index], getattr(other, name)[own], err_msg=name)
+    np.testing.assert_allclose(one.T_world_root[index], other.T_world_root[own], atol=1e-9)
+    np.testing.assert_allclose(one.q[index], other.q[own], atol=1e-9)
+    np.testing.assert_allclose(one.loss[index], other.loss[own], rtol=1e-6, atol=1e-13)
+
+
+def with_bad_members(scene: Scene) -> Scene:
+    """The second grasp has no pose, the third infinite joint values."""
+    T, q = scene.T_world_root.copy(), scene.q.copy()
+    T[1, 0, 3], q[2, 4] = np.nan, np.inf
+    return replace(scene, T_world_root=T, q=q)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize("nearest", [False, True], ids=["gap", "nearest"])
+def test_a_grasp_that_is_not_finite_spoils_only_itself(scene: Scene, name: str, nearest: bool) -> None:
+    config = Config(solver=replace(SOLVERS[name], iterations=30 if name[0] == "l" else 5), nearest=nearest)
+    clean, found = refine(scene, config), refine(with_bad_members(scene), config)
+    assert found.status[1] == found.status[2] == Status.NOT_FINITE
+    same(found, clean, [0, 3], [0, 3])
+
+
+def test_an_unreachable_target_changes_nothing_for_the_others(aimed: Scene) -> None:
+    """All that it does, restarts included, is its own."""
+    clean = refine(aimed)
+    spoilt = aimed.target_object.copy()
+    spoilt[1] *= 1.5
+    found = refine(replace(aimed, target_object=spoilt))
+    assert found.status[1] == Status.UNREACHABLE and found.iterations[1] > clean.iterations[1]
+    same(found, clean, [0, 2, 3], [0, 2, 3])
+    bad = refine(with_bad_members(aimed))
+    same(bad, clean, [0, 3], [0, 3])
+
+
+@pytest.mark.parametrize("width", [1, 3])
+def test_the_width_of_the_batch_changes_nothing(aimed: Scene, width: int) -> None:
+    """Slots are refilled while others are under way."""
+    twice = rows(aimed, [0, 1, 2, 3, 3, 2])
+    config = Config(solver=LevenbergMarquardt(iterations=60))
+    same(refine(twice, replace(config, width=width)), refine(twice, config), list(range(6)), list(range(6)))
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_grasp_alone_is_the_same_grasp(scene: Scene, name: str) -> None:
+    """But for new starts: their random numbers are those of its place in the scene."""
+    lm = name == "levenberg-marquardt"
+    solver = replace(SOLVERS[name], **({"restarts": 0} if lm else {"iterations": 6}))
+    for nearest in (False, True) if lm else (True,):
+        config = Config(solver=solver, nearest=nearest)
+        together = refine(scene, config)
+        for i in (0, 3):
+            same(refine(rows(scene, [i]), config), together, [0], [i])
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_same_seed_same_result(scene: Scene, name: str) -> None:
+    config = Config(solver=replace(SOLVERS[name], iterations=30 if name[0] == "l" else 5), nearest=True)
+    one, two = (refine(rows(scene, [2, 3]), config) for _ in range(2))
     np.testing.assert_array_equal(one.T_world_root, two.T_world_root)
     np.testing.assert_array_equal(one.q, two.q)
 
 
-def test_converged_grasps_leave(scene: Scene) -> None:
-    finished: list[int] = []
-    result = refine(scene, Config(tolerance=2e-5), lambda done, *_: finished.append(done))
-    assert (result.status == Status.CONVERGED).all()
-    assert finished[-1] == 4 and len(finished) == result.iterations.max() > result.iterations.min()
-    assert (result.loss[:, 1] < 2e-5).all()
+# descent
 
 
-def test_given_targets_are_used(scene: Scene) -> None:
-    links = len(scene.links)
-    target_link, target_object = np.full((2, 4, links, 3), np.nan)
-    target_link[:, 0], target_object[:, 0] = [0.0, 0.0, 0.012], [0.0, 0.0, 0.045]
-    found = refine(replace(scene, target_link=target_link, target_object=target_object), SHORT)
-    np.testing.assert_array_equal(found.target_link, target_link)
-    assert (found.loss[:, 1] < found.loss[:, 0]).all()
+def test_other_derivatives_lower_the_loss_too(scene: Scene) -> None:
+    """Distance smoothing is biased close to contact and in penetration; it gets nearer, and not much more."""
+    result = refine(scene, replace(SHORT, derivative=Distance(), weights=Weights(self_penetration=0.0)))
+    assert (result.loss[:, 1] < 0.95 * result.loss[:, 0]).all()
 
 
 @pytest.mark.parametrize("transport", [False, True])
 def test_single_precision_and_transport_run(scene: Scene, transport: bool) -> None:
-    result = refine(scene, Config(solver=Descent(iterations=60, transport=transport), dtype="float32"))
-    assert (result.loss[:, 1] < 0.5 * result.loss[:, 0]).all()
+    config = Config(solver=Descent(iterations=20, transport=transport), dtype="float32", nearest=True)
+    result = refine(scene, config)
+    assert (result.loss[:, 1] < 0.8 * result.loss[:, 0]).all()
     R = result.T_world_root[:, :3, :3]
     np.testing.assert_allclose(R @ R.mT, np.broadcast_to(np.eye(3), R.shape), atol=1e-5)
-
-
-def test_steps_have_their_length_and_joints_stay_within_limits() -> None:
-    solver = Descent(momentum=0.0)
-    T, q = torch.eye(4).double().expand(2, 4, 4), torch.tensor([[0.99, 0.0], [1.5, 0.0]]).double()
-    gradient = torch.cat([torch.randn(2, 6), torch.tensor([[-1.0, 0.0], [-1.0, 0.0]])], dim=1).double()
-    stage = torch.tensor([0, 1])
-    lower, upper = -torch.ones(2).double(), torch.ones(2).double()
-    moved, joints, _ = solver.step(T, q, gradient, torch.zeros_like(gradient), stage, lower, upper)
-    distance = moved[:, :3, 3].norm(dim=1)
-    torch.testing.assert_close(distance, torch.tensor([1e-3, 1e-4]).double(), rtol=1e-4, atol=0)
-    assert joints[0, 0] == 1.0  # stopped at the limit
-    assert joints[1, 0] == 1.5  # began beyond it: not pushed farther, pulled in by its loss term
-    still, same, _ = solver.step(T, q, 0 * gradient, 0 * gradient, stage, lower, upper)
-    torch.testing.assert_close(still, T)
-    torch.testing.assert_close(same, q)
 
 
 def test_measures_in_closed_form(scene: Scene) -> None:
@@ -151,12 +369,12 @@ def test_measures_in_closed_form(scene: Scene) -> None:
     assert deep.penetration[0] > 0.0 and deep.limits_violated[0] == len(hand.joint_names)
     turned = T @ exp_se3(np.array([0, 0, 0, 0, 0, 0.3]))
     turned[0, :3, 3] += [0.03, 0.04, 0.0]
-    moved = movement(T, q, turned, q - 0.2)
-    assert moved.palm_m[0] == pytest.approx(0.05) and moved.palm_rad[0] == pytest.approx(0.3)
-    assert moved.joints_rad[0] == pytest.approx(0.2)
+    away = movement(T, q, turned, q - 0.2)
+    assert away.palm_m[0] == pytest.approx(0.05) and away.palm_rad[0] == pytest.approx(0.3)
+    assert away.joints_rad[0] == pytest.approx(0.2)
 
 
-# on a ball, which no piece of a polytope spoils
+# descent on a ball, which no piece of a polytope spoils
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +389,13 @@ def on_ball() -> Scene:
     return Scene(hand, load_object("sphere:0.035", candidates=256), root, q)
 
 
-BALL = Config(solver=Descent(iterations=250), reach=0.06, tolerance=1e-5)
+BALL = Config(
+    solver=Descent(iterations=250),
+    nearest=True,
+    touching=Touching(reach=0.06, reach_others=0.0),
+    weights=Weights(penetration=10.0, self_penetration=0.0),
+    tolerance=1e-5,
+)
 
 
 @pytest.fixture(scope="module")
@@ -179,40 +403,36 @@ def grasped(on_ball: Scene) -> Refinement:
     return refine(on_ball, BALL)
 
 
-def automatic(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """The targets that a refinement would choose."""
-    return Objective(scene, BALL).targets()[:2]
-
-
-def loss_at(scene: Scene, T: np.ndarray, q: np.ndarray, targets: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+def loss_at(scene: Scene, T: np.ndarray, q: np.ndarray, goal: Goal) -> np.ndarray:
     """The loss by fresh queries."""
-    objective = Objective(scene, BALL)
-    arguments = [torch.from_numpy(np.ascontiguousarray(x)) for x in (T, q, *targets)]
-    return objective.evaluate(*arguments, 0, None)[0].numpy()
+    poses, values = (torch.from_numpy(np.ascontiguousarray(x)) for x in (T, q))
+    return Objective(scene, goal, BALL).evaluate(np.arange(len(q)), poses, values, 0, None)[0].numpy()
 
 
 def test_the_loss_is_the_sum_of_its_terms(on_ball: Scene) -> None:
-    """Contact for links with a target, depth for all others, joints beyond their limits; nothing twice."""
+    """Contact for links with a target, depth for all, joints beyond their limits."""
     scene, T, q = on_ball, on_ball.T_world_root.copy(), on_ball.q.copy()
     T[3:, :3, 3] += [0.0, 0.0, 0.05]
     q[5, 2] = scene.hand.upper[2] + 0.1
-    auto = automatic(scene)
-    for target in auto:
-        target[:, 1:] = np.nan
-    found = measure(scene.hand, scene.object, scene.links, T, q, *auto)
+    goal = goal_of(scene, BALL.touching, nearest=True)
+    none = np.full_like(goal.target_link, np.nan)
+    none[:, 0] = goal.target_link[:, 0]
+    goal = replace(goal, target_link=none, target_object=np.where(np.isnan(none), np.nan, goal.target_object))
+    goal = replace(goal, touching=goal.aimed)
+    found = measure(scene.hand, scene.object, scene.links, T, q, goal.target_link, goal.target_object)
     assert (found.distance[:, 1:] < -1e-3).sum() > 5 and (found.distance[:, 0] < 0).any()
     frames = Kinematics(scene.hand, scene.links[:1])(torch.from_numpy(T), torch.from_numpy(q)).numpy()
     miss = [
-        found.witness.point_a[:, 0] - transform_points(frames[:, 0], auto[0][:, 0]),
-        found.witness.point_b[:, 0] - auto[1][:, 0],
+        found.witness.point_a[:, 0] - transform_points(frames[:, 0], goal.target_link[:, 0]),
+        found.witness.point_b[:, 0] - goal.target_object[:, 0],
     ]
     expected = found.distance[:, 0] ** 2 + sum((m**2).sum(axis=1) for m in miss)
-    expected += 10.0 * (np.minimum(found.distance[:, 1:], 0.0) ** 2).sum(axis=1)
+    expected += 10.0 * (np.minimum(found.distance, 0.0) ** 2).sum(axis=1)
     expected[5] += 0.01 * 0.1**2
-    np.testing.assert_allclose(loss_at(scene, T, q, auto), expected, rtol=1e-6)
+    np.testing.assert_allclose(loss_at(scene, T, q, goal), expected, rtol=1e-6)
 
 
-def test_all_links_come_to_the_ball_and_none_into_it(on_ball: Scene, grasped: Refinement) -> None:
+def test_all_fingertips_come_to_the_ball_and_none_into_it(on_ball: Scene, grasped: Refinement) -> None:
     before, after = (
         measure(on_ball.hand, on_ball.object, on_ball.links, T, q, grasped.target_link, grasped.target_object)
         for T, q in ((on_ball.T_world_root, on_ball.q), (grasped.T_world_root, grasped.q))
@@ -222,18 +442,9 @@ def test_all_links_come_to_the_ball_and_none_into_it(on_ball: Scene, grasped: Re
     assert not after.limits_violated.any()
 
 
-def test_the_best_iterate_is_returned_with_its_true_loss(on_ball: Scene, grasped: Refinement) -> None:
-    targets = grasped.target_link, grasped.target_object
-    np.testing.assert_allclose(
-        loss_at(on_ball, on_ball.T_world_root, on_ball.q, targets), grasped.loss[:, 0], rtol=1e-6
-    )
-    np.testing.assert_allclose(
-        loss_at(on_ball, grasped.T_world_root, grasped.q, targets), grasped.loss[:, 1], rtol=1e-4
-    )
-    assert (grasped.loss[:, 1] < grasped.loss[:, 0]).all()
-    # More iterations never give less.
+def test_more_iterations_of_descent_never_give_less(on_ball: Scene) -> None:
     shorter = refine(on_ball, replace(BALL, solver=Descent(iterations=20, shares=(), factors=())))
-    longer = refine(on_ball, replace(BALL, solver=Descent(iterations=60, shares=(), factors=())))
+    longer = refine(on_ball, replace(BALL, solver=Descent(iterations=40, shares=(), factors=())))
     assert (longer.loss[:, 1] <= shorter.loss[:, 1]).all()
     assert shorter.loss.shape == (6, 2) and (shorter.iterations == 20).all()
 
@@ -241,13 +452,8 @@ def test_the_best_iterate_is_returned_with_its_true_loss(on_ball: Scene, grasped
 def test_grasps_that_leave_do_not_disturb_those_that_stay(on_ball: Scene, grasped: Refinement) -> None:
     ended = grasped.iterations
     assert len(np.unique(ended)) > 1 and (grasped.status == Status.CONVERGED).any(), "they end at different times"
-    for index in ([5, 2], [0], [3, 4, 1]):
-        found = refine(rows(on_ball, index), BALL)
-        np.testing.assert_allclose(found.T_world_root, grasped.T_world_root[index], atol=1e-9)
-        np.testing.assert_allclose(found.q, grasped.q[index], atol=1e-9)
-        np.testing.assert_array_equal(found.status, grasped.status[index])
-        np.testing.assert_array_equal(found.iterations, ended[index])
-        np.testing.assert_array_equal(found.queries, grasped.queries[index])
+    for index in ([5, 2], [3, 4, 1]):
+        same(refine(rows(on_ball, index), BALL), grasped, list(range(len(index))), index)
 
 
 def test_costs_are_shared_out(grasped: Refinement) -> None:
@@ -256,17 +462,7 @@ def test_costs_are_shared_out(grasped: Refinement) -> None:
     assert (np.diff(grasped.wall_s[order]) >= -1e-12).all(), "who stays longer pays more"
 
 
-def test_grasps_that_begin_beyond_their_limits_end_within_them(on_ball: Scene) -> None:
-    q = on_ball.q[:2].copy()
-    q[0, 1], q[1, 5] = on_ball.hand.upper[1] + 0.2, on_ball.hand.lower[5] - 0.2
-    found = refine(replace(on_ball, T_world_root=on_ball.T_world_root[:2], q=q), BALL)
-    assert (found.q >= on_ball.hand.lower).all() and (found.q <= on_ball.hand.upper).all()
-    assert (found.loss[:, 1] < found.loss[:, 0]).all()
-
-
-def test_a_failed_query_ends_a_grasp_with_the_best_it_had(
-    on_ball: Scene, grasped: Refinement, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_query_ends_a_grasp_with_the_best_it_had(on_ball: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pair that was not answered counts nothing in the loss; the grasp once ended as converged, at a loss of 0."""
     calls = []
 
@@ -281,15 +477,14 @@ def test_a_failed_query_ends_a_grasp_with_the_best_it_had(
         return found
 
     monkeypatch.setattr(autograd, "query", fails_once)
-    short = replace(BALL, solver=Descent(iterations=40))
+    short = replace(BALL, solver=Descent(iterations=20))
     found = refine(on_ball, short)
     assert calls[9] == 6 and calls[10] == 5
     assert found.status[0] == Status.NOT_FINITE and found.iterations[0] == 10
     assert 0.0 < found.loss[0, 1] < found.loss[0, 0]
     monkeypatch.undo()
     clean = refine(on_ball, short)
-    np.testing.assert_allclose(found.q[1:], clean.q[1:], atol=1e-9)
-    np.testing.assert_array_equal(found.status[1:], clean.status[1:])
+    same(found, clean, [1, 2, 3, 4, 5], [1, 2, 3, 4, 5])
 
 
 def test_when_no_query_is_answered_the_loop_ends(on_ball: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -302,22 +497,6 @@ def test_when_no_query_is_answered_the_loop_ends(on_ball: Scene, monkeypatch: py
     found = refine(on_ball, BALL, lambda *progress: said.append(progress))
     assert (found.status == Status.NOT_FINITE).all() and said == [(6, 1, 0.0)]
     np.testing.assert_array_equal(found.T_world_root, on_ball.T_world_root)
-
-
-@pytest.mark.parametrize("side", [0, 1])
-def test_targets_on_one_side_only_are_no_targets(on_ball: Scene, grasped: Refinement, side: int) -> None:
-    """The grasp once ended as converged before it began."""
-    targets = [grasped.target_link.copy(), grasped.target_object.copy()]
-    targets[side][:3] = np.nan
-    found = refine(replace(on_ball, target_link=targets[0], target_object=targets[1]), SHORT)
-    assert (found.status[:3] == Status.NO_TARGET).all() and (found.status[3:] != Status.NO_TARGET).all()
-    assert np.isnan(found.target_link[:3]).all() and np.isnan(found.target_object[:3]).all()
-    np.testing.assert_array_equal(found.q[:3], on_ball.q[:3])
-
-
-def test_no_grasps_at_all_are_refined_at_once(on_ball: Scene) -> None:
-    found = refine(rows(on_ball, []), BALL)
-    assert found.T_world_root.shape == (0, 4, 4) and found.loss.shape == (0, 2)
 
 
 def test_transport_makes_it_no_derivative_but_a_descent(on_ball: Scene) -> None:

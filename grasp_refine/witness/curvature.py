@@ -41,18 +41,17 @@ class Curvatures:
 
     @staticmethod
     def of(bodies: Sequence[Body]) -> "Curvatures":
-        """What is needed of some bodies, which have equally many candidates."""
-        points = np.stack([body.candidates.points for body in bodies])
-        n = np.stack([body.candidates.normals for body in bodies])
+        """What is needed of some bodies; where they have fewer candidates than others, zeros follow, which weigh 0."""
         area = np.array([body.area for body in bodies])
-        center = points.mean(axis=1)
-        v = points - center[:, None]
-        one = np.ones_like(v[..., :1])
-        position = np.concatenate([v, (v * v).sum(axis=2, keepdims=True), one], axis=2).mT
-        squares = [(v[..., :, None] * other[..., None, :]).reshape(*v.shape[:2], 9) for other in (v, n)]
-        products = np.concatenate([one, v, n, *squares], axis=2)
-        single = (np.ascontiguousarray(array, dtype=np.float32) for array in (position, n.mT, products))
-        return Curvatures(center, 2.0 * np.sqrt(_SAFE * area / (1024 * np.pi)), *single)
+        center = np.array([body.candidates.points.mean(axis=0) for body in bodies])
+        columns = np.zeros((len(bodies), max(len(body.candidates.points) for body in bodies), 33), dtype=np.float32)
+        for row, body, middle in zip(columns, bodies, center, strict=True):
+            v, n = body.candidates.points - middle, body.candidates.normals
+            one = np.ones((len(v), 1))
+            squares = [(v[:, :, None] * other[:, None, :]).reshape(-1, 9) for other in (v, n)]
+            row[: len(v)] = np.hstack([v, (v * v).sum(axis=1, keepdims=True), one, n, one, v, n, *squares])
+        parts = columns[..., :5].mT, columns[..., 5:8].mT, columns[..., 8:]
+        return Curvatures(center, 2.0 * np.sqrt(_SAFE * area / (1024 * np.pi)), *map(np.ascontiguousarray, parts))
 
     def fit(self, body: np.ndarray, x: np.ndarray, normal: np.ndarray, E: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """Symmetric curvatures K (R, 2, 2) in 1/m, positive for convex: E^T n_j = b + K E^T (v_j - x).

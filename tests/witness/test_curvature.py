@@ -154,6 +154,15 @@ def test_nothing_at_all_can_be_fitted() -> None:
     assert bodies.fit(*(a[:0] for a in rows)).shape == (0, 2, 2)
 
 
+def test_bodies_may_have_different_numbers_of_candidates() -> None:
+    bodies = [ball(0.02), build_body("box", [box([0.05, 0.06, 0.07])], candidates=100)]
+    c = bodies[1].candidates
+    both = Curvatures.of(bodies).fit(
+        np.ones(20, dtype=int), c.points[:20], c.normals[:20], tangents(c.normals[:20]), np.full(20, 0.02)
+    )
+    np.testing.assert_allclose(both, fit(bodies[1], c.points[:20], c.normals[:20], 0.02), atol=1e-3 / 0.02)
+
+
 def test_single_precision_about_the_centre_suffices() -> None:
     """Against the same least squares in double precision, on a body a metre off its origin."""
     body, radius = build_body("rod", [capsule(0.02, (1, 0, -0.05), (1, 0, 0.05))], candidates=1024), 0.012
