@@ -28,7 +28,7 @@ from grasp_refine.scene import Scene
 from grasp_refine.se3 import matvec, tangents, transform_points
 from grasp_refine.self_collision import touching_pairs
 from grasp_refine.solvers.batch import choose
-from grasp_refine.solvers.least_squares import Point
+from grasp_refine.solvers.least_squares import Linear, Point
 from grasp_refine.solvers.levenberg_marquardt import bounded_step
 from grasp_refine.solvers.rows import Rows
 from grasp_refine.witness.pair_curvature import PairCurvatures
@@ -113,34 +113,34 @@ class GraspProblem:
         loss = np.where(unknown, np.nan, loss)
         return Known(loss, asked, T, frames.axes, witness, own)
 
-    def linearize(
-        self, member: np.ndarray, point: Point, known: Known, width: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (M, m) and their Jacobians (M, m, 6 + n); rows that are zero for all are left out."""
-        weights, frames = self.config.weights, Frames(known.T_link, known.axes)
+    def linearize(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> Linear:
+        """Residuals (M, m) and their derivatives; rows that are zero for all are left out."""
+        weights = self.config.weights
         rows = Rows(len(member))
         self._add_contacts(rows, member, known, width)
         if weights.penetration > 0:
-            rows.add_active(penetration(known.witness), -gap_covectors(known.witness), weights.penetration)
+            w = known.witness
+            rows.add_one_sided(np.where(w.valid, -w.distance, -np.inf), -gap_covectors(w), weights.penetration)
         if self.own_pairs is not None:
-            rows.add_active(
-                penetration(known.own), -gap_covectors(known.own), weights.self_penetration,
+            w = known.own
+            rows.add_one_sided(
+                np.where(w.valid, -w.distance, -np.inf), -gap_covectors(w), weights.self_penetration,
                 self.own_first, self.own_second,
             )  # fmt: skip
         if self.table is not None:
+            normal, offset = self.table
             points = self._lowest(known.T_link)
-            depth = below_plane(points, *self.table)
-            rows.add_active(depth, below_plane_covectors(points, *self.table), weights.table)
-        residual, covector, link, minus = rows.stacked()
-        J = self.chain.pull(frames, covector, link)
-        if minus is not None:
-            J -= self.chain.pull(frames, np.where(minus[..., None] >= 0, covector, 0.0), np.maximum(minus, 0))
-        if weights.stay_near > 0:
-            away = self._away(member, point)
-            scale = np.sqrt(weights.stay_near)
-            residual = np.concatenate([residual, scale * away], axis=1)
-            J = np.concatenate([J, scale * stay_near_jacobian(away, self.config.scales)], axis=1)
-        return residual, J
+            rows.add_one_sided(offset - points @ normal, below_plane_covectors(points, normal, np.inf), weights.table)
+        linear = rows.pulled(self.chain, Frames(known.T_link, known.axes))
+        if weights.stay_near == 0:
+            return linear
+        away, scale = self._away(member, point), np.sqrt(weights.stay_near)
+        rest = None if linear.one_sided is None else np.zeros(away.shape, dtype=bool)
+        return Linear(
+            np.concatenate([linear.residual, scale * away], axis=1),
+            np.concatenate([linear.jacobian, scale * stay_near_jacobian(away, self.config.scales)], axis=1),
+            None if rest is None else np.concatenate([linear.one_sided, rest], axis=1),
+        )
 
     def metric(self, member: np.ndarray) -> np.ndarray:
         """1 for translations, `ROOT_TURN`^2 and `JOINT_TURN`^2 for rotations."""

@@ -31,6 +31,18 @@ class Point:
     """Joint values (batch, n); n may be 0."""
 
 
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Residuals of members and their derivatives."""
+
+    residual: np.ndarray
+    """Residuals (batch, m) that have a derivative."""
+    jacobian: np.ndarray
+    """(batch, m, dof)"""
+    one_sided: np.ndarray | None = None
+    """Rows (batch, m) that count only where they are positive; None: none."""
+
+
 @runtime_checkable
 class Evaluated(Protocol):
     """What a problem knows of members at a point, rows of arrays."""
@@ -57,13 +69,8 @@ class Problem(Protocol):
         """
         ...
 
-    def linearize(
-        self, member: np.ndarray, point: Point, known: Any, width: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (batch, m) that have a derivative, and their Jacobians (batch, m, dof).
-
-        `width` (batch,) multiplies the radii of neighbourhoods.
-        """
+    def linearize(self, member: np.ndarray, point: Point, known: Any, width: np.ndarray) -> Linear:
+        """Residuals and derivatives; `width` (batch,) multiplies the radii of neighbourhoods."""
         ...
 
     def room(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
@@ -266,9 +273,11 @@ class _Run:
         """The slots with their next trials."""
         problem, member = self.problem, slots.member
         width = self.widths[slots.rejections % len(self.widths)]
-        residual, J = problem.linearize(member, slots.point, slots.known, width)
+        linear = problem.linearize(member, slots.point, slots.known, width)
         lower, upper = problem.room(member, slots.point)
-        dx, predicted = bounded_step(J, residual, slots.damping, problem.metric(member), lower, upper)
+        dx, predicted = bounded_step(
+            linear.jacobian, linear.residual, slots.damping, problem.metric(member), lower, upper, linear.one_sided
+        )
         trial = problem.moved(member, slots.point, dx)
         starting = np.isinf(slots.loss)
         if starting.any():

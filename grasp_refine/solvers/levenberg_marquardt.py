@@ -62,14 +62,20 @@ class LevenbergMarquardt:
 
 
 def bounded_step(
-    J: Array, r: Array, damping: Array, metric: Array, lower: Array, upper: Array, passes: int = 10
+    J: Array,
+    r: Array,
+    damping: Array,
+    metric: Array,
+    lower: Array,
+    upper: Array,
+    one_sided: Array | None = None,
+    passes: int = 4,
 ) -> tuple[Array, Array]:
-    """Steps dx (batch, n) within bounds that minimise |J dx + r|^2 + lambda dx . W dx, and the falls of |r|^2 (batch,).
+    """Steps dx (batch, n) within bounds, and the falls (batch,) of the loss that they predict.
 
-    A primal-dual active-set method (Hintermueller, Ito and Kunisch 2003): unknowns that go beyond a bound are held
-    there, held ones that would come back are released, and the others are solved for again. That mostly settles
-    within five passes. It may go round in circles, though: the last three passes release nothing, and what is still
-    outside then is cut off.
+    Rows that are one-sided count only where they are positive. Which of them will be after the step is found by
+    solving again with those that the last solution made so (semismooth Newton), so that a step neither runs into what
+    is near nor is held back by what it leaves.
 
     Args:
         J: Jacobians (batch, m, n).
@@ -78,48 +84,56 @@ def bounded_step(
         metric: Diagonals of W (batch, n).
         lower: Lower bounds of dx (batch, n), at most 0.
         upper: Upper bounds, at least 0.
-        passes: Most solutions of the linear system.
+        one_sided: Rows (batch, m) that count only where they are positive; None: none.
+        passes: Most times that the rows, and the bounds, that count are chosen.
+    """
+    xp = array_namespace(J)
+    if one_sided is None:
+        dx = _within_bounds(J, r, damping, metric, lower, upper, passes)
+        after = r + matvec(J, dx)
+        return dx, xp.sum(r * r - after * after, axis=-1)
+    counts = ~one_sided | (r > 0)
+    before = xp.where(counts, r, xp.zeros_like(r))
+    dx = xp.zeros_like(lower)
+    some = xp.any(counts | ~counts, axis=-1)
+    for _ in range(passes):
+        rows = (J[some], r[some], counts[some])
+        masked = xp.where(rows[2][..., None], rows[0], xp.zeros_like(rows[0]))
+        dx[some] = _within_bounds(masked, rows[1], damping[some], metric[some], lower[some], upper[some], passes)
+        after = r + matvec(J, dx)
+        now = ~one_sided | (after > 0)
+        some = xp.any(now != counts, axis=-1)
+        counts = now
+        if not bool(xp.any(some)):
+            break
+    after = xp.where(counts, after, xp.zeros_like(after))
+    return dx, xp.sum(before * before - after * after, axis=-1)
 
-    Returns:
-        The steps, and by how much |r|^2 falls along them if r is linear.
+
+def _within_bounds(
+    J: Array, r: Array, damping: Array, metric: Array, lower: Array, upper: Array, passes: int
+) -> Array:
+    """Solutions dx (batch, n) of (J^T J + lambda W) dx = -J^T r within bounds.
+
+    Unknowns that the step would take beyond a bound are held there and the others are solved for again, a few
+    times (an active-set method without release); what is still outside after that is cut off.
     """
     xp = array_namespace(J)
     J_transposed = xp.matrix_transpose(J)
-    H, g = J_transposed @ J, matvec(J_transposed, r)
-    damped = H + _diagonal(damping[:, None] * metric)
+    damped, g = J_transposed @ J + _diagonal(damping[:, None] * metric), matvec(J_transposed, r)
+    free = xp.ones_like(lower)
     dx = xp.linalg.solve(damped, -g[..., None])[..., 0]
-    held = xp.zeros_like(dx, dtype=xp.bool)
-    for number in range(passes - 1):
-        kept = held if number > passes - 4 else xp.zeros_like(held)
-        # A held unknown goes back into its room if the slope there says so.
-        slope = xp.where(held & ~kept, matvec(damped, dx) + g, xp.zeros_like(dx))
-        wanted = dx - slope / xp.linalg.diagonal(damped)
-        limited = xp.minimum(xp.maximum(wanted, lower), upper)
-        outside = (limited != wanted) | kept
-        (rows,) = xp.nonzero(xp.any((outside != held) | (outside & (limited != dx)), axis=-1))
-        if not len(rows):
+    for _ in range(passes - 1):
+        held = xp.minimum(xp.maximum(dx, lower), upper)
+        outside = held != dx
+        if not bool(xp.any(outside)):
             break
-        held = outside
-        dx[rows] = _with_held(damped[rows], g[rows], held[rows], limited[rows])
-    dx = xp.minimum(xp.maximum(dx, lower), upper)
-    return dx, predicted_fall(H, g, dx)
-
-
-def _with_held(damped: Array, g: Array, held: Array, value: Array) -> Array:
-    """Solutions (batch, n) of damped dx = -g in the free unknowns, the held ones being at a value."""
-    xp = array_namespace(damped)
-    fixed = xp.where(held, xp.ones_like(value), xp.zeros_like(value))
-    free, value = 1.0 - fixed, fixed * value
-    # What is held moves to the right-hand side; its own rows become those of the unit matrix.
-    right = free * (-g - matvec(damped, value)) + value
-    system = damped * free[:, :, None] * free[:, None, :] + _diagonal(fixed)
-    return xp.where(held, value, xp.linalg.solve(system, right[..., None])[..., 0])
-
-
-def predicted_fall(H: Array, g: Array, dx: Array) -> Array:
-    """By how much |r|^2 falls along dx (batch, n) if r is linear: -2 g . dx - dx . H dx."""
-    xp = array_namespace(H)
-    return -xp.sum(dx * (2.0 * g + matvec(H, dx)), axis=-1)
+        free = xp.where(outside, xp.zeros_like(free), free)
+        # What is held moves to the right-hand side; its own rows become those of the unit matrix.
+        right = free * (-g - matvec(damped, (1.0 - free) * held)) + (1.0 - free) * held
+        system = damped * free[:, :, None] * free[:, None, :] + _diagonal(1.0 - free)
+        dx = xp.linalg.solve(system, right[..., None])[..., 0]
+    return xp.minimum(xp.maximum(dx, lower), upper)
 
 
 def _diagonal(values: Array) -> Array:

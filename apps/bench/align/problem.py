@@ -12,7 +12,7 @@ from grasp_refine.collision.query import Pairs, Witness, query_items
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.se3 import cross, exp_so3, matvec, tangents, transform, transform_points
 from grasp_refine.solvers.batch import choose, take
-from grasp_refine.solvers.least_squares import Point
+from grasp_refine.solvers.least_squares import Linear, Point
 from grasp_refine.witness.contact_kinematics import slide
 from grasp_refine.witness.pair_curvature import PairCurvatures
 from grasp_refine.witness.patch import Patch
@@ -103,9 +103,7 @@ class AlignProblem:
         loss = np.where(w.valid, gap**2 + a + b, np.nan)
         return Known(residual, loss, w.asked, w, E, pivot, np.sqrt(np.stack([a, b], axis=1)))
 
-    def linearize(
-        self, member: np.ndarray, point: Point, known: Known, width: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def linearize(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> Linear:
         """Residuals (M, 5) and Jacobians (M, 5, 6) in the twist of body b about its target.
 
         A width without end stands for the supporting faces as planes (see `_flattened`).
@@ -114,10 +112,10 @@ class AlignProblem:
             rows = np.flatnonzero(np.isinf(width))
             J = self._jacobian(member, point, known, np.where(np.isinf(width), 1.0, width))
             if not len(rows):
-                return known.residual, J
+                return Linear(known.residual, J)
             residual = known.residual.copy()
             residual[rows], J[rows] = self._flattened(member[rows], point.T[rows], take(known, rows))
-            return residual, J
+            return Linear(residual, J)
 
     def _jacobian(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> np.ndarray:
         w = known.witness
