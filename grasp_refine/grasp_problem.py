@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_refine.chain import Chain, Frames, moved
-from grasp_refine.collision.culling import bounding_ball, motion, nothing_near, query_near
-from grasp_refine.collision.query import Pairs, QueryStatus, Witness
+from grasp_refine.chain import Frames, moved
+from grasp_refine.collision.culling import motion, nothing_near, query_near
+from grasp_refine.collision.query import QueryStatus, Witness
 from grasp_refine.config import Config
 from grasp_refine.goal import Goal
+from grasp_refine.hand_object import HandObject
 from grasp_refine.losses import (
     below_plane,
     below_plane_covectors,
@@ -26,12 +27,10 @@ from grasp_refine.losses import (
 )
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import matvec, tangents, transform_points
-from grasp_refine.self_collision import touching_pairs
 from grasp_refine.solvers.batch import choose
 from grasp_refine.solvers.least_squares import Linear, Point
 from grasp_refine.solvers.levenberg_marquardt import bounded_step
-from grasp_refine.solvers.rows import Rows
-from grasp_refine.witness.pair_curvature import PairCurvatures
+from grasp_refine.solvers.rows import NEAR, Rows
 
 ROOT_TURN, JOINT_TURN = 0.05, 0.04
 """A radian of the root, and of a joint, is as much movement as so many metres of the root."""
@@ -41,10 +40,6 @@ BOX = (0.05, 1.0, 0.5)
 
 NOISE = (0.01, 0.2, 0.1)
 """Standard deviations of new starts: metres and radians of the root, radians of joints."""
-
-CLEAR = 0.003
-"""Pairs that may penetrate are asked up to this distance in metres; those beyond it are not asked again before they
-can have moved so far."""
 
 REACHING, REACHING_DAMPING = 8, 1e-3
 """Steps of the position-only inverse kinematics before the first query, and their lambda."""
@@ -69,27 +64,20 @@ class Known:
 class GraspProblem:
     """The grasps of a scene; the object rests at the world's origin."""
 
-    def __init__(self, scene: Scene, goal: Goal, config: Config) -> None:
-        """Prepare chain, pairs and curvatures."""
+    def __init__(self, scene: Scene, goal: Goal, config: Config, prepared: HandObject | None = None) -> None:
+        """The terms that the scene has; what is `prepared` of hand and object is used, or built here."""
+        prepared = prepared or HandObject.of(scene)
         self.scene, self.goal, self.config = scene, goal, config
-        hand, links = scene.hand, scene.links
-        bodies = [hand.links_by_name[name].body for name in links]
-        self.chain = Chain(hand, links)
-        self.pairs = Pairs.against(bodies, scene.object.body)
-        weights = config.weights
-        own = touching_pairs(hand) if weights.self_penetration > 0 else ()
-        first, second = (np.array([links.index(pair[side]) for pair in own], dtype=np.int64) for side in (0, 1))
-        self.own_first, self.own_second = first, second
-        self.own_pairs = Pairs(tuple(bodies[i] for i in first), tuple(bodies[j] for j in second)) if own else None
-        self.balls = np.array([bounding_ball(body) for body in bodies])
-        corners = np.stack([piece.bounds for piece in scene.object.body.pieces])
-        self.box = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+        hand, weights = scene.hand, config.weights
+        self.chain, self.pairs, self.balls, self.box = prepared.chain, prepared.pairs, prepared.balls, prepared.box
+        self.own_pairs = prepared.own_pairs if weights.self_penetration > 0 else None
+        self.own_first, self.own_second = prepared.own if self.own_pairs is not None else np.zeros((2, 0), dtype=int)
         plane = scene.table if weights.table > 0 else None
         self.table = None if plane is None else (np.asarray(plane.normal), plane.offset)
         self.aimed_columns = np.flatnonzero(goal.aimed.any(axis=0))
         self.gap_columns = np.flatnonzero((goal.touching & ~goal.aimed).any(axis=0))
         aims = len(self.aimed_columns) or goal.direction is not None
-        self.curvatures = PairCurvatures.of(self.pairs, smallest=1.0) if aims else None
+        self.curvatures = prepared.curvatures if aims else None
         prismatic = np.array([hand.joints_by_name[name].kind == "prismatic" for name in hand.joint_names], dtype=bool)
         joints = np.where(prismatic, 1.0, JOINT_TURN**2)
         self.scales = np.concatenate([np.ones(3), np.full(3, ROOT_TURN**2), joints])
@@ -207,7 +195,7 @@ class GraspProblem:
         if self.config.weights.penetration == 0:
             bound = np.where(np.isfinite(bound), np.inf, bound)
         T_object = np.broadcast_to(np.eye(4), T.shape)
-        return query_near(self.pairs, bound, T, T_object, np.where(touching, np.inf, CLEAR), before)
+        return query_near(self.pairs, bound, T, T_object, np.where(touching, np.inf, NEAR), before)
 
     def _against_itself(self, T: np.ndarray, previous: Known | None, rejected: np.ndarray) -> Witness:
         """Witness points of the pairs of links that penetrate, but for grasps that are rejected (M,)."""
@@ -222,7 +210,7 @@ class GraspProblem:
             before, moves = previous.own, motion(self.balls, previous.T_link, T)
             bound = np.fmax(bound, before.distance - moves[:, first] - moves[:, second])
         bound = np.where(rejected[:, None], np.inf, bound)
-        return query_near(self.own_pairs, bound, T[:, first], T[:, second], np.full(bound.shape, CLEAR), before)
+        return query_near(self.own_pairs, bound, T[:, first], T[:, second], np.full(bound.shape, NEAR), before)
 
     # terms
 

@@ -12,9 +12,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from grasp_refine.collision.query import Pairs, QueryStatus, Witness
+from grasp_refine.collision.query import QueryStatus, Witness
 from grasp_refine.config import Config
 from grasp_refine.goal import Goal
+from grasp_refine.hand_object import HandObject
 from grasp_refine.kinematics import Kinematics
 from grasp_refine.losses import (
     below_plane,
@@ -27,7 +28,6 @@ from grasp_refine.losses import (
 )
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import body_gradient, transform_points
-from grasp_refine.self_collision import touching_pairs
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.transport import EquivalentTransport
 
@@ -47,21 +47,17 @@ class Found:
 class Objective:
     """The loss of a batch of grasps and its gradient in root pose and joint values."""
 
-    def __init__(self, scene: Scene, goal: Goal, config: Config) -> None:
-        """Prepare kinematics, pairs and the witness layers of a scene."""
+    def __init__(self, scene: Scene, goal: Goal, config: Config, prepared: HandObject | None = None) -> None:
+        """Kinematics and witness layers; what is `prepared` of hand and object is used, or built here."""
+        prepared = prepared or HandObject.of(scene)
         self.scene, self.goal, self.config = scene, goal, config
-        self.links = scene.links
-        hand = scene.hand
+        hand, self.links = scene.hand, scene.links
         dtype = getattr(torch, config.dtype)
         self.kinematics = Kinematics(hand, self.links, dtype=dtype, device=config.device)
-        bodies = [hand.links_by_name[name].body for name in self.links]
-        self.layer = WitnessLayer(Pairs.against(bodies, scene.object.body), config.derivative)
-        own = touching_pairs(hand) if config.weights.self_penetration > 0 else ()
-        self._own = tuple([self.links.index(pair[side]) for pair in own] for side in (0, 1))
-        self.own_layer = None
-        if own:
-            first, second = (tuple(bodies[i] for i in side) for side in self._own)
-            self.own_layer = WitnessLayer(Pairs(first, second), config.derivative)
+        self.layer = WitnessLayer(prepared.pairs, config.derivative)
+        own_pairs = prepared.own_pairs if config.weights.self_penetration > 0 else None
+        self.own_layer = None if own_pairs is None else WitnessLayer(own_pairs, config.derivative)
+        self._own = () if own_pairs is None else prepared.own
         self.lower = torch.as_tensor(hand.lower, dtype=dtype, device=config.device)
         self.upper = torch.as_tensor(hand.upper, dtype=dtype, device=config.device)
         steps = config.solver

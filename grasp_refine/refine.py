@@ -8,6 +8,7 @@ import numpy as np
 from grasp_refine.config import Config
 from grasp_refine.goal import Goal, goal_of
 from grasp_refine.grasp_problem import GraspProblem
+from grasp_refine.hand_object import HandObject
 from grasp_refine.objective import Objective
 from grasp_refine.scene import Scene
 from grasp_refine.solvers.batch import choose
@@ -50,25 +51,33 @@ class Refinement:
     """Share of the CPU time of each grasp (N,), seconds."""
 
 
-def refine(scene: Scene, config: Config | None = None, progress: Progress | None = None) -> Refinement:
+def refine(
+    scene: Scene,
+    config: Config | None = None,
+    progress: Progress | None = None,
+    *,
+    prepared: HandObject | None = None,
+) -> Refinement:
     """Refine all grasps of a scene.
 
     Args:
         scene: Hand, object, initial grasps and, optionally, targets.
         config: All settings; the defaults when None.
         progress: Called after each iteration.
+        prepared: Of this hand and object; refining often, a few grasps at a time, build it once.
 
     Returns:
         The best iterate of each grasp by true loss. Not converging is a status, never an exception.
     """
     config = config or Config()
-    goal = goal_of(scene, config.touching, nearest=config.nearest)
+    prepared = prepared or HandObject.of(scene)
+    goal = goal_of(scene, config.touching, prepared, nearest=config.nearest)
     status = np.full(len(scene.q), Status.RUNNING)
     status[~goal.touching.any(axis=1)] = Status.NO_TARGET
     finite = np.isfinite(scene.T_world_root).all(axis=(1, 2)) & np.isfinite(scene.q).all(axis=1)
     status[~finite] = Status.NOT_FINITE
     solve = _least_squares if isinstance(config.solver, LevenbergMarquardt) else _first_order
-    found = solve(scene, goal, config, status, progress)
+    found = solve(scene, prepared, goal, config, status, progress)
     unreachable = np.isin(found.status, (Status.STALLED, Status.BUDGET))
     found.status[unreachable & (goal.off_surface > max(config.tolerance, OFF_SURFACE))] = Status.UNREACHABLE
     hand = scene.hand
@@ -84,10 +93,10 @@ OFF_SURFACE = 1e-8
 
 
 def _least_squares(
-    scene: Scene, goal: Goal, config: Config, status: np.ndarray, progress: Progress | None
+    scene: Scene, prepared: HandObject, goal: Goal, config: Config, status: np.ndarray, progress: Progress | None
 ) -> Minimum:
     """By Levenberg-Marquardt; with targets, from where inverse kinematics alone comes nearest to them."""
-    problem, solver = GraspProblem(scene, goal, config), config.solver
+    problem, solver = GraspProblem(scene, goal, config, prepared), config.solver
     rows = np.flatnonzero(status == Status.RUNNING)
     hand = scene.hand
     given = Point(scene.T_world_root, np.clip(scene.q, hand.lower, hand.upper))
@@ -111,10 +120,12 @@ def _least_squares(
     return replace(found, point=choose(first, given, found.point), loss=loss)
 
 
-def _first_order(scene: Scene, goal: Goal, config: Config, status: np.ndarray, progress: Progress | None) -> Minimum:
+def _first_order(
+    scene: Scene, prepared: HandObject, goal: Goal, config: Config, status: np.ndarray, progress: Progress | None
+) -> Minimum:
     """By descent or Adam."""
     return descend(
-        Objective(scene, goal, config),
+        Objective(scene, goal, config, prepared),
         Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper)),
         config.solver,
         config.tolerance,

@@ -30,9 +30,14 @@ class Scene:
 
     @property
     def links(self) -> tuple[str, ...]:
-        """Links with collision geometry, the columns of every per-link array; contact links come first."""
-        first = [contact.link for contact in self.hand.contacts]
-        return (
-            *first,
-            *(link.name for link in self.hand.links if link.body is not None and link.name not in first),
-        )
+        """Links with collision geometry, the columns of every per-link array."""
+        return links_of(self.hand)
+
+
+def links_of(hand: Hand) -> tuple[str, ...]:
+    """Links of a hand with collision geometry; contact links come first, as often as they have contact points."""
+    first = [contact.link for contact in hand.contacts]
+    return (
+        *first,
+        *(link.name for link in hand.links if link.body is not None and link.name not in first),
+    )

@@ -40,6 +40,7 @@ ORDER = (
     "losses",
     "wrench",
     "targets",
+    "hand_object",
     "goal",
     "solvers",
     "config",

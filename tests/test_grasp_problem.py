@@ -24,6 +24,7 @@ from grasp_refine.solvers.adam import Adam
 from grasp_refine.solvers.batch import take
 from grasp_refine.solvers.least_squares import Point, minimise
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.solvers.rows import NEAR
 from grasp_refine.targets import Touching
 
 GRIPPER = """<robot name="gripper">
@@ -80,6 +81,12 @@ def examples(allegro: Hand) -> Scene:
     return Scene(allegro, obj, transform_from_pose(grasps.hand_pose), grasps.q)
 
 
+def rows_of(scene: Scene, m: int) -> Scene:
+    """One grasp of a scene."""
+    targets = {name: getattr(scene, name)[[m]] for name in ("target_link", "target_object")}
+    return replace(scene, T_world_root=scene.T_world_root[[m]], q=scene.q[[m]], **targets)
+
+
 def aimed_at(scene: Scene, links: int, seed: int) -> Scene:
     """The first links should touch at points that are near neither now."""
     rng = np.random.default_rng(seed)
@@ -127,6 +134,16 @@ def slopes(value: object, point: Point, h: float) -> np.ndarray:
     return np.stack(columns, axis=-1)
 
 
+def linearized(problem: GraspProblem, at: Point, known: Known, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (M, m) and Jacobians (M, m, 6 + n); one-sided rows that are not positive are zero."""
+    count = len(at.q)
+    linear = problem.linearize(np.arange(count), at, known, np.full(count, width))
+    counts = np.ones(linear.residual.shape, dtype=bool)
+    if linear.one_sided is not None:
+        counts = ~linear.one_sided | (linear.residual > 0)
+    return np.where(counts, linear.residual, 0.0), np.where(counts[..., None], linear.jacobian, 0.0)
+
+
 def every(scene: Scene) -> np.ndarray:
     return np.arange(len(scene.q))
 
@@ -156,7 +173,7 @@ def test_the_gradient_of_exact_terms_is_that_of_the_loss(
     at = stepped(at, np.concatenate([[0.003, -0.002, 0.001, 0.05, -0.03, 0.02], np.full(at.q.shape[1], 1e-3)]))
     rows = every(scene)
     known = problem.evaluate(rows, at, None)
-    residual, J = problem.linearize(rows, at, known, np.ones(6))
+    residual, J = linearized(problem, at, known, 1.0)
     np.testing.assert_allclose((residual**2).sum(axis=1), known.loss, rtol=1e-12)
     expected = slopes(lambda p: problem.evaluate(rows, p, None).loss, at, 1e-7)
     found = 2.0 * np.einsum("brk,br->bk", J, residual)
@@ -194,7 +211,7 @@ def test_rows_of_targets_are_the_slopes_of_the_misses(gripper: Hand, width: floa
     rows, at = every(scene), point_of(scene)
     known = problem.evaluate(rows, at, None)
     assert known.witness.valid.all() and (known.witness.distance < 0).any() and (known.witness.distance > 0).any()
-    residual, J = problem.linearize(rows, at, known, np.full(6, width))
+    residual, J = linearized(problem, at, known, width)
     links = len(scene.links)
     # Rows are those of gap, two misses on the link, two on the object, link by link.
     seen = hands_own_frame(problem, at, known, links)
@@ -216,7 +233,7 @@ def test_rows_of_directions_are_the_slopes_of_the_normals(gripper: Hand) -> None
     problem = GraspProblem(scene, goal, Config(weights=weights))
     rows, at = every(scene), point_of(scene)
     known = problem.evaluate(rows, at, None)
-    residual, J = problem.linearize(rows, at, known, np.zeros(6))
+    residual, J = linearized(problem, at, known, 0.0)
     np.testing.assert_allclose((residual**2).sum(axis=1), known.loss, rtol=1e-12)
     expected = slopes(lambda p: problem.evaluate(rows, p, None).witness.normal[:, :3].reshape(6, -1), at, 1e-6)
     # The rows of gap and misses of the same links come first; here they weigh nothing.
@@ -233,7 +250,7 @@ def test_the_squares_of_the_rows_are_the_loss_less_the_misses_along_the_normals(
     problem = GraspProblem(scene, goal, config)
     rows, at = every(scene), stepped(point_of(scene), np.concatenate([np.full(6, 0.01), np.zeros(16)]))
     known = problem.evaluate(rows, at, None)
-    residual, J = problem.linearize(rows, at, known, np.ones(4))
+    residual, J = linearized(problem, at, known, 1.0)
     w, T = known.witness.pairs(slice(0, 3)), known.T_link[:, :3]
     along = [
         ((w.point_a - transform_points(T, goal.target_link[:, :3])) * w.normal).sum(axis=-1),
@@ -251,7 +268,7 @@ def test_the_prediction_of_a_small_step_comes_true(examples: Scene) -> None:
     problem = GraspProblem(examples, goal, Config(weights=Weights(self_penetration=0.0)))
     rows, at = every(examples), point_of(examples)
     known = problem.evaluate(rows, at, None)
-    residual, J = problem.linearize(rows, at, known, np.ones(4))
+    residual, J = linearized(problem, at, known, 1.0)
     direction = -np.einsum("brk,br->bk", J, residual)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     for h in (1e-4, 1e-5):
@@ -438,12 +455,38 @@ def test_grasps_do_not_depend_on_their_batch(examples: Scene) -> None:
     problem = GraspProblem(scene, partly(goal_of(scene, Touching()), 4), Config(weights=replace(ALL, table=0.0)))
     rows, at = every(scene), stepped(point_of(scene), np.full(22, 0.01))
     known = problem.evaluate(rows, at, None)
-    residual, J = problem.linearize(rows, at, known, np.ones(4))
+    residual, J = linearized(problem, at, known, 1.0)
     normal = np.einsum("brk,brl->bkl", J, J), np.einsum("brk,br->bk", J, residual)
     for m in range(4):
-        one = np.array([m])
-        alone = problem.evaluate(one, take(at, one), None)
+        single = GraspProblem(rows_of(scene, m), partly(goal_of(rows_of(scene, m), Touching()), 4), problem.config)
+        own = take(at, np.array([m]))
+        alone = single.evaluate(np.array([0]), own, None)
         np.testing.assert_allclose(alone.loss[0], known.loss[m], rtol=1e-12)
-        r, own = problem.linearize(one, take(at, one), alone, np.ones(1))
-        np.testing.assert_allclose(own[0].T @ own[0], normal[0][m], rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(own[0].T @ r[0], normal[1][m], rtol=1e-9, atol=1e-12)
+        r, J_own = linearized(single, own, alone, 1.0)
+        np.testing.assert_allclose(J_own[0].T @ J_own[0], normal[0][m], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(J_own[0].T @ r[0], normal[1][m], rtol=1e-9, atol=1e-12)
+
+
+def test_depths_that_are_not_yet_there_come_as_one_sided_rows(examples: Scene) -> None:
+    """Pairs less than 3 mm apart: minus their distance, with its slope, so that a step does not run into them."""
+    weights = Weights(contact=0.0, penetration=1.0, self_penetration=0.0)
+    problem = GraspProblem(examples, goal_of(examples, Touching()), Config(weights=weights))
+    rows, at = every(examples), point_of(examples)
+    known = problem.evaluate(rows, at, None)
+    linear = problem.linearize(rows, at, known, np.ones(4))
+    w = known.witness
+    near = w.valid & (w.distance < NEAR)
+    assert linear.one_sided is not None and (near & (w.distance > 0)).any()
+    for m in range(4):
+        found = linear.residual[m][linear.one_sided[m] & linear.jacobian[m].any(axis=-1)]
+        np.testing.assert_allclose(np.sort(found), np.sort(-w.distance[m][near[m]]), rtol=1e-12)
+    # A step along which they come nearer: what they will be is foretold, also beyond zero.
+    dx = 0.002 * np.eye(22)[1]
+    later = problem.evaluate(rows, stepped(at, dx), replace(known, loss=np.full(4, np.inf))).witness
+    place = np.argsort(~near, axis=1, kind="stable")
+    told = linear.residual + linear.jacobian @ dx
+    for m in range(4):
+        first = int(np.flatnonzero(linear.one_sided[m])[0])
+        for row, column in enumerate(place[m][: near[m].sum()]):
+            if later.valid[m, column]:
+                assert told[m, first + row] == pytest.approx(-later.distance[m, column], abs=3e-4)

@@ -390,7 +390,7 @@ def on_ball() -> Scene:
 
 
 BALL = Config(
-    solver=Descent(iterations=250),
+    solver=Descent(iterations=140),
     nearest=True,
     touching=Touching(reach=0.06, reach_others=0.0),
     weights=Weights(penetration=10.0, self_penetration=0.0),

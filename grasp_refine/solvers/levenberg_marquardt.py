@@ -89,7 +89,7 @@ def bounded_step(
     """
     xp = array_namespace(J)
     if one_sided is None:
-        dx = _within_bounds(J, r, damping, metric, lower, upper, passes)
+        dx = _within_bounds(J, r, damping, metric, lower, upper)
         after = r + matvec(J, dx)
         return dx, xp.sum(r * r - after * after, axis=-1)
     counts = ~one_sided | (r > 0)
@@ -99,7 +99,7 @@ def bounded_step(
     for _ in range(passes):
         rows = (J[some], r[some], counts[some])
         masked = xp.where(rows[2][..., None], rows[0], xp.zeros_like(rows[0]))
-        dx[some] = _within_bounds(masked, rows[1], damping[some], metric[some], lower[some], upper[some], passes)
+        dx[some] = _within_bounds(masked, rows[1], damping[some], metric[some], lower[some], upper[some])
         after = r + matvec(J, dx)
         now = ~one_sided | (after > 0)
         some = xp.any(now != counts, axis=-1)
@@ -111,29 +111,44 @@ def bounded_step(
 
 
 def _within_bounds(
-    J: Array, r: Array, damping: Array, metric: Array, lower: Array, upper: Array, passes: int
+    J: Array, r: Array, damping: Array, metric: Array, lower: Array, upper: Array, passes: int = 10
 ) -> Array:
-    """Solutions dx (batch, n) of (J^T J + lambda W) dx = -J^T r within bounds.
+    """Steps dx (batch, n) within bounds that minimise |J dx + r|^2 + lambda dx . W dx.
 
-    Unknowns that the step would take beyond a bound are held there and the others are solved for again, a few
-    times (an active-set method without release); what is still outside after that is cut off.
+    A primal-dual active-set method (Hintermueller, Ito and Kunisch 2003): unknowns that go beyond a bound are held
+    there, held ones that would come back are released, and the others are solved for again. That mostly settles
+    within five passes. It may go round in circles, though: the last three passes release nothing, and what is still
+    outside then is cut off.
     """
     xp = array_namespace(J)
     J_transposed = xp.matrix_transpose(J)
     damped, g = J_transposed @ J + _diagonal(damping[:, None] * metric), matvec(J_transposed, r)
-    free = xp.ones_like(lower)
     dx = xp.linalg.solve(damped, -g[..., None])[..., 0]
-    for _ in range(passes - 1):
-        held = xp.minimum(xp.maximum(dx, lower), upper)
-        outside = held != dx
-        if not bool(xp.any(outside)):
+    held = xp.zeros_like(dx, dtype=xp.bool)
+    for number in range(passes - 1):
+        kept = held if number > passes - 4 else xp.zeros_like(held)
+        # A held unknown goes back into its room if the slope there says so.
+        slope = xp.where(held & ~kept, matvec(damped, dx) + g, xp.zeros_like(dx))
+        wanted = dx - slope / xp.linalg.diagonal(damped)
+        limited = xp.minimum(xp.maximum(wanted, lower), upper)
+        outside = (limited != wanted) | kept
+        (rows,) = xp.nonzero(xp.any((outside != held) | (outside & (limited != dx)), axis=-1))
+        if not len(rows):
             break
-        free = xp.where(outside, xp.zeros_like(free), free)
-        # What is held moves to the right-hand side; its own rows become those of the unit matrix.
-        right = free * (-g - matvec(damped, (1.0 - free) * held)) + (1.0 - free) * held
-        system = damped * free[:, :, None] * free[:, None, :] + _diagonal(1.0 - free)
-        dx = xp.linalg.solve(system, right[..., None])[..., 0]
+        held = outside
+        dx[rows] = _with_held(damped[rows], g[rows], held[rows], limited[rows])
     return xp.minimum(xp.maximum(dx, lower), upper)
+
+
+def _with_held(damped: Array, g: Array, held: Array, value: Array) -> Array:
+    """Solutions (batch, n) of damped dx = -g in the free unknowns, the held ones being at a value."""
+    xp = array_namespace(damped)
+    fixed = xp.where(held, xp.ones_like(value), xp.zeros_like(value))
+    free, value = 1.0 - fixed, fixed * value
+    # What is held moves to the right-hand side; its own rows become those of the unit matrix.
+    right = free * (-g - matvec(damped, value)) + value
+    system = damped * free[:, :, None] * free[:, None, :] + _diagonal(fixed)
+    return xp.where(held, value, xp.linalg.solve(system, right[..., None])[..., 0])
 
 
 def _diagonal(values: Array) -> Array:

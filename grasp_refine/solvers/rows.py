@@ -7,7 +7,7 @@ import numpy as np
 from grasp_refine.chain import Chain, Frames
 from grasp_refine.solvers.least_squares import Linear
 
-NEAR = 0.003
+NEAR = 0.006
 """Depths from minus this (metres) on may become positive within a step."""
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from grasp_refine.solvers.least_squares import Minimum, Point, minimise
+from grasp_refine.solvers.least_squares import Linear, Minimum, Point, minimise
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.solvers.status import Status
 
@@ -55,15 +55,13 @@ class Valley:
             self.seen[m].append((q.copy(), float(value)))
         return Known(loss, 2 + member % 3, point.q)
 
-    def linearize(
-        self, member: np.ndarray, point: Point, known: Known, width: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def linearize(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> Linear:
         # What is known is known of this very point, however members come and go.
         np.testing.assert_array_equal(known.q, point.q)
         for m, q, value, one in zip(member.tolist(), point.q, known.loss, width, strict=True):
             self.taken[m].append((q.copy(), float(value)))
             self.widths[m].append(float(one))
-        return self.residual(member, point.q), self.jacobian(member, point.q)
+        return Linear(self.residual(member, point.q), self.jacobian(member, point.q))
 
     def room(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
         return np.full(point.q.shape, -self.box), np.full(point.q.shape, self.box)

@@ -1,66 +1,79 @@
-"""Rows of least squares: scaled by the roots of their weights, none lost, empty ones left out."""
+"""Rows of least squares: scaled by the roots of their weights, none lost, what is far left out."""
 
 import numpy as np
+import pytest
 
-from grasp_refine.solvers.rows import Rows
+from grasp_refine.chain import Chain
+from grasp_refine.hand import Hand, load_hand
+from grasp_refine.se3 import exp_se3
+from grasp_refine.solvers.least_squares import Linear
+from grasp_refine.solvers.rows import NEAR, Rows
 
 
-def grams(rows: Rows) -> tuple[np.ndarray, np.ndarray]:
-    """Sums of the squares (M,), and of covector times residual (M, 6), over all rows."""
-    residual, covector, _, _ = rows.stacked()
-    return (residual**2).sum(axis=1), np.einsum("mr,mrk->mk", residual, covector)
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("allegro", candidates=16)
 
 
-def test_weights_multiply_squares_and_their_gradients() -> None:
+def pulled(hand: Hand, rows: Rows, count: int) -> tuple[Linear, Chain, object]:
+    """The rows on the first 12 links of random hands."""
+    rng = np.random.default_rng(9)
+    chain = Chain(hand, [link.name for link in hand.links][:12])
+    frames = chain(exp_se3(rng.normal(size=(count, 6))), rng.uniform(hand.lower, hand.upper, (count, 16)))
+    return rows.pulled(chain, frames), chain, frames
+
+
+def test_weights_multiply_squares_and_links_pull_on_their_own_joints(hand: Hand) -> None:
     rng = np.random.default_rng(0)
     r, c = rng.normal(size=(3, 2, 4)), rng.normal(size=(3, 2, 4, 6))
     rows = Rows(3)
     rows.add(r, c, 9.0, np.array([5, 7]))
-    squares, gradient = grams(rows)
-    np.testing.assert_allclose(squares, 9.0 * (r**2).sum(axis=(1, 2)))
-    np.testing.assert_allclose(gradient, 9.0 * np.einsum("mck,mckj->mj", r, c))
-    _, _, link, minus = rows.stacked()
-    np.testing.assert_array_equal(link, np.tile([5] * 4 + [7] * 4, (3, 1)))
-    assert minus is None
+    linear, chain, frames = pulled(hand, rows, 3)
+    np.testing.assert_allclose(linear.residual, 3.0 * r.reshape(3, 8))
+    expected = chain.pull(frames, 3.0 * c.reshape(3, 8, 6), np.array([5] * 4 + [7] * 4))
+    np.testing.assert_allclose(linear.jacobian, expected)
+    assert linear.one_sided is None
 
 
-def test_one_sided_residuals_keep_what_is_active_and_no_more_rows_than_the_most_active_grasp() -> None:
+@pytest.mark.parametrize("partners", [False, True], ids=["one link", "two links"])
+def test_one_sided_rows_are_those_of_what_is_near_and_no_more_than_in_the_fullest_grasp(
+    hand: Hand, partners: bool
+) -> None:
     rng = np.random.default_rng(1)
-    r = np.maximum(rng.normal(size=(4, 9)) - 0.8, 0.0)
-    r[2] = 0.0
+    depth = rng.normal(size=(4, 9)) * 0.01 - 0.008
+    depth[2], depth[3, :4] = -np.inf, [0.01, -0.001, -0.9 * NEAR, -1.1 * NEAR]
     c = rng.normal(size=(4, 9, 6))
-    first, second = np.arange(9) + 10, np.arange(9) + 20
+    first, second = (np.arange(9) + 1, np.arange(9) + 3) if partners else (None, None)
     rows = Rows(4)
-    rows.add_active(r, c, 4.0, first, second)
-    residual, covector, link, minus = rows.stacked()
-    most = (r > 0).sum(axis=1).max()
-    assert residual.shape == (4, most) and covector.shape == (4, most, 6) and 0 < most < 9
-    squares, gradient = grams(rows)
-    np.testing.assert_allclose(squares, 4.0 * (r**2).sum(axis=1))
-    np.testing.assert_allclose(gradient, 4.0 * np.einsum("mp,mpk->mk", r, c))
-    # Each row stands for its own pair; rows that only fill up act on nothing.
+    rows.add_one_sided(depth, c, 4.0, first, second)
+    linear, chain, frames = pulled(hand, rows, 4)
+    near = depth > -NEAR
+    most = near.sum(axis=1).max()
+    assert linear.residual.shape == (4, most) and linear.one_sided is not None and linear.one_sided.all()
+    link = np.arange(9) if first is None else first
+    full = chain.pull(frames, 2.0 * c, link)
+    if second is not None:
+        full = full - chain.pull(frames, 2.0 * c, second)
     for m in range(4):
-        for row in range(most):
-            pair = link[m, row] - 10
-            assert minus[m, row] == pair + 20 and residual[m, row] == 2.0 * r[m, pair]
-            np.testing.assert_array_equal(covector[m, row], 2.0 * c[m, pair] if r[m, pair] > 0 else 0.0)
+        held = np.flatnonzero(near[m])
+        np.testing.assert_allclose(linear.residual[m, : len(held)], 2.0 * depth[m, held])
+        np.testing.assert_allclose(linear.jacobian[m, : len(held)], full[m, held], atol=1e-12)
+        # What only fills up never becomes positive.
+        assert (linear.residual[m, len(held) :] < 0).all() and not linear.jacobian[m, len(held) :].any()
 
 
-def test_terms_follow_each_other_and_links_without_a_partner_say_so() -> None:
+def test_terms_follow_each_other_and_only_some_are_one_sided(hand: Hand) -> None:
     rows = Rows(2)
     rows.add(np.ones((2, 1, 1)), np.ones((2, 1, 1, 6)), 1.0, np.array([3]))
-    rows.add_active(np.array([[0.0, 2.0], [0.0, 0.0]]), np.ones((2, 2, 6)), 1.0)
-    assert rows.stacked()[3] is None
-    rows.add_active(np.array([[1.0], [1.0]]), np.ones((2, 1, 6)), 1.0, np.array([4]), np.array([6]))
-    residual, _, link, minus = rows.stacked()
-    np.testing.assert_array_equal(residual, [[1.0, 2.0, 1.0], [1.0, 0.0, 1.0]])
-    np.testing.assert_array_equal(link[0], [3, 1, 4])
-    np.testing.assert_array_equal(minus[0], [-1, -1, 6])
+    rows.add_one_sided(np.array([[-1.0, 0.002], [-1.0, -1.0]]), np.ones((2, 2, 6)), 1.0)
+    rows.add_one_sided(np.array([[0.001], [0.001]]), np.ones((2, 1, 6)), 1.0, np.array([4]), np.array([6]))
+    linear, _, _ = pulled(hand, rows, 2)
+    np.testing.assert_array_equal(linear.residual, [[1.0, 0.002, 0.001], [1.0, -NEAR, 0.001]])
+    np.testing.assert_array_equal(linear.one_sided, [[False, True, True]] * 2)
 
 
-def test_nothing_active_adds_nothing() -> None:
+def test_nothing_near_adds_nothing(hand: Hand) -> None:
     rows = Rows(3)
-    rows.add_active(np.zeros((3, 5)), np.ones((3, 5, 6)), 100.0)
-    residual, covector, link, minus = rows.stacked()
-    assert residual.shape == (3, 0) and covector.shape == (3, 0, 6) and link.shape == (3, 0) and minus is None
-    assert Rows(0).stacked()[0].shape == (0, 0)
+    rows.add_one_sided(np.full((3, 5), -0.1), np.ones((3, 5, 6)), 100.0)
+    linear, _, _ = pulled(hand, rows, 3)
+    assert linear.residual.shape == (3, 0) and linear.jacobian.shape == (3, 0, 22) and linear.one_sided is None

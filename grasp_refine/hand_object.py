@@ -1,0 +1,90 @@
+"""What a hand and an object need of each other, whatever the grasps: built once, used by every refinement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from grasp_refine.chain import Chain
+from grasp_refine.collision.culling import bounding_ball
+from grasp_refine.collision.query import Pairs
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.pieces import sphere
+from grasp_refine.hand import Hand
+from grasp_refine.objects import Object
+from grasp_refine.scene import Scene, links_of
+from grasp_refine.self_collision import touching_pairs
+from grasp_refine.witness.pair_curvature import PairCurvatures
+
+POINT = 1e-6
+"""Radius in metres of the balls that stand for points."""
+
+SMALLEST_CURVATURE = 1.0
+"""Floor of the curvatures of two bodies together, over the mean of their diagonals."""
+
+
+@dataclass(frozen=True, eq=False)
+class HandObject:
+    """A hand and an object; each part is built when it is first asked for, which takes up to a second in all."""
+
+    hand: Hand
+    object: Object
+
+    @staticmethod
+    def of(scene: Scene) -> HandObject:
+        """Those of a scene."""
+        return HandObject(scene.hand, scene.object)
+
+    @cached_property
+    def bodies(self) -> tuple[Body, ...]:
+        """The bodies of the L links with collision geometry, contact links first (`Scene.links`)."""
+        return tuple(self.hand.links_by_name[name].body for name in links_of(self.hand))
+
+    @cached_property
+    def chain(self) -> Chain:
+        """Kinematics of these links."""
+        return Chain(self.hand, links_of(self.hand))
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """Each of these links and the object."""
+        return Pairs.against(self.bodies, self.object.body)
+
+    @cached_property
+    def curvatures(self) -> PairCurvatures:
+        """Of both surfaces of each of these pairs."""
+        return PairCurvatures.of(self.pairs, SMALLEST_CURVATURE)
+
+    @cached_property
+    def own(self) -> tuple[np.ndarray, np.ndarray]:
+        """The links of the S pairs that can touch each other, first and second (S,)."""
+        links = links_of(self.hand)
+        pairs = touching_pairs(self.hand)
+        return tuple(np.array([links.index(pair[side]) for pair in pairs], dtype=np.int64) for side in (0, 1))
+
+    @cached_property
+    def own_pairs(self) -> Pairs | None:
+        """Those pairs; None if there are none."""
+        first, second = self.own
+        if not len(first):
+            return None
+        return Pairs(tuple(self.bodies[i] for i in first), tuple(self.bodies[j] for j in second))
+
+    @cached_property
+    def balls(self) -> np.ndarray:
+        """Centre and radius (L, 4) of a ball around each link, link frames, metres."""
+        return np.array([bounding_ball(body) for body in self.bodies])
+
+    @cached_property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper corner (3,) of the object's bounding box, its own frame."""
+        corners = np.stack([piece.bounds for piece in self.object.body.pieces])
+        return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+
+    @cached_property
+    def points(self) -> tuple[Pairs, Pairs]:
+        """Each link and a point, and the object and a point as often: what tells how far points are off surfaces."""
+        point = build_body("point", [sphere(POINT)], candidates=16)
+        return Pairs.against(self.bodies, point), Pairs.against((self.object.body,) * len(self.bodies), point)
