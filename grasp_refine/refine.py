@@ -102,9 +102,7 @@ def _least_squares(
     given = Point(scene.T_world_root, np.clip(scene.q, hand.lower, hand.upper))
     if not goal.aimed.any():
         solver = replace(solver, restarts=0)
-        return minimise(
-            problem, given, solver, config.tolerance, status=status, width=config.width, progress=progress
-        )
+        return minimise(problem, given, solver, config.tolerance, status=status, width=config.width, progress=progress)
     start = Point(given.T.copy(), given.q.copy())
     reached = problem.reached(rows, Point(given.T[rows], given.q[rows]))
     start.T[rows], start.q[rows] = reached.T, reached.q

@@ -394,7 +394,7 @@ BALL = Config(
     nearest=True,
     touching=Touching(reach=0.06, reach_others=0.0),
     weights=Weights(penetration=10.0, self_penetration=0.0),
-    tolerance=1e-5,
+    tolerance=8e-5,
 )
 
 
