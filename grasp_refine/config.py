@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from grasp_refine.errors import GraspRefineError
 from grasp_refine.losses import Scales, Weights
 from grasp_refine.solvers.adam import Adam
 from grasp_refine.solvers.descent import Descent
@@ -40,3 +41,16 @@ class Config:
     """Number type of kinematics and losses; collision queries always run in double precision."""
     device: str = "cpu"
     """Torch device of kinematics and losses."""
+
+    def __post_init__(self) -> None:
+        """Refuse what nothing could be done with.
+
+        Raises:
+            GraspRefineError: a width below 1, or a number type or device that Levenberg-Marquardt does not have.
+        """
+        if self.width < 1:
+            raise GraspRefineError(f"width must be at least 1, got {self.width}")
+        if isinstance(self.solver, LevenbergMarquardt) and (self.dtype, self.device) != ("float64", "cpu"):
+            raise GraspRefineError(
+                f"levenberg-marquardt runs in float64 on the cpu; {self.dtype} on {self.device} needs descent or adam"
+            )

@@ -51,14 +51,19 @@ def goal_of(scene: Scene, touching: Touching, prepared: HandObject | None = None
         missing = np.logical_or(*(np.isnan(target).any(axis=-1, keepdims=True) for target in given))
         target_link, target_object = (np.where(missing, np.nan, target) for target in given)
         none, off = np.zeros(len(scene.q), dtype=np.int64), _off_surface(prepared, target_link, target_object)
-        return Goal(~missing[..., 0], target_link, target_object, none, off, scene.direction)
+        return Goal(_with_directions(~missing[..., 0], scene), target_link, target_object, none, off, scene.direction)
     witness, T = _at_start(scene, prepared, touching)
-    chosen = touching.choose(scene.hand, scene.links, witness)
+    chosen = _with_directions(touching.choose(scene.hand, scene.links, witness), scene)
     target_link, target_object = np.full((2, *chosen.shape, 3), np.nan)
     if nearest:
         target_link, target_object = nearest_points(witness, T, np.broadcast_to(np.eye(4), T.shape), chosen)
     on_surface = np.zeros(len(scene.q))
     return Goal(chosen, target_link, target_object, witness.asked.sum(axis=1), on_surface, scene.direction)
+
+
+def _with_directions(touching: np.ndarray, scene: Scene) -> np.ndarray:
+    """The links (N, L) that should touch, with those that should do so in some direction."""
+    return touching if scene.direction is None else touching | ~np.isnan(scene.direction[..., 0])
 
 
 def _off_surface(prepared: HandObject, target_link: np.ndarray, target_object: np.ndarray) -> np.ndarray:

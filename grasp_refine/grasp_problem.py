@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from zlib import crc32
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from grasp_refine.goal import Goal
 from grasp_refine.hand_object import HandObject
 from grasp_refine.losses import (
     below_plane,
-    below_plane_covectors,
     contact_direction,
     contact_direction_covectors,
     contact_gap,
@@ -22,6 +22,8 @@ from grasp_refine.losses import (
     contact_targets_covectors,
     gap_covectors,
     penetration,
+    plane_covectors,
+    plane_depth,
     stay_near,
     stay_near_jacobian,
 )
@@ -36,10 +38,10 @@ ROOT_TURN, JOINT_TURN = 0.05, 0.04
 """A radian of the root, and of a joint, is as much movement as so many metres of the root."""
 
 BOX = (0.05, 1.0, 0.5)
-"""Largest step of the root in metres and radians, and of a joint in radians."""
+"""Largest step: of the root, and of prismatic joints, in metres; of the root in radians; of joints in radians."""
 
 NOISE = (0.01, 0.2, 0.1)
-"""Standard deviations of new starts: metres and radians of the root, radians of joints."""
+"""Standard deviations of new starts, in the same order."""
 
 REACHING, REACHING_DAMPING = 8, 1e-3
 """Steps of the position-only inverse kinematics before the first query, and their lambda."""
@@ -81,12 +83,15 @@ class GraspProblem:
         prismatic = np.array([hand.joints_by_name[name].kind == "prismatic" for name in hand.joint_names], dtype=bool)
         joints = np.where(prismatic, 1.0, JOINT_TURN**2)
         self.scales = np.concatenate([np.ones(3), np.full(3, ROOT_TURN**2), joints])
-        self.step = np.concatenate([np.full(3, BOX[0]), np.full(3, BOX[1]), np.where(prismatic, BOX[0], BOX[2])])
+        self.step, self.noise = (
+            np.concatenate([np.full(3, metres), np.full(3, root), np.where(prismatic, metres, joint)])
+            for metres, root, joint in (BOX, NOISE)
+        )
 
     # what a solver asks
 
     def evaluate(self, member: np.ndarray, point: Point, previous: Known | None) -> Known:
-        """Kinematics and queries; of links that should not touch only those that penetrate are found."""
+        """Kinematics and queries; of links that should not touch only those that are near something are found."""
         frames = self.chain(point.T, point.q)
         T = frames.T_world_link
         witness = self._against_object(member, T, previous)
@@ -102,7 +107,7 @@ class GraspProblem:
         return Known(loss, asked, T, frames.axes, witness, own)
 
     def linearize(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> Linear:
-        """Residuals (M, m) and their derivatives; rows that are zero for all are left out."""
+        """Residuals (M, m) and their derivatives; of what must not penetrate, only what is near has a row."""
         weights = self.config.weights
         rows = Rows(len(member))
         self._add_contacts(rows, member, known, width)
@@ -118,7 +123,7 @@ class GraspProblem:
         if self.table is not None:
             normal, offset = self.table
             points = self._lowest(known.T_link)
-            rows.add_one_sided(offset - points @ normal, below_plane_covectors(points, normal, np.inf), weights.table)
+            rows.add_one_sided(plane_depth(points, normal, offset), plane_covectors(points, normal), weights.table)
         linear = rows.pulled(self.chain, Frames(known.T_link, known.axes))
         if weights.stay_near == 0:
             return linear
@@ -149,11 +154,15 @@ class GraspProblem:
         return Point(moved(point.T, dx[:, :6]), q)
 
     def restarted(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
-        """Noise on the best grasp and, every other time, on the present one; then inverse kinematics."""
-        noise = np.empty((len(member), len(self.scales)))
+        """Noise on the best grasp and, every other time, on the present one; then inverse kinematics.
+
+        The noise depends on the initial grasp, not on its place among others.
+        """
+        scene = self.scene
+        noise = np.empty((len(member), len(self.noise)))
         for row, (m, k) in enumerate(zip(member.tolist(), start.tolist(), strict=True)):
-            noise[row] = np.random.default_rng((self.config.seed, m, k)).normal(size=noise.shape[1])
-        noise *= np.concatenate([np.full(3, NOISE[0]), np.full(3, NOISE[1]), np.full(noise.shape[1] - 6, NOISE[2])])
+            key = crc32(scene.T_world_root[m].tobytes() + scene.q[m].tobytes())
+            noise[row] = self.noise * np.random.default_rng((self.config.seed, key, k)).normal(size=noise.shape[1])
         return self.reached(member, self.moved(member, choose(start % 2 == 1, best, now), noise))
 
     def reached(self, member: np.ndarray, point: Point) -> Point:
@@ -198,7 +207,7 @@ class GraspProblem:
         return query_near(self.pairs, bound, T, T_object, np.where(touching, np.inf, NEAR), before)
 
     def _against_itself(self, T: np.ndarray, previous: Known | None, rejected: np.ndarray) -> Witness:
-        """Witness points of the pairs of links that penetrate, but for grasps that are rejected (M,)."""
+        """Witness points of the pairs of links that are near, but for grasps that are rejected (M,)."""
         if self.own_pairs is None:
             return nothing_near(np.zeros((len(T), 0)))
         first, second = self.own_first, self.own_second

@@ -1,6 +1,6 @@
 """What a grasp should satisfy: one pure function per term that returns residuals, and one their derivatives.
 
-A loss is half nothing: it is the plain sum of squared residuals times weights, in square metres. Residuals are
+A loss is the sum of squared residuals times weights, without a factor of one half, in square metres. Residuals are
 written against the array API: on torch tensors they keep their graph, which descent follows; least squares takes
 the derivatives, which are *covectors*: rows g with dr = g . (v, w), (v, w) the spatial twist of a link at the world's
 origin, while the object rests. Distances have exact derivatives; how witness points slide is contact kinematics.
@@ -9,13 +9,14 @@ origin, while the object rests. Distances have exact derivatives; how witness po
 from dataclasses import dataclass
 
 from grasp_refine.collision.query import Witness
+from grasp_refine.errors import GraspRefineError
 from grasp_refine.se3 import Array, array_namespace, cross, log_so3, transform_points
 from grasp_refine.witness.contact_kinematics import slide
 
 
 @dataclass(frozen=True)
 class Weights:
-    """How much each term counts in the sum of squares; with 0, a term is not even computed."""
+    """How much each term counts in the sum of squares."""
 
     contact: float = 1.0
     """Of gaps and of misses of targets (metres), of the links that should touch."""
@@ -44,6 +45,16 @@ class Scales:
     """Of the root, in radians."""
     joints: float = 0.15
     """Of a joint, in radians (metres for prismatic joints)."""
+
+    def __post_init__(self) -> None:
+        """Refuse scales of nothing.
+
+        Raises:
+            GraspRefineError: a scale is not above 0.
+        """
+        for name in ("translation", "rotation", "joints"):
+            if not getattr(self, name) > 0.0:
+                raise GraspRefineError(f"scales: {name} must be above 0, got {getattr(self, name):g}")
 
 
 def contact_targets(
@@ -131,20 +142,24 @@ def joint_limits_jacobian(q: Array, lower: Array, upper: Array) -> Array:
     return xp.where(q > upper, one, zero) - xp.where(q < lower, one, zero)
 
 
-def below_plane(points: Array, normal: Array, offset: float) -> Array:
-    """Depths max(0, offset - n . p) (...) in metres of points (..., 3) below a plane, such as that of a table."""
+def plane_depth(points: Array, normal: Array, offset: float) -> Array:
+    """Depths offset - n . p (...) in metres of points (..., 3) below a plane, such as a table; negative above it."""
     xp = array_namespace(points)
-    height = xp.sum(points * normal, axis=-1) - offset
-    return xp.maximum(-height, xp.zeros_like(height))
+    return offset - xp.sum(points * normal, axis=-1)
 
 
-def below_plane_covectors(points: Array, normal: Array, offset: float) -> Array:
-    """Covectors (..., 6) of those depths on the twists of what the points belong to; zero above the plane."""
+def plane_covectors(points: Array, normal: Array) -> Array:
+    """Covectors -(n, p x n) (..., 6) of those depths on the twists of what the points belong to."""
     xp = array_namespace(points)
     spread = normal + xp.zeros_like(points)
-    under = (xp.sum(points * normal, axis=-1) < offset)[..., None]
-    covector = xp.concat([spread, cross(points, spread)], axis=-1)
-    return xp.where(under, -covector, xp.zeros_like(covector))
+    return -xp.concat([spread, cross(points, spread)], axis=-1)
+
+
+def below_plane(points: Array, normal: Array, offset: float) -> Array:
+    """Depths max(0, offset - n . p) (...) in metres of points (..., 3) below a plane."""
+    xp = array_namespace(points)
+    depth = plane_depth(points, normal, offset)
+    return xp.maximum(depth, xp.zeros_like(depth))
 
 
 def stay_near(T: Array, q: Array, T_first: Array, q_first: Array, scales: Scales) -> Array:

@@ -1,17 +1,19 @@
 """Refinement: hands move until their links touch the object where they should, and penetrate nothing."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from grasp_refine.config import Config
+from grasp_refine.errors import GraspRefineError
 from grasp_refine.goal import Goal, goal_of
 from grasp_refine.grasp_problem import GraspProblem
 from grasp_refine.hand_object import HandObject
 from grasp_refine.objective import Objective
 from grasp_refine.scene import Scene
-from grasp_refine.solvers.batch import choose
+from grasp_refine.solvers.batch import choose, take
 from grasp_refine.solvers.first_order import descend
 from grasp_refine.solvers.least_squares import Minimum, Point, minimise
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -40,7 +42,7 @@ class Refinement:
     status: np.ndarray
     """A `Status` for each grasp (N,)."""
     loss: np.ndarray
-    """Loss in m^2 before and after (N, 2)."""
+    """Loss in m^2 before and after (N, 2); NaN where it is not known."""
     iterations: np.ndarray
     """Iterations of each grasp (N,)."""
     queries: np.ndarray
@@ -68,9 +70,18 @@ def refine(
 
     Returns:
         The best iterate of each grasp by true loss. Not converging is a status, never an exception.
+
+    Raises:
+        GraspRefineError: a link that should touch is not there, or `prepared` is of another hand or object.
     """
+    wall, cpu = time.perf_counter(), time.process_time()
     config = config or Config()
     prepared = prepared or HandObject.of(scene)
+    if prepared.hand is not scene.hand or prepared.object is not scene.object:
+        raise GraspRefineError(
+            f"what is prepared for {prepared.hand.name} and {prepared.object.name} is not for the scene's "
+            f"{scene.hand.name} and {scene.object.name}"
+        )
     goal = goal_of(scene, config.touching, prepared, nearest=config.nearest)
     status = np.full(len(scene.q), Status.RUNNING)
     status[~goal.touching.any(axis=1)] = Status.NO_TARGET
@@ -79,13 +90,25 @@ def refine(
     solve = _least_squares if isinstance(config.solver, LevenbergMarquardt) else _first_order
     found = solve(scene, prepared, goal, config, status, progress)
     unreachable = np.isin(found.status, (Status.STALLED, Status.BUDGET))
-    found.status[unreachable & (goal.off_surface > max(config.tolerance, OFF_SURFACE))] = Status.UNREACHABLE
-    hand = scene.hand
+    off_surface = config.weights.contact * goal.off_surface
+    found.status[unreachable & (off_surface > max(config.tolerance, OFF_SURFACE))] = Status.UNREACHABLE
+    hand, count = scene.hand, max(len(scene.q), 1)
     q = np.where(finite[:, None], np.clip(found.point.q, hand.lower, hand.upper), found.point.q)
+    # What was done for all grasps is shared out evenly.
+    wall, cpu = time.perf_counter() - wall - found.wall_s.sum(), time.process_time() - cpu - found.cpu_s.sum()
     return Refinement(
-        found.point.T, q, goal.touching, goal.target_link, goal.target_object, found.status, found.loss,
-        found.iterations, goal.queries + found.queries, found.wall_s, found.cpu_s,
-    )  # fmt: skip
+        T_world_root=found.point.T,
+        q=q,
+        touching=goal.touching,
+        target_link=goal.target_link,
+        target_object=goal.target_object,
+        status=found.status,
+        loss=np.where(np.isfinite(found.loss), found.loss, np.nan),
+        iterations=found.iterations,
+        queries=goal.queries + found.queries,
+        wall_s=found.wall_s + wall / count,
+        cpu_s=found.cpu_s + cpu / count,
+    )
 
 
 OFF_SURFACE = 1e-8
@@ -103,19 +126,21 @@ def _least_squares(
     if not goal.aimed.any():
         solver = replace(solver, restarts=0)
         return minimise(problem, given, solver, config.tolerance, status=status, width=config.width, progress=progress)
+    before, asked = np.full(len(status), np.nan), np.zeros(len(status), dtype=np.int64)
+    for block in np.split(rows, range(config.width, len(rows), config.width)):
+        known = problem.evaluate(block, take(given, block), None)
+        before[block], asked[block] = known.loss, known.asked
+    status = np.where(before < config.tolerance, Status.CONVERGED, status)
+    rows = np.flatnonzero(status == Status.RUNNING)
     start = Point(given.T.copy(), given.q.copy())
-    reached = problem.reached(rows, Point(given.T[rows], given.q[rows]))
+    reached = problem.reached(rows, take(given, rows))
     start.T[rows], start.q[rows] = reached.T, reached.q
     found = minimise(problem, start, solver, config.tolerance, status=status, width=config.width, progress=progress)
-    # The grasp as it came counts too.
-    before = np.full(len(status), np.nan)
-    for block in np.split(rows, range(config.width, len(rows), config.width)):
-        known = problem.evaluate(block, Point(given.T[block], given.q[block]), None)
-        before[block] = known.loss
-        found.queries[block] += known.asked
+    # The grasp as it came may still be the best.
     first = before <= found.loss[:, 1]
+    found.status[first & (found.status == Status.NOT_FINITE)] = Status.STALLED
     loss = np.stack([before, np.where(first, before, found.loss[:, 1])], axis=1)
-    return replace(found, point=choose(first, given, found.point), loss=loss)
+    return replace(found, point=choose(first, given, found.point), loss=loss, queries=found.queries + asked)
 
 
 def _first_order(

@@ -54,7 +54,7 @@ class Sampling:
     """Share of uniform configurations; pairs that overlap in more of them do so by design (other pairs: < 0.2)."""
 
     def __post_init__(self) -> None:
-        """Nothing.
+        """Refuse settings out of their range.
 
         Raises:
             CollisionError: a setting is outside its range.

@@ -27,7 +27,7 @@ class Touching:
     """Instead of all that: these links touch."""
 
     def __post_init__(self) -> None:
-        """Nothing.
+        """Refuse distances that are none.
 
         Raises:
             GraspRefineError: a distance below zero.
@@ -37,7 +37,7 @@ class Touching:
                 raise GraspRefineError(f"{name} must be a distance of at least 0 m, got {getattr(self, name):g}")
 
     def check(self, hand: Hand, links: tuple[str, ...]) -> None:
-        """Nothing, when all `links` that were named are among those with collision geometry.
+        """Refuse named `links` that are not among those with collision geometry.
 
         Raises:
             HandError: they are not.

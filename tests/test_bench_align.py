@@ -214,6 +214,8 @@ def test_a_report_is_one_file_that_names_what_was_compared(capfd: pytest.Capture
         ("--preset patch --witnesses patch", "--preset patch says itself what is compared: leave out --witnesses"),
         ("--solvers levenberg-marquardt --methods rigid", "--methods is of descent only: leave it out, or add descent"),
         ("--solvers levenberg-marquardt --no-transport", "--transport is of descent only"),
+        ("--solvers levenberg-marquardt --dtype float32", "--dtype is of descent only: leave it out, or add descent"),
+        ("--solvers levenberg-marquardt --device cuda", "--device is of descent only: leave it out, or add descent"),
         ("--solvers levenberg-marquardt --seconds 1", "--seconds is of descent only: levenberg-marquardt ends each"),
         ("--preset smoke --seconds 1", "--seconds is of descent only: levenberg-marquardt ends each task on its own"),
         ("--solvers newton", "invalid choice 'newton' for argument '--solvers'"),

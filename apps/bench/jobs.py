@@ -42,7 +42,8 @@ def run_jobs(todo: Sequence[Job], workers: int, progress: Callable[[float, str],
     problems: list[str] = []
     try:
         for index, outcome in _in_turn(todo, progress) if workers == 1 else _side_by_side(todo, workers, progress):
-            if isinstance(outcome, Exception):
+            # A process that is interrupted hands back a KeyboardInterrupt, which is no result.
+            if isinstance(outcome, BaseException):
                 problems.append(f"{todo[index].label}: {''.join(format_exception(outcome)).strip()}")
             else:
                 results[index] = outcome

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import platform
-import shlex
 import time
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.apps.bench.align.bodies import Kind
@@ -22,8 +17,11 @@ from grasp_refine.apps.bench.align.presets import EPSILON, PRESETS, Preset
 from grasp_refine.apps.bench.align.study import Study, run_study
 from grasp_refine.apps.bench.align.table import bench_table
 from grasp_refine.apps.bench.align.variants import MethodName, NeighborhoodName, SolverName, Variant, WitnessName
+from grasp_refine.apps.bench.bar import progress_bar
+from grasp_refine.apps.bench.machine import machine
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
-from grasp_refine.commands.options import check_device, check_numbers
+from grasp_refine.commands.invocation import invocation
+from grasp_refine.commands.options import check_device, check_numbers, flag
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.report.document import settings
 from grasp_refine.report.screen import screen
@@ -36,9 +34,11 @@ PresetName = Literal[
     "table1", "table2", "table3", "table4", "margin", "step-size", "coupling", "solvers", "patch", "smoke"
 ]
 
-DESCENT_ONLY = ("methods", "neighborhoods", "couplings", "transport", "optimise", "step_sizes")
+VARIED = ("methods", "neighborhoods", "couplings", "transport", "optimise", "step_sizes")
+"""Options that say what is compared of descent."""
+DESCENT_ONLY = (*VARIED, "dtype", "device")
 """Options that only descent reads."""
-COMPARED = ("solvers", *DESCENT_ONLY, "margins", "witnesses", "epsilon")
+COMPARED = ("solvers", *VARIED, "margins", "witnesses", "epsilon")
 """Options that say what is compared; a preset says it itself."""
 
 
@@ -136,7 +136,7 @@ class BenchAlign:
                 check_writable(path)
         if self.json is not None and self.html is not None and self.json.absolute() == self.html.absolute():
             raise GraspRefineError(f"--json and --html are both {self.json}: one would replace the other")
-        with _bar(screen(stderr=True)) as bar:
+        with progress_bar(screen(stderr=True)) as bar:
             task = bar.add_task("loading", total=1.0)
 
             def progress(share: float, what: str) -> None:
@@ -146,9 +146,9 @@ class BenchAlign:
         document = {
             "schema": SCHEMA,
             "command": "bench align",
-            "invocation": self._invocation(),
+            "invocation": invocation("bench align", self),
             "versions": versions(),
-            "machine": {"cpus": os.cpu_count(), "cpu": _processor(), "system": platform.platform()},
+            "machine": machine(),
             "preset": self.preset,
             "config": settings(replace(self, json=None, html=None)),
             "seed": self.seed,
@@ -177,19 +177,6 @@ class BenchAlign:
         )
         return 0
 
-    def _invocation(self) -> str:
-        """The command line that asks for the same, without the files that are written."""
-        words = ["refine-grasp", "bench", "align"]
-        for option in fields(self):
-            value, flag = getattr(self, option.name), _flag(option.name)
-            if value == option.default or option.name in ("json", "html"):
-                continue
-            if isinstance(value, bool):
-                words.append(flag if value else flag.replace("--", "--no-", 1))
-            else:
-                words += [flag, *map(str, value if isinstance(value, tuple) else (value,))]
-        return shlex.join(words)
-
     def study(self) -> Study:
         """What the options ask for.
 
@@ -197,14 +184,13 @@ class BenchAlign:
             GraspRefineError: a number out of its range, or options that do not go together.
         """
         check_numbers(self)
-        check_device(self.device, self.dtype)
         for option in fields(self):
             if getattr(self, option.name) == ():
-                raise GraspRefineError(f"{_flag(option.name)} needs at least one value")
+                raise GraspRefineError(f"{flag(option.name)} needs at least one value")
         for name in ("seconds", "epsilon"):
             value = getattr(self, name)
             if 0.0 in (value if isinstance(value, tuple) else (value,)):
-                raise GraspRefineError(f"{_flag(name)} must be positive, got 0")
+                raise GraspRefineError(f"{flag(name)} must be positive, got 0")
         if self.budgets is not None and self.seconds is not None:
             raise GraspRefineError(
                 "--budgets and --seconds exclude each other: a budget is in iterations or in CPU seconds"
@@ -213,9 +199,10 @@ class BenchAlign:
             for name in COMPARED:
                 if getattr(self, name) is not None:
                     raise GraspRefineError(
-                        f"--preset {self.preset} says itself what is compared: leave out {_flag(name)}"
+                        f"--preset {self.preset} says itself what is compared: leave out {flag(name)}"
                     )
         preset = PRESETS[self.preset] if self.preset is not None else Preset("", self._variants())
+        check_device(self.device, self.dtype)
         if self.seconds is not None and any(variant.solver != "descent" for variant in preset.variants):
             raise GraspRefineError(
                 "--seconds is of descent only: levenberg-marquardt ends each task on its own, so give --budgets"
@@ -245,9 +232,9 @@ class BenchAlign:
         solvers, witnesses = self.solvers or ("descent",), self.witnesses or ("plain",)
         if "descent" not in solvers:
             for name in DESCENT_ONLY:
-                if getattr(self, name) is not None:
+                if getattr(self, name) != getattr(BenchAlign, name):
                     raise GraspRefineError(
-                        f"{_flag(name)} is of descent only: leave it out, or add descent to --solvers"
+                        f"{flag(name)} is of descent only: leave it out, or add descent to --solvers"
                     )
         if self.epsilon is not None and "patch" not in witnesses:
             raise GraspRefineError("--epsilon is of the patch witness only: leave it out, or give --witnesses patch")
@@ -279,30 +266,3 @@ class BenchAlign:
         ]
         distinct = {tuple(variant.columns().values()): variant for variant in reversed(made)}
         return tuple(reversed(distinct.values()))
-
-
-def _flag(name: str) -> str:
-    """The option of a field."""
-    return f"--{name.replace('_', '-')}"
-
-
-def _bar(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=None),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
-
-
-def _processor() -> str:
-    """What the processor calls itself."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())

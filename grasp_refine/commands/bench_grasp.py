@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import torch
 from rich.markup import escape
@@ -26,7 +25,8 @@ from grasp_refine.apps.bench.machine import machine
 from grasp_refine.assets import resource_dir
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
 from grasp_refine.commands.inputs import AUTO, Inputs
-from grasp_refine.commands.options import check_numbers
+from grasp_refine.commands.invocation import invocation
+from grasp_refine.commands.options import check_numbers, flag
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.report.document import settings
@@ -138,7 +138,7 @@ class BenchGrasp:
         document = {
             "schema": SCHEMA,
             "command": "bench grasp",
-            "invocation": self._invocation(),
+            "invocation": invocation("bench grasp", self),
             "versions": versions(),
             "machine": machine(),
             "preset": options.preset,
@@ -178,12 +178,12 @@ class BenchGrasp:
         check_numbers(options)
         for option in fields(options):
             if getattr(options, option.name) == ():
-                raise GraspRefineError(f"{_flag(option.name)} needs at least one value")
+                raise GraspRefineError(f"{flag(option.name)} needs at least one value")
         if options.preset is not None:
             for name in COMPARED:
                 if getattr(options, name) is not None:
                     raise GraspRefineError(
-                        f"--preset {options.preset} says itself what is compared: leave out {_flag(name)}"
+                        f"--preset {options.preset} says itself what is compared: leave out {flag(name)}"
                     )
         if self.inputs.targets != AUTO:
             raise GraspRefineError("--targets: the benchmark makes its own targets, from grasps that touch exactly")
@@ -262,22 +262,3 @@ class BenchGrasp:
                 for group in problem.groups
             ),
         )
-
-    def _invocation(self) -> str:
-        """The command line that asks for the same, without the files that are written."""
-        return shlex.join(["refine-grasp", "bench", "grasp", *_words(self)])
-
-
-def _words(options: Any) -> Iterator[str]:
-    """The options of a dataclass, and of those inside it, that differ from their defaults."""
-    for option in fields(options):
-        value = getattr(options, option.name)
-        if is_dataclass(value):
-            yield from _words(value)
-        elif value != option.default and option.name not in ("json", "html"):
-            yield from (_flag(option.name), *map(str, value if isinstance(value, tuple) else (value,)))
-
-
-def _flag(name: str) -> str:
-    """The option of a field."""
-    return f"--{name.replace('_', '-')}"

@@ -69,6 +69,11 @@ def _one_line(box: str) -> str:
     return _PUNCTUATION.sub("", complaint) + guess
 
 
+def flag(name: str, prefix: str = "--") -> str:
+    """The option of a field."""
+    return prefix + name.replace("_", "-")
+
+
 def check_numbers(options: Any, prefix: str = "--") -> None:
     """Nothing, when the numbers in a dataclass, and in those inside it, are such as settings can be.
 
@@ -79,20 +84,20 @@ def check_numbers(options: Any, prefix: str = "--") -> None:
     """
     for field in fields(options):
         value = getattr(options, field.name)
-        flag = prefix + field.name.replace("_", "-")
+        option = flag(field.name, prefix)
         if is_dataclass(value):
-            check_numbers(value, f"{flag}.")
+            check_numbers(value, f"{option}.")
             continue
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, float) and not (isfinite(number) and number >= 0):
-                raise GraspRefineError(f"{flag} must be finite and not negative, got {number:g}")
+                raise GraspRefineError(f"{option} must be finite and not negative, got {number:g}")
             if type(number) is not int:
                 continue
             if field.name == "seed" and not 0 <= number <= LARGEST_SEED:
-                raise GraspRefineError(f"{flag} must be 0 to {LARGEST_SEED}, got {number}")
+                raise GraspRefineError(f"{option} must be 0 to {LARGEST_SEED}, got {number}")
             least = 0 if field.name in MAY_BE_ZERO else 1
             if number < least:
-                raise GraspRefineError(f"{flag} must be at least {least}, got {number}")
+                raise GraspRefineError(f"{option} must be at least {least}, got {number}")
 
 
 def check_device(device: str, dtype: str) -> None:

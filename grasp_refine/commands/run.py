@@ -16,6 +16,7 @@ from grasp_refine.commands.inputs import NEAREST, Inputs, Problem
 from grasp_refine.commands.settings import Settings
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.losses import Weights
 from grasp_refine.refine import refine
 from grasp_refine.report.document import run_document, settings
 from grasp_refine.report.outcome import Outcome, compare
@@ -24,6 +25,7 @@ from grasp_refine.report.results import fingerprint, result_paths, save_results
 from grasp_refine.report.screen import screen
 from grasp_refine.report.table import grasp_table
 from grasp_refine.report.writing import check_writable, save_json
+from grasp_refine.targets import Touching
 from grasp_refine.versions import versions
 
 
@@ -64,7 +66,7 @@ class Run:
             if self.output.json is not None:
                 check_writable(self.output.json)
             problem = self.inputs.load(config.seed, reporter.say)
-            config.touching.check(problem.hand, problem.groups[0].scene.links)
+            self._check_used(problem, config)
             paths = self._paths(problem)
             for note in problem.notes:
                 reporter.say(f"note: {note}")
@@ -88,6 +90,21 @@ class Run:
         between = " " if len(written) == 1 else "\n  "
         console.print(f"{wall:.1f} s; wrote", *written, sep=between, soft_wrap=True, markup=False)
         return 0
+
+    def _check_used(self, problem: Problem, config: Config) -> None:
+        """Refuse options that would mean nothing for these grasps.
+
+        Raises:
+            GraspRefineError: names them.
+        """
+        touching = config.touching
+        touching.check(problem.hand, problem.groups[0].scene.links)
+        if touching != Touching() and any(group.scene.target_link is not None for group in problem.groups):
+            raise GraspRefineError(
+                "--contacts, --reach and --reach-others are for grasps without targets: the targets say what touches"
+            )
+        if self.inputs.table is None and config.weights.table != Weights.table:
+            raise GraspRefineError("--weights.table needs a --table")
 
     def _paths(self, problem: Problem) -> dict[str, Path]:
         """Object name -> result file; nothing that is written takes the place of an input."""

@@ -102,6 +102,13 @@ class RigidOptions(Rigid):
 
 
 @dataclass(frozen=True)
+class WeightsOptions(Weights):
+    """The weights of the terms; directions of contacts can be wanted in Python only."""
+
+    direction: Suppress[float] = Weights.direction
+
+
+@dataclass(frozen=True)
 class Settings:
     """How grasps are refined. A method that is chosen by name has its options in the field of that name."""
 
@@ -170,7 +177,7 @@ class Settings:
     """With --neighborhood fixed."""
     neighbor: Neighbor = field(default_factory=Neighbor)
     """With --neighborhood neighbor."""
-    weights: Weights = field(default_factory=Weights)
+    weights: WeightsOptions = field(default_factory=WeightsOptions)
     """How much each term of the loss, a sum of squares, counts."""
     scales: Scales = field(default_factory=Scales)
     """Which movements count the same, with --weights.stay-near."""
@@ -193,6 +200,10 @@ class Settings:
             raise GraspRefineError(f"--derivative {self.derivative} has no use for --neighborhood {self.neighborhood}")
         if self.solver == "levenberg-marquardt":
             self._check_least_squares()
+        elif self.width != Settings.width:
+            raise GraspRefineError(f"--width is for --solver levenberg-marquardt; it is {self.solver}")
+        if self.scales != Scales() and self.weights.stay_near == 0:
+            raise GraspRefineError("--scales.* say what --weights.stay-near means, which is 0")
         solver, derivative, neighborhood = (
             getattr(self, name.replace("-", "_")) for name in (self.solver, self.derivative, self.neighborhood)
         )
@@ -205,7 +216,7 @@ class Settings:
             derivative=_method(derivative, neighborhood=neighborhood, seed=self.seed),
             touching=Touching(self.reach, self.reach_others, max(self.reach, Touching.farthest), self.contacts),
             nearest=nearest,
-            weights=self.weights,
+            weights=_method(self.weights),
             scales=self.scales,
             margin=self.margin,
             tolerance=tolerance,
@@ -225,6 +236,14 @@ class Settings:
                     f"{said} is for --solver descent or adam: levenberg-marquardt has contact kinematics of its own, "
                     "in double precision on the CPU"
                 )
+
+        for choice in ("derivative", "neighborhood"):
+            for name in get_args(get_type_hints(Settings)[choice]):
+                options = getattr(self, name.replace("-", "_"))
+                if options != type(options)():
+                    raise GraspRefineError(f"options --{name}.* are for --solver descent or adam")
+        if self.weights.joint_limits != Weights.joint_limits:
+            raise GraspRefineError("--weights.joint-limits is for --solver descent or adam: here limits hold exactly")
 
     def _has_samples(self) -> bool:
         """Whether the derivative method looks at surface samples."""

@@ -62,8 +62,7 @@ def _grasp(outcome: Outcome, i: int) -> dict[str, Any]:
             "after": {"max": worst[1], "mean": mean[1]},
         },
         "penetration_m": {"before": outcome.penetration[i, 0], "after": outcome.penetration[i, 1]},
-        "self_penetration_m": outcome.self_penetration[i, 1],
-        "self_penetration_before_m": outcome.self_penetration[i, 0],
+        "self_penetration_m": {"before": outcome.self_penetration[i, 0], "after": outcome.self_penetration[i, 1]},
         "wrench_residual": None,
         "limits_violated": outcome.limits_violated[i],
         "moved": {

@@ -197,6 +197,8 @@ class _Run:
         self.iterations, self.queries = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
         self.cpu_s, self.wall_s = np.zeros(count), np.zeros(count)
         self.widths = np.array(solver.widths)
+        # The best loss when it fell notably last, and at which iteration.
+        self.best_mark, self.best_at = np.full(count, np.inf), np.zeros(count, dtype=np.int64)
 
     def entered(self, member: np.ndarray) -> _Slots:
         """Slots of the members that begin, without those that end at once."""
@@ -244,9 +246,14 @@ class _Run:
         patience = np.where(more, solver.patience, solver.last_patience)
         stuck = (since >= patience) | (damping > solver.largest) | np.isinf(loss)
         again = stuck & more
+        best = self.best_loss[member]
+        fell = best < (1.0 - solver.progress) * self.best_mark[member]
+        self.best_mark[member[fell]], self.best_at[member[fell]] = best[fell], self.iterations[member[fell]]
+        spent = self.iterations[member] >= solver.iterations
+        idle = self.iterations[member] - self.best_at[member] >= solver.last_patience
         ends = (
-            (self.iterations[member] >= solver.iterations, Status.BUDGET),
-            (stuck & ~again, Status.STALLED),
+            (spent, Status.BUDGET),
+            ((stuck & ~again) | (spent & idle), Status.STALLED),
             (np.isinf(self.best_loss[member]), Status.NOT_FINITE),
             (self.best_loss[member] < self.tolerance, Status.CONVERGED),
         )

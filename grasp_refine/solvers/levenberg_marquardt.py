@@ -11,9 +11,10 @@ class LevenbergMarquardt:
     """Damped Gauss-Newton steps (Levenberg 1944, Marquardt 1963) for a sum of squared residuals r(x).
 
     A step solves (J^T J + lambda W) dx = -J^T r within bounds on dx, W the metric of the unknowns, so that lambda
-    compares with the squared derivative of a residual. It is accepted where the loss |r|^2, evaluated anew, falls;
-    then, if the fall is as predicted, lambda shrinks. Where it is rejected lambda grows, and the derivative is
-    taken again with another width of the neighbourhoods. A member that stalls starts again elsewhere.
+    compares with the squared derivative of a residual. Penetrations count from where they begin, within a step too.
+    It is accepted where the loss |r|^2, evaluated anew, falls; then, if the fall is as predicted, lambda shrinks.
+    Where it is rejected lambda grows, and the derivative is taken again with another width of the neighbourhoods. A
+    member that stalls starts again elsewhere.
     """
 
     iterations: int = 200
@@ -44,11 +45,18 @@ class LevenbergMarquardt:
     """Factors of the neighbourhoods' radii, one after the other at each rejection; 0: no smoothing at all."""
 
     def __post_init__(self) -> None:
-        """Refuse factors with which lambda would not move, or move the wrong way.
+        """Refuse settings with which lambda would vanish, not move, or move the wrong way.
 
         Raises:
-            GraspRefineError: shrink not in (0, 1), or grow not above 1.
+            GraspRefineError: names the setting, its value and what it may be.
         """
+        for name in ("damping", "smallest"):
+            if not getattr(self, name) > 0.0:
+                raise GraspRefineError(f"levenberg-marquardt: {name} must be above 0, got {getattr(self, name):g}")
+        if not 0.0 < self.progress < 1.0:
+            raise GraspRefineError(f"levenberg-marquardt: progress must be in (0, 1), got {self.progress:g}")
+        if not self.widths:
+            raise GraspRefineError("levenberg-marquardt: widths needs at least one factor")
         if not 0.0 < self.shrink < 1.0 < self.grow:
             raise GraspRefineError(
                 f"levenberg-marquardt: shrink must be in (0, 1) and grow above 1, got {self.shrink:g} and {self.grow:g}"
@@ -95,11 +103,10 @@ def bounded_step(
     counts = ~one_sided | (r > 0)
     before = xp.where(counts, r, xp.zeros_like(r))
     dx = xp.zeros_like(lower)
-    some = xp.any(counts | ~counts, axis=-1)
+    some = xp.ones_like(damping, dtype=xp.bool)
     for _ in range(passes):
-        rows = (J[some], r[some], counts[some])
-        masked = xp.where(rows[2][..., None], rows[0], xp.zeros_like(rows[0]))
-        dx[some] = _within_bounds(masked, rows[1], damping[some], metric[some], lower[some], upper[some])
+        counted = xp.where(counts[some][..., None], J[some], 0.0)
+        dx[some] = _within_bounds(counted, r[some], damping[some], metric[some], lower[some], upper[some])
         after = r + matvec(J, dx)
         now = ~one_sided | (after > 0)
         some = xp.any(now != counts, axis=-1)

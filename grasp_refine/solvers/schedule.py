@@ -41,9 +41,9 @@ class Schedule:
             GraspRefineError: not one factor for each share.
         """
         if len(self.shares) != len(self.factors):
+            name = type(self).__name__.lower().removesuffix("options")
             raise GraspRefineError(
-                f"{type(self).__name__.lower()}: shares and factors belong together, got {len(self.shares)} and "
-                f"{len(self.factors)} numbers"
+                f"{name}: shares and factors belong together, got {len(self.shares)} and {len(self.factors)} numbers"
             )
 
     def first_stage(self, iteration: int) -> int:

@@ -28,10 +28,11 @@ class Status(IntEnum):
 _ADVICE = {
     Status.RUNNING: "",
     Status.CONVERGED: "",
-    Status.STALLED: "the best compromise between contacts, penetration and joint limits that was found: see the "
-    "columns for what is left, or leave out a contact with --contacts",
+    Status.STALLED: "the loss no longer falls: contacts or targets, penetration and joint limits contradict each "
+    "other, or what is left is tiny; see the columns",
     Status.BUDGET: "the iterations ran out while the loss still fell: raise --iterations",
-    Status.NO_TARGET: "no contact link is near the object: start closer, raise --reach, or give --targets",
+    Status.NO_TARGET: "no contact link is near the object: start closer, raise --reach, or name --contacts",
     Status.NOT_FINITE: "the grasp holds NaN or infinite numbers, or a query failed: check the input",
-    Status.UNREACHABLE: "a target lies off the surface of its link or of the object: check frames, scale and targets",
+    Status.UNREACHABLE: "a target lies off the surface of its link or of the object: check frames and scale, or lower "
+    "--threshold",
 }

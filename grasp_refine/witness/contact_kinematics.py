@@ -54,7 +54,7 @@ class ContactKinematics:
         in_plane = matvec(E.mT, force_a) + matvec(_EYE + d * K_a, matvec(E.mT, force_b))
         if force_n is not None:
             in_plane = in_plane + matvec(K_a, matvec(E.mT, force_n))
-        S = K_a + K_b + d * (K_b @ K_a)
+        S = relative_curvature(K_a, K_b, w.distance)
         slide = np.linalg.solve(S.mT, in_plane[..., None])[..., 0]
         along = (force_b * w.normal).sum(axis=-1, keepdims=True) * w.normal
         relative = wrench(w.point_b, along + matvec(E, matvec(K_b, slide)))
@@ -96,14 +96,29 @@ def slide(point_b: Array, normal: Array, distance: Array, E: Array, K_a: Array, 
     moved = xp.concat([rows, cross(point_b[..., None, :] + xp.zeros_like(rows), rows)], axis=-1)
     # E^T (w x n) = (w . t_2, -w . t_1).
     turned = xp.concat([xp.zeros_like(rows), xp.stack([rows[..., 1, :], -rows[..., 0, :]], axis=-2)], axis=-1)
-    d = distance[..., None, None]
-    S = K_a + K_b + d * (K_b @ K_a)
+    S = relative_curvature(K_a, K_b, distance)
     determinant = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] * S[..., 1, 0]
     adjugate = xp.stack(
         [xp.stack([S[..., 1, 1], -S[..., 0, 1]], axis=-1), xp.stack([-S[..., 1, 0], S[..., 0, 0]], axis=-1)], axis=-2
     )
     U_a = (adjugate / determinant[..., None, None]) @ (turned + K_b @ moved)
-    return U_a, U_a + d * (K_a @ U_a) - moved
+    return U_a, U_a + distance[..., None, None] * (K_a @ U_a) - moved
+
+
+def relative_curvature(K_a: Array, K_b: Array, distance: Array) -> Array:
+    """S = K_a + K_b + d K_b K_a (..., 2, 2), kept away from where it turns singular and changes its sign.
+
+    In penetration deeper than a radius of curvature, and between surfaces that are as far apart as a hollow is deep,
+    witness points stop following one of the surfaces smoothly. There d counts only up to half of the smaller of the
+    two radii of curvature.
+    """
+    xp = array_namespace(K_a)
+    product = K_b @ K_a
+    bend = distance * (product[..., 0, 0] + product[..., 1, 1])
+    sharpest = xp.minimum(*(xp.sqrt(xp.sum(K * K, axis=(-2, -1))) for K in (K_a, K_b)))
+    least = xp.abs(distance) * sharpest
+    share = xp.where((bend < 0) & (least > 0.5), 0.5 / xp.where(least > 0.5, least, xp.ones_like(least)), 1.0)
+    return K_a + K_b + (share * distance)[..., None, None] * product
 
 
 def _fit(near: Neighbors, E: np.ndarray) -> np.ndarray:

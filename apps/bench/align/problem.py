@@ -10,6 +10,7 @@ import numpy as np
 
 from grasp_refine.collision.query import Pairs, Witness, query_items
 from grasp_refine.geometry.pieces import Piece
+from grasp_refine.hand_object import SMALLEST_CURVATURE
 from grasp_refine.se3 import cross, exp_so3, matvec, tangents, transform, transform_points
 from grasp_refine.solvers.batch import choose, take
 from grasp_refine.solvers.least_squares import Linear, Point
@@ -79,7 +80,7 @@ class AlignProblem:
         self.tasks, self.margin, self.seed, self.patch = Tasks.join(tasks), margin, seed, patch
         # What comes of a task must not depend on the others, so new starts are keyed by the task itself.
         self.key = [crc32(T.tobytes()) for T in self.tasks.T_world_b]
-        self.curvatures = PairCurvatures.of(self.pairs, smallest=1.0)
+        self.curvatures = PairCurvatures.of(self.pairs, SMALLEST_CURVATURE)
         self.length = np.array([0.25 * (pair.a.diagonal + pair.b.diagonal) for pair in bodies])
         self.several = any(len(body.pieces) > 1 for body in (*self.pairs.a, *self.pairs.b))
 

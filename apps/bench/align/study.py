@@ -11,10 +11,11 @@ import numpy as np
 
 from grasp_refine.errors import GraspRefineError
 
+from ..jobs import run_jobs
 from .bodies import KINDS, BodyPair, Kind, draw_pairs, mesh_sources
 from .failures import Failure, WitnessPoints, blind_spot
 from .rows import LEVELS, rows
-from .runner import Done, jobs, run
+from .runner import Done, jobs
 from .tasks import CLASSES, Tasks, draw_tasks
 from .variants import Variant
 
@@ -91,7 +92,7 @@ def run_study(study: Study, say: Callable[[str], None], progress: Callable[[floa
         device=study.device,
         threads=study.threads,
     )
-    done, problems = run(todo, study.workers, progress)
+    done, problems = run_jobs(todo, study.workers, progress)
     return Outcome(rows(done, study.targets, study.dtype), typical_failures(done), problems)
 
 

@@ -13,9 +13,10 @@ from shapes_for_tests import cluster_body, convex_body, ring_body
 
 from apps.bench.align import runner as module
 from apps.bench.align.bodies import BodyPair
-from apps.bench.align.runner import Job, do, jobs, label, run
+from apps.bench.align.runner import Done, Job, jobs
 from apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from apps.bench.align.variants import Variant
+from apps.bench.jobs import run_jobs
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.se3 import transform_points
 from grasp_refine.witness.patch import Patch
@@ -51,6 +52,11 @@ def quiet(share: float, what: str) -> None:
     pass
 
 
+def alone(job: Job) -> Done:
+    """The result of a job that nobody watches."""
+    return job.do(lambda share: None)
+
+
 def test_each_variant_sees_each_pair_once(tasks: list[Tasks], monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(module.WIDTH, "descent", {"convex": 1, "concave": 2})
     todo = made(tasks)
@@ -74,43 +80,43 @@ def test_work_grows_with_what_there_is_to_do(tasks: list[Tasks]):
     assert long.work == 2 * short.work > 0
     (timed,) = made(tasks[1:2], PAIRS[1:2], (Variant(budget=None, budget_s=1.0),))
     assert timed.work > 0
-    assert label(short) == "distance, convex"
+    assert short.label == "distance, convex"
     (quick,) = made(tasks[1:2], PAIRS[1:2], (Variant.least_squares(budget=20),))
-    assert label(quick) == "levenberg-marquardt, convex" and 0 < quick.work < long.work
+    assert quick.label == "levenberg-marquardt, convex" and 0 < quick.work < long.work
 
 
 def test_pairs_of_fewer_tasks_are_padded_and_cut_again(tasks: list[Tasks]):
     few = [tasks[1], tasks[2].take(np.arange(4))]
     (job,) = made(few, PAIRS[1:3], VARIANTS[:1])
-    done = do(job)
+    done = alone(job)
     assert done.aligned.error.shape == (len(tasks[1]), 2)
     best, last = done.errors(1)
     assert len(best) == len(last) == 4
-    (alone,) = made(few[1:], PAIRS[2:3], VARIANTS[:1])
-    np.testing.assert_allclose(best, do(alone).errors(0)[0], rtol=1e-6)
+    (second,) = made(few[1:], PAIRS[2:3], VARIANTS[:1])
+    np.testing.assert_allclose(best, alone(second).errors(0)[0], rtol=1e-6)
 
 
 def test_results_come_in_the_order_of_the_jobs_and_progress_ends_at_one(tasks: list[Tasks]):
     todo, shares = made(tasks, variants=(Variant("rigid", budget=50), Variant("analytical", budget=2))), []
-    done, problems = run(todo, 1, lambda share, what: shares.append((share, what)))
+    done, problems = run_jobs(todo, 1, lambda share, what: shares.append((share, what)))
     assert problems == []
     assert [one.job for one in done] == todo
     told = [share for share, _ in shares]
     assert told == sorted(told) and 0 < told[0] and told[-1] <= 1 + 1e-12
-    assert {what for _, what in shares} <= {label(job) for job in todo}
+    assert {what for _, what in shares} <= {job.label for job in todo}
 
 
 def test_the_number_type_is_that_of_the_job(tasks: list[Tasks]):
     (job,) = jobs(VARIANTS[:1], PAIRS[1:2], tasks[1:2], seed=0, dtype="float32", device="cpu", threads=1)
-    single, ((double,), _) = do(job), run(made(tasks[1:2], PAIRS[1:2], VARIANTS[:1]), 1, quiet)
+    single, ((double,), _) = alone(job), run_jobs(made(tasks[1:2], PAIRS[1:2], VARIANTS[:1]), 1, quiet)
     difference = np.abs(single.aligned.T_world_b - double.aligned.T_world_b).max()
     assert 0.0 < difference < 0.1
 
 
 def test_two_workers_find_the_same(tasks: list[Tasks]):
     todo, shares = made(tasks[:3], PAIRS[:3]), []
-    one, _ = run(todo, 1, quiet)
-    two, problems = run(todo, 2, lambda share, what: shares.append(share))
+    one, _ = run_jobs(todo, 1, quiet)
+    two, problems = run_jobs(todo, 2, lambda share, what: shares.append(share))
     assert problems == []
     assert [done.job.variant for done in two] == [job.variant for job in todo]
     for first, second in zip(one, two, strict=True):
@@ -125,7 +131,7 @@ def test_two_workers_find_the_same(tasks: list[Tasks]):
 def test_the_queries_that_are_told_are_those_that_were_made(method: str, tasks: list[Tasks]):
     variant = Variant(method, budget=7)
     (job,) = made(tasks[1:2], PAIRS[1:2], (variant,))
-    done = do(job)
+    done = alone(job)
     # One narrow-phase query answers a query of two hulls.
     assert done.aligned.watch.asked == variant.queries(7) * done.aligned.error.size
 
@@ -133,7 +139,7 @@ def test_the_queries_that_are_told_are_those_that_were_made(method: str, tasks: 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_job_that_fails_does_not_end_the_others(workers: int, tasks: list[Tasks]):
     good, bad = made(tasks[1:2], PAIRS[1:2], (Variant(budget=3), Variant(budget=4)))
-    done, problems = run([replace(bad, dtype="float5"), good], workers, quiet)
+    done, problems = run_jobs([replace(bad, dtype="float5"), good], workers, quiet)
     assert [one.job.variant for one in done] == [good.variant]
     (problem,) = problems
     assert problem.startswith("distance, ") and "Traceback" in problem and "float5" in problem
@@ -144,7 +150,7 @@ def test_a_job_that_fails_does_not_end_the_others(workers: int, tasks: list[Task
 def test_final_poses_are_judged_by_queries_of_their_own(make: Callable[..., Variant], witness: str, tasks: list[Tasks]):
     variant = make(budget=30, witness=witness, epsilon=1e-4)
     (job,) = made([tasks[1], tasks[2].take(np.arange(4))], PAIRS[1:3], (variant,))
-    done = do(job)
+    done = alone(job)
     for p, its in enumerate(job.tasks):
         T_a, T_b = done.aligned.T_world_a[: len(its), p], done.aligned.T_world_b[: len(its), p]
         pairs = Pairs((job.pairs[p].a,), (job.pairs[p].b,))
@@ -160,7 +166,7 @@ def test_final_poses_are_judged_by_queries_of_their_own(make: Callable[..., Vari
 
 def test_without_a_patch_nothing_is_judged_by_it(tasks: list[Tasks]):
     (job,) = made(tasks[1:2], PAIRS[1:2], VARIANTS[:1])
-    assert do(job).patch_errors(0) is None
+    assert alone(job).patch_errors(0) is None
 
 
 def test_what_is_done_survives_an_interruption(tasks: list[Tasks]):
@@ -169,6 +175,6 @@ def test_what_is_done_survives_an_interruption(tasks: list[Tasks]):
     def interrupt(share: float, what: str) -> None:
         raise KeyboardInterrupt
 
-    done, problems = run(todo, 1, interrupt)
+    done, problems = run_jobs(todo, 1, interrupt)
     assert [one.job.variant.budget for one in done] == [3]
     assert problems == ["interrupted: 1 of 2 jobs were done"]

@@ -1,9 +1,6 @@
-"""Jobs: which tasks go together, and that neither failures nor interruptions lose what is done."""
+"""Jobs: which tasks go together, and what they are refined with."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,40 +8,9 @@ from apps.bench.grasp.runner import calls, jobs
 from apps.bench.grasp.sets import GraspSet, Group
 from apps.bench.grasp.tasks import Tasks
 from apps.bench.grasp.variants import DERIVATIVES, SOLVERS, Variant
-from apps.bench.jobs import run_jobs
 from grasp_refine.hand import load_hand
 from grasp_refine.objects import load_object
 from grasp_refine.scene import Scene
-
-
-@dataclass(frozen=True)
-class Fake:
-    """A job that gives its name, or fails."""
-
-    label: str
-    work: float = 1.0
-
-    def do(self, progress: Callable[[float], None]) -> str:
-        progress(0.5)
-        if self.label == "stop":
-            raise KeyboardInterrupt
-        if self.label == "bad":
-            raise ValueError("no luck")
-        return self.label
-
-
-def test_a_failed_job_does_not_end_the_others():
-    told: list[tuple[float, str]] = []
-    results, problems = run_jobs([Fake("a"), Fake("bad"), Fake("b", 2.0)], 1, lambda *what: told.append(what))
-    assert results == ["a", "b"]
-    (problem,) = problems
-    assert problem.startswith("bad: Traceback") and problem.endswith("ValueError: no luck")
-    assert told == [(0.125, "a"), (0.375, "bad"), (0.75, "b")]
-
-
-def test_an_interruption_keeps_what_is_done():
-    results, problems = run_jobs([Fake("a"), Fake("stop"), Fake("b")], 1, lambda *_: None)
-    assert (results, problems) == (["a"], ["interrupted: 1 of 3 jobs were done"])
 
 
 def test_first_order_solvers_are_called_batch_by_batch():

@@ -1,0 +1,37 @@
+"""The command line that asks for the same again."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+from grasp_refine.commands.options import flag
+
+WRITTEN = ("json", "html")
+"""Options that name a file that is written."""
+
+
+def invocation(command: str, options: Any) -> str:
+    """The command line that asks for what `options` do, without the files that are written.
+
+    Args:
+        command: Words of the command, such as "bench align".
+        options: Its dataclass; the options of those inside it have no prefix.
+    """
+    return shlex.join(["refine-grasp", *command.split(), *_words(options)])
+
+
+def _words(options: Any) -> Iterator[str]:
+    """The options that differ from their defaults."""
+    for option in fields(options):
+        value = getattr(options, option.name)
+        if is_dataclass(value):
+            yield from _words(value)
+        elif value == option.default or option.name in WRITTEN:
+            continue
+        elif isinstance(value, bool):
+            yield flag(option.name, "--" if value else "--no-")
+        else:
+            yield from (flag(option.name), *map(str, value if isinstance(value, tuple) else (value,)))
