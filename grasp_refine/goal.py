@@ -42,7 +42,8 @@ def goal_of(scene: Scene, touching: Touching, prepared: HandObject | None = None
         scene: Hand, object, grasps and, perhaps, targets.
         touching: Which links touch where there are no targets.
         prepared: Of the hand and the object; None: built here.
-        nearest: Without targets, those links should touch at their present witness points, and not just anywhere.
+        nearest: Without targets, those links should touch at their present witness points, and not just anywhere;
+            links that are not near but should touch in some direction have none.
     """
     prepared = prepared or HandObject.of(scene)
     if scene.target_link is not None and scene.target_object is not None:
@@ -56,7 +57,8 @@ def goal_of(scene: Scene, touching: Touching, prepared: HandObject | None = None
     chosen = _with_directions(touching.choose(scene.hand, scene.links, witness), scene)
     target_link, target_object = np.full((2, *chosen.shape, 3), np.nan)
     if nearest:
-        target_link, target_object = nearest_points(witness, T, np.broadcast_to(np.eye(4), T.shape), chosen)
+        known = chosen & witness.valid
+        target_link, target_object = nearest_points(witness, T, np.broadcast_to(np.eye(4), T.shape), known)
     on_surface = np.zeros(len(scene.q))
     return Goal(chosen, target_link, target_object, witness.asked.sum(axis=1), on_surface, scene.direction)
 

@@ -167,7 +167,7 @@ class GraspProblem:
 
     def reached(self, member: np.ndarray, point: Point) -> Point:
         """Grasps whose target points on links come near those on the object: no query, no collision."""
-        if not len(self.aimed_columns):
+        if not (len(self.aimed_columns) and len(member)):
             return point
         columns = self.aimed_columns
         aimed = self.goal.aimed[member][:, columns]

@@ -16,13 +16,10 @@ from grasp_refine.hand import Hand
 from grasp_refine.objects import Object
 from grasp_refine.scene import Scene, links_of
 from grasp_refine.self_collision import touching_pairs
-from grasp_refine.witness.pair_curvature import PairCurvatures
+from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatures
 
 POINT = 1e-6
 """Radius in metres of the balls that stand for points."""
-
-SMALLEST_CURVATURE = 1.0
-"""Floor of the curvatures of two bodies together, over the mean of their diagonals."""
 
 
 @dataclass(frozen=True, eq=False)

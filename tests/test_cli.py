@@ -156,6 +156,8 @@ def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixt
             "quality", "wrench_residual", "simulation"
         ]  # fmt: skip
         assert grasp["contact_error_m"]["after"]["max"] < grasp["contact_error_m"]["before"]["max"]
+        assert set(grasp["self_penetration_m"]) == {"before", "after"}
+        assert 0 <= grasp["self_penetration_m"]["after"] < 1e-5
         assert set(grasp["moved"]) == {"palm_m", "palm_rad", "joints_rad"}
 
     before, after = load_grasps(EXAMPLE), load_grasps("results/allegro_rounded_box.npz")
@@ -229,7 +231,7 @@ def test_several_objects_and_scales_are_refined_together(grasp_file: Callable[..
     assert len(load_grasps("grasp-refine-results/allegro_rounded_box.npz")) == 1
 
 
-def test_targets_of_a_file_are_aimed_at(grasp_file: Callable[..., Path]):
+def test_targets_of_a_file_are_aimed_at(grasp_file: Callable[..., Path], capfd: pytest.CaptureFixture[str]):
     links, n = ["link_7.0_tip", "link_15.0_tip"], 4
     point_object = np.full((n, 2, 3), 0.02)
     point_object[1] = np.nan
@@ -237,9 +239,13 @@ def test_targets_of_a_file_are_aimed_at(grasp_file: Callable[..., Path]):
     targets = {"target_link": links, "target_point_link": point_link, "target_point_object": point_object}
     aimed = grasp_file("targets.npz", **targets)
     assert main([*QUICK, "--targets", str(aimed), "--json", "report.json"]) == 0
+    capfd.readouterr()
     used = load_grasps("grasp-refine-results/allegro_rounded_box.npz").targets
     assert used.links == tuple(links)
     np.testing.assert_array_equal(used.point_object, point_object)
+    for options in ("--contacts link_7.0_tip", "--reach 0.02", "--reach-others 0.001"):
+        answer = refused(capfd, *QUICK, "--targets", aimed, *options.split())
+        assert answer.startswith("--contacts, --reach and --reach-others are for grasps without targets")
     statuses = [grasp["status"] for grasp in json.loads(Path("report.json").read_text())["grasps"]]
     assert [status == "no target" for status in statuses] == [False, True, False, False]
 
@@ -407,6 +413,17 @@ def test_targets_must_fit_the_grasps(grasp_file: Callable[..., Path], capfd: pyt
         ("--hand claw.urdf", "claw.urdf: no such file or folder"),
         ("--object bowl", "there are no example grasps of hand 'allegro' on 'bowl', only on bottle, mug, rounded_box"),
         ("--json .", "is a folder"),
+        ("--weights.table 3", "--weights.table needs a --table"),
+        ("--weights.direction 3", "unrecognized options: --weights.direction"),
+        ("--weights.joint-limits 3", "--weights.joint-limits is for --solver descent or adam"),
+        ("--scales.rotation 2", "--scales.* say what --weights.stay-near means, which is 0"),
+        ("--scales.rotation 0 --weights.stay-near 1", "scales: rotation must be above 0, got 0"),
+        ("--adaptive.samples 4", "options --adaptive.* are for --solver descent or adam"),
+        ("--contact-kinematics.smallest-curvature 3", "options --contact-kinematics.* are for --solver descent"),
+        ("--levenberg-marquardt.damping 0", "levenberg-marquardt: damping must be above 0, got 0"),
+        ("--levenberg-marquardt.widths", "levenberg-marquardt: widths needs at least one factor"),
+        ("--solver adam --width 3", "--width is for --solver levenberg-marquardt; it is adam"),
+        ("--dtype float32", "--dtype float32 is for --solver descent or adam: levenberg-marquardt has contact kin"),
     ],
 )  # fmt: skip
 def test_bad_options_are_refused(options: str, complaint: str, capfd: pytest.CaptureFixture[str]):

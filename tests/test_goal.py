@@ -132,6 +132,22 @@ def test_wanted_directions_are_handed_on(scene: Scene) -> None:
         np.testing.assert_array_equal(goal_of(replace(one, direction=wanted), Touching()).direction, wanted)
 
 
+@pytest.mark.parametrize("kind", ["near", "nearest", "targets"])
+def test_a_link_with_a_direction_should_touch_though_it_is_not_near(scene: Scene, kind: str) -> None:
+    """With nearest points as targets, it once had one that no query had found: the origin of its own frame."""
+    one, nearest = given(scene) if kind == "targets" else scene, kind == "nearest"
+    plain = goal_of(one, Touching(), nearest=nearest)
+    column = int(np.flatnonzero(~plain.touching.any(axis=0))[-1])
+    wanted = np.full((4, len(scene.links), 3), np.nan)
+    wanted[:3, column] = [0.0, 0.6, 0.8]
+    goal = goal_of(replace(one, direction=wanted), Touching(), nearest=nearest)
+    assert goal.touching[:3, column].all() and not goal.touching[3, column]
+    others = np.arange(len(scene.links)) != column
+    np.testing.assert_array_equal(goal.touching[:, others], plain.touching[:, others])
+    for name in ("target_link", "target_object"):
+        np.testing.assert_array_equal(getattr(goal, name), getattr(plain, name))
+
+
 def test_nearest_points_move_with_the_grasp(scene: Scene) -> None:
     """Points on links are in their frames: a grasp and its goal, moved by hand, agree with the kinematics."""
     goal = goal_of(scene, Touching(), nearest=True)

@@ -9,12 +9,12 @@ from ellipsoids import Contact, at_gap, contact
 from twists import gradient_along_twists, poses_at_gap, slopes_along_twists
 
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
+from grasp_refine.errors import GraspRefineError
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere
 from grasp_refine.losses import (
     Scales,
     below_plane,
-    below_plane_covectors,
     contact_direction,
     contact_direction_covectors,
     contact_gap,
@@ -24,6 +24,8 @@ from grasp_refine.losses import (
     joint_limits,
     joint_limits_jacobian,
     penetration,
+    plane_covectors,
+    plane_depth,
     stay_near,
     stay_near_jacobian,
 )
@@ -140,7 +142,7 @@ def test_limits_and_plane_in_closed_form_on_arrays_and_tensors() -> None:
     normal = np.array([0.0, 0.6, 0.8])
     points = np.array([[0.0, 0.0, 0.0], [7.0, 0.6, 0.8], [-3.0, 0.06, 0.08]])
     np.testing.assert_allclose(in_both(below_plane, points, normal, 0.3), [0.3, 0.0, 0.2], atol=1e-15)
-    np.testing.assert_array_equal(in_both(below_plane_covectors, points, normal, 0.3)[1], np.zeros(6))
+    np.testing.assert_allclose(in_both(plane_depth, points, normal, 0.3), [0.3, -0.7, 0.2], atol=1e-15)
 
 
 def test_staying_near_counts_scales_of_movement() -> None:
@@ -217,6 +219,13 @@ def test_terms_have_the_gradients_of_finite_differences(gap: float) -> None:
     found = np.concatenate([gradient_along_twists(t.grad.numpy(), t.detach().numpy()) for t in tensors])
     expected = slopes_along_twists(lambda a, b: loss(*map(torch.from_numpy, (a, b))).numpy(), T_a, T_b, 1e-5)
     np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["translation", "rotation", "joints"])
+@pytest.mark.parametrize("value", [0.0, -0.1, np.nan])
+def test_scales_of_nothing_are_refused(name: str, value: float) -> None:
+    with pytest.raises(GraspRefineError, match=f"^scales: {name} must be above 0, got {value:g}$"):
+        Scales(**{name: value})
 
 
 def test_joint_limits_push_back_with_unit_slope() -> None:
@@ -342,14 +351,18 @@ def test_covectors_of_ellipsoids_whose_curvatures_differ_all_round(gap: float) -
         np.testing.assert_allclose(contact_direction_covectors(w, E, K_a, K_b), expected[5:], rtol=1e-6, atol=1e-5)
 
 
-def test_covectors_of_points_below_a_plane() -> None:
+def test_depths_below_a_plane_and_their_covectors() -> None:
+    """Depths are signed, and have slopes on both sides; only what is below counts."""
     rng = np.random.default_rng(10)
     points, normal = rng.normal(size=(20, 3)), np.array([0.48, 0.6, 0.64])
-    found = in_both(below_plane_covectors, points, normal, 0.1)
+    depth = in_both(plane_depth, points, normal, 0.1)
+    np.testing.assert_allclose(depth, 0.1 - points @ normal, atol=1e-15)
+    assert 0 < (depth > 0).sum() < 20
+    np.testing.assert_array_equal(in_both(below_plane, points, normal, 0.1), np.where(depth > 0, depth, 0.0))
+    found = in_both(plane_covectors, points, normal)
     for k in range(6):
-        ends = [below_plane(transform_points(exp_se3(s * H * np.eye(6)[k]), points), normal, 0.1) for s in (1, -1)]
+        ends = [plane_depth(transform_points(exp_se3(s * H * np.eye(6)[k]), points), normal, 0.1) for s in (1, -1)]
         np.testing.assert_allclose(found[:, k], (ends[0] - ends[1]) / (2 * H), atol=1e-9)
-    assert 0 < (found != 0).any(axis=1).sum() < 20
 
 
 @pytest.mark.parametrize(

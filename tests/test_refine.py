@@ -1,5 +1,6 @@
 """The loop: it converges, ends with a status, and no grasp depends on another, whatever the solver."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +11,12 @@ from grasp_refine.assets import resource_dir
 from grasp_refine.chain import moved
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.config import Config
+from grasp_refine.errors import GraspRefineError
 from grasp_refine.goal import Goal, goal_of
+from grasp_refine.grasp_problem import GraspProblem
 from grasp_refine.grasps import load_grasps
 from grasp_refine.hand import load_hand
+from grasp_refine.hand_object import HandObject
 from grasp_refine.kinematics import Kinematics
 from grasp_refine.losses import Scales, Weights, stay_near
 from grasp_refine.objective import Objective
@@ -23,6 +27,7 @@ from grasp_refine.se3 import exp_se3, transform_from_pose, transform_points
 from grasp_refine.self_collision import touching_pairs
 from grasp_refine.solvers.adam import Adam
 from grasp_refine.solvers.descent import Descent
+from grasp_refine.solvers.least_squares import Point
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.solvers.status import Status
 from grasp_refine.targets import Touching
@@ -32,11 +37,11 @@ from grasp_refine.witness.distance import Distance
 
 SOLVERS = {
     "levenberg-marquardt": LevenbergMarquardt(iterations=60, restarts=1),
-    "descent": Descent(iterations=20),
-    "adam": Adam(iterations=20),
+    "descent": Descent(iterations=6),
+    "adam": Adam(iterations=6),
 }
 NEAREST = Config(nearest=True)
-SHORT = Config(solver=Descent(iterations=15), nearest=True)
+SHORT = Config(solver=Descent(iterations=8), nearest=True)
 
 
 @pytest.fixture(scope="module")
@@ -60,9 +65,15 @@ def touched(scene: Scene) -> Refinement:
 @pytest.fixture(scope="module")
 def aimed(scene: Scene, touched: Refinement) -> Scene:
     """Hands that once touched, moved away by 1 cm, 9 degrees and 0.1 rad, that should touch there again."""
-    there = replace(scene, T_world_root=touched.T_world_root, q=touched.q)
-    goal, rng = goal_of(there, Touching(), nearest=True), np.random.default_rng(0)
-    dx = rng.normal(size=(4, 6)) * [0.006, 0.006, 0.006, 0.1, 0.1, 0.1]
+    return disturbed(scene, touched, 4, 0)
+
+
+def disturbed(scene: Scene, touched: Refinement, count: int, seed: int) -> Scene:
+    """The same of `count` hands, the examples over and over."""
+    again = np.arange(count) % 4
+    there = replace(scene, T_world_root=touched.T_world_root[again], q=touched.q[again])
+    goal, rng = goal_of(there, Touching(), nearest=True), np.random.default_rng(seed)
+    dx = rng.normal(size=(count, 6)) * [0.006, 0.006, 0.006, 0.1, 0.1, 0.1]
     q = np.clip(there.q + 0.1 * rng.normal(size=there.q.shape), scene.hand.lower, scene.hand.upper)
     return Scene(scene.hand, scene.object, moved(there.T_world_root, dx), q, goal.target_link, goal.target_object)
 
@@ -160,6 +171,29 @@ def test_staying_near_shortens_the_movement_and_costs_little(scene: Scene) -> No
     assert (true_loss(scene, held.T_world_root, held.q, held, Config()) < 1e-6).all()
 
 
+def test_what_is_prepared_for_another_object_is_refused(scene: Scene) -> None:
+    ball = load_object("sphere:0.05", candidates=64)
+    complaint = "^what is prepared for allegro and sphere:0.05 is not for the scene's allegro and rounded_box$"
+    with pytest.raises(GraspRefineError, match=complaint):
+        refine(scene, prepared=HandObject(scene.hand, ball))
+
+
+def test_a_link_that_should_touch_in_a_direction_comes_from_afar(scene: Scene, touched: Refinement) -> None:
+    """Not near at first, it was once no part of the grasp, and its direction meant nothing."""
+    row, column = np.argwhere(~touched.touching[:, :4])[0]
+    wanted = np.full((4, len(scene.links), 3), np.nan)
+    wanted[row, column] = [0.0, 0.0, -1.0]
+    config = Config(weights=Weights(direction=1e-8))
+    found = refine(replace(scene, direction=wanted), config)
+    assert found.touching[row, column] and (found.touching != touched.touching).sum() == 1
+    none = np.full((4, len(scene.links), 3), np.nan)
+    before, after = (
+        measure(scene.hand, scene.object, scene.links, one.T_world_root, one.q, none, none).distance[row, column]
+        for one in (scene, found)
+    )
+    assert before > Touching().reach and abs(after) < 1e-3
+
+
 # every solver
 
 
@@ -185,7 +219,11 @@ def test_every_solver_lowers_the_true_loss_within_the_limits(scene: Scene, name:
 def test_every_solver_accounts_for_its_work(scene: Scene, name: str) -> None:
     said: list[tuple[int, int, float]] = []
     config = Config(solver=SOLVERS[name], tolerance=1e-7)
+    wall, cpu = time.perf_counter(), time.process_time()
     found = refine(scene, config, lambda *now: said.append(now))
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    # All of it is shared out, what was done before the first iteration too.
+    assert 0.95 * wall < found.wall_s.sum() <= wall and 0.9 * cpu < found.cpu_s.sum() <= cpu
     done, iterations, loss = (np.array(column) for column in zip(*said, strict=True))
     assert done[-1] == 4 and (np.diff(done) >= 0).all() and np.isfinite(loss).all()
     np.testing.assert_array_equal(iterations, np.arange(1, found.iterations.max() + 1))
@@ -209,6 +247,32 @@ def test_grasps_that_begin_beyond_their_limits_end_within_them(scene: Scene, nam
 # ends
 
 
+def test_a_grasp_that_is_there_already_is_left_alone(aimed: Scene) -> None:
+    """Inverse kinematics once moved it before it was looked at."""
+    first = refine(aimed)
+    there = np.flatnonzero(first.status == Status.CONVERGED)
+    scene = replace(rows(aimed, list(there)), T_world_root=first.T_world_root[there], q=first.q[there])
+    found = refine(scene)
+    assert (found.status == Status.CONVERGED).all() and not found.iterations.any()
+    np.testing.assert_array_equal(found.T_world_root, scene.T_world_root)
+    np.testing.assert_array_equal(found.q, scene.q)
+    np.testing.assert_array_equal(found.loss[:, 0], found.loss[:, 1])
+    np.testing.assert_allclose(found.loss[:, 1], first.loss[there, 1], rtol=1e-3, atol=1e-14)
+
+
+@pytest.mark.parametrize(("iterations", "restarts"), [(100, 20), (300, 6)])
+def test_targets_that_exclude_each_other_end_as_stalled_not_for_want_of_iterations(
+    aimed: Scene, iterations: int, restarts: int
+) -> None:
+    """All links are to touch at the place of the first; new starts use up the iterations, and nothing falls."""
+    one = rows(aimed, [0])
+    place = np.where(np.isnan(one.target_object), np.nan, one.target_object[:, :1])
+    assert (np.isfinite(place[..., 0]).sum(axis=1) >= 2).all()
+    config = Config(solver=LevenbergMarquardt(iterations=iterations, restarts=restarts))
+    found = refine(replace(one, target_object=place), config)
+    assert (found.iterations > 60).all() and (found.status == Status.STALLED).all() and (found.loss[:, 1] > 1e-4).all()
+
+
 def test_targets_off_the_surface_are_named_as_such(aimed: Scene) -> None:
     on_object, on_link = aimed.target_object.copy(), aimed.target_link.copy()
     column = int(np.flatnonzero(np.isfinite(on_object[0, :, 0]))[0])
@@ -219,7 +283,7 @@ def test_targets_off_the_surface_are_named_as_such(aimed: Scene) -> None:
     config = Config(solver=LevenbergMarquardt(iterations=60))
     found = refine(replace(aimed, target_object=on_object, target_link=on_link), config)
     np.testing.assert_array_equal(found.status[:2], [Status.UNREACHABLE, Status.UNREACHABLE])
-    assert (found.status[2:] != Status.UNREACHABLE).all() and "frames, scale and targets" in Status.UNREACHABLE.advice
+    assert (found.status[2:] != Status.UNREACHABLE).all() and "check frames and scale" in Status.UNREACHABLE.advice
     # What they ask for is approached all the same.
     assert (found.loss[:2, 1] < found.loss[:2, 0]).all() and (found.loss[:2, 1] > 1e-6).all()
 
@@ -229,7 +293,8 @@ def test_a_grasp_far_away_has_no_target(scene: Scene) -> None:
     T[0, 0, 3] += 1.0
     for config in (Config(), NEAREST, SHORT):
         found = refine(replace(scene, T_world_root=T, q=scene.q[:2]), config)
-        assert found.status[0] == Status.NO_TARGET and "--targets" in Status.NO_TARGET.advice
+        assert found.status[0] == Status.NO_TARGET and "--contacts" in Status.NO_TARGET.advice
+        assert np.isnan(found.loss[0]).all() and np.isfinite(found.loss[1]).all()
         np.testing.assert_array_equal(found.T_world_root[0], T[0])
         assert found.status[1] != Status.NO_TARGET and found.iterations[0] == 0
 
@@ -260,7 +325,7 @@ def test_targets_on_one_side_only_are_no_targets(aimed: Scene, side: str) -> Non
     """The grasp once ended as converged before it began."""
     points = getattr(aimed, side).copy()
     points[:2] = np.nan
-    for solver in (LevenbergMarquardt(iterations=10), Descent(iterations=10)):
+    for solver in (LevenbergMarquardt(iterations=10), Descent(iterations=2)):
         found = refine(replace(aimed, **{side: points}), Config(solver=solver))
         assert (found.status[:2] == Status.NO_TARGET).all() and (found.status[2:] != Status.NO_TARGET).all()
         assert np.isnan(found.target_link[:2]).all() and np.isnan(found.target_object[:2]).all()
@@ -289,21 +354,24 @@ def with_bad_members(scene: Scene) -> Scene:
 @pytest.mark.parametrize("name", SOLVERS)
 @pytest.mark.parametrize("nearest", [False, True], ids=["gap", "nearest"])
 def test_a_grasp_that_is_not_finite_spoils_only_itself(scene: Scene, name: str, nearest: bool) -> None:
-    config = Config(solver=replace(SOLVERS[name], iterations=30 if name[0] == "l" else 5), nearest=nearest)
+    config = Config(solver=replace(SOLVERS[name], iterations=30 if name[0] == "l" else 3), nearest=nearest)
     clean, found = refine(scene, config), refine(with_bad_members(scene), config)
     assert found.status[1] == found.status[2] == Status.NOT_FINITE
     same(found, clean, [0, 3], [0, 3])
+    # No result is no number; where there was no best, it was infinite.
+    assert np.isnan(found.loss[1:3]).all() and not np.isinf(found.loss).any()
 
 
 def test_an_unreachable_target_changes_nothing_for_the_others(aimed: Scene) -> None:
     """All that it does, restarts included, is its own."""
-    clean = refine(aimed)
+    config = Config(solver=LevenbergMarquardt(iterations=60))
+    clean = refine(aimed, config)
     spoilt = aimed.target_object.copy()
     spoilt[1] *= 1.5
-    found = refine(replace(aimed, target_object=spoilt))
+    found = refine(replace(aimed, target_object=spoilt), config)
     assert found.status[1] == Status.UNREACHABLE and found.iterations[1] > clean.iterations[1]
     same(found, clean, [0, 2, 3], [0, 2, 3])
-    bad = refine(with_bad_members(aimed))
+    bad = refine(with_bad_members(aimed), config)
     same(bad, clean, [0, 3], [0, 3])
 
 
@@ -317,9 +385,8 @@ def test_the_width_of_the_batch_changes_nothing(aimed: Scene, width: int) -> Non
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_a_grasp_alone_is_the_same_grasp(scene: Scene, name: str) -> None:
-    """But for new starts: their random numbers are those of its place in the scene."""
     lm = name == "levenberg-marquardt"
-    solver = replace(SOLVERS[name], **({"restarts": 0} if lm else {"iterations": 6}))
+    solver = replace(SOLVERS[name], **({"restarts": 0} if lm else {"iterations": 4}))
     for nearest in (False, True) if lm else (True,):
         config = Config(solver=solver, nearest=nearest)
         together = refine(scene, config)
@@ -327,9 +394,35 @@ def test_a_grasp_alone_is_the_same_grasp(scene: Scene, name: str) -> None:
             same(refine(rows(scene, [i]), config), together, [0], [i])
 
 
+def test_new_starts_are_those_of_the_grasp_whatever_its_company(
+    scene: Scene, touched: Refinement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Alone, in another order, among more or fewer at once; they were once those of the place in the scene."""
+    again: list[int] = []
+    plain = GraspProblem.restarted
+
+    def recorded(problem: GraspProblem, member: np.ndarray, *others: object) -> Point:
+        again.extend(member.tolist())
+        return plain(problem, member, *others)
+
+    monkeypatch.setattr(GraspProblem, "restarted", recorded)
+    eight, config = disturbed(scene, touched, 8, 2), Config(solver=LevenbergMarquardt(patience=3))
+    together = refine(eight, config)
+    assert len(set(again)) >= 2 and (together.iterations[again] > 15).all()
+    order = [5, 2, 7, 0, 3, 6, 1, 4]
+    for width in (1, 16):
+        shuffled = refine(rows(eight, order), replace(config, width=width))
+        np.testing.assert_array_equal(shuffled.status, together.status[order])
+        np.testing.assert_allclose(shuffled.q, together.q[order], atol=1e-6)
+    for i in sorted(set(again))[:2]:
+        alone = refine(rows(eight, [i]), config)
+        assert alone.status[0] == together.status[i]
+        np.testing.assert_allclose(alone.q[0], together.q[i], atol=1e-6)
+
+
 @pytest.mark.parametrize("name", SOLVERS)
 def test_same_seed_same_result(scene: Scene, name: str) -> None:
-    config = Config(solver=replace(SOLVERS[name], iterations=30 if name[0] == "l" else 5), nearest=True)
+    config = Config(solver=replace(SOLVERS[name], iterations=30 if name[0] == "l" else 3), nearest=True)
     one, two = (refine(rows(scene, [2, 3]), config) for _ in range(2))
     np.testing.assert_array_equal(one.T_world_root, two.T_world_root)
     np.testing.assert_array_equal(one.q, two.q)
@@ -346,7 +439,7 @@ def test_other_derivatives_lower_the_loss_too(scene: Scene) -> None:
 
 @pytest.mark.parametrize("transport", [False, True])
 def test_single_precision_and_transport_run(scene: Scene, transport: bool) -> None:
-    config = Config(solver=Descent(iterations=20, transport=transport), dtype="float32", nearest=True)
+    config = Config(solver=Descent(iterations=8, transport=transport), dtype="float32", nearest=True)
     result = refine(scene, config)
     assert (result.loss[:, 1] < 0.8 * result.loss[:, 0]).all()
     R = result.T_world_root[:, :3, :3]
@@ -389,8 +482,10 @@ def on_ball() -> Scene:
     return Scene(hand, load_object("sphere:0.035", candidates=256), root, q)
 
 
+LONG = Descent(iterations=50, step_translation=2e-3, step_rotation=2e-2, step_joints=4e-2)
+"""Steps of twice the default length, in a third of the iterations that the default ones need here."""
 BALL = Config(
-    solver=Descent(iterations=140),
+    solver=LONG,
     nearest=True,
     touching=Touching(reach=0.06, reach_others=0.0),
     weights=Weights(penetration=10.0, self_penetration=0.0),
@@ -438,15 +533,15 @@ def test_all_fingertips_come_to_the_ball_and_none_into_it(on_ball: Scene, graspe
         for T, q in ((on_ball.T_world_root, on_ball.q), (grasped.T_world_root, grasped.q))
     )
     assert np.nanmax(before.contact_error, axis=1).min() > 0.02 and before.penetration.max() > 0.01
-    assert np.nanmax(after.contact_error, axis=1).max() < 6e-3 and after.penetration.max() < 1e-3
+    assert np.nanmax(after.contact_error, axis=1).max() < 0.01 and after.penetration.max() < 1e-3
     assert not after.limits_violated.any()
 
 
 def test_more_iterations_of_descent_never_give_less(on_ball: Scene) -> None:
-    shorter = refine(on_ball, replace(BALL, solver=Descent(iterations=20, shares=(), factors=())))
-    longer = refine(on_ball, replace(BALL, solver=Descent(iterations=40, shares=(), factors=())))
+    shorter = refine(on_ball, replace(BALL, solver=Descent(iterations=6, shares=(), factors=())))
+    longer = refine(on_ball, replace(BALL, solver=Descent(iterations=12, shares=(), factors=())))
     assert (longer.loss[:, 1] <= shorter.loss[:, 1]).all()
-    assert shorter.loss.shape == (6, 2) and (shorter.iterations == 20).all()
+    assert shorter.loss.shape == (6, 2) and (shorter.iterations == 6).all()
 
 
 def test_grasps_that_leave_do_not_disturb_those_that_stay(on_ball: Scene, grasped: Refinement) -> None:
@@ -468,7 +563,7 @@ def test_a_failed_query_ends_a_grasp_with_the_best_it_had(on_ball: Scene, monkey
     def fails_once(*arguments: object, **keywords: object) -> Witness:
         found = query(*arguments, **keywords)
         calls.append(len(found.distance))
-        if len(calls) == 10:
+        if len(calls) == 4:
             status, distance = found.status.copy(), found.distance.copy()
             status[0, :4], distance[0, :4] = QueryStatus.FAILED, np.nan
             points = [np.where(status[..., None] > QueryStatus.FAR, 0.0, p) for p in (found.point_a, found.point_b)]
@@ -476,10 +571,10 @@ def test_a_failed_query_ends_a_grasp_with_the_best_it_had(on_ball: Scene, monkey
         return found
 
     monkeypatch.setattr(autograd, "query", fails_once)
-    short = replace(BALL, solver=Descent(iterations=20))
+    short = replace(BALL, solver=Descent(iterations=6))
     found = refine(on_ball, short)
-    assert calls[9] == 6 and calls[10] == 5
-    assert found.status[0] == Status.NOT_FINITE and found.iterations[0] == 10
+    assert calls[3] == 6 and calls[4] == 5
+    assert found.status[0] == Status.NOT_FINITE and found.iterations[0] == 4
     assert 0.0 < found.loss[0, 1] < found.loss[0, 0]
     monkeypatch.undo()
     clean = refine(on_ball, short)
@@ -499,5 +594,5 @@ def test_when_no_query_is_answered_the_loop_ends(on_ball: Scene, monkeypatch: py
 
 
 def test_transport_makes_it_no_derivative_but_a_descent(on_ball: Scene) -> None:
-    found = refine(on_ball, replace(BALL, solver=Descent(iterations=80, transport=True)))
+    found = refine(on_ball, replace(BALL, solver=replace(LONG, iterations=20, transport=True)))
     assert (found.loss[:, 1] < 0.2 * found.loss[:, 0]).all()

@@ -60,6 +60,8 @@ class Run:
         """
         wall, cpu = time.perf_counter(), cpu_seconds()
         config = self.settings.config(nearest=self.inputs.targets == NEAREST)
+        if self.inputs.table is None and config.weights.table != Weights.table:
+            raise GraspRefineError("--weights.table needs a --table")
         # The tensors of a batch of grasps are small.
         torch.set_num_threads(1)
         with Reporter(screen(stderr=True)) as reporter:
@@ -103,8 +105,6 @@ class Run:
             raise GraspRefineError(
                 "--contacts, --reach and --reach-others are for grasps without targets: the targets say what touches"
             )
-        if self.inputs.table is None and config.weights.table != Weights.table:
-            raise GraspRefineError("--weights.table needs a --table")
 
     def _paths(self, problem: Problem) -> dict[str, Path]:
         """Object name -> result file; nothing that is written takes the place of an input."""

@@ -47,9 +47,10 @@ class ContactKinematics:
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Wrenches (batch, pair, 6) on the two bodies of covectors on witness points and normal."""
-        w, d = scene.witness, scene.witness.distance[..., None, None]
+        w = scene.witness
         E = tangents(w.normal)
         K_a, K_b = self.curvatures(scene, E)
+        d = counted_distance(K_a, K_b, w.distance)[..., None, None]
         # The equations of the class transposed; `slide` is the covector on u.
         in_plane = matvec(E.mT, force_a) + matvec(_EYE + d * K_a, matvec(E.mT, force_b))
         if force_n is not None:
@@ -102,23 +103,37 @@ def slide(point_b: Array, normal: Array, distance: Array, E: Array, K_a: Array, 
         [xp.stack([S[..., 1, 1], -S[..., 0, 1]], axis=-1), xp.stack([-S[..., 1, 0], S[..., 0, 0]], axis=-1)], axis=-2
     )
     U_a = (adjugate / determinant[..., None, None]) @ (turned + K_b @ moved)
-    return U_a, U_a + distance[..., None, None] * (K_a @ U_a) - moved
+    d = counted_distance(K_a, K_b, distance)[..., None, None]
+    return U_a, U_a + d * (K_a @ U_a) - moved
 
 
 def relative_curvature(K_a: Array, K_b: Array, distance: Array) -> Array:
-    """S = K_a + K_b + d K_b K_a (..., 2, 2), kept away from where it turns singular and changes its sign.
+    """S = K_a + K_b + d K_b K_a (..., 2, 2), d as it counts; its determinant is positive where those of K are."""
+    return K_a + K_b + counted_distance(K_a, K_b, distance)[..., None, None] * (K_b @ K_a)
+
+
+def counted_distance(K_a: Array, K_b: Array, distance: Array) -> Array:
+    """Signed distances d (...) so far as they count, which keeps S away from where it turns singular and changes sign.
 
     In penetration deeper than a radius of curvature, and between surfaces that are as far apart as a hollow is deep,
-    witness points stop following one of the surfaces smoothly. There d counts only up to half of the smaller of the
-    two radii of curvature.
+    witness points stop following the surfaces smoothly, and the equations would have them slide the wrong way. With x
+    the smaller of the two curvatures times |d|, d counts fully up to x = 1/2, and from there on (1 - x) / x of it:
+    corners that are deep in each other so keep their points.
     """
     xp = array_namespace(K_a)
     product = K_b @ K_a
     bend = distance * (product[..., 0, 0] + product[..., 1, 1])
-    sharpest = xp.minimum(*(xp.sqrt(xp.sum(K * K, axis=(-2, -1))) for K in (K_a, K_b)))
-    least = xp.abs(distance) * sharpest
-    share = xp.where((bend < 0) & (least > 0.5), 0.5 / xp.where(least > 0.5, least, xp.ones_like(least)), 1.0)
-    return K_a + K_b + (share * distance)[..., None, None] * product
+    x = xp.abs(distance) * xp.minimum(_sharpest(K_a), _sharpest(K_b))
+    beyond = (bend < 0) & (x > 0.5)
+    share = xp.where(beyond, (1.0 - x) / xp.where(beyond, x, xp.ones_like(x)), xp.ones_like(x))
+    return share * distance
+
+
+def _sharpest(K: Array) -> Array:
+    """Largest absolute eigenvalue (...) of symmetric matrices K (..., 2, 2)."""
+    xp = array_namespace(K)
+    mean, half = 0.5 * (K[..., 0, 0] + K[..., 1, 1]), 0.5 * (K[..., 0, 0] - K[..., 1, 1])
+    return xp.abs(mean) + xp.sqrt(half * half + K[..., 0, 1] * K[..., 0, 1])
 
 
 def _fit(near: Neighbors, E: np.ndarray) -> np.ndarray:

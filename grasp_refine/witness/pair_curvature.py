@@ -11,6 +11,9 @@ from grasp_refine.se3 import matvec
 from grasp_refine.witness.analytical import feature_slip
 from grasp_refine.witness.curvature import Curvatures, raised
 
+SMALLEST_CURVATURE = 1.0
+"""Floor of the curvatures of two bodies together, over the mean of their diagonals."""
+
 CORNER = 1e4
 """Curvature in 1/m that stands for that across an edge or at a vertex, where the exact one is infinite."""
 

@@ -257,3 +257,19 @@ def test_a_lambda_that_would_not_move_is_refused(shrink: float, grow: float) -> 
         GraspRefineError, match=f"shrink must be in .0, 1. and grow above 1, got {shrink:g} and {grow:g}"
     ):
         LevenbergMarquardt(shrink=shrink, grow=grow)
+
+
+@pytest.mark.parametrize(
+    ("settings", "complaint"),
+    [
+        ({"damping": 0.0}, "damping must be above 0, got 0"),
+        ({"damping": float("nan")}, "damping must be above 0, got nan"),
+        ({"smallest": -1e-7}, "smallest must be above 0, got -1e-07"),
+        ({"progress": 0.0}, r"progress must be in \(0, 1\), got 0"),
+        ({"progress": 1.0}, r"progress must be in \(0, 1\), got 1"),
+        ({"widths": ()}, "widths needs at least one factor"),
+    ],
+)
+def test_settings_that_cannot_work_are_refused(settings: dict[str, object], complaint: str) -> None:
+    with pytest.raises(GraspRefineError, match=f"^levenberg-marquardt: {complaint}$"):
+        LevenbergMarquardt(**settings)

@@ -12,9 +12,15 @@ from twists import poses_at_gap
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, capsule, sphere
-from grasp_refine.se3 import tangents
+from grasp_refine.se3 import exp_se3, tangents, transform_points
 from grasp_refine.witness.autograd import WitnessLayer
-from grasp_refine.witness.contact_kinematics import ContactKinematics, _fit
+from grasp_refine.witness.contact_kinematics import (
+    ContactKinematics,
+    _fit,
+    counted_distance,
+    relative_curvature,
+    slide,
+)
 from grasp_refine.witness.curvature import raised
 from grasp_refine.witness.neighborhood import Adaptive, Neighbors
 from grasp_refine.witness.scene import WitnessScene
@@ -72,6 +78,97 @@ def test_points_and_normal_are_each_pulled_back_on_their_own() -> None:
     f, g = np.random.default_rng(1).normal(size=(2, 1, 1, 3))
     for one, two in zip(method.pull_back(scene, f, g, None), method.pull_back(scene, f, g, zero), strict=True):
         np.testing.assert_allclose(one, two, atol=1e-12)
+
+
+# in penetration, deeper than surfaces are round
+
+
+def balls_apart(
+    gap: float, twist: np.ndarray, radius_a: float = 0.03, radius_b: float = 0.02
+) -> tuple[np.ndarray, ...]:
+    """Witness points, normal and signed distance of two balls of which the second moved by a twist."""
+    n = np.array([0.48, 0.6, 0.64])
+    a = np.array([0.01, -0.02, 0.03])
+    b = transform_points(exp_se3(twist), a + (radius_a + radius_b + gap) * n)
+    away = np.linalg.norm(b - a)
+    n = (b - a) / away
+    return a + radius_a * n, b - radius_b * n, n, np.asarray(away - radius_a - radius_b)
+
+
+@pytest.mark.parametrize("gap", [0.002, -1e-6, -1e-3, -5e-3, -0.0149])
+def test_the_slide_on_balls_in_penetration_is_exact_up_to_half_a_radius(gap: float) -> None:
+    _, x_b, n, d = balls_apart(gap, np.zeros(6))
+    E = tangents(n)
+    U_a, U_b = slide(x_b, n, d, E, np.eye(2) / 0.03, np.eye(2) / 0.02)
+    for k in range(6):
+        twist = 1e-6 * np.eye(6)[k]
+        ends = [balls_apart(gap, sign * twist) for sign in (1.0, -1.0)]
+        # Ball a rests; on ball b a point is seen from the moved ball.
+        on_a = (ends[0][0] - ends[1][0]) / 2e-6
+        on_b = transform_points(exp_se3(-twist), ends[0][1]) - transform_points(exp_se3(twist), ends[1][1])
+        np.testing.assert_allclose(E @ U_a[:, k], on_a, atol=1e-7)
+        np.testing.assert_allclose(E @ U_b[:, k], on_b / 2e-6, atol=1e-7)
+
+
+def random_curvatures(count: int, seed: int) -> np.ndarray:
+    """Curvatures (2, count, 2, 2) of convex bodies: flat, round, edges and corners, in any direction."""
+    rng = np.random.default_rng(seed)
+    values = rng.choice([1.0, 30.0, 80.0, 300.0, 2e3, 1e4], (2, count, 2))
+    turn = rng.uniform(0, np.pi, (2, count))
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+    return R @ (values[..., None] * R.mT)
+
+
+DEPTHS = [0.0, -1e-6, -1e-4, -1e-3, -2e-3, -5e-3]
+
+
+@pytest.mark.parametrize("depth", DEPTHS)
+def test_relative_curvature_never_turns_its_sign_in_penetration(depth: float) -> None:
+    """S = M (M^-1 K_b + K_a) with M = I + d K_b at least a half: two positive factors."""
+    K_a, K_b = random_curvatures(500, 5)
+    S = relative_curvature(K_a, K_b, np.full(500, depth))
+    values = np.linalg.eigvals(S)
+    assert (values.real > 0).all() and (np.abs(values.imag) < 1e-6 * values.real).all()
+    ratio = np.linalg.det(S) / np.linalg.det(K_a + K_b)
+    assert (ratio >= 0.25 - 1e-9).all()
+    if depth < -1e-3:
+        naive = np.linalg.det(K_a + K_b + depth * (K_b @ K_a))
+        assert (naive < 0).sum() > 20, "without the bound, many would have turned"
+    # Where d times the smaller of the two curvatures is below a half, nothing is bounded.
+    mild = -depth * np.minimum(*(np.linalg.eigvalsh(K).max(axis=-1) for K in (K_a, K_b))) < 0.5
+    np.testing.assert_allclose(S[mild], (K_a + K_b + depth * (K_b @ K_a))[mild], rtol=1e-12)
+    assert mild.sum() > 50 and (depth > -1e-3 or not mild.all())
+
+
+@pytest.mark.parametrize("depth", DEPTHS)
+def test_the_slide_is_the_same_seen_from_the_other_body(depth: float) -> None:
+    """At corners in corners, deep inside each other, points on one body once slid by thirty times the movement."""
+    K_a, K_b = random_curvatures(200, 6)
+    rng = np.random.default_rng(7)
+    n, x_b = rng.normal(size=(2, 200, 3))
+    n /= np.linalg.norm(n, axis=-1, keepdims=True)
+    E, d = tangents(n), np.full(200, depth)
+    U_a, U_b = slide(x_b, n, d, E, K_a, K_b)
+    # The tangents of -n, right-handed; the twist of a relative to b. Bounded, d is that between the points no more.
+    turned, flip = E[..., ::-1], (slice(None), slice(None, None, -1), slice(None, None, -1))
+    share = counted_distance(K_a, K_b, d)[:, None]
+    swapped_a, swapped_b = slide(x_b - share * n, -n, d, turned, K_b[flip], K_a[flip])
+    np.testing.assert_allclose(turned @ swapped_a, -E @ U_b, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(turned @ swapped_b, -E @ U_a, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("depth", DEPTHS)
+@pytest.mark.parametrize("curvatures", [(1e4, 1e4), (1e4, 20.0), (20.0, 1e4), (300.0, 400.0)])
+def test_points_slide_with_the_movement_however_sharp_the_bodies(curvatures: tuple[float, float], depth: float) -> None:
+    """A translation of body b along the surface: on a the point goes with it, on b against it, twice as far at most."""
+    n = np.array([0.0, 0.0, 1.0])
+    E, (k_a, k_b) = tangents(n), curvatures
+    U_a, U_b = slide(np.zeros(3), n, np.asarray(depth), E, k_a * np.eye(2), k_b * np.eye(2))
+    for rows, sign in ((U_a, 1.0), (U_b, -1.0)):
+        along = sign * rows[:, :3] @ E
+        np.testing.assert_allclose(along, along[0, 0] * np.eye(2), atol=1e-12)
+        assert 0.0 < along[0, 0] <= 2.0
 
 
 # the fit

@@ -120,13 +120,13 @@ def test_tilted_faces_are_laid_on_each_other_in_one_step():
     problem = AlignProblem([BOXES], [tasks], 1e-3, 0, Patch(1e-5))
     member, start = np.arange(1), Point(T_b, np.zeros((1, 0)))
     known = problem.evaluate(member, start, None)
-    residual, J = problem.linearize(member, start, known, np.full(1, np.inf))
+    flat = problem.linearize(member, start, known, np.full(1, np.inf))
     free = np.full((1, 6), np.inf)
-    dx, _ = bounded_step(J, residual, np.full(1, 1.0), problem.metric(member), -free, free)
+    dx, _ = bounded_step(flat.jacobian, flat.residual, np.full(1, 1.0), problem.metric(member), -free, free)
     after = problem.evaluate(member, problem.moved(member, start, dx), known)
     assert known.loss[0] > 1e-4 and after.loss[0] < 1e-8
     # The other widths are left as they are.
-    np.testing.assert_array_equal(problem.linearize(member, start, known, one)[0], known.residual)
+    np.testing.assert_array_equal(problem.linearize(member, start, known, one).residual, known.residual)
 
 
 def test_the_supporting_face_is_the_one_that_faces_outward_most():
