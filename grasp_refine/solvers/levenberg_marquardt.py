@@ -131,6 +131,8 @@ def _within_bounds(
     J_transposed = xp.matrix_transpose(J)
     damped, g = J_transposed @ J + _diagonal(damping[:, None] * metric), matvec(J_transposed, r)
     dx = xp.linalg.solve(damped, -g[..., None])[..., 0]
+    if not bool(xp.any((dx < lower) | (dx > upper))):
+        return dx
     held = xp.zeros_like(dx, dtype=xp.bool)
     for number in range(passes - 1):
         kept = held if number > passes - 4 else xp.zeros_like(held)
