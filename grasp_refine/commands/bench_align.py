@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from rich.console import Console
 from rich.markup import escape
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.apps.bench.align.bodies import Kind
 from grasp_refine.apps.bench.align.page import page
 from grasp_refine.apps.bench.align.presets import EPSILON, PRESETS, Preset
-from grasp_refine.apps.bench.align.study import Study, run_study
+from grasp_refine.apps.bench.align.study import Outcome, Study, run_study
 from grasp_refine.apps.bench.align.table import bench_table
 from grasp_refine.apps.bench.align.variants import MethodName, NeighborhoodName, SolverName, Variant, WitnessName
-from grasp_refine.apps.bench.bar import progress_bar
-from grasp_refine.apps.bench.machine import machine
-from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
-from grasp_refine.commands.invocation import invocation
+from grasp_refine.commands.benchmark import check_asked, run_benchmark
 from grasp_refine.commands.options import check_device, check_numbers, flag
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.report.document import settings
-from grasp_refine.report.screen import screen
-from grasp_refine.report.writing import SCHEMA, check_writable, save_json, save_text
-from grasp_refine.versions import versions
 from grasp_refine.witness.slip import Coupling
 
 Class = Literal["vertex-vertex", "face-vertex", "vertex-face", "face-face"]
@@ -129,53 +123,20 @@ class BenchAlign:
         Raises:
             GraspRefineError: options that do not go together, or meshes that cannot be used.
         """
-        wall, cpu = time.perf_counter(), cpu_seconds()
         study = self.study()
-        for path in (self.json, self.html):
-            if path is not None:
-                check_writable(path)
-        if self.json is not None and self.html is not None and self.json.absolute() == self.html.absolute():
-            raise GraspRefineError(f"--json and --html are both {self.json}: one would replace the other")
-        with progress_bar(screen(stderr=True)) as bar:
-            task = bar.add_task("loading", total=1.0)
+        title = f"alignment, {study.targets} targets a pair, seed {study.seed}; accuracies in %"
 
-            def progress(share: float, what: str) -> None:
-                bar.update(task, completed=share, description=what)
+        def run(console: Console, progress: Callable[[float, str], None]) -> Outcome:
+            return run_study(study, lambda line: console.print(escape(line), style="dim"), progress)
 
-            outcome = run_study(study, lambda line: bar.console.print(escape(line), style="dim"), progress)
-        document = {
-            "schema": SCHEMA,
-            "command": "bench align",
-            "invocation": invocation("bench align", self),
-            "versions": versions(),
-            "machine": machine(),
-            "preset": self.preset,
-            "config": settings(replace(self, json=None, html=None)),
-            "seed": self.seed,
-            "wall_s": time.perf_counter() - wall,
-            "cpu_s": cpu_seconds() - cpu,
-            "problems": outcome.problems,
-            "rows": outcome.rows,
-        }
-        console = screen()
-        for problem in outcome.problems:
-            screen(stderr=True).print(problem, style="red", markup=False, soft_wrap=True)
-        if not outcome.rows:
-            console.print("nothing usable came out; nothing was written")
-            return NOTHING_USABLE
-        if self.json is not None:
-            save_json(self.json, document)
-        if self.html is not None:
-            save_text(self.html, page(document, outcome.failures))
-        console.print(
-            bench_table(outcome.rows, f"alignment, {study.targets} targets a pair, seed {study.seed}; accuracies in %")
+        return run_benchmark(
+            "bench align",
+            replace(self, json=None, html=None),
+            self,
+            run,
+            lambda outcome: [bench_table(outcome.rows, title)],
+            lambda document, outcome: page(document, outcome.failures),
         )
-        written = [str(path) for path in (self.json, self.html) if path is not None]
-        wrote = f"; wrote {', '.join(written)}" if written else ""
-        console.print(
-            f"{document['wall_s']:.1f} s, {document['cpu_s']:.1f} s of CPU{wrote}", soft_wrap=True, markup=False
-        )
-        return 0
 
     def study(self) -> Study:
         """What the options ask for.
@@ -184,9 +145,7 @@ class BenchAlign:
             GraspRefineError: a number out of its range, or options that do not go together.
         """
         check_numbers(self)
-        for option in fields(self):
-            if getattr(self, option.name) == ():
-                raise GraspRefineError(f"{flag(option.name)} needs at least one value")
+        check_asked(self, COMPARED)
         for name in ("seconds", "epsilon"):
             value = getattr(self, name)
             if 0.0 in (value if isinstance(value, tuple) else (value,)):
@@ -195,12 +154,6 @@ class BenchAlign:
             raise GraspRefineError(
                 "--budgets and --seconds exclude each other: a budget is in iterations or in CPU seconds"
             )
-        if self.preset is not None:
-            for name in COMPARED:
-                if getattr(self, name) is not None:
-                    raise GraspRefineError(
-                        f"--preset {self.preset} says itself what is compared: leave out {flag(name)}"
-                    )
         preset = PRESETS[self.preset] if self.preset is not None else Preset("", self._variants())
         check_device(self.device, self.dtype)
         if self.seconds is not None and any(variant.solver != "descent" for variant in preset.variants):

@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal
 
 import torch
+from rich.console import Console
 from rich.markup import escape
 from tyro.conf import DisallowNone, arg
 
-from grasp_refine.apps.bench.bar import progress_bar
 from grasp_refine.apps.bench.grasp.page import page
 from grasp_refine.apps.bench.grasp.presets import PRESETS, Preset
 from grasp_refine.apps.bench.grasp.sets import PLACES, GraspSet, Group
-from grasp_refine.apps.bench.grasp.study import COUNT, Study, run_study
+from grasp_refine.apps.bench.grasp.study import COUNT, Outcome, Study, run_study
 from grasp_refine.apps.bench.grasp.table import bench_tables
 from grasp_refine.apps.bench.grasp.tasks import Disturbance, Kind
 from grasp_refine.apps.bench.grasp.variants import DerivativeName, SolverName, Variant
-from grasp_refine.apps.bench.machine import machine
 from grasp_refine.assets import resource_dir
-from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
+from grasp_refine.commands.benchmark import check_asked, run_benchmark
 from grasp_refine.commands.inputs import AUTO, Inputs
-from grasp_refine.commands.invocation import invocation
-from grasp_refine.commands.options import check_numbers, flag
+from grasp_refine.commands.options import check_numbers
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.report.document import settings
-from grasp_refine.report.screen import screen
-from grasp_refine.report.writing import SCHEMA, check_writable, save_json, save_text
-from grasp_refine.versions import versions
 
 PresetName = Literal["targets", "nothing", "time-to-error", "smoke"]
 SetName = Literal["bodex_shadow", "dexgraspnet_shadow", "frogger_allegro", "leap_cube"]
@@ -117,56 +110,23 @@ class BenchGrasp:
         Raises:
             GraspRefineError: options that do not go together, or grasps that cannot be used.
         """
-        wall, cpu = time.perf_counter(), cpu_seconds()
-        options, study = self.options, self.study()
-        files = [path for path in (options.json, options.html) if path is not None]
-        for path in files:
-            check_writable(path)
-        if len({path.absolute() for path in files}) < len(files):
-            raise GraspRefineError(f"--json and --html are both {options.json}: one would replace the other")
-        torch.set_num_threads(options.threads)
-        with progress_bar(screen(stderr=True)) as bar:
-            task = bar.add_task("loading", total=1.0)
+        study = self.study()
+        torch.set_num_threads(self.options.threads)
 
+        def run(console: Console, progress: Callable[[float, str], None]) -> Outcome:
             def say(line: str) -> None:
-                bar.console.print(escape(line), style="dim", soft_wrap=True)
+                console.print(escape(line), style="dim", soft_wrap=True)
 
-            def progress(share: float, what: str) -> None:
-                bar.update(task, completed=share, description=what)
+            return run_study(study, [self._load(*named, say) for named in self._sources()], say, progress)
 
-            outcome = run_study(study, [self._load(*named, say) for named in self._sources()], say, progress)
-        document = {
-            "schema": SCHEMA,
-            "command": "bench grasp",
-            "invocation": invocation("bench grasp", self),
-            "versions": versions(),
-            "machine": machine(),
-            "preset": options.preset,
-            "config": settings(replace(self, options=replace(options, json=None, html=None))),
-            "seed": options.seed,
-            "wall_s": time.perf_counter() - wall,
-            "cpu_s": cpu_seconds() - cpu,
-            "problems": outcome.problems,
-            "rows": outcome.rows,
-        }
-        console = screen()
-        for problem in outcome.problems:
-            screen(stderr=True).print(problem, style="red", markup=False, soft_wrap=True)
-        if not outcome.rows:
-            console.print("nothing usable came out; nothing was written")
-            return NOTHING_USABLE
-        if options.json is not None:
-            save_json(options.json, document)
-        if options.html is not None:
-            save_text(options.html, page(document))
-        for table in bench_tables(outcome.rows):
-            console.print(table)
-            console.print()
-        wrote = f"; wrote {', '.join(map(str, files))}" if files else ""
-        console.print(
-            f"{document['wall_s']:.1f} s, {document['cpu_s']:.1f} s of CPU{wrote}", soft_wrap=True, markup=False
+        return run_benchmark(
+            "bench grasp",
+            replace(self, options=replace(self.options, json=None, html=None)),
+            self.options,
+            run,
+            lambda outcome: [part for table in bench_tables(outcome.rows) for part in (table, "")],
+            lambda document, outcome: page(document),
         )
-        return 0
 
     def study(self) -> Study:
         """What the options ask for.
@@ -176,15 +136,7 @@ class BenchGrasp:
         """
         options = self.options
         check_numbers(options)
-        for option in fields(options):
-            if getattr(options, option.name) == ():
-                raise GraspRefineError(f"{flag(option.name)} needs at least one value")
-        if options.preset is not None:
-            for name in COMPARED:
-                if getattr(options, name) is not None:
-                    raise GraspRefineError(
-                        f"--preset {options.preset} says itself what is compared: leave out {flag(name)}"
-                    )
+        check_asked(options, COMPARED)
         if self.inputs.targets != AUTO:
             raise GraspRefineError("--targets: the benchmark makes its own targets, from grasps that touch exactly")
         preset = PRESETS[options.preset] if options.preset is not None else Preset("", self._variants())

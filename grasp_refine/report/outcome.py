@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-import torch
 
-from grasp_refine.kinematics import Kinematics
 from grasp_refine.refine import Refinement
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import inverse, pose_from_transform, transform_points
@@ -148,7 +146,7 @@ def compare(
     own = self_penetration(scene.hand, pairs, np.concatenate([scene.q, refinement.q]))
     witness = geometry.witness.rows(slice(count, None))
     touching = refinement.touching & witness.valid
-    T_link = Kinematics(scene.hand, scene.links)(torch.as_tensor(T_after), torch.as_tensor(refinement.q)).numpy()
+    T_link = geometry.T_world_link[count:]
     moved = movement(T_before, scene.q, T_after, refinement.q)
 
     def before_after(values: np.ndarray) -> np.ndarray:

@@ -5,11 +5,11 @@ from typing import TypeVar
 
 import numpy as np
 
-Rows = TypeVar("Rows")
+Batch = TypeVar("Batch")
 """An array with a leading batch dimension, a dataclass of such (and of such dataclasses), or None."""
 
 
-def take(rows: Rows, index: np.ndarray) -> Rows:
+def take(rows: Batch, index: np.ndarray) -> Batch:
     """The rows `index`, which are numbers or a mask."""
     if rows is None:
         return None
@@ -18,7 +18,7 @@ def take(rows: Rows, index: np.ndarray) -> Rows:
     return rows[index]
 
 
-def join(first: Rows, second: Rows) -> Rows:
+def join(first: Batch, second: Batch) -> Batch:
     """All rows of the first, then all of the second."""
     if first is None:
         return None
@@ -28,7 +28,7 @@ def join(first: Rows, second: Rows) -> Rows:
     return np.concatenate([first, second])
 
 
-def choose(mask: np.ndarray, first: Rows, second: Rows) -> Rows:
+def choose(mask: np.ndarray, first: Batch, second: Batch) -> Batch:
     """The rows of the first where the mask (batch,) holds, else those of the second."""
     if first is None:
         return None

@@ -29,6 +29,8 @@ class Geometry:
     """Number of joints beyond their limits (N,)."""
     witness: Witness
     """The witness points themselves."""
+    T_world_link: np.ndarray
+    """Poses of the links there (N, L, 4, 4)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +90,7 @@ def measure(
         penetration=np.where(valid.any(axis=1), np.maximum(-deepest, 0.0), np.nan),
         limits_violated=((q > hand.upper + LIMIT_TOLERANCE) | (q < hand.lower - LIMIT_TOLERANCE)).sum(axis=1),
         witness=witness,
+        T_world_link=T_link,
     )
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import base64
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
-from ..panels import stylesheet
+from ..report import rendered
 from .chart import sweep_chart, time_chart
 from .failures import Failure, caption, picture
 from .labels import (
@@ -28,8 +27,6 @@ from .labels import (
 )
 from .stopwatch import STAGES
 from .tasks import CLASSES
-
-TEMPLATE = "page.html.jinja"
 
 
 @dataclass(frozen=True)
@@ -148,8 +145,6 @@ def page(document: dict[str, Any], failures: Sequence[Failure]) -> str:
         document: What the benchmark writes as JSON.
         failures: Tasks that were missed, for the pictures at the end.
     """
-    import jinja2
-
     names = {id(row): label for row, label in zip(document["rows"], labels_of(document["rows"]), strict=True)}
 
     def label(row: Row) -> str:
@@ -158,15 +153,9 @@ def page(document: dict[str, Any], failures: Sequence[Failure]) -> str:
     rows = ordered(document["rows"], label)
     every, last = pooled(rows), at_largest_budget(rows, [label(row) for row in rows])
     chart = time_chart(every)
-    light, dark = stylesheet()
-    text = (files(__package__) / TEMPLATE).read_text(encoding="utf-8")
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
-    )
-    return environment.from_string(text).render(
+    return rendered(
+        __package__,
         document=document,
-        light=light,
-        dark=dark,
         facts=_facts(document, every),
         findings=_findings(pooled(last), label),
         chart=chart,

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from math import degrees
 from typing import Any
 
 from grasp_refine.solvers.status import Status
 
-from ..panels import stylesheet
+from ..report import rendered
 from .chart import time_chart
 from .labels import batch, deep, label, pooled, sets_of
 from .rows import Row
-
-TEMPLATE = "page.html.jinja"
 
 
 @dataclass(frozen=True)
@@ -110,18 +107,10 @@ def page(document: dict[str, Any]) -> str:
     Args:
         document: What the benchmark writes as JSON.
     """
-    import jinja2
-
     rows = document["rows"]
-    light, dark = stylesheet()
-    text = (files(__package__) / TEMPLATE).read_text(encoding="utf-8")
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
-    )
-    return environment.from_string(text).render(
+    return rendered(
+        __package__,
         document=document,
-        light=light,
-        dark=dark,
         chart=time_chart(pooled(rows, "targets")),
         tables=[(HEADS[task], RESULTS[task], _lines(rows, task)) for task in RESULTS if pooled(rows, task)],
         costs=COSTS,

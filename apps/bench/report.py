@@ -1,0 +1,22 @@
+"""The HTML reports of benchmarks: one file, and nothing from outside."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from typing import Any
+
+from .panels import stylesheet
+
+TEMPLATE = "page.html.jinja"
+
+
+def rendered(package: str, **values: Any) -> str:
+    """The page of a package's template, with the colours of the panels and these values."""
+    import jinja2
+
+    light, dark = stylesheet()
+    text = (files(package) / TEMPLATE).read_text(encoding="utf-8")
+    environment = jinja2.Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
+    return environment.from_string(text).render(light=light, dark=dark, **values)

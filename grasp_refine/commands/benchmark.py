@@ -1,0 +1,125 @@
+"""What all benchmarks do around their study: checks before it, a progress bar, and the results as files and tables."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+from rich.console import Console, RenderableType
+
+from grasp_refine.apps.bench.bar import progress_bar
+from grasp_refine.apps.bench.machine import machine
+from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
+from grasp_refine.commands.invocation import invocation
+from grasp_refine.commands.options import flag
+from grasp_refine.errors import GraspRefineError
+from grasp_refine.report.document import settings
+from grasp_refine.report.screen import screen
+from grasp_refine.report.writing import SCHEMA, check_writable, save_json, save_text
+from grasp_refine.versions import versions
+
+
+@runtime_checkable
+class Options(Protocol):
+    """Options that every benchmark has."""
+
+    preset: str | None
+    seed: int
+    json: Path | None
+    html: Path | None
+
+
+@runtime_checkable
+class Outcome(Protocol):
+    """What comes out of every study."""
+
+    rows: list[dict[str, Any]]
+    problems: list[str]
+
+
+Found = TypeVar("Found", bound=Outcome)
+
+
+def check_asked(options: Options, compared: Sequence[str]) -> None:
+    """Refuse options without a value, and beside a preset those that say what is compared.
+
+    Raises:
+        GraspRefineError: names the option.
+    """
+    for option in fields(options):
+        if getattr(options, option.name) == ():
+            raise GraspRefineError(f"{flag(option.name)} needs at least one value")
+    if options.preset is not None:
+        for name in compared:
+            if getattr(options, name) is not None:
+                raise GraspRefineError(
+                    f"--preset {options.preset} says itself what is compared: leave out {flag(name)}"
+                )
+
+
+def run_benchmark(
+    command: str,
+    asked: Any,
+    options: Options,
+    run: Callable[[Console, Callable[[float, str], None]], Found],
+    tables: Callable[[Found], Iterable[RenderableType]],
+    page: Callable[[dict[str, Any], Found], str],
+) -> int:
+    """Run a study, write and show what came out; returns the exit code.
+
+    Args:
+        command: Words of the command, such as "bench align".
+        asked: Its dataclass.
+        options: The part of it with the options that every benchmark has.
+        run: Does the study; gets the console of the progress bar, and what takes the share of the work that is done.
+        tables: What is printed of the results.
+        page: The HTML report of the JSON document and the results.
+
+    Raises:
+        GraspRefineError: files that cannot be written, or what `run` raises.
+    """
+    wall, cpu = time.perf_counter(), cpu_seconds()
+    files = [path for path in (options.json, options.html) if path is not None]
+    for path in files:
+        check_writable(path)
+    if len({path.absolute() for path in files}) < len(files):
+        raise GraspRefineError(f"--json and --html are both {options.json}: one would replace the other")
+    with progress_bar(screen(stderr=True)) as bar:
+        task = bar.add_task("loading", total=1.0)
+
+        def progress(share: float, what: str) -> None:
+            bar.update(task, completed=share, description=what)
+
+        outcome = run(bar.console, progress)
+    document = {
+        "schema": SCHEMA,
+        "command": command,
+        "invocation": invocation(command, asked),
+        "versions": versions(),
+        "machine": machine(),
+        "preset": options.preset,
+        "config": settings(asked),
+        "seed": options.seed,
+        "wall_s": time.perf_counter() - wall,
+        "cpu_s": cpu_seconds() - cpu,
+        "problems": outcome.problems,
+        "rows": outcome.rows,
+    }
+    console = screen()
+    for problem in outcome.problems:
+        screen(stderr=True).print(problem, style="red", markup=False, soft_wrap=True)
+    if not outcome.rows:
+        console.print("nothing usable came out; nothing was written")
+        return NOTHING_USABLE
+    if options.json is not None:
+        save_json(options.json, document)
+    if options.html is not None:
+        save_text(options.html, page(document, outcome))
+    for table in tables(outcome):
+        console.print(table)
+    wrote = f"; wrote {', '.join(map(str, files))}" if files else ""
+    console.print(f"{document['wall_s']:.1f} s, {document['cpu_s']:.1f} s of CPU{wrote}", soft_wrap=True, markup=False)
+    return 0
