@@ -61,15 +61,12 @@ class NarrowPhase:
 
     def __init__(self, pieces_a: Sequence[Piece], pieces_b: Sequence[Piece], tolerances: Tolerances) -> None:
         """Prepare the pairs (pieces_a[k], pieces_b[k]), k = 0 .. K - 1."""
-        shapes: dict[int, tuple[coal.CollisionGeometry, coal.Transform3s | None]] = {}
-        for piece in (*pieces_a, *pieces_b):
-            if id(piece) not in shapes:
-                shapes[id(piece)] = _shape(piece)
-        self._keep_alive = (tuple(pieces_a), tuple(pieces_b), shapes)
+        # The pieces keep their shapes alive.
+        self._keep_alive = (tuple(pieces_a), tuple(pieces_b))
         identity = coal.Transform3s()
         self._pairs = []
         for a, b in zip(pieces_a, pieces_b, strict=True):
-            (shape_a, T_a), (shape_b, T_b) = shapes[id(a)], shapes[id(b)]
+            (shape_a, T_a), (shape_b, T_b) = _shape_of(a), _shape_of(b)
             self._pairs.append((coal.ComputeDistance(shape_a, shape_b), T_a or identity, T_b))
         self._request = _request(tolerances.gjk, tolerances.epa)
         self._warm_request = _request(tolerances.gjk, tolerances.epa)
@@ -158,6 +155,13 @@ def _request(gjk_tolerance: float, epa_tolerance: float) -> coal.DistanceRequest
     request.gjk_tolerance = gjk_tolerance
     request.epa_tolerance = epa_tolerance
     return request
+
+
+def _shape_of(piece: Piece) -> tuple[coal.CollisionGeometry, coal.Transform3s | None]:
+    """The coal shape of a piece, built once, which for a hull takes some milliseconds."""
+    if "coal" not in piece.derived:
+        piece.derived["coal"] = _shape(piece)
+    return piece.derived["coal"]
 
 
 def _shape(piece: Piece) -> tuple[coal.CollisionGeometry, coal.Transform3s | None]:

@@ -36,7 +36,9 @@ class Supports:
         table = np.zeros((len(bodies), len(directions), max(map(len, bodies))))
         for b, pieces in enumerate(bodies):
             for k, piece in enumerate(pieces):
-                table[b, :, k] = (piece.vertices @ directions.T).max(axis=0) + piece.radius * lengths
+                if "support" not in piece.derived:
+                    piece.derived["support"] = (piece.vertices @ directions.T).max(axis=0) + piece.radius * lengths
+                table[b, :, k] = piece.derived["support"]
         return Supports(table)
 
     def along(self, body: np.ndarray, u: np.ndarray) -> np.ndarray:

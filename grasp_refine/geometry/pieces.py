@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -74,6 +74,15 @@ class Piece:
         solid = self.normals.any(axis=1)
         normals, corners = self.normals[solid], self.vertices[self.faces[solid]]
         return normals, np.einsum("fij,fj->fi", corners, normals).max(1, initial=-np.inf)
+
+    @cached_property
+    def derived(self) -> dict[str, Any]:
+        """What other modules have built from the piece, each under a name of its own, so that they build it once."""
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The piece for another process, which builds what it derives itself."""
+        return {name: value for name, value in self.__dict__.items() if name != "derived"}
 
     def rings(self, edges: int) -> Rings:
         """The vertices within `edges` edges of each vertex of the core or, with a radius, of `mesh()`; built once."""
