@@ -1,4 +1,4 @@
-"""Objects from names, primitives and files; which mesh in a folder a name means."""
+"""Objects from names, primitives, files and folders of pieces; which mesh or folder in a folder a name means."""
 
 from __future__ import annotations
 
@@ -138,12 +138,13 @@ def test_an_embedded_name_wins_over_a_file_only_without_a_suffix(tmp_path: Path,
             AssetError,
             f"no object 'teapot': embedded ones are {', '.join(EMBEDDED)}; "
             "primitives are box:x,y,z, sphere:r, cylinder:r,h (metres); "
-            "or give a mesh file (.obj, .stl, .ply, .glb, .off)",
+            "or give a mesh file (.obj, .stl, .ply, .glb, .off), or a folder of meshes that are its convex pieces",
         ),
         ("teapot.obj", 1.0, MeshError, "teapot.obj: no such mesh file"),
         (Path("teapot"), 1.0, MeshError, "teapot: "),
         ("teapot.step", 1.0, MeshError, "teapot.step: "),
         ("folder/teapot", 1.0, MeshError, "folder/teapot: "),
+        ("", 1.0, AssetError, "no object ''"),
         ("cone:1,2", 1.0, MeshError, "'cone:1,2' is not a primitive: use box:x,y,z"),
         ("mug", 0.0, MeshError, "mug: the scale must be positive and finite, got 0"),
         ("sphere:1", float("nan"), MeshError, "sphere:1: the scale must be positive and finite, got nan"),
@@ -168,6 +169,228 @@ def test_a_shared_object_loads(shared_assets: Path):
     thing = load_object(path, candidates=64, cache=None, decomposition=Decomposition(threshold=1.0))
     assert thing.name == "ycb_005_tomato_soup_can"
     assert 0.1 < thing.body.diagonal < 0.2
+
+
+# -- folders of convex pieces ----------------------------------------------------------------------------
+
+
+ARM, LEG = ([0, 0, 0], [3, 1, 1]), ([0, 1, 0], [1, 3, 1])
+"""Two boxes in the shape of an L that share a face."""
+
+
+def put(path: Path, *meshes: trimesh.Trimesh) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    trimesh.util.concatenate(list(meshes)).export(path)
+    return path
+
+
+def block(bounds) -> trimesh.Trimesh:
+    return trimesh.creation.box(bounds=bounds)
+
+
+def without_top(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    mesh.update_faces(mesh.triangles_center[:, 2] < mesh.bounds[1, 2] - 1e-6)
+    return mesh
+
+
+SHEET = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [2, 1, 3]], process=False)
+TRIANGLE = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
+SPECK = trimesh.Trimesh(np.ones((4, 3)), [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], process=False)
+
+
+@pytest.fixture
+def parts(tmp_path: Path) -> Path:
+    """The meshes of a folder are the pieces of an L."""
+    # They are written in another order than that of their names.
+    put(tmp_path / "el" / "b.STL", block(LEG))
+    put(tmp_path / "el" / "a.obj", block(ARM))
+    (tmp_path / "el" / "notes.txt").write_text("no mesh")
+    return tmp_path / "el"
+
+
+@pytest.fixture
+def bodex(tmp_path: Path) -> Path:
+    """An L as DexGraspBench and BODex lay out an object."""
+    folder = tmp_path / "el_0"
+    put(folder / "urdf" / "meshes" / "convex_piece_001.obj", block(LEG))
+    put(folder / "urdf" / "meshes" / "convex_piece_000.obj", block(ARM))
+    (folder / "urdf" / "coacd.urdf").write_text("<robot/>")
+    trimesh.boolean.union([block(ARM), block(LEG)]).export(put(folder / "mesh" / "simplified.obj", block(ARM)))
+    return folder
+
+
+def corners(pieces) -> list[list[list[float]]]:
+    return [piece.bounds.tolist() for piece in pieces]
+
+
+@pytest.mark.parametrize("layout", ["parts", "bodex"])
+def test_the_meshes_of_a_folder_are_the_pieces(layout: str, request: pytest.FixtureRequest, cache: Path):
+    folder = request.getfixturevalue(layout)
+    lines: list[str] = []
+    thing = load_object(folder, candidates=64, cache=cache, progress=lines.append)
+    assert thing.name == folder.name
+    assert corners(thing.body.pieces) == [[list(map(float, corner)) for corner in box] for box in (ARM, LEG)]
+    assert not thing.convex and thing.notes == ()
+    assert thing.mesh.volume == pytest.approx(5)
+    # Nothing was decomposed.
+    assert lines == [] and not cache.exists()
+
+
+def test_pieces_are_hulls_of_what_the_mesh_uses(tmp_path: Path):
+    """A point inside a piece, and one that no face uses, are no vertices of the collision geometry."""
+    mesh = trimesh.creation.icosphere(subdivisions=2)
+    stray = np.concatenate([mesh.vertices, [[5, 5, 5]]])
+    put(tmp_path / "ball" / "piece.ply", trimesh.Trimesh(stray, mesh.faces, process=False))
+    thing = load_object(tmp_path / "ball", candidates=64)
+    (piece,) = thing.body.pieces
+    assert len(piece.vertices) == len(mesh.vertices)
+    assert thing.convex and thing.notes == ()
+    assert thing.mesh.is_watertight
+
+
+def test_the_scale_takes_pieces_and_surface_along(bodex: Path):
+    big, small = (load_object(bodex, scale=scale, candidates=64) for scale in (1.0, 0.02))
+    for one, other in zip(big.body.pieces, small.body.pieces, strict=True):
+        np.testing.assert_allclose(other.bounds, 0.02 * one.bounds, atol=1e-15)
+    np.testing.assert_allclose(small.mesh.extents, [0.06, 0.06, 0.02])
+    np.testing.assert_allclose(small.body.diagonal, 0.02 * big.body.diagonal)
+
+
+def test_a_folder_is_named_in_any_way_that_the_system_allows(parts: Path, monkeypatch):
+    monkeypatch.chdir(parts)
+    for source in (".", f"{parts}/", "../el", Path()):
+        assert load_object(source, candidates=64).name == "el"
+    monkeypatch.chdir(parts.parent)
+    assert load_object("el", candidates=64).name == "el"
+
+
+def test_an_embedded_name_is_no_folder_unless_it_comes_as_a_path(parts: Path, monkeypatch):
+    monkeypatch.chdir(parts.parent)
+    parts.rename("rounded_box")
+    assert load_object("rounded_box", candidates=64).convex
+    for source in ("./rounded_box", Path("rounded_box")):
+        assert len(load_object(source, candidates=64).body.pieces) == 2
+
+
+def test_a_folder_may_have_a_dot_in_its_name(parts: Path):
+    assert load_object(parts.rename(parts.parent / "el_v1.5"), candidates=64).name == "el_v1.5"
+    assert load_object(parts.parent / "el_v1.5", candidates=64).convex is False
+
+
+def test_what_is_shown_is_the_simplified_mesh_or_the_only_one_or_all_pieces(bodex: Path):
+    def shown() -> np.ndarray:
+        return load_object(bodex, candidates=64).mesh.extents
+
+    put(bodex / "mesh" / "raw.obj", block([[0, 0, 0], [7, 7, 7]]))
+    np.testing.assert_allclose(shown(), [3, 3, 1])
+    (bodex / "mesh" / "simplified.obj").unlink()
+    np.testing.assert_allclose(shown(), [7, 7, 7])
+    put(bodex / "mesh" / "other.obj", block([[0, 0, 0], [8, 8, 8]]))
+    thing = load_object(bodex, candidates=64)
+    np.testing.assert_allclose(thing.mesh.extents, [3, 3, 1])
+    assert len(thing.mesh.faces) == 24 and thing.mesh.volume == pytest.approx(5)
+
+
+def test_an_open_surface_changes_nothing_that_is_touched(bodex: Path):
+    whole = load_object(bodex, candidates=64)
+    torn = trimesh.boolean.union([block(ARM), block(LEG)]).subdivide()
+    put(bodex / "mesh" / "simplified.obj", without_top(torn))
+    thing = load_object(bodex, candidates=64)
+    assert thing.notes == ("simplified.obj: not watertight; it is only shown, the pieces are what is touched",)
+    assert not thing.mesh.is_watertight
+    assert corners(thing.body.pieces) == corners(whole.body.pieces)
+    np.testing.assert_array_equal(thing.body.candidates.points, whole.body.candidates.points)
+
+
+def test_a_surface_that_can_be_repaired_is(bodex: Path):
+    inverted = block(ARM)
+    inverted.invert()
+    put(bodex / "mesh" / "simplified.obj", inverted)
+    thing = load_object(bodex, candidates=64)
+    assert thing.mesh.volume == pytest.approx(3)
+    assert thing.notes == ("simplified.obj: was inside out; its faces are turned over",)
+
+
+def test_a_piece_that_is_not_convex_is_noted(parts: Path):
+    # The hull of the L has the area of the square without the corner: 9 - 2 * 2 / 2 = 7, against 5.
+    put(parts / "c.obj", trimesh.boolean.union([block(ARM), block(LEG)]))
+    thing = load_object(parts, candidates=64)
+    assert thing.notes == ("c.obj: not convex; its hull is used, which has 40.0% more volume",)
+    assert thing.body.pieces[2].mesh().volume == pytest.approx(7)
+
+
+@pytest.mark.parametrize(("dent", "noted"), [(0.05, False), (0.07, True)])
+def test_two_percent_more_volume_are_convex_enough(tmp_path: Path, dent: float, noted: bool):
+    """A dent of depth d in a face of the unit cube, a pyramid on it, takes d / 3 of its volume."""
+    cube = block([[0, 0, 0], [1, 1, 1]])
+    top = np.isclose(cube.triangles_center[:, 2], 1)
+    ring = [[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
+    apex = [0.5, 0.5, 1 - dent]
+    pyramid = trimesh.Trimesh([*ring, apex], [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]], process=False)
+    cube.update_faces(~top)
+    put(tmp_path / "dented" / "cube.obj", cube, pyramid)
+    notes = load_object(tmp_path / "dented", candidates=64).notes
+    assert bool(notes) == noted
+
+
+def test_a_piece_inside_out_is_a_piece(tmp_path: Path):
+    inverted = block(ARM)
+    inverted.invert()
+    put(tmp_path / "one" / "a.obj", inverted)
+    thing = load_object(tmp_path / "one", candidates=64)
+    assert thing.convex and thing.notes == ()
+    assert thing.mesh.volume == pytest.approx(3)
+
+
+def test_an_open_piece_is_its_hull_and_noted(tmp_path: Path):
+    put(tmp_path / "one" / "a.obj", without_top(block(ARM).subdivide()))
+    thing = load_object(tmp_path / "one", candidates=64)
+    assert thing.notes == ("a.obj: not watertight, so not known to be convex; its hull is used",)
+    assert thing.mesh.volume == pytest.approx(3)
+
+
+@pytest.mark.parametrize("flat", [SHEET, TRIANGLE, SPECK], ids=["sheet", "triangle", "speck"])
+def test_flat_pieces_are_dropped_and_noted(parts: Path, flat: trimesh.Trimesh):
+    put(parts / "aa.obj", flat)
+    thing = load_object(parts, candidates=64)
+    assert thing.notes == ("aa.obj: flat; dropped",)
+    assert len(thing.body.pieces) == 2
+
+
+def test_a_folder_without_a_usable_piece_is_refused(tmp_path: Path):
+    folder = tmp_path / "paper"
+    put(folder / "a.obj", SHEET)
+    put(folder / "b.obj", TRIANGLE)
+    with pytest.raises(
+        MeshError, match=f"^{re.escape(f'{folder}: no usable convex piece, all are flat: a.obj, b.obj')}$"
+    ):
+        load_object(folder)
+
+
+def test_a_folder_without_meshes_is_refused(tmp_path: Path):
+    message = f"{tmp_path}: has no meshes of convex pieces, nor has its urdf/meshes (.obj, .stl, .ply, .glb, .off)"
+    with pytest.raises(MeshError, match=f"^{re.escape(message)}$"):
+        load_object(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"])
+def test_a_broken_piece_is_refused_not_left_out(parts: Path, text: str):
+    (parts / "c.obj").write_text(text)
+    with pytest.raises(MeshError, match=f"^{re.escape(str(parts / 'c.obj'))}: "):
+        load_object(parts)
+
+
+def test_pieces_of_a_shared_object_fill_its_surface(shared_assets: Path):
+    """BODex cut its bottle into three pieces; sizes and volumes agree with the mesh beside them."""
+    folder = find_object(
+        "523cddb320608c09a37f3fc191551700", shared_assets / "grasps" / "bodex_shadow" / "example_object"
+    )
+    thing = load_object(folder, scale=0.06, candidates=64, cache=None)
+    assert thing.name == folder.name
+    assert thing.notes == ()
+    assert len(thing.body.pieces) == 3
+    assert sum(piece.mesh().volume for piece in thing.body.pieces) == pytest.approx(thing.mesh.volume, rel=0.02)
+    np.testing.assert_allclose(thing.body.diagonal, np.linalg.norm(thing.mesh.extents), rtol=0.02)
 
 
 # -- finding ---------------------------------------------------------------------------------------------
@@ -239,3 +462,81 @@ def test_finds_the_objects_of_the_shared_grasps(shared_assets: Path):
             names = set(grasps["object"].tolist()) - {"cube_75mm"}
         for name in names:
             assert find_object(name, shared_assets / "objects").is_file()
+
+
+# -- finding folders of pieces -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def mixed(folder: Path) -> Path:
+    """Meshes, and folders with and without pieces."""
+    for path in (
+        "core_bottle_5f/urdf/meshes/p0.obj",
+        "sem-Car-1/p0.STL",
+        "old_Cup/p0.obj",
+        "textures_banana/skin.png",
+        "empty_peel/urdf/meshes/readme.txt",
+        "peach.v2/p0.obj",
+    ):
+        (folder / path).parent.mkdir(parents=True)
+        (folder / path).touch()
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [
+        ("core_bottle_5f", "core_bottle_5f"),
+        ("Core-Bottle-5F", "core_bottle_5f"),
+        ("5f", "core_bottle_5f"),
+        ("car_1", "sem-Car-1"),
+        ("peach.v2", "peach.v2"),
+        # Plainly equal goes before the end of another one.
+        ("cup", "Cup.ply"),
+        ("old_cup", "old_Cup"),
+        # Folders without pieces are no objects.
+        ("banana", "ycb_011_banana.obj"),
+        ("peel", "banana_peel.obj"),
+    ],
+)
+def test_folders_of_pieces_are_found_like_meshes(mixed: Path, name: str, file: str):
+    assert find_object(name, mixed) == mixed / file
+
+
+@pytest.mark.parametrize("name", ["Cup", "cup", "CUP"])
+def test_a_folder_of_pieces_wins_over_a_mesh_of_the_same_name(mixed: Path, name: str):
+    (mixed / "Cup").mkdir()
+    assert find_object(name, mixed) == mixed / "Cup.ply"
+    (mixed / "Cup" / "p0.obj").touch()
+    assert find_object(name, mixed) == mixed / "Cup"
+    (mixed / "Cup.obj").touch()
+    assert find_object(name, mixed) == mixed / "Cup"
+
+
+def test_a_mesh_and_a_folder_of_other_names_that_fit_alike_are_ambiguous(mixed: Path):
+    (mixed / "cu-p").mkdir()
+    (mixed / "cu-p" / "p0.obj").touch()
+    with pytest.raises(AssetError, match="^object 'cup' could be any of Cup.ply, cu-p/ in "):
+        find_object("cup", mixed)
+    # The one of exactly that name is meant all the same.
+    assert find_object("Cup", mixed) == mixed / "Cup.ply"
+    (mixed / "green_mug").mkdir()
+    (mixed / "green_mug" / "p0.obj").touch()
+    with pytest.raises(AssetError, match="^object 'mug' could be any of blue_mug.obj, green_mug/, red-mug.STL in "):
+        find_object("mug", mixed)
+
+
+def test_all_meshes_and_folders_of_pieces_are_listed(mixed: Path):
+    message = (
+        f"no mesh of object 'pear' in {mixed}; there are Cup.ply, banana_peel.obj, blue_mug.obj, core_bottle_5f/, "
+        "old_Cup/, peach.v2/, red-mug.STL, sem-Car-1/, ycb_011_banana.obj"
+    )
+    with pytest.raises(AssetError, match=f"^{re.escape(message)}$"):
+        find_object("pear", mixed)
+
+
+def test_finds_the_pieces_of_the_shared_grasps(shared_assets: Path):
+    folder = shared_assets / "grasps" / "bodex_shadow" / "example_object"
+    with np.load(shared_assets / "grasps" / "normalised" / "bodex_shadow.npz") as grasps:
+        for name in set(grasps["object"].tolist()):
+            assert find_object(name, folder) == folder / name

@@ -19,6 +19,10 @@ THINNEST = 1e-6
 """Smallest extent along the principal axes, as a fraction of the diagonal, that does not count as flat."""
 
 
+class FlatMeshError(MeshError):
+    """A mesh whose points span no volume: fewer than four, all in one place, or in one plane."""
+
+
 def load_mesh(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
     """The mesh of a file times `scale`, in metres: geometries joined, equal vertices merged, no materials.
 
@@ -56,7 +60,8 @@ def check_mesh(mesh: trimesh.Trimesh, name: str) -> None:
     """Nothing, when `mesh` has faces whose vertices are finite and span a volume.
 
     Raises:
-        MeshError: says what is wrong with `name`.
+        FlatMeshError: the vertices span no volume.
+        MeshError: says what else is wrong with `name`.
     """
     if len(mesh.faces) == 0:
         raise MeshError(f"{name}: empty, it has no faces")
@@ -71,21 +76,23 @@ def check_solid(points: np.ndarray, name: str) -> None:
     Collision libraries take flat, collinear or non-finite points in silence, or crash.
 
     Raises:
-        MeshError: says what is wrong with `name`.
+        FlatMeshError: the points span no volume.
+        MeshError: says what else is wrong with `name`.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4:
-        raise MeshError(f"{name}: at least 4 points (N, 3) are needed, got an array of shape {points.shape}")
+        raise FlatMeshError(f"{name}: at least 4 points (N, 3) are needed, got an array of shape {points.shape}")
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         raise MeshError(f"{name}: {(~finite).sum()} of its {len(points)} vertices are not finite")
     diagonal = _diagonal(points)
     if not 1e-50 < diagonal < 1e50:
-        raise MeshError(f"{name}: its diagonal is {diagonal:g} m, which no solid has")
+        error = FlatMeshError if diagonal < 1 else MeshError
+        raise error(f"{name}: its diagonal is {diagonal:g} m, which no solid has")
     centered = (points - points.mean(0)) / diagonal
     thickness = np.ptp(centered @ np.linalg.svd(centered, full_matrices=False)[2].T, axis=0).min()
     if thickness < THINNEST:
-        raise MeshError(f"{name}: flat, {thickness:.1e} of its diagonal thick ({THINNEST:g} is needed)")
+        raise FlatMeshError(f"{name}: flat, {thickness:.1e} of its diagonal thick ({THINNEST:g} is needed)")
 
 
 def watertight(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, tuple[str, ...]]:
