@@ -12,8 +12,11 @@ A grasp file is one `.npz` without pickle. Version 1 holds
     q               (N, n)  joint values, radians or metres
 
 and optionally, all three or none, `target_link` (K,), `target_point_link` (N, K, 3) and
-`target_point_object` (N, K, 3) in metres; NaN points mean that this grasp has no such target. Other entries
-(results, provenance) may stand beside them and are not read here.
+`target_point_object` (N, K, 3) in metres; NaN points mean that this grasp has no such target. Two more stages of
+the motion that closes the hand may be there, each whole or not at all, in the form of `hand_pose` and `q`:
+`pregrasp_pose` (N, 7) and `pregrasp_q` (N, n), the hand open, and `squeeze_pose` and `squeeze_q`, where its position
+actuators are sent so that it presses; those joint values may lie beyond the limits. Other entries (results,
+provenance) may stand beside them and are not read here.
 """
 
 from __future__ import annotations
@@ -34,12 +37,14 @@ if TYPE_CHECKING:
 
     from grasp_refine.hand import Hand
 
-__all__ = ["GraspSet", "Targets", "choose_rows", "load_grasps", "match_joints", "save_npz"]
+__all__ = ["GraspSet", "Stage", "Targets", "choose_rows", "load_grasps", "match_joints", "save_npz"]
 
 SCHEMA = 1
 """The version of grasp files that is written, and the newest that is read."""
 REQUIRED = ("hand", "base_link", "joint_names", "object", "scale", "hand_pose", "q")
 TARGET_KEYS = ("target_link", "target_point_link", "target_point_object")
+OTHER_STAGES = ("pregrasp", "squeeze")
+"""Stages beside the grasp itself: attributes of a set, and what their entries in a file begin with."""
 QUATERNION_TOLERANCE = 1e-3
 """How far from 1 the norm of a quaternion in a file may be: rounding to float32 passes, a mix-up does not."""
 
@@ -62,6 +67,21 @@ class Targets:
 
 
 @dataclass(frozen=True, eq=False)
+class Stage:
+    """Where the hand is, in N grasps, at one stage of the motion that closes it."""
+
+    hand_pose: Float[np.ndarray, "N 7"]
+    """(N, 7) as in `GraspSet`."""
+    q: Float[np.ndarray, "N n"]
+    """(N, n) joint values, radians or metres, with the columns of `GraspSet.q`."""
+
+    def select(self, indices: ArrayLike) -> Stage:
+        """Return the rows `indices`, in that order."""
+        rows = np.asarray(indices, dtype=int)
+        return Stage(self.hand_pose[rows], self.q[rows])
+
+
+@dataclass(frozen=True, eq=False)
 class GraspSet:
     """N grasps of one hand; rows may belong to different objects."""
 
@@ -81,6 +101,10 @@ class GraspSet:
     """(N, n) joint values, radians or metres."""
     targets: Targets | None = None
     """Where links should touch, when the file says so."""
+    pregrasp: Stage | None = None
+    """Where the hand is before it closes to the grasp, when the file says so."""
+    squeeze: Stage | None = None
+    """Where it is sent after that, to press, when the file says so."""
 
     def __len__(self) -> int:
         """Return the number of grasps N."""
@@ -96,7 +120,13 @@ class GraspSet:
             hand_pose=self.hand_pose[rows],
             q=self.q[rows],
             targets=None if self.targets is None else self.targets.select(rows),
+            pregrasp=None if self.pregrasp is None else self.pregrasp.select(rows),
+            squeeze=None if self.squeeze is None else self.squeeze.select(rows),
         )
+
+    def at(self, stage: Stage) -> GraspSet:
+        """Return the same grasps with the hands where they are at one of the stages, for `match_joints`."""
+        return replace(self, hand_pose=stage.hand_pose, q=stage.q)
 
     def with_(
         self,
@@ -105,14 +135,21 @@ class GraspSet:
         hand_pose: Float[np.ndarray, "N 7"] | None = None,
         q: Float[np.ndarray, "N n"] | None = None,
         targets: Targets | None = None,
+        pregrasp: Stage | None = None,
+        squeeze: Stage | None = None,
     ) -> GraspSet:
-        """Return the same grasps with the given parts replaced; what is None stays as it is."""
+        """Return the same grasps with the given parts replaced; what is None stays as it is.
+
+        Other `joint_names` need other columns of `q` and of the stages too.
+        """
         return replace(
             self,
             joint_names=self.joint_names if joint_names is None else joint_names,
             hand_pose=self.hand_pose if hand_pose is None else hand_pose,
             q=self.q if q is None else q,
             targets=self.targets if targets is None else targets,
+            pregrasp=self.pregrasp if pregrasp is None else pregrasp,
+            squeeze=self.squeeze if squeeze is None else squeeze,
         )
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -131,6 +168,10 @@ class GraspSet:
             entries["target_link"] = np.array(self.targets.links, dtype=str)
             entries["target_point_link"] = self.targets.point_link
             entries["target_point_object"] = self.targets.point_object
+        for name in OTHER_STAGES:
+            stage = getattr(self, name)
+            if stage is not None:
+                entries |= {f"{name}_pose": stage.hand_pose, f"{name}_q": stage.q}
         return entries
 
 
@@ -153,16 +194,8 @@ def load_grasps(path: str | Path) -> GraspSet:
     duplicates = sorted({name for name in joint_names if joint_names.count(name) > 1})
     if duplicates:
         raise file.error(f"joint_names holds {', '.join(duplicates)} more than once")
-    hand_pose = file.numbers("hand_pose")
-    if hand_pose.ndim != 2 or hand_pose.shape[1] != 7 or not len(hand_pose):
-        raise file.error(f"hand_pose must have shape (N, 7) with N >= 1, x y z qw qx qy qz; it has {hand_pose.shape}")
-    n = len(hand_pose)
-    q = file.numbers("q")
-    if q.shape != (n, len(joint_names)):
-        raise file.error(
-            f"q must have shape ({n}, {len(joint_names)}), one row per hand_pose and one column per "
-            f"name in joint_names; it has {q.shape}"
-        )
+    grasp = _stage(file, "hand_pose", "q", None, len(joint_names))
+    n = len(grasp.q)
     scale = file.per_row("scale", file.numbers("scale"), n)
     if (scale <= 0).any():
         row = int(np.argmax(scale <= 0))
@@ -173,9 +206,10 @@ def load_grasps(path: str | Path) -> GraspSet:
         joint_names=joint_names,
         object=file.per_row("object", file.text("object"), n),
         scale=scale,
-        hand_pose=_unit_quaternions(file, hand_pose),
-        q=q,
+        hand_pose=grasp.hand_pose,
+        q=grasp.q,
         targets=_targets(file, n),
+        **{name: _optional_stage(file, name, n, len(joint_names)) for name in OTHER_STAGES},
     )
 
 
@@ -245,16 +279,37 @@ def _check_schema(file: NpzFile) -> None:
         raise file.error(f"schema {schema} is newer than this version of grasp-refine reads ({SCHEMA}); update it")
 
 
-def _unit_quaternions(file: NpzFile, hand_pose: Float[np.ndarray, "N 7"]) -> Float[np.ndarray, "N 7"]:
-    norm = np.linalg.norm(hand_pose[:, 3:], axis=1)
+def _stage(file: NpzFile, pose_key: str, q_key: str, n: int | None, joints: int) -> Stage:
+    """The poses and joint values under two keys: those of `n` grasps, or of as many as there are poses."""
+    pose = file.numbers(pose_key)
+    if pose.ndim != 2 or pose.shape[1] != 7 or not len(pose) or n not in (None, len(pose)):
+        rows = "(N, 7) with N >= 1" if n is None else f"({n}, 7)"
+        raise file.error(f"{pose_key} must have shape {rows}, x y z qw qx qy qz; it has {pose.shape}")
+    q = file.numbers(q_key)
+    if q.shape != (len(pose), joints):
+        raise file.error(
+            f"{q_key} must have shape ({len(pose)}, {joints}), one row per hand_pose and one column per "
+            f"name in joint_names; it has {q.shape}"
+        )
+    norm = np.linalg.norm(pose[:, 3:], axis=1)
     wrong = np.abs(norm - 1.0) > QUATERNION_TOLERANCE
     if wrong.any():
         row = int(np.argmax(wrong))
         raise file.error(
-            f"hand_pose row {row} has no unit quaternion: the norm of its last four numbers, "
+            f"{pose_key} row {row} has no unit quaternion: the norm of its last four numbers, "
             f"qw qx qy qz, is {norm[row]:.6g}"
         )
-    return np.concatenate([hand_pose[:, :3], hand_pose[:, 3:] / norm[:, None]], axis=1)
+    return Stage(np.concatenate([pose[:, :3], pose[:, 3:] / norm[:, None]], axis=1), q)
+
+
+def _optional_stage(file: NpzFile, name: str, n: int, joints: int) -> Stage | None:
+    keys = f"{name}_pose", f"{name}_q"
+    present = [key for key in keys if key in file.entries]
+    if not present:
+        return None
+    if len(present) < len(keys):
+        raise file.error(f"a {name} needs {' and '.join(keys)} together; found only {present[0]}")
+    return _stage(file, *keys, n, joints)
 
 
 def _targets(file: NpzFile, n: int) -> Targets | None:

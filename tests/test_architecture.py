@@ -47,6 +47,8 @@ ORDER = (
     "grasp_problem",
     "objective",
     "refine",
+    "pregrasp",
+    "squeeze",
     "validation",
     "report",
     "apps",

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.errors import GraspFileError
-from grasp_refine.grasps import GraspSet, choose_rows, load_grasps, match_joints, save_npz
+from grasp_refine.grasps import GraspSet, Stage, choose_rows, load_grasps, match_joints, save_npz
 from grasp_refine.hand import load_hand
 
 
@@ -39,6 +39,16 @@ def targets(n: int = 3) -> dict:
     points = rng.normal(size=(2, n, 2, 3))
     points[:, 1, 0] = np.nan
     return {"target_link": ["tip", "thumb"], "target_point_link": points[0], "target_point_object": points[1]}
+
+
+def stages(n: int = 3) -> dict:
+    pregrasp, squeeze = entries(n), entries(n)
+    return {
+        "pregrasp_pose": pregrasp["hand_pose"] + [0.1, 0, 0, 0, 0, 0, 0],
+        "pregrasp_q": pregrasp["q"] - 0.1,
+        "squeeze_pose": squeeze["hand_pose"],
+        "squeeze_q": squeeze["q"] + 0.3,
+    }
 
 
 @pytest.fixture
@@ -245,12 +255,50 @@ def test_malformed_entries(write, changes: dict, message: str):
     assert refused(write(**changes)) == message
 
 
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"squeeze_q": None}, "a squeeze needs squeeze_pose and squeeze_q together; found only squeeze_pose"),
+        ({"pregrasp_pose": None}, "a pregrasp needs pregrasp_pose and pregrasp_q together; found only pregrasp_q"),
+        (
+            {"pregrasp_pose": np.zeros((2, 7))},
+            "pregrasp_pose must have shape (3, 7), x y z qw qx qy qz; it has (2, 7)",
+        ),
+        (
+            {"squeeze_q": np.zeros((3, 5))},
+            "squeeze_q must have shape (3, 2), one row per hand_pose and one column per name in joint_names; "
+            "it has (3, 5)",
+        ),
+        ({"squeeze_q": np.full((3, 2), np.nan)}, "squeeze_q must be finite; row 0 is not"),
+        (
+            {"pregrasp_pose": np.tile([0, 0, 0, 2.0, 0, 0, 0], (3, 1))},
+            "pregrasp_pose row 0 has no unit quaternion: the norm of its last four numbers, qw qx qy qz, is 2",
+        ),
+    ],
+)
+def test_malformed_stages(write, changes: dict, message: str):
+    assert refused(write(**{**stages(), **changes})) == message
+
+
+def test_stages_are_read_where_they_are(write):
+    grasps = load_grasps(write(**stages()))
+    np.testing.assert_array_equal(grasps.pregrasp.q, stages()["pregrasp_q"])
+    np.testing.assert_array_equal(grasps.squeeze.q, stages()["squeeze_q"])
+    np.testing.assert_allclose(grasps.pregrasp.hand_pose, stages()["pregrasp_pose"], atol=1e-12)
+    only = {key: value for key, value in stages().items() if key.startswith("squeeze")}
+    grasps = load_grasps(write(**only))
+    assert grasps.pregrasp is None and grasps.squeeze is not None
+    assert load_grasps(write()).squeeze is None
+
+
 # -- the set ---------------------------------------------------------------------------------------------
 
 
 def test_select_takes_rows_of_everything_in_the_given_order(write):
-    grasps = load_grasps(write(object=["mug", "can", "jar"], **targets()))
+    grasps = load_grasps(write(object=["mug", "can", "jar"], **targets(), **stages()))
     chosen = grasps.select([2, 0])
+    np.testing.assert_array_equal(chosen.pregrasp.hand_pose, grasps.pregrasp.hand_pose[[2, 0]])
+    np.testing.assert_array_equal(chosen.squeeze.q, grasps.squeeze.q[[2, 0]])
     assert chosen.object.tolist() == ["jar", "mug"]
     np.testing.assert_array_equal(chosen.q, grasps.q[[2, 0]])
     np.testing.assert_array_equal(chosen.hand_pose, grasps.hand_pose[[2, 0]])
@@ -264,13 +312,16 @@ def test_with_replaces_only_what_is_given(write):
     assert changed.q.shape == (3, 1)
     assert changed.hand_pose is grasps.hand_pose
     assert grasps.q.shape == (3, 2)
+    squeeze = Stage(grasps.hand_pose, grasps.q + 1.0)
+    assert grasps.with_(squeeze=squeeze).squeeze is squeeze
+    assert grasps.with_(squeeze=squeeze).with_(pregrasp=squeeze).squeeze is squeeze
 
 
 # -- writing ---------------------------------------------------------------------------------------------
 
 
 def test_saved_grasps_load_again(write, tmp_path: Path):
-    grasps = load_grasps(write(**targets()))
+    grasps = load_grasps(write(**targets(), **stages()))
     path = tmp_path / "new" / "folder" / "result.npz"
     save_npz(path, {**grasps.arrays(), "contact_error_m": np.zeros(3)})
     again = load_grasps(path)
@@ -333,6 +384,16 @@ def test_joints_are_matched_by_name():
     q, notes = match_joints(grasp_set(("a", "b", "c"), np.array([[1.0, 2, 3], [4, 5, 6]])), CLAW)
     assert q.tolist() == [[2, 3, 1], [5, 6, 4]]
     assert notes == ()
+
+
+def test_joints_of_a_stage_are_matched_like_those_of_the_grasp():
+    grasps = grasp_set(("a", "b", "c"), np.array([[1.0, 2, 3]]))
+    stage = Stage(np.tile([1.0, 2, 3, 1, 0, 0, 0], (1, 1)), np.array([[7.0, 8, 9]]))
+    grasps = grasps.with_(squeeze=stage)
+    squeeze = grasps.at(grasps.squeeze)
+    assert match_joints(squeeze, CLAW)[0].tolist() == [[8, 9, 7]]
+    assert squeeze.hand_pose[0, :3].tolist() == [1, 2, 3]
+    assert grasps.q.tolist() == [[1, 2, 3]]
 
 
 def test_joints_that_the_file_lacks_stay_at_rest_which_is_said():

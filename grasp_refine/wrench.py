@@ -1,0 +1,137 @@
+"""Contact forces: how well pushes at the contacts of a grasp can balance each other.
+
+Links push the object along the contact normals and, within the friction, across them. Of all ways to share out a
+total pressure of 1 that one is sought whose forces and torques cancel best, as a small quadratic program per grasp.
+What is left is the wrench residual: 0 where the hand can squeeze the object without moving it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import daqp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from grasp_refine.se3 import hat, tangents
+
+if TYPE_CHECKING:
+    from grasp_refine.objects import Object
+
+PLANNING_FRICTION = 0.15
+"""Friction that forces are planned with: less than any that they will meet, so that they hold with some to spare."""
+
+LENGTH = 0.05
+"""A torque counts like the force that makes it at this lever, in metres."""
+
+MOST = 0.5
+"""Largest share of the total pressure at one contact: what pushes must be pushed against."""
+
+EDGES = 8
+"""Number of edges of the pyramids that stand for friction cones; they lie within the cones."""
+
+OPTIMAL, EQUALITY = 1, 5
+"""Daqp's numbers for a solution that is one, and for a constraint that always holds with equality."""
+
+RIDGE = 1.25e-6
+"""Weight of the squared forces: decides between forces that balance equally well, and changes little otherwise."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContactForces:
+    """What the contacts of N grasps do at best, per unit of total pressure."""
+
+    residual: Float[np.ndarray, " N"]
+    """Norm (N,) of [F, tau / `LENGTH`] of all contacts together, without unit; NaN where `solved` is not."""
+    force: Float[np.ndarray, "N K 3"]
+    """Force (N, K, 3) of each link on the object, in the frame of the contacts; 0 without a contact, or unsolved."""
+    pressure: Float[np.ndarray, "N K"]
+    """Its part along the normal (N, K), at least 0; the pressures of a grasp sum to 1."""
+    solved: Bool[np.ndarray, " N"]
+    """Which grasps (N,) have forces: those with a contact, unless the solver gave up."""
+
+
+def contact_forces(
+    point: Float[np.ndarray, "N K 3"],
+    normal: Float[np.ndarray, "N K 3"],
+    center: Float[np.ndarray, " 3"],
+    *,
+    friction: float = PLANNING_FRICTION,
+    ridge: float = RIDGE,
+) -> ContactForces:
+    """The forces f_k that minimise |[F, tau / LENGTH]|^2 + ridge sum |f_k|^2, where F = sum f_k, tau = sum r_k x f_k.
+
+    The pressures n_k . f_k sum to 1 and none is above `MOST`, or, of a single contact, 1. Friction is at most that of
+    a pyramid of `EDGES` edges within the cone; its orientation about the normal is that of `se3.tangents`, so that
+    turning everything changes the result as little as a friction between that and cos(pi / EDGES) times it would.
+
+    Args:
+        point: Contact points (N, K, 3) in metres; a contact with any NaN, in point or normal, is none.
+        normal: Unit normals (N, K, 3) from link to object, into the object.
+        center: The point (3,) that torques are about, the object's centre of mass.
+        friction: Coefficient of friction.
+        ridge: Weight of the squared forces, above 0: it makes the solution unique. What it costs is in the residual,
+            about as much as itself.
+    """
+    N, K = point.shape[:2]
+    there = np.isfinite(point).all(axis=-1) & np.isfinite(normal).all(axis=-1)
+    n = np.where(there[..., None], normal, [0.0, 0.0, 1.0])
+    r = np.where(there[..., None], point - center, 0.0)
+    basis = np.concatenate([n[..., None], tangents(n)], axis=-1)
+    G = np.concatenate([basis, hat(r) @ basis / LENGTH], axis=-2) * there[..., None, None]
+    local, solved = np.zeros((N, K, 3)), np.zeros(N, dtype=bool)
+    for count in np.unique(there.sum(axis=1)):
+        # Grasps with equally many contacts share the constraints.
+        rows = np.flatnonzero(there.sum(axis=1) == count)
+        if count and len(rows):
+            place = np.argsort(~there[rows], axis=1, kind="stable")[:, :count]
+            found, done = _balanced(G[rows[:, None], place], friction, ridge)
+            local[rows[:, None], place], solved[rows] = found, done
+    force = (basis @ local[..., None])[..., 0]
+    wrench = np.einsum("nkij,nkj->ni", G, local)
+    residual = np.where(solved, np.linalg.norm(wrench, axis=1), np.nan)
+    return ContactForces(residual, force, np.maximum(local[..., 0], 0.0), solved)
+
+
+def center_of_mass(obj: Object) -> Float[np.ndarray, " 3"]:
+    """Centre of mass (3,) of an object of uniform density in its own frame, metres: that of its closed mesh.
+
+    Not of its convex pieces, which overlap a little and fill small hollows.
+    """
+    return np.asarray(obj.mesh.center_mass, dtype=np.float64)
+
+
+def _balanced(
+    G: Float[np.ndarray, "M C 6 3"], friction: float, ridge: float
+) -> tuple[Float[np.ndarray, "M C 3"], Bool[np.ndarray, " M"]]:
+    """Forces (pressure and two tangents) of C contacts each, and whether they were found, one program per grasp."""
+    M, C = G.shape[:2]
+    G = np.ascontiguousarray(np.moveaxis(G, 1, 2)).reshape(M, 6, 3 * C)
+    H = G.mT @ G + ridge * np.eye(3 * C)
+    rows, lower, upper, sense = _constraints(C, friction)
+    zero = np.zeros(3 * C)
+    local, solved = np.zeros((M, 3 * C)), np.zeros(M, dtype=bool)
+    for m in range(M):
+        x, _, flag, _ = daqp.solve(H[m], zero, rows, upper, lower, sense)
+        if flag == OPTIMAL:
+            local[m], solved[m] = x, True
+    return local.reshape(M, C, 3), solved
+
+
+def _constraints(C: int, friction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, bounds and kinds of the constraints on C pressures and tangential forces, as daqp takes them.
+
+    The first bounds are those of the unknowns themselves: pressures from 0 to the cap, tangents without any. Then
+    come the sum of the pressures and, for each contact, the faces of its pyramid, which lie between two edges.
+    """
+    angle = (np.arange(EDGES) + 0.5) * 2.0 * np.pi / EDGES
+    face = np.stack([np.full(EDGES, -friction * np.cos(np.pi / EDGES)), np.cos(angle), np.sin(angle)], axis=1)
+    rows = np.concatenate([np.tile([1.0, 0.0, 0.0], C)[None], np.kron(np.eye(C), face)])
+    none, cap = 1e30, max(MOST, 1.0 / C)  # 1e30 is infinity for daqp
+    faces = np.full(C * EDGES, none)
+    lower = np.concatenate([np.tile([0.0, -none, -none], C), [1.0], -faces])
+    upper = np.concatenate([np.tile([cap, none, none], C), [1.0], 0.0 * faces])
+    sense = np.zeros(len(lower), dtype=np.int32)
+    sense[3 * C] = EQUALITY
+    return rows, lower, upper, sense
