@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.assets import resource_dir
-from grasp_refine.description.defaults import Actuator, actuator, contacts, coupled, rest_pose
+from grasp_refine.description.defaults import Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
 from grasp_refine.description.hand_toml import Contact, Coupled, HandToml, only_urdf, read_hand_toml
+from grasp_refine.description.inertia import Inertia
 from grasp_refine.description.link_geometry import link_pieces
 from grasp_refine.description.tree import Joint, Mimic, read_tree
 from grasp_refine.errors import AssetError, HandError, MeshError
@@ -22,7 +24,8 @@ from grasp_refine.geometry.pieces import Piece
 if TYPE_CHECKING:
     import yourdfpy
 
-__all__ = ["Actuator", "Contact", "Coupled", "Hand", "Joint", "Link", "Mimic", "list_hands", "load_hand"]
+__all__ = ["Actuator", "Contact", "Coupled", "Hand", "Inertia", "Joint", "Link", "Mimic"]
+__all__ += ["list_hands", "load_hand", "needs_urdf"]
 
 HAND_TOML = "hand.toml"
 """Name of the file beside a URDF that says what the URDF does not."""
@@ -38,6 +41,8 @@ class Link:
     """Collision geometry in the link frame; None if the link has none."""
     mass: float | None
     """Mass in kg; None where the file gives none."""
+    inertia: Inertia | None = None
+    """Mass, centre and moments as the file gives them, which need not be possible; None where it has no moments."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +77,10 @@ class Hand:
     """Groups of independent joints that share an actuator."""
     mjcf: Path | None = None
     """The same hand as an MJCF file, where there is one."""
+    mjcf_joints: Mapping[str, str] = field(default_factory=dict)
+    """Joint -> its name in that file, where hand.toml says it."""
+    collision: Literal["urdf", "mjcf"] = "urdf"
+    """Which of the two files is simulated when a grasp is validated."""
 
     @cached_property
     def links_by_name(self) -> dict[str, Link]:
@@ -105,7 +114,19 @@ def list_hands() -> tuple[str, ...]:
     return tuple(sorted(file.parent.name for file in resource_dir("robots").glob(f"*/{HAND_TOML}")))
 
 
-def load_hand(source: str | Path, *, base_link: str | None = None, candidates: int = 1024) -> Hand:
+def needs_urdf(name: str) -> bool:
+    """Whether the hand `name` of `list_hands()` comes without a URDF, so that the user has to give one."""
+    return read_hand_toml(resource_dir("robots") / name / HAND_TOML).urdf is None
+
+
+def load_hand(
+    source: str | Path,
+    *,
+    base_link: str | None = None,
+    urdf: str | Path | None = None,
+    mjcf: str | Path | None = None,
+    candidates: int = 1024,
+) -> Hand:
     """The hand that `source` names: one of `list_hands()`, a folder, a .urdf file, or a hand.toml.
 
     A folder holds a hand.toml or exactly one .urdf file. The hand.toml beside a .urdf file is used if it
@@ -114,13 +135,23 @@ def load_hand(source: str | Path, *, base_link: str | None = None, candidates: i
     Args:
         source: Name or path; a hand of ours wins over a folder of the same name, which is ./NAME.
         base_link: The hand is what hangs from this link; by default hand.toml's base_link, or else the root.
+        urdf: Taken instead of the URDF that hand.toml names; hands of others come without one.
+        mjcf: Taken instead of the MJCF that hand.toml names.
         candidates: Surface points per link.
 
     Raises:
         AssetError: no such name.
         HandError: a file is missing or malformed, or names something that is not there.
     """
-    name, toml = _locate(source)
+    name, toml = _locate(source, None if urdf is None else Path(urdf).expanduser())
+    if toml.urdf is None:
+        raise HandError(f"hand '{name}' comes without a URDF: give yours with --urdf FILE")
+    if mjcf is not None:
+        toml = replace(toml, mjcf=Path(mjcf).expanduser())
+        if not toml.mjcf.is_file():
+            raise HandError(f"{mjcf}: no such MJCF file")
+    if toml.collision == "mjcf" and toml.mjcf is None:
+        raise HandError(f"{toml.path}: collision = 'mjcf' needs mjcf = \"FILE\", or --mjcf FILE")
     tree = read_tree(toml.urdf)
     base = base_link or toml.base_link or tree.root
     raw_links, joints = tree.below(base)
@@ -151,10 +182,12 @@ def load_hand(source: str | Path, *, base_link: str | None = None, candidates: i
         actuator=actuator(toml, independent, outside),
         coupled=coupled(toml, independent, outside),
         mjcf=toml.mjcf,
+        mjcf_joints=mjcf_joints(toml, [joint.name for joint in joints if joint.movable], outside),
+        collision=toml.collision,
     )
 
 
-def _locate(source: str | Path) -> tuple[str, HandToml]:
+def _locate(source: str | Path, urdf: Path | None) -> tuple[str, HandToml]:
     """The hand's name, and its hand.toml or, without one, an empty one that names its URDF."""
     if isinstance(source, str) and source in list_hands():
         source = resource_dir("robots") / source
@@ -168,19 +201,26 @@ def _locate(source: str | Path) -> tuple[str, HandToml]:
     beside = folder / HAND_TOML
     if beside.is_file():
         toml = read_hand_toml(beside)
-        if path.is_dir() or path.samefile(beside) or path.samefile(toml.urdf):
-            return folder.resolve().name, toml
+        named = path.is_dir() or path.samefile(beside)
+        if named or (toml.urdf is not None and path.samefile(toml.urdf)):
+            return folder.resolve().name, toml if urdf is None else replace(toml, urdf=urdf)
+    if urdf is not None:
+        raise HandError(f"--urdf {urdf}: goes with a hand that has a {HAND_TOML}, '{source}' has none")
     urdf = only_urdf(path) if path.is_dir() else path
     return (folder.resolve().name if path.is_dir() else path.stem), HandToml(urdf, urdf)
 
 
 def _link(raw: yourdfpy.Link, urdf: Path, hulls: dict[Path, Piece], candidates: int) -> Link:
     pieces = link_pieces(raw, urdf, hulls)
-    mass = raw.inertial.mass if raw.inertial is not None else None
+    inertial = raw.inertial
+    mass = inertial.mass if inertial is not None else None
     if mass is not None and mass < 0:
         raise HandError(f"{urdf}: link '{raw.name}' has the mass {mass:g} kg")
+    inertia = None
+    if mass is not None and inertial.inertia is not None:
+        inertia = Inertia.about(mass, np.eye(4) if inertial.origin is None else inertial.origin, inertial.inertia)
     try:
         body = build_body(raw.name, pieces, candidates=candidates) if pieces else None
     except MeshError as error:
         raise HandError(f"{urdf}: link {error}") from None
-    return Link(raw.name, body, mass)
+    return Link(raw.name, body, mass, inertia)

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from grasp_refine.assets import resource_dir
+from grasp_refine.commands.hands import Hands
 from grasp_refine.description.urdf import read_urdf
-from grasp_refine.errors import AssetError, HandError
-from grasp_refine.hand import Contact, Coupled, Hand, list_hands, load_hand
+from grasp_refine.errors import AssetError, GraspRefineError, HandError
+from grasp_refine.hand import Contact, Coupled, Hand, list_hands, load_hand, needs_urdf
+from grasp_refine.self_collision import self_penetration, touching_pairs
 
 FINGERTIPS = {
     "allegro": ["link_3.0_tip", "link_7.0_tip", "link_11.0_tip", "link_15.0_tip"],
@@ -22,6 +24,9 @@ FINGERTIPS = {
 
 JOINTS = {"allegro": 16, "leap": 16, "shadow": 24, "barrett": 8, "robotiq3f": 11}
 """Independent joints of each."""
+
+WHOLE = [name for name in list_hands() if not needs_urdf(name)]
+"""Hands that come with a URDF."""
 
 TIP = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 
@@ -62,7 +67,7 @@ def rpy_matrix(roll: float, pitch: float, yaw: float) -> np.ndarray:
 # --- hands that come with the program
 
 
-@pytest.mark.parametrize("name", list_hands())
+@pytest.mark.parametrize("name", WHOLE)
 def test_our_hands_have_the_published_kinematics(name: str, shared_assets: Path) -> None:
     facts = json.loads((shared_assets / f"facts/{name}.json").read_text())["urdf"]
     hand = load_hand(name)
@@ -80,7 +85,7 @@ def test_our_hands_have_the_published_kinematics(name: str, shared_assets: Path)
         assert hand.links_by_name[fact["name"]].mass == fact["mass"]
 
 
-@pytest.mark.parametrize("name", list_hands())
+@pytest.mark.parametrize("name", WHOLE)
 def test_our_hands_have_inertias_that_matter_can_have(name: str) -> None:
     import yourdfpy
 
@@ -102,7 +107,7 @@ def test_our_hands_have_inertias_that_matter_can_have(name: str) -> None:
         assert len(link.visuals) == len(link.collisions), "one looks at what collides"
 
 
-@pytest.mark.parametrize("name", list_hands())
+@pytest.mark.parametrize("name", WHOLE)
 def test_our_hands_compile_in_mujoco_as_they_are(name: str) -> None:
     mujoco = pytest.importorskip("mujoco")
     hand = load_hand(name)
@@ -139,6 +144,92 @@ def test_allegro_collides_where_the_published_boxes_are(shared_assets: Path) -> 
         if link.name not in FINGERTIPS["allegro"] and link.body is not None:
             for ours, theirs in zip(link.body.pieces, other.links_by_name[link.name].body.pieces, strict=True):
                 np.testing.assert_allclose(ours.bounds, theirs.bounds, atol=1e-12)
+
+
+# --- hands that come without a URDF
+
+
+def theirs(name: str, shared_assets: Path, **options) -> Hand:
+    (urdf,) = (shared_assets / "hands" / name).glob("*.urdf")
+    return load_hand(name, urdf=urdf, candidates=4096, **options)
+
+
+@pytest.mark.parametrize("name", [name for name in list_hands() if name not in WHOLE])
+def test_what_we_say_of_a_hand_fits_its_urdf(name: str, shared_assets: Path) -> None:
+    hand = theirs(name, shared_assets)
+    assert hand.name == name and hand.notes == () and len(hand.joint_names) == JOINTS[name]
+    assert [contact.link for contact in hand.contacts] == FINGERTIPS[name]
+    assert len({contact.group for contact in hand.contacts}) == len(hand.contacts)
+    assert ((hand.lower < hand.rest) & (hand.rest < hand.upper)).all()
+    assert self_penetration(hand, touching_pairs(hand), hand.rest[None])[0] == 0
+    for contact in hand.contacts:
+        cloud = hand.links_by_name[contact.link].body.candidates
+        near = np.linalg.norm(cloud.points - np.array(contact.point), axis=1).argmin()
+        height = (contact.point - cloud.points[near]) @ cloud.normals[near]
+        assert abs(height) < 1e-4, f"{contact.link}: the pad is on the surface"
+        assert cloud.normals[near] @ contact.normal > np.cos(np.radians(5))
+    assert (hand.actuator.kp > 0).all() and np.isfinite(hand.actuator.force_limit).all()
+
+
+def test_shadow_couples_its_outer_joints_wherever_it_begins(shared_assets: Path) -> None:
+    for base_link in (None, "palm", "world"):
+        hand = theirs("shadow", shared_assets, base_link=base_link)
+        assert hand.base_link == (base_link or "forearm")
+        assert hand.coupled == tuple(Coupled((f"{f}J2", f"{f}J1"), (1.0, 1.0)) for f in ("FF", "MF", "RF", "LF"))
+        wrist = {"WRJ1", "WRJ2"} & set(hand.joint_names)
+        assert len(wrist) == (0 if base_link == "palm" else 2)
+        assert all(hand.actuator.damping[hand.joint_names.index(name)] == 0.5 for name in wrist)
+
+
+def test_a_hand_without_a_urdf_asks_for_one(tmp_path: Path) -> None:
+    with pytest.raises(HandError, match="^hand 'shadow' comes without a URDF: give yours with --urdf FILE$"):
+        load_hand("shadow")
+    assert needs_urdf("shadow") and not needs_urdf("allegro")
+    path = finger(tmp_path / "other")
+    (tmp_path / "mine").mkdir()
+    toml = tmp_path / "mine" / "hand.toml"
+    toml.write_text("base_link = 'palm'")
+    for source in (toml.parent, toml):
+        hand = load_hand(source, urdf=str(path))
+        assert (hand.name, hand.base_link, hand.urdf) == ("mine", "palm", path)
+    for source in (path, path.parent):
+        with pytest.raises(HandError, match="goes with a hand that has a hand.toml, '.*' has none"):
+            load_hand(source, urdf=path)
+    with pytest.raises(HandError, match=r"none.urdf: cannot be read \(No such file"):
+        load_hand(toml, urdf=tmp_path / "none.urdf")
+
+
+def test_an_mjcf_is_named_by_hand_toml_or_given(tmp_path: Path) -> None:
+    path = finger(tmp_path, "collision = 'mjcf'\nmjcf_joints = { wrist = 'w' }")
+    with pytest.raises(HandError, match="collision = 'mjcf' needs mjcf = \"FILE\", or --mjcf FILE"):
+        load_hand(path)
+    with pytest.raises(HandError, match=r"none.xml: no such MJCF file"):
+        load_hand(path, mjcf=tmp_path / "none.xml")
+    (tmp_path / "hand.xml").touch()
+    hand = load_hand(path, mjcf=tmp_path / "hand.xml")
+    assert (hand.mjcf, hand.collision, hand.mjcf_joints) == (tmp_path / "hand.xml", "mjcf", {"wrist": "w"})
+    assert load_hand(path, mjcf=hand.mjcf, base_link="palm").mjcf_joints == {}, "the wrist is left out"
+
+
+def test_the_command_hands_shows_them_with_the_users_files(
+    shared_assets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert Hands(json=tmp_path / "all.json").execute() == 0
+    out = capsys.readouterr().out
+    (row,) = [line for line in out.splitlines() if line.startswith("shadow")]
+    assert "needs --urdf" in row
+    (facts,) = [hand for hand in json.loads((tmp_path / "all.json").read_text())["hands"] if hand["name"] == "shadow"]
+    assert facts["urdf"] is None and "--urdf FILE" in facts["notes"][0]
+    folder = shared_assets / "hands"
+    urdf = folder / "shadow/shadow_right.urdf"
+    assert Hands("shadow", urdf, folder / "shadow_mjcf/right_hand.xml").execute() == 0
+    assert "24 joints matched by name and place" in " ".join(capsys.readouterr().out.split())
+    assert Hands("shadow", urdf).execute() == 0
+    assert "in simulation: inertia of fftip" in " ".join(capsys.readouterr().out.split())
+    with pytest.raises(HandError, match=r"right_hand.xml: joints WRJ2, .* are not found by name"):
+        Hands("shadow", urdf, folder / "leap_mjcf/right_hand.xml").execute()
+    with pytest.raises(GraspRefineError, match="--urdf and --mjcf need the name of a hand"):
+        Hands(urdf=urdf).execute()
 
 
 # --- hands of others
@@ -264,7 +355,16 @@ def test_bodies_and_masses_are_in_place(tmp_path: Path) -> None:
     hand = load_hand(write(tmp_path, links, joint("1", "a", "b")), candidates=100)
     a, b = hand.links
     assert len(a.body.pieces) == 2 and len(a.body.candidates.points) == 100 and a.mass is None
-    assert b.body is None and b.mass == 2
+    assert b.body is None and b.mass == 2 and a.inertia is None and b.inertia is None
+
+
+def test_inertias_are_turned_into_the_link_frame(tmp_path: Path) -> None:
+    inertial = """<inertial><origin xyz="1 2 3" rpy="0 0 1.5707963267948966"/><mass value="2"/>
+      <inertia ixx="1" ixy="0" ixz="0" iyy="2" iyz="0" izz="2.5"/></inertial>"""
+    (link,) = load_hand(write(tmp_path, {"a": inertial})).links
+    assert link.mass == link.inertia.mass == 2
+    np.testing.assert_array_equal(link.inertia.centre, [1, 2, 3])
+    np.testing.assert_allclose(link.inertia.matrix, np.diag([2, 1, 2.5]), atol=1e-12)
 
 
 # --- hand.toml
@@ -329,9 +429,11 @@ def test_what_hand_toml_says_of_links_above_the_base_is_left_out(tmp_path: Path)
             "coupled = [{joints = ['1', '2']}, {joints = ['2', 'wrist']}]",
             r"\[\[coupled\]\]: joint '2' is in several groups",
         ),
+        ("mjcf_joints = {x = 'y'}", r"\[mjcf_joints\]: no movable joint 'x'; valid: wrist, 1, 2"),
+        ("mjcf_joints = {'1' = 'y', '2' = 'y'}", r"\[mjcf_joints\]: 'y' comes twice"),
         (
             "kp = 5",
-            r"hand.toml: unknown key 'kp'; valid: urdf, base_link, mjcf, collision, rest_pose, contact",
+            r"hand.toml: unknown key 'kp'; valid: urdf, base_link, mjcf, mjcf_joints, collision, rest_pose, contact",
         ),
     ],
 )

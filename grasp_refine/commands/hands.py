@@ -16,8 +16,9 @@ from rich.markup import escape
 from rich.table import Table
 from tyro.conf import DisallowNone, Positional, arg
 
+from grasp_refine.errors import GraspRefineError
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.hand import Contact, Hand, list_hands, load_hand
+from grasp_refine.hand import HAND_TOML, Contact, Hand, list_hands, load_hand, needs_urdf
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA, check_writable, save_json
 from grasp_refine.versions import versions
@@ -37,6 +38,10 @@ class Hands:
         Positional[DisallowNone[str | None]], arg(metavar="[HAND]", help_behavior_hint="(default: list all)")
     ] = None
     """A name from the list, a folder with a hand.toml or one URDF, or a .urdf file."""
+    urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: as named)")] = None
+    """The hand's URDF, where it comes without one."""
+    mjcf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: as named)")] = None
+    """The same hand as an MJCF file, to see whether they match."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write what is known about the hands to this file."""
 
@@ -48,17 +53,42 @@ class Hands:
         """
         if self.json is not None:
             check_writable(self.json)
-        names = list_hands() if self.hand is None else (self.hand,)
-        hands = [load_hand(name, candidates=CANDIDATES) for name in names]
+        if self.hand is None and (self.urdf is not None or self.mjcf is not None):
+            raise GraspRefineError("--urdf and --mjcf need the name of a hand: refine-grasp hands NAME --urdf FILE")
+        if self.hand is None:
+            waiting = [name for name in list_hands() if needs_urdf(name)]
+            hands = [load_hand(name, candidates=CANDIDATES) for name in list_hands() if name not in waiting]
+        else:
+            waiting = []
+            hands = [load_hand(self.hand, urdf=self.urdf, mjcf=self.mjcf, candidates=CANDIDATES)]
+        simulated = () if self.hand is None else _simulated(hands[0])
         if self.json is not None:
-            facts = [hand_facts(hand) for hand in hands]
+            facts = [hand_facts(hand) | ({"simulation": simulated} if simulated else {}) for hand in hands]
+            facts += [_facts_without_urdf(name) for name in waiting]
             save_json(self.json, {"schema": SCHEMA, "command": "hands", "versions": versions(), "hands": facts})
         console = screen()
         if self.hand is None:
-            _list(hands, console)
+            _list(hands, waiting, console)
         else:
-            _details(hands[0], console)
+            _details(hands[0], simulated, console)
         return 0
+
+
+def _simulated(hand: Hand) -> tuple[str, ...]:
+    """What there is to know of how the hand is simulated.
+
+    Raises:
+        HandError: its MJCF cannot be used.
+    """
+    # These load torch and MuJoCo, which a list of hands does not need.
+    from grasp_refine.validation.mjcf_model import mjcf_model
+    from grasp_refine.validation.urdf_model import urdf_model
+
+    if hand.mjcf is None:
+        return urdf_model(hand).notes
+    model = mjcf_model(hand, hand.mjcf)
+    matched = f"{hand.mjcf.name} moves like the URDF: {len(model.joints)} joints matched by name and place"
+    return (matched, *model.notes)
 
 
 def hand_facts(hand: Hand) -> dict[str, Any]:
@@ -96,6 +126,14 @@ def hand_facts(hand: Hand) -> dict[str, Any]:
     }
 
 
+def _facts_without_urdf(name: str) -> dict[str, Any]:
+    """The same of a hand of ours that needs the user's URDF: little."""
+    note = f"needs a URDF: --urdf FILE; {HAND_TOML} says the rest"
+    nothing = dict.fromkeys(("urdf", "base_link", "licence"))
+    lists: dict[str, list[str]] = {"joints": [], "links": [], "contacts": [], "examples": []}
+    return {"name": name, **nothing, **lists, "notes": [note]}
+
+
 def licence(urdf: Path) -> str:
     """The licence that a comment in the URDF names, else the licence file beside it, else ""."""
     comments = " ".join(_COMMENT.findall(urdf.read_text(encoding="utf-8", errors="replace")))
@@ -116,8 +154,8 @@ def _examples(hand: Hand) -> list[Path]:
     return sorted(hand.urdf.parent.glob("*.npz"))
 
 
-def _list(hands: list[Hand], console: Console) -> None:
-    table = _table("hand", "joints", "range, deg", "links", "with geometry", "contact links", "licence", "examples")
+def _list(hands: list[Hand], waiting: list[str], console: Console) -> None:
+    table = _table("hand", "joints", "range, deg", "links", "solid", "contacts", "licence", "examples")
     for hand in hands:
         table.add_row(
             escape(hand.name),
@@ -129,6 +167,8 @@ def _list(hands: list[Hand], console: Console) -> None:
             escape(licence(hand.urdf)),
             str(len(_examples(hand))),
         )
+    for name in waiting:
+        table.add_row(escape(name), *["-"] * 5, "needs --urdf", "-")
     console.print(table)
     for hand in hands:
         for note in hand.notes:
@@ -136,7 +176,7 @@ def _list(hands: list[Hand], console: Console) -> None:
     console.print("\nrefine-grasp hands NAME shows its joints, links and contact links; a URDF file works too.")
 
 
-def _details(hand: Hand, console: Console) -> None:
+def _details(hand: Hand, simulated: tuple[str, ...], console: Console) -> None:
     console.print(f"[bold]{escape(hand.name)}[/]  {escape(str(hand.urdf))}", soft_wrap=True)
     console.print(
         f"{len(hand.joint_names)} joints, {len(hand.links)} links ({_solid(hand)} with geometry) from "
@@ -172,6 +212,8 @@ def _details(hand: Hand, console: Console) -> None:
         console.print("contact links are those that hand.toml names")
     for note in hand.notes:
         console.print(f"note: {note}", markup=False)
+    for note in simulated:
+        console.print(f"in simulation: {note}", markup=False)
     if _examples(hand):
         names = ", ".join(path.name for path in _examples(hand))
         console.print(f"example grasps: {names}", markup=False)
@@ -191,7 +233,7 @@ def _table(*columns: str) -> Table:
             "touches",
             "licence",
         )
-        whole = column in ("range, deg", "licence")
+        whole = column in ("hand", "range, deg", "licence")
         table.add_column(column, justify="left" if left else "right", overflow="fold", no_wrap=whole)
     return table
 

@@ -108,6 +108,18 @@ def coupled(toml: HandToml, independent: Sequence[Joint], outside: Collection[st
     return groups
 
 
+def mjcf_joints(toml: HandToml, movable: Collection[str], outside: Collection[str]) -> dict[str, str]:
+    """The joints of the hand whose name in the MJCF is given."""
+    where = f"{toml.path}: [mjcf_joints]"
+    named = {
+        name: other for name, other in toml.mjcf_joints.items() if _has(name, "movable joint", movable, outside, where)
+    }
+    twice = [other for other in named.values() if list(named.values()).count(other) > 1]
+    if twice:
+        raise HandError(f"{where}: '{twice[0]}' comes twice")
+    return named
+
+
 def _has(name: str, what: str, valid: Collection[str], outside: Collection[str], where: str) -> bool:
     """True if `name` is valid, False if it is in the part of the URDF that the hand leaves out."""
     if name not in valid and name not in outside:

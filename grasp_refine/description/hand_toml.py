@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,9 @@ T = TypeVar("T")
 
 KINDS = {dict: "table", list: "list", str: "text"}
 """What TOML calls the types that are asked for."""
+
+KEYS = ("urdf", "base_link", "mjcf", "mjcf_joints", "collision", "rest_pose", "contact", "coupled", "actuator")
+"""What a hand.toml can hold."""
 
 ACTUATOR = {"kp": 5.0, "force_limit": None, "damping": 0.1, "armature": 2e-4, "frictionloss": 0.01}
 """Keys of [actuator], and what holds where a key is left out; the force limit is then the URDF's effort."""
@@ -51,12 +54,16 @@ class HandToml:
 
     path: Path
     """The file."""
-    urdf: Path
-    """The URDF that it describes."""
+    urdf: Path | None
+    """The URDF that it describes; None where there is none beside it, and the user has to give it."""
     base_link: str | None = None
     """Link that the hand starts at; None: the URDF's root."""
     mjcf: Path | None = None
     """The same hand as an MJCF file, for simulation."""
+    mjcf_joints: dict[str, str] = field(default_factory=dict)
+    """Joint in the URDF -> its name in the MJCF; the others are found by their names."""
+    collision: Literal["urdf", "mjcf"] = "urdf"
+    """Which of the two files is simulated when a grasp is validated; refining looks at the URDF's geometry."""
     rest_pose: dict[str, float] = field(default_factory=dict)
     """Joint values in rad or m; joints that are not named rest in the middle of their range."""
     contacts: tuple[Contact, ...] = ()
@@ -77,24 +84,33 @@ def read_hand_toml(path: Path) -> HandToml:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise HandError(f"{path}: cannot be read as TOML ({error})") from None
-    keys = ("urdf", "base_link", "mjcf", "collision", "rest_pose", "contact", "coupled", "actuator")
-    _check_keys(raw, keys, f"{path}")
+    _check_keys(raw, KEYS, f"{path}")
     collision = raw.get("collision", "urdf")
-    if collision != "urdf":
-        raise HandError(f"{path}: collision = {collision!r}; only that of the URDF is read, collision = 'urdf'")
+    if collision not in ("urdf", "mjcf"):
+        raise HandError(f"{path}: collision = {collision!r}; valid: 'urdf', 'mjcf'")
     base_link = raw.get("base_link")
+    joints = _typed(raw.get("mjcf_joints", {}), dict, f"{path}: [mjcf_joints]")
     rest_pose = _typed(raw.get("rest_pose", {}), dict, f"{path}: [rest_pose]")
     actuator = _typed(raw.get("actuator", {}), dict, f"{path}: [actuator]")
     return HandToml(
         path=path,
-        urdf=_file(raw["urdf"], path, "urdf") if "urdf" in raw else only_urdf(path.parent),
+        urdf=_urdf(raw, path),
         base_link=None if base_link is None else _typed(base_link, str, f"{path}: base_link"),
         mjcf=_file(raw["mjcf"], path, "mjcf") if "mjcf" in raw else None,
+        mjcf_joints={name: _typed(value, str, f"{path}: [mjcf_joints] {name}") for name, value in joints.items()},
+        collision=collision,
         rest_pose={name: _number(value, f"{path}: [rest_pose] {name}") for name, value in rest_pose.items()},
         contacts=tuple(_contact(entry, where) for entry, where in _tables(raw, "contact", path)),
         coupled=tuple(_coupled(entry, where) for entry, where in _tables(raw, "coupled", path)),
         actuator=_actuator(actuator, f"{path}: [actuator]"),
     )
+
+
+def _urdf(raw: dict[str, Any], path: Path) -> Path | None:
+    """The file that is named, else the only one beside the hand.toml, else None."""
+    if "urdf" in raw:
+        return _file(raw["urdf"], path, "urdf")
+    return only_urdf(path.parent) if _urdfs(path.parent) else None
 
 
 def only_urdf(folder: Path) -> Path:
@@ -103,11 +119,15 @@ def only_urdf(folder: Path) -> Path:
     Raises:
         HandError: there is none, or several (lists them).
     """
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".urdf")
+    found = _urdfs(folder)
     if len(found) != 1:
         names = ", ".join(path.name for path in found) or "none"
         raise HandError(f"{folder}: one .urdf file is needed, or a hand.toml that names one; here: {names}")
     return found[0]
+
+
+def _urdfs(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() == ".urdf")
 
 
 def _contact(raw: dict[str, Any], where: str) -> Contact:

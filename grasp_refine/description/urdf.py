@@ -17,10 +17,13 @@ if TYPE_CHECKING:
 SHAPES = ("box", "cylinder", "sphere", "mesh")
 """What a <geometry> can hold."""
 
+MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""Attributes of <inertia>: the upper triangle of a symmetric matrix."""
+
 READ = {
     "robot": ("link", "joint"),
     "link": ("inertial", "collision"),
-    "inertial": ("mass",),
+    "inertial": ("mass", "origin", "inertia"),
     "collision": ("origin", "geometry"),
     "geometry": SHAPES,
     "joint": ("parent", "child", "origin", "axis", "limit", "mimic"),
@@ -37,6 +40,7 @@ ATTRIBUTES = {
     "child": ("link",),
     "mimic": ("joint",),
     "mass": ("value",),
+    "inertia": ("ixx", "iyy", "izz"),
     "box": ("size",),
     "cylinder": ("radius", "length"),
     "sphere": ("radius",),
@@ -50,6 +54,7 @@ NUMBERS = {
     "limit": {"lower": (1,), "upper": (1,), "effort": (1,), "velocity": (1,)},
     "mimic": {"multiplier": (1,), "offset": (1,)},
     "mass": {"value": (1,)},
+    "inertia": dict.fromkeys(MOMENTS, (1,)),
     "box": {"size": (3,)},
     "cylinder": {"radius": (1,), "length": (1,)},
     "sphere": {"radius": (1,)},

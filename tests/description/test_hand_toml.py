@@ -26,7 +26,8 @@ def test_every_key(tmp_path: Path) -> None:
     urdf = "a.urdf"
     base_link = "palm"
     mjcf = "a.xml"
-    collision = "urdf"
+    collision = "mjcf"
+    mjcf_joints = { J1 = "rh_J1" }
     rest_pose = { J1 = 1, J2 = -0.5 }
     actuator = { kp = 3, force_limit = { default = 2.0, J1 = 10.0 } }
 
@@ -46,6 +47,7 @@ def test_every_key(tmp_path: Path) -> None:
     """
     toml = read(tmp_path, text, "a.urdf", "b.urdf", "a.xml")
     assert (toml.urdf, toml.mjcf, toml.base_link) == (tmp_path / "a.urdf", tmp_path / "a.xml", "palm")
+    assert (toml.collision, toml.mjcf_joints) == ("mjcf", {"J1": "rh_J1"})
     assert toml.rest_pose == {"J1": 1.0, "J2": -0.5}
     assert toml.contacts[0] == Contact("tip", "tip", None, None)
     assert toml.contacts[1].group == "thumb" and toml.contacts[1].point == (0.0, 0.01, 0.0)
@@ -60,13 +62,15 @@ def test_every_key(tmp_path: Path) -> None:
         ("urdf = ", r"cannot be read as TOML \(Invalid value"),
         (
             "urfd = 'x'",
-            r"unknown key 'urfd'; valid: urdf, base_link, mjcf, collision, rest_pose, contact, coupled, act",
+            r"unknown key 'urfd'; valid: urdf, base_link, mjcf, mjcf_joints, collision, rest_pose, contact, coupled",
         ),
         ("urdf = 'none.urdf'", r"urdf = 'none.urdf': no such file .*/none.urdf"),
         ("urdf = 1", r"urdf must be a text, got 1"),
         ("base_link = ''", r"base_link must be a text, got ''"),
         ("mjcf = 'none.xml'", r"mjcf = 'none.xml': no such file"),
-        ("collision = 'mjcf'", r"collision = 'mjcf'; only that of the URDF is read, collision = 'urdf'"),
+        ("collision = 'mesh'", r"collision = 'mesh'; valid: 'urdf', 'mjcf'"),
+        ("mjcf_joints = 'x'", r"\[mjcf_joints\] must be a table, got 'x'"),
+        ("mjcf_joints = {J1 = 1}", r"\[mjcf_joints\] J1 must be a text, got 1"),
         ("rest_pose = 1", r"\[rest_pose\] must be a table, got 1"),
         ("rest_pose = {J1 = 'x'}", r"\[rest_pose\] J1 must be a finite number, got 'x'"),
         ("rest_pose = {J1 = nan}", r"\[rest_pose\] J1 must be a finite number, got nan"),
@@ -105,3 +109,9 @@ def test_the_urdf_must_be_clear(tmp_path: Path) -> None:
         HandError, match=r"one .urdf file is needed, or a hand.toml that names one; here: a.urdf, b.urdf"
     ):
         read(tmp_path, "", "a.urdf", "b.urdf")
+
+
+def test_without_a_urdf_beside_it_the_user_has_to_give_one(tmp_path: Path) -> None:
+    path = tmp_path / "hand.toml"
+    path.write_text("base_link = 'palm'")
+    assert read_hand_toml(path) == HandToml(path, None, base_link="palm")

@@ -24,7 +24,7 @@ def write(folder: Path, text: str | bytes) -> Path:
 
 def test_only_what_matters_is_read(tmp_path: Path) -> None:
     link = """<!-- a comment --><visual><geometry><teapot/></geometry></visual>
-      <inertial><origin xyz="a b c"/><mass value="0.5"/><inertia ixx="nonsense"/></inertial>
+      <inertial><origin xyz="1,0 0"/><mass value="0.5"/><inertia ixx="2" iyy="3" izz="4" iyz="-1"/><x/></inertial>
       <collision name="c"><origin xyz="0.1, 0.2 0.3"/><geometry><!-- here --><box size="1, 2, 3"/></geometry>
       <contact_coefficients/></collision>"""
     text = robot('<axis xyz="0 0 2"/><limit lower="-1" upper="1" effort="3"/><dynamics damping="x"/>', link)
@@ -33,6 +33,8 @@ def test_only_what_matters_is_read(tmp_path: Path) -> None:
     tip = read.links[1]
     assert read.name == "r" and [x.name for x in read.links] == ["base", "tip"]
     assert tip.visuals == [] and tip.inertial.mass == 0.5
+    np.testing.assert_array_equal(tip.inertial.inertia, [[2, 0, 0], [0, 3, -1], [0, -1, 4]])
+    np.testing.assert_array_equal(tip.inertial.origin[:3, 3], [1, 0, 0])
     np.testing.assert_array_equal(tip.collisions[0].geometry.box.size, [1, 2, 3])
     np.testing.assert_array_equal(tip.collisions[0].origin[:3, 3], [0.1, 0.2, 0.3])
     np.testing.assert_array_equal(read.joints[0].axis, [0, 0, 2])
@@ -97,6 +99,18 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         (
             robot(link='<inertial><mass value="heavy"/></inertial>'),
             r"link 'tip': <mass value=\"heavy\"> must be",
+        ),
+        (
+            robot(link='<inertial><mass value="1"/><inertia ixx="nan" iyy="1" izz="1"/></inertial>'),
+            r"link 'tip': <inertia ixx=\"nan\"> must be a finite number",
+        ),
+        (
+            robot(link='<inertial><mass value="1"/><origin xyz="a b c"/></inertial>'),
+            r"link 'tip': <origin xyz=\"a b c\"> must be 3 finite numbers",
+        ),
+        (
+            robot(link='<inertial><mass value="1"/><inertia ixx="1" iyy="1"/></inertial>'),
+            r"link 'tip': <inertia> has no 'izz'",
         ),
         (robot(link="<inertial><mass/></inertial>"), r"link 'tip': <mass> has no 'value'"),
         (robot(link="<collision/>"), r"link 'tip': <collision> has no <geometry>"),
