@@ -22,6 +22,7 @@ PROGRAM = "refine-grasp"
 
 COMMANDS = {
     "run": "refine grasps of a hand on an object; without options, an embedded example",
+    "validate": "test grasps of any file: geometry, and whether they hold in simulation",
     "hands": "the hands that come with the program, or what a URDF is read as",
     "bench align": "run time against error of witness derivatives: the experiments of the paper",
     "bench grasp": "how accurate and how fast grasps are refined, by solver and batch size",

@@ -86,7 +86,7 @@ def test_without_a_command_the_commands_are_shown(capsys: pytest.CaptureFixture[
     assert "commands:" in capsys.readouterr().out
 
 
-NAMED = "the commands are run, hands, bench align, bench grasp, doctor"
+NAMED = "the commands are run, validate, hands, bench align, bench grasp, doctor"
 
 
 @pytest.mark.parametrize(
@@ -152,9 +152,9 @@ def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixt
     assert document["totals"]["n"] == len(document["grasps"]) == 4
     for grasp in document["grasps"]:
         assert set(grasp) == GRASP_KEYS
-        assert [key for key in grasp if grasp[key] is None] == [
-            "quality", "wrench_residual", "simulation"
-        ]  # fmt: skip
+        assert [key for key in grasp if grasp[key] is None] == ["quality"]
+        assert grasp["simulation"] == {"before": None, "after": None}
+        assert 0 <= grasp["wrench_residual"]["after"] < 1
         assert grasp["contact_error_m"]["after"]["max"] < grasp["contact_error_m"]["before"]["max"]
         assert set(grasp["self_penetration_m"]) == {"before", "after"}
         assert 0 <= grasp["self_penetration_m"]["after"] < 1e-5
@@ -162,6 +162,8 @@ def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixt
 
     before, after = load_grasps(EXAMPLE), load_grasps("results/allegro_rounded_box.npz")
     assert len(after) == 4
+    # A refined grasp gets a pregrasp and a squeeze of its own.
+    assert after.pregrasp is not None and after.squeeze is not None
     assert (after.hand, after.base_link, after.joint_names) == ("allegro", "base_link", before.joint_names)
     assert after.targets is None
     moved = np.linalg.norm(after.hand_pose[:, :3] - before.hand_pose[:, :3], axis=1)
@@ -335,14 +337,14 @@ def test_bad_grasp_files_are_refused(grasp_file: Callable[..., Path], inputs: Pa
             "for another hand ('claw'): from their base_link 'palm' on, no link of hand 'allegro' has",
         ),
     ):
-        answer = refused(capfd, *QUICK, "--grasps", path, "--json", "report.json")
+        answer = refused(capfd, *QUICK, "--hand", "allegro", "--grasps", path, "--json", "report.json")
         assert complaint in answer
 
 
 def test_real_grasps_of_another_hand_are_refused(shared_assets: Path, capfd: pytest.CaptureFixture[str]):
     for name, thing in (("leap_cube", "cube_75mm"), ("dexgraspnet_shadow", "ddg-gd_banana_poisson_002")):
         path = shared_assets / "grasps" / "normalised" / f"{name}.npz"
-        answer = refused(capfd, *QUICK, "--grasps", path, "--object-name", thing)
+        answer = refused(capfd, *QUICK, "--hand", "allegro", "--grasps", path, "--object-name", thing)
         assert "the grasps are for another hand" in answer
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from grasp_refine.grasps import REQUIRED, TARGET_KEYS, load_grasps
+from grasp_refine.grasps import OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
 from grasp_refine.hand import HAND_TOML, load_hand
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -69,7 +69,8 @@ def test_the_hand_toml_has_only_known_keys(tmp_path: Path):
 def test_the_table_of_grasp_files_is_complete():
     section = TEXT.partition("## Grasp files")[2].partition("\n## ")[0]
     listed = set(re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in section.splitlines() if "|" in line)))
-    assert listed == {*REQUIRED, *TARGET_KEYS, "schema"}
+    stages = {f"{stage}_{key}" for stage in OTHER_STAGES for key in ("pose", "q")}
+    assert listed == {*REQUIRED, *TARGET_KEYS, *stages, "schema"}
 
 
 def test_the_links_and_places_exist():

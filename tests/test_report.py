@@ -26,6 +26,8 @@ from grasp_refine.report.writing import check_writable, dumps, save_json
 from grasp_refine.solvers.descent import Descent
 from grasp_refine.solvers.status import Status
 from grasp_refine.targets import Touching
+from grasp_refine.validation.metrics import metrics
+from grasp_refine.validation.motion import closing
 from grasp_refine.versions import Requirement, requirements, versions
 
 
@@ -52,6 +54,7 @@ def made_up(count: int, objects: tuple[str, ...] = ("mug",)) -> Outcome:
         contact_error=error,
         penetration=np.tile([2e-3, 1e-4], (count, 1)),
         self_penetration=np.tile([1e-3, 0.0], (count, 1)),
+        wrench_residual=np.tile([0.2, 0.05], (count, 1)),
         limits_violated=np.zeros(count, dtype=int),
         palm_m=4e-3 * ones,
         palm_rad=np.radians(5.0) * ones,
@@ -63,6 +66,8 @@ def made_up(count: int, objects: tuple[str, ...] = ("mug",)) -> Outcome:
         contact_object=points,
         contact_normal=points,
         contact_distance=np.zeros((count, links)),
+        stage_pose=np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 3, 1)),
+        stage_q=np.zeros((count, 3, 2)),
     )
 
 
@@ -173,7 +178,14 @@ def test_the_outcome_measures_a_refinement():
     scene = Scene(hand, ball, T[None], hand.rest[None])
     config = Config(solver=Descent(iterations=40), touching=Touching(reach=0.2), nearest=True)
     refinement = refine(scene, config)
-    outcome = compare(scene, refinement, margin=0.0, name="ball", scale=2.0, row=np.array([5]), index=np.array([1]))
+    motion = closing(replace(scene, T_world_root=refinement.T_world_root, q=refinement.q))
+    outcome = compare(
+        scene, refinement, motion, margin=0.0, name="ball", scale=2.0, row=np.array([5]), index=np.array([1])
+    )
+    np.testing.assert_allclose(outcome.stage_pose[:, 1], outcome.hand_pose, atol=1e-12)
+    np.testing.assert_array_equal(outcome.stage_q[:, 1], refinement.q)
+    measured = metrics(hand, ball, refinement.T_world_root, refinement.q)
+    np.testing.assert_allclose(outcome.wrench_residual[:, 1], measured.wrench_residual, rtol=1e-9)
     assert outcome.usable.all()
     assert (outcome.object[0], outcome.scale[0], outcome.row[0], outcome.index[0]) == ("ball", 2.0, 5, 1)
     aimed = ~np.isnan(outcome.target_link[0, :, 0])
@@ -207,6 +219,8 @@ def test_a_document_has_si_units_and_null_for_nan():
     assert second["contact_error_m"] == {
         "before": {"max": 0.01, "mean": 0.005}, "after": {"max": 0.001, "mean": 0.0005}
     }  # fmt: skip
+    assert second["wrench_residual"] == {"before": 0.2, "after": 0.05}
+    assert second["simulation"] == {"before": None, "after": None}
     assert second["penetration_m"] == {"before": 0.002, "after": 0.0001}
     assert second["moved"] == {
         "palm_m": None, "palm_rad": pytest.approx(np.radians(5)), "joints_rad": pytest.approx(np.radians(6))

@@ -22,7 +22,7 @@ from grasp_refine.apps.bench.grasp.tasks import Disturbance, Kind
 from grasp_refine.apps.bench.grasp.variants import DerivativeName, SolverName, Variant
 from grasp_refine.assets import resource_dir
 from grasp_refine.commands.benchmark import check_asked, run_benchmark
-from grasp_refine.commands.inputs import AUTO, Inputs
+from grasp_refine.commands.inputs import AUTO, EXAMPLE_HAND, Inputs
 from grasp_refine.commands.options import check_numbers
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
@@ -176,14 +176,15 @@ class BenchGrasp:
     def _sources(self) -> list[tuple[str, list[Inputs]]]:
         """Names of the sets, each with what is to be loaded."""
         inputs, options = self.inputs, self.options
+        hand = inputs.hand or EXAMPLE_HAND
         plain = replace(inputs, threshold=Inputs.threshold) == Inputs()
         if options.assets is None:
             if options.sets is not None:
                 raise GraspRefineError("--sets are those of a folder of assets: give it with --assets")
             if not plain:
-                return [(inputs.grasps.stem if inputs.grasps is not None else f"{inputs.hand} example", [inputs])]
-            examples = sorted((resource_dir("robots") / inputs.hand).glob("*.npz"))
-            return [(f"{inputs.hand} examples", [replace(inputs, grasps=path) for path in examples])]
+                return [(inputs.grasps.stem if inputs.grasps is not None else f"{hand} example", [inputs])]
+            examples = sorted((resource_dir("robots") / hand).glob("*.npz"))
+            return [(f"{hand} examples", [replace(inputs, grasps=path) for path in examples])]
         if not plain:
             raise GraspRefineError(
                 "--assets has hands, objects and grasps of its own: leave it out, or else --hand, --object, --objects, "

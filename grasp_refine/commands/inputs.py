@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from tyro.conf import DisallowNone, arg
@@ -17,14 +17,21 @@ from grasp_refine.errors import AssetError, GraspFileError, GraspRefineError, Ha
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.shapes import EMBEDDED
 from grasp_refine.grasps import GraspSet, Targets, choose_rows, load_grasps, match_joints
-from grasp_refine.hand import Hand, list_hands, load_hand
+from grasp_refine.hand import Hand, list_hands, load_hand, needs_urdf
 from grasp_refine.objects import PRIMITIVE_FORMS, find_object, load_object
 from grasp_refine.plane import Plane
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import transform_from_pose
+from grasp_refine.validation.motion import Motion, closing, motion_of
+
+StageSource = Literal["auto", "file", "own"]
+"""Where pregrasps and squeezes come from."""
 
 AUTO, NEAREST = "auto", "nearest"
 """Values of --targets: those of the grasp file, if any; or the points where links are nearest to the object."""
+
+EXAMPLE_HAND = "allegro"
+"""The hand whose example is used when nobody says which."""
 
 EXAMPLE_OBJECT = "mug"
 """The object of the example that is refined when nobody says what."""
@@ -39,13 +46,29 @@ class Group:
     scale: float
     """Factor that takes the object's mesh to metres."""
     scene: Scene
-    """What is refined."""
+    """Hand, object and grasps."""
+    grasps: GraspSet
+    """The same grasps as the file has them, pregrasps and squeezes too."""
     rows: np.ndarray
     """Rows of the grasps (N,) in their file."""
     index: np.ndarray
     """Numbers of the grasps (N,) among those of their object."""
     place: np.ndarray
     """Where the grasps (N,) stand among all that were asked for."""
+
+    def motion(self, source: StageSource = "auto") -> Motion:
+        """How the hand closes to the grasps.
+
+        Args:
+            source: Pregrasps and squeezes are those of the file, our own, or those of the file if it has both.
+
+        Raises:
+            GraspFileError: they are to be those of the file, which lacks them.
+        """
+        given = self.grasps.pregrasp is not None and self.grasps.squeeze is not None
+        if source == "file" or (source == "auto" and given):
+            return motion_of(self.grasps, self.scene.hand)
+        return closing(self.scene)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,35 +88,41 @@ class Problem:
         """Return the number of grasps."""
         return sum(len(group.rows) for group in self.groups)
 
+    @property
+    def order(self) -> np.ndarray:
+        """Takes the grasps from group after group to the order in which they were asked for."""
+        return np.argsort(np.concatenate([group.place for group in self.groups]))
+
 
 @dataclass(frozen=True)
-class Inputs:
-    """What is refined."""
+class Sources:
+    """Where hand, objects and grasps are."""
 
-    hand: str = "allegro"
+    hand: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of the grasp file)")] = None
     """A name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF, or a .urdf file."""
-    object: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of --grasps)")] = None
-    """An embedded object (mug, bottle, bowl, rounded_box), box:x,y,z, sphere:r, cylinder:r,h, or a mesh file."""
+    urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
+    """Another URDF for the hand, with the same names of joints and links; needed where a hand comes without one."""
+    mjcf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
+    """The hand as an MJCF file, which is then what is simulated."""
+    object: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of the grasp file)")] = None
+    """An embedded object (mug, bottle, bowl, rounded_box), box:x,y,z, sphere:r, cylinder:r,h, a mesh file, or a folder
+    of convex pieces."""
     object_name: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: the only one)")] = None
     """Which object of the grasp file; needed when it holds several."""
     objects: Annotated[DisallowNone[Path | None], arg(help_behavior_hint="(default: none)")] = None
-    """All objects of the grasp file: a folder of meshes named like them, or a TOML file of lines name = "path"."""
+    """All objects of the grasp file: a folder of meshes, or of folders of pieces, named like them, or a TOML file of
+    lines name = "path"."""
     scale: float = 1.0
     """Multiplies the scale that the grasp file gives for the mesh."""
-    grasps: Annotated[DisallowNone[Path | None], arg(help_behavior_hint="(default: the hand's example)")] = None
-    """Grasp file (.npz)."""
     index: Annotated[tuple[int, ...], arg(metavar="I [I ...]", help_behavior_hint="(default: all)")] = ()
     """Which grasps of the object; 0 is its first one in the file."""
-    targets: str = AUTO
-    """Where links should touch: a grasp file with targets; auto: as --grasps says, else anywhere; or nearest: where
-    they are nearest to the object at first."""
     table: Annotated[DisallowNone[float | None], arg(metavar="Z", help_behavior_hint="(default: none)")] = None
     """A table at this height (metres) of the object's frame, z up, that no link may go through."""
     threshold: float = Decomposition.threshold
     """Largest concavity, 0.01 to 1, of the pieces that CoACD cuts a concave object into; lower is finer."""
 
-    def load(self, seed: int, say: Callable[[str], None]) -> Problem:
-        """The grasps that the options mean; `say` gets a line when a decomposition starts and when it is done.
+    def load_from(self, path: Path, seed: int, say: Callable[[str], None]) -> Problem:
+        """The grasps of a file, with the targets that it gives; `say` hears when a decomposition starts and ends.
 
         Raises:
             GraspRefineError: something is missing, cannot be used, or does not fit the rest.
@@ -104,13 +133,12 @@ class Inputs:
             raise GraspRefineError(f"--table must be a height in metres, got {self.table:g}")
         table = None if self.table is None else Plane(offset=self.table)
         decomposition = Decomposition(threshold=self.threshold)
-        path = self.grasps if self.grasps is not None else self._example()
         grasps = load_grasps(path)
         names = self._names(grasps, path)
         chosen = {name: choose_rows(grasps, object_name=name, index=self.index or None) for name in names}
         sources = {name: self._source(name, path) for name in names}
         targets = self._targets(grasps, path)
-        hand = _hand_of(self.hand, grasps, path)
+        hand = self._hand(grasps, path)
         q, notes = match_joints(grasps, hand)
         notes = [*hand.notes, *notes]
         groups, count = [], 0
@@ -126,32 +154,43 @@ class Inputs:
                 notes += [f"{name}: {note}" for note in obj.notes]
                 T = transform_from_pose(grasps.hand_pose[rows[at]])
                 scene = _aimed(Scene(hand, obj, T, q[rows[at]], table=table), targets, rows[at])
-                groups.append(Group(name, float(scale), scene, rows[at], index[at], place[at]))
-        files = (path,) if self.targets in (AUTO, NEAREST) else (path, Path(self.targets))
-        return Problem(hand, files, tuple(groups), tuple(dict.fromkeys(notes)))
+                groups.append(Group(name, float(scale), scene, grasps.select(rows[at]), rows[at], index[at], place[at]))
+        return Problem(hand, self._files(path), tuple(groups), tuple(dict.fromkeys(notes)))
 
-    def _example(self) -> Path:
-        """The example grasps of the hand on the object that is meant."""
-        if self.hand not in list_hands():
-            load_hand(self.hand)
-            raise GraspRefineError(
-                f"--grasps FILE is needed: only hands that come with the program ({', '.join(list_hands())}) "
-                f"have example grasps, '{self.hand}' has none"
+    def _files(self, path: Path) -> tuple[Path, ...]:
+        """The files that grasps are read from."""
+        return (path,)
+
+    def _targets(self, grasps: GraspSet, path: Path) -> Targets | None:
+        """The targets of all rows of the grasp file; None: they are to be found."""
+        return grasps.targets
+
+    def _hand(self, grasps: GraspSet, path: Path) -> Hand:
+        """The hand below the base link that the grasp file names."""
+        source = self.hand or grasps.hand
+        if self.hand is None and source not in list_hands():
+            raise GraspFileError(
+                f"{path}: its hand '{source}' is none of ours ({', '.join(list_hands())}); give it with --hand"
             )
-        examples = {}
-        for path in sorted((resource_dir("robots") / self.hand).glob("*.npz")):
-            examples |= dict.fromkeys(load_grasps(path).object.tolist(), path)
-        wanted = self.object_name or self.object
-        if wanted is None and not examples:
-            raise GraspRefineError(f"--grasps FILE is needed: hand '{self.hand}' comes without example grasps")
-        if wanted is None:
-            return examples.get(EXAMPLE_OBJECT) or next(iter(examples.values()))
-        if wanted not in examples:
-            raise GraspRefineError(
-                f"--grasps FILE is needed: there are no example grasps of hand '{self.hand}' on '{wanted}', "
-                f"only on {', '.join(examples) or 'nothing'}"
+        files = {"urdf": self.urdf, "mjcf": self.mjcf}
+        try:
+            hand = load_hand(source, base_link=grasps.base_link, **files)
+        except HandError:
+            whole = load_hand(source, **files)
+            links = read_tree(whole.urdf).links
+            if grasps.base_link in links:
+                raise
+            raise GraspFileError(
+                f"{path}: the grasps are for another hand ('{grasps.hand}'): their base_link '{grasps.base_link}' "
+                f"is no link of hand '{whole.name}'; its links are {', '.join(links)}"
+            ) from None
+        if not any(link.body is not None for link in hand.links):
+            raise GraspFileError(
+                f"{path}: the grasps are for another hand ('{grasps.hand}'): from their base_link "
+                f"'{grasps.base_link}' on, no link of hand '{hand.name}' has collision geometry"
             )
-        return examples[wanted]
+        # A file that is given is meant to be used.
+        return hand if self.mjcf is None else replace(hand, collision="mjcf")
 
     def _names(self, grasps: GraspSet, path: Path) -> list[str]:
         """Names of the objects whose grasps are meant, in the order of the file."""
@@ -187,6 +226,53 @@ class Inputs:
             raise AssetError(f"{self.objects}: no object '{name}'; it names {', '.join(listed) or 'nothing'}")
         return listed[name]
 
+
+@dataclass(frozen=True)
+class Inputs(Sources):
+    """What is refined."""
+
+    grasps: Annotated[DisallowNone[Path | None], arg(help_behavior_hint="(default: the hand's example)")] = None
+    """Grasp file (.npz)."""
+    targets: str = AUTO
+    """Where links should touch: a grasp file with targets; auto: as --grasps says, else anywhere; or nearest: where
+    they are nearest to the object at first."""
+
+    def load(self, seed: int, say: Callable[[str], None]) -> Problem:
+        """The grasps that the options mean, as `load_from`.
+
+        Raises:
+            GraspRefineError: something is missing, cannot be used, or does not fit the rest.
+        """
+        return self.load_from(self.grasps if self.grasps is not None else self._example(), seed, say)
+
+    def _files(self, path: Path) -> tuple[Path, ...]:
+        return (path,) if self.targets in (AUTO, NEAREST) else (path, Path(self.targets))
+
+    def _example(self) -> Path:
+        """The example grasps of the hand on the object that is meant."""
+        hand = self.hand or EXAMPLE_HAND
+        if hand not in list_hands():
+            load_hand(hand)
+            whole = [name for name in list_hands() if not needs_urdf(name)]
+            raise GraspRefineError(
+                f"--grasps FILE is needed: only hands that come with the program ({', '.join(whole)}) "
+                f"have example grasps, '{hand}' has none"
+            )
+        examples = {}
+        for path in sorted((resource_dir("robots") / hand).glob("*.npz")):
+            examples |= dict.fromkeys(load_grasps(path).object.tolist(), path)
+        wanted = self.object_name or self.object
+        if wanted is None and not examples:
+            raise GraspRefineError(f"--grasps FILE is needed: hand '{hand}' comes without example grasps")
+        if wanted is None:
+            return examples.get(EXAMPLE_OBJECT) or next(iter(examples.values()))
+        if wanted not in examples:
+            raise GraspRefineError(
+                f"--grasps FILE is needed: there are no example grasps of hand '{hand}' on '{wanted}', "
+                f"only on {', '.join(examples) or 'nothing'}"
+            )
+        return examples[wanted]
+
     def _targets(self, grasps: GraspSet, path: Path) -> Targets | None:
         """The targets of all rows of the grasp file; None: they are to be found."""
         if self.targets in (AUTO, NEAREST):
@@ -202,27 +288,6 @@ class Inputs:
                 + ("" if len(aimed) != len(grasps) else ", of other objects")
             )
         return aimed.targets
-
-
-def _hand_of(source: str, grasps: GraspSet, path: Path) -> Hand:
-    """The hand below the base link that the grasp file names."""
-    try:
-        hand = load_hand(source, base_link=grasps.base_link)
-    except HandError:
-        whole = load_hand(source)
-        links = read_tree(whole.urdf).links
-        if grasps.base_link in links:
-            raise
-        raise GraspFileError(
-            f"{path}: the grasps are for another hand ('{grasps.hand}'): their base_link '{grasps.base_link}' "
-            f"is no link of hand '{whole.name}'; its links are {', '.join(links)}"
-        ) from None
-    if not any(link.body is not None for link in hand.links):
-        raise GraspFileError(
-            f"{path}: the grasps are for another hand ('{grasps.hand}'): from their base_link "
-            f"'{grasps.base_link}' on, no link of hand '{hand.name}' has collision geometry"
-        )
-    return hand
 
 
 def _aimed(scene: Scene, targets: Targets | None, rows: np.ndarray) -> Scene:

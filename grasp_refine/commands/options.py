@@ -19,7 +19,7 @@ Command = TypeVar("Command")
 
 LARGEST_SEED = 2**32 - 1
 
-MAY_BE_ZERO = ("seed", "restarts")
+MAY_BE_ZERO = ("seed", "restarts", "noise")
 """Whole numbers that may be 0."""
 
 _FRAME, _RULE = "│| \n", "│╭╮╰╯─|+- "

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,20 +14,26 @@ import torch
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
-from grasp_refine.commands.inputs import NEAREST, Inputs, Problem
+from grasp_refine.commands.inputs import NEAREST, Group, Inputs, Problem
 from grasp_refine.commands.settings import Settings
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.hand_object import HandObject
 from grasp_refine.losses import Weights
 from grasp_refine.refine import refine
 from grasp_refine.report.document import run_document, settings
 from grasp_refine.report.outcome import Outcome, compare
 from grasp_refine.report.progress import Reporter
+from grasp_refine.report.proof import Proof, proof_lines
 from grasp_refine.report.results import fingerprint, result_paths, save_results
 from grasp_refine.report.screen import screen
 from grasp_refine.report.table import grasp_table
 from grasp_refine.report.writing import check_writable, save_json
+from grasp_refine.se3 import transform_from_pose
 from grasp_refine.targets import Touching
+from grasp_refine.validation.motion import Motion, closing
+from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
+from grasp_refine.validation.trials import Trials
 from grasp_refine.versions import versions
 
 
@@ -42,6 +50,16 @@ class Output:
 
 
 @dataclass(frozen=True)
+class Proving:
+    """How it is proved that grasps hold; `refine-grasp validate` can do more."""
+
+    validate: bool = False
+    """Simulate the grasps before and after: does the object stay in the hand when it is pushed?"""
+    setting: SettingName = "force-closure"
+    """The protocol: force-closure (friction 0.6), strict (friction 0.3), or tabletop (lifted off a table)."""
+
+
+@dataclass(frozen=True)
 class Run:
     """Refine grasps of a hand on an object, and say before and after what changed.
 
@@ -50,6 +68,7 @@ class Run:
 
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
+    proof: Annotated[Proving, arg(name="")] = field(default_factory=Proving)
     output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
     def execute(self) -> int:
@@ -60,6 +79,9 @@ class Run:
         """
         wall, cpu = time.perf_counter(), cpu_seconds()
         config = self.settings.config(nearest=self.inputs.targets == NEAREST)
+        protocol = SETTINGS[self.proof.setting] if self.proof.validate else None
+        if protocol is None and self.proof != Proving():
+            raise GraspRefineError("--setting is for --validate: how grasps are simulated")
         if self.inputs.table is None and config.weights.table != Weights.table:
             raise GraspRefineError("--weights.table needs a --table")
         # The tensors of a batch of grasps are small.
@@ -73,18 +95,28 @@ class Run:
             for note in problem.notes:
                 reporter.say(f"note: {note}")
             reporter.start(problem.hand.name, len(problem), config.solver.iterations)
-            outcome = _refined(problem, config, reporter)
+            parts = [_refined(group, config, reporter) for group in problem.groups]
+            proof = None if protocol is None else _proved(problem, parts, protocol, reporter)
+            outcome = Outcome.join(parts).select(problem.order)
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
-        described = {"inputs": settings(self.inputs), "refine": settings(config)}
+        described = {
+            "inputs": settings(self.inputs),
+            "refine": settings(config),
+            "proof": settings(self.proof),
+            "protocol": settings(protocol),
+        }
         if outcome.usable.any():
             self._save(problem, outcome, paths, {"seed": config.seed, "config": described})
         if self.output.json is not None:
             save_json(
                 self.output.json,
-                run_document(outcome, config=described, seed=config.seed, wall_s=wall, cpu_s=cpu),
+                run_document(outcome, proof, config=described, seed=config.seed, wall_s=wall, cpu_s=cpu),
             )
         console = screen()
         console.print(grasp_table(outcome, problem.hand.name, verbose=self.output.verbose))
+        if proof is not None:
+            for line in proof_lines(proof):
+                console.print(line)
         if not outcome.usable.any():
             console.print("nothing usable came out; no grasps were written")
             return NOTHING_USABLE
@@ -125,20 +157,37 @@ class Run:
             save_results(path, problem.hand, links, outcome.select(rows), provenance)
 
 
-def _refined(problem: Problem, config: Config, reporter: Reporter) -> Outcome:
-    """All grasps of the problem before and after, in the order in which they were asked for."""
-    parts = []
-    for group in problem.groups:
-        refinement = refine(group.scene, config, reporter.group(group.object, len(group.rows)))
-        parts.append(
-            compare(
-                group.scene,
-                refinement,
-                margin=config.margin,
-                name=group.object,
-                scale=group.scale,
-                row=group.rows,
-                index=group.index,
-            )
-        )
-    return Outcome.join(parts).select(np.argsort(np.concatenate([group.place for group in problem.groups])))
+def _refined(group: Group, config: Config, reporter: Reporter) -> Outcome:
+    """The grasps of a group before and after."""
+    scene, prepared = group.scene, HandObject.of(group.scene)
+    refinement = refine(scene, config, reporter.group(group.object, len(group.rows)), prepared=prepared)
+    refined = replace(scene, T_world_root=refinement.T_world_root, q=refinement.q)
+    return compare(
+        scene,
+        refinement,
+        closing(refined, prepared),
+        margin=config.margin,
+        name=group.object,
+        scale=group.scale,
+        row=group.rows,
+        index=group.index,
+    )
+
+
+def _proved(problem: Problem, parts: Sequence[Outcome], protocol: Protocol, reporter: Reporter) -> Proof:
+    """What simulation says of all grasps before and after, in the order in which they were asked for."""
+    from grasp_refine.validation.simulation import simulate
+    from grasp_refine.validation.validate import model_of
+    from grasp_refine.validation.world import build_world
+
+    model = model_of(problem.hand)
+    for note in model.notes:
+        reporter.say(f"note: {note}")
+    before, after = [], []
+    for group, part in zip(problem.groups, parts, strict=True):
+        world = build_world(model, group.scene.object, protocol, group.scene.table)
+        tell = reporter.telling(group.object, len(part))
+        refined = Motion(transform_from_pose(part.stage_pose), part.stage_q)
+        before.append(simulate(world, group.motion(), progress=partial(tell, "simulating, before")))
+        after.append(simulate(world, refined, progress=partial(tell, "simulating, after")))
+    return Proof(protocol, Trials.join(before).select(problem.order), Trials.join(after).select(problem.order))

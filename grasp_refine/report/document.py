@@ -7,18 +7,20 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 from grasp_refine.report.outcome import Outcome
+from grasp_refine.report.proof import Proof, simulation_entry
 from grasp_refine.report.writing import SCHEMA
 from grasp_refine.solvers.status import Status
 from grasp_refine.versions import versions
 
 
 def run_document(
-    outcome: Outcome, *, config: Mapping[str, Any], seed: int, wall_s: float, cpu_s: float
+    outcome: Outcome, proof: Proof | None = None, *, config: Mapping[str, Any], seed: int, wall_s: float, cpu_s: float
 ) -> dict[str, Any]:
     """The document of `run`: totals, and one entry per grasp.
 
     Args:
         outcome: All grasps.
+        proof: What simulation says of them, where it was asked.
         config: All settings.
         seed: Seed of everything that was drawn.
         wall_s: Wall time of the whole command, loading and decomposition included.
@@ -33,17 +35,16 @@ def run_document(
         "totals": {
             "n": len(outcome),
             "converged": int((outcome.status == Status.CONVERGED).sum()),
-            # Success is that of a simulation.
-            "success_before": None,
-            "success_after": None,
+            "success_before": None if proof is None else int(proof.before.success.sum()),
+            "success_after": None if proof is None else int(proof.after.success.sum()),
             "wall_s": wall_s,
             "cpu_s": cpu_s,
         },
-        "grasps": [_grasp(outcome, i) for i in range(len(outcome))],
+        "grasps": [_grasp(outcome, proof, i) for i in range(len(outcome))],
     }
 
 
-def _grasp(outcome: Outcome, i: int) -> dict[str, Any]:
+def _grasp(outcome: Outcome, proof: Proof | None, i: int) -> dict[str, Any]:
     status = Status(outcome.status[i])
     worst, mean = outcome.worst_error[i], outcome.mean_error[i]
     return {
@@ -63,14 +64,17 @@ def _grasp(outcome: Outcome, i: int) -> dict[str, Any]:
         },
         "penetration_m": {"before": outcome.penetration[i, 0], "after": outcome.penetration[i, 1]},
         "self_penetration_m": {"before": outcome.self_penetration[i, 0], "after": outcome.self_penetration[i, 1]},
-        "wrench_residual": None,
+        "wrench_residual": {"before": outcome.wrench_residual[i, 0], "after": outcome.wrench_residual[i, 1]},
         "limits_violated": outcome.limits_violated[i],
         "moved": {
             "palm_m": outcome.palm_m[i],
             "palm_rad": outcome.palm_rad[i],
             "joints_rad": outcome.joints_rad[i],
         },
-        "simulation": None,
+        "simulation": {
+            "before": None if proof is None else simulation_entry(proof.before, i, proof.protocol),
+            "after": None if proof is None else simulation_entry(proof.after, i, proof.protocol),
+        },
     }
 
 

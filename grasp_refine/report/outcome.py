@@ -12,7 +12,10 @@ from grasp_refine.scene import Scene
 from grasp_refine.se3 import inverse, pose_from_transform, transform_points
 from grasp_refine.self_collision import self_penetration, touching_pairs
 from grasp_refine.solvers.status import Status
+from grasp_refine.squeeze import contacts
 from grasp_refine.validation.geometry import measure, movement
+from grasp_refine.validation.motion import Motion
+from grasp_refine.wrench import center_of_mass, contact_forces
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +52,8 @@ class Outcome:
     """Deepest penetration over all links, before and after (N, 2), metres."""
     self_penetration: np.ndarray
     """Deepest penetration of links in each other, before and after (N, 2), metres."""
+    wrench_residual: np.ndarray
+    """What contact forces leave unbalanced at best, before and after (N, 2), as in `ContactForces.residual`."""
     limits_violated: np.ndarray
     """Number of refined joint values beyond their limits (N,)."""
     palm_m: np.ndarray
@@ -71,6 +76,10 @@ class Outcome:
     """Unit normals from link to object there (N, L, 3), object frame."""
     contact_distance: np.ndarray
     """Signed distances there (N, L), metres."""
+    stage_pose: np.ndarray
+    """Poses (N, 3, 7) of the base link at pregrasp, grasp and squeeze, as `hand_pose`."""
+    stage_q: np.ndarray
+    """Joint values (N, 3, n) there; those of a squeeze may lie beyond the limits."""
 
     def __len__(self) -> int:
         """Return the number of grasps."""
@@ -111,6 +120,7 @@ class Outcome:
 def compare(
     scene: Scene,
     refinement: Refinement,
+    motion: Motion,
     *,
     margin: float,
     name: str,
@@ -123,6 +133,7 @@ def compare(
     Args:
         scene: What was refined.
         refinement: What came out.
+        motion: How the hand closes to the refined grasps.
         margin: Gap in metres that contact links should keep.
         name: The object's name in results.
         scale: Factor that took the object's mesh to metres.
@@ -144,6 +155,8 @@ def compare(
     )
     pairs = touching_pairs(scene.hand)
     own = self_penetration(scene.hand, pairs, np.concatenate([scene.q, refinement.q]))
+    point, normal = contacts(scene.hand, scene.links, geometry.witness)
+    forces = contact_forces(point, normal, center_of_mass(scene.object))
     witness = geometry.witness.rows(slice(count, None))
     touching = refinement.touching & witness.valid
     T_link = geometry.T_world_link[count:]
@@ -171,6 +184,7 @@ def compare(
         contact_error=before_after(geometry.contact_error),
         penetration=before_after(geometry.penetration),
         self_penetration=before_after(own),
+        wrench_residual=before_after(forces.residual),
         limits_violated=geometry.limits_violated[count:],
         palm_m=moved.palm_m,
         palm_rad=moved.palm_rad,
@@ -182,4 +196,6 @@ def compare(
         contact_object=at_contacts(witness.point_b),
         contact_normal=at_contacts(witness.normal),
         contact_distance=at_contacts(witness.distance),
+        stage_pose=pose_from_transform(motion.T_world_root),
+        stage_q=motion.q,
     )

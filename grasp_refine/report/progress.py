@@ -50,6 +50,21 @@ class Reporter:
         self._iterations, self._total = iterations, total
         self._bar.update(self._task, description="refining", total=total, visible=True)
 
+    def telling(self, name: str, total: int) -> Callable[[str, float], None]:
+        """The `tell` of `validate` for `total` grasps on the object `name`."""
+
+        def tell(what: str, done: float) -> None:
+            self._bar.update(
+                self._task,
+                visible=True,
+                description=f"{what}, {escape(name)}",
+                total=total,
+                completed=done,
+                said=f"{int(done)}/{total} grasps",
+            )
+
+        return tell
+
     def group(self, name: str, count: int) -> Callable[[int, int, float], None]:
         """The `progress` of `refine` for a group of `count` grasps on the object `name`."""
         before, self._finished = self._finished, self._finished + count

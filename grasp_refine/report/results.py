@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from grasp_refine.grasps import GraspSet, Targets, save_npz
+from grasp_refine.grasps import OTHER_STAGES, GraspSet, Stage, Targets, save_npz
 from grasp_refine.hand import Hand
 from grasp_refine.report.outcome import Outcome
 from grasp_refine.report.writing import dumps
 from grasp_refine.solvers.status import Status
+from grasp_refine.validation.motion import STAGES
 
 
 def result_paths(folder: Path, hand: str, objects: tuple[str, ...]) -> dict[str, Path]:
@@ -41,6 +42,7 @@ def save_results(
         contact_error_before, _after        (N,)       worst of gap and target misses, metres
         penetration_before, _after          (N,)       deepest of all links, metres
         self_penetration_before, _after     (N,)       deepest of links in each other, metres
+        wrench_residual_before, _after      (N,)       what contact forces leave unbalanced, without unit
         status                              (N,)       how the refinement ended
         iterations                          (N,)
         loss                                (N,)       after refinement, m^2
@@ -64,6 +66,11 @@ def save_results(
         hand_pose=outcome.hand_pose,
         q=outcome.q,
         targets=targets,
+        **{
+            name: Stage(outcome.stage_pose[:, at], outcome.stage_q[:, at])
+            for at, name in enumerate(STAGES)
+            if name in OTHER_STAGES and np.isfinite(outcome.stage_q[:, at]).all()
+        },
     )
     error = outcome.worst_error
     save_npz(
@@ -81,6 +88,8 @@ def save_results(
             "penetration_after": outcome.penetration[:, 1],
             "self_penetration_before": outcome.self_penetration[:, 0],
             "self_penetration_after": outcome.self_penetration[:, 1],
+            "wrench_residual_before": outcome.wrench_residual[:, 0],
+            "wrench_residual_after": outcome.wrench_residual[:, 1],
             "status": np.array([Status(status).label for status in outcome.status]),
             "iterations": outcome.iterations,
             "loss": np.where(np.isfinite(outcome.loss[:, 1]), outcome.loss[:, 1], np.nan),

@@ -66,7 +66,16 @@ def save_json(path: Path, document: Any) -> None:
 
 
 def save_text(path: Path, text: str) -> None:
-    """Write a text as `save_json` writes a document; what UTF-8 cannot say, such as odd file names, is escaped.
+    """Write a text as `save_bytes` writes bytes; what UTF-8 cannot say, such as odd file names, is escaped.
+
+    Raises:
+        GraspRefineError: the file cannot be written.
+    """
+    save_bytes(path, text.encode("utf-8", errors="backslashreplace"))
+
+
+def save_bytes(path: Path, content: bytes) -> None:
+    """Write a file; it appears whole or not at all, and missing folders are made.
 
     Raises:
         GraspRefineError: the file cannot be written.
@@ -74,12 +83,12 @@ def save_text(path: Path, text: str) -> None:
     try:
         # A pipe or /dev/stdout is written to, never replaced.
         if path.is_symlink() or (path.exists() and not path.is_file()):
-            path.write_text(text, encoding="utf-8", errors="backslashreplace")
+            path.write_bytes(content)
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
         try:
-            partial.write_text(text, encoding="utf-8", errors="backslashreplace")
+            partial.write_bytes(content)
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)

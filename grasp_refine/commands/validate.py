@@ -1,0 +1,269 @@
+"""`refine-grasp validate`: what grasps of any file are worth, by geometry and in simulation."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from math import radians
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import torch
+from rich.markup import escape
+from tyro.conf import DisallowNone, Positional, arg
+
+from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
+from grasp_refine.commands.inputs import Problem, Sources, StageSource
+from grasp_refine.commands.options import check_numbers, flag
+from grasp_refine.commands.recording import Recording
+from grasp_refine.errors import GraspRefineError
+from grasp_refine.report.document import settings
+from grasp_refine.report.progress import Reporter
+from grasp_refine.report.results import fingerprint
+from grasp_refine.report.screen import screen
+from grasp_refine.report.validation_document import check_table, flat_rows, save_table, validate_document
+from grasp_refine.report.validation_table import comparison_table, validation_table
+from grasp_refine.report.writing import check_writable, save_json
+from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
+from grasp_refine.validation.robustness import Noise
+from grasp_refine.validation.validate import Checks, Validated, model_of, validate
+from grasp_refine.validation.world import build_world
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """How grasps are simulated."""
+
+    simulate: bool = True
+    """Simulate the grasps, beside measuring their geometry."""
+    setting: SettingName = "force-closure"
+    """force-closure: pushed in six directions, friction 0.6; strict: the same with friction 0.3; tabletop: lifted off
+    a table by 10 cm."""
+    friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the setting)")] = None
+    """Another coefficient of sliding friction; that of torsion follows in proportion."""
+    mass: float = Protocol.mass
+    """Mass of the object in kg."""
+    closing: StageSource = "auto"
+    """Pregrasps and squeezes: those of the file, our own, or auto: those of the file if it has them, else our own."""
+    threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
+    """CPU threads; results do not depend on it."""
+
+    def protocol(self) -> Protocol:
+        """The protocol that the options mean."""
+        protocol = replace(SETTINGS[self.setting], mass=self.mass)
+        if self.friction is None:
+            return protocol
+        torsion = protocol.torsion * self.friction / protocol.friction
+        return replace(protocol, friction=self.friction, torsion=torsion)
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """What else is tried."""
+
+    noise: int = 0
+    """Try each grasp again with so many random offsets of the object; the score is the share that holds."""
+    noise_offset: float = Noise.offset
+    """Largest shift of these, in metres."""
+    noise_degrees: float = 5.0
+    """Largest rotation of these, in degrees."""
+    frictions: Annotated[tuple[float, ...], arg(metavar="F [F ...]", help_behavior_hint="(default: none)")] = ()
+    """Try each grasp again with these coefficients of friction."""
+    without_squeeze: bool = False
+    """Try each grasp again without the squeeze."""
+    seed: int = 0
+    """Seed of what is drawn."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What is told."""
+
+    compare: Annotated[
+        DisallowNone[tuple[Path, Path] | None], arg(metavar="BEFORE AFTER", help_behavior_hint="(default: none)")
+    ] = None
+    """Two files with the same grasps, instead of FILE: say what became better and worse."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write everything that was found of each grasp to this file, in SI units."""
+    rows: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write one row per grasp to this .csv or .parquet file."""
+    verbose: bool = False
+    """List all grasps, also when there are more than 40."""
+
+
+@dataclass(frozen=True)
+class Validate:
+    """Say what grasps are worth: measure their geometry, and simulate whether they hold.
+
+    Any grasp file will do, refined or not. The hand closes from the pregrasp over the grasp to the squeeze; then the
+    object, without gravity, is pushed in six directions for two seconds each. A grasp holds if the object never moves
+    by 5 cm or turns by 15 degrees (the protocol of DexGraspBench).
+    """
+
+    files: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE [FILE ...]", help_behavior_hint="")] = ()
+    """Grasp files (.npz)."""
+    sources: Annotated[Sources, arg(name="")] = field(default_factory=Sources)
+    simulation: Annotated[Simulation, arg(name="")] = field(default_factory=Simulation)
+    robustness: Annotated[Robustness, arg(name="")] = field(default_factory=Robustness)
+    recording: Annotated[Recording, arg(name="")] = field(default_factory=Recording)
+    told: Annotated[Told, arg(name="")] = field(default_factory=Told)
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            GraspRefineError: an input that cannot be used; then nothing is written.
+        """
+        wall, cpu = time.perf_counter(), cpu_seconds()
+        protocol = self.simulation.protocol() if self.simulation.simulate else None
+        files = self.told.compare or self.files
+        self._check(protocol, files)
+        torch.set_num_threads(1)
+        with Reporter(screen(stderr=True)) as reporter:
+            problems = [self.sources.load_from(path, self.robustness.seed, reporter.say) for path in files]
+            if self.told.compare is not None:
+                _check_comparable(*problems)
+            self.recording.check(protocol, sum(len(problem) for problem in problems))
+            for note in dict.fromkeys(note for problem in problems for note in problem.notes):
+                reporter.say(f"note: {note}")
+            found = [self._validated(problem, protocol, reporter) for problem in problems]
+        wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
+        console = screen()
+        for path, problem, part in zip(files, problems, found, strict=True):
+            if len(problems) > 1:
+                console.print(f"[bold]{escape(str(path))}[/]\n")
+            tables = validation_table(
+                part, problem.hand.name, protocol, self.robustness.frictions, verbose=self.told.verbose
+            )
+            console.print(tables)
+            if len(problems) > 1:
+                console.print()
+        if self.told.compare is not None:
+            console.print(comparison_table(found[0], found[1], problems[0].hand.name, protocol))
+        if protocol is not None:
+            cost = np.concatenate([part.cpu_s for part in found])
+            console.print(f"simulation: {np.nansum(cost):.1f} s of CPU, {np.nanmean(cost) * 1e3:.0f} ms a grasp")
+        written = self._write(files, found, protocol, wall, cpu)
+        console.print(f"{wall:.1f} s" + ("; wrote" if written else ""), *written, soft_wrap=True, markup=False)
+        known = any(np.isfinite(part.metrics.penetration_m).any() for part in found)
+        return 0 if known else NOTHING_USABLE
+
+    def _check(self, protocol: Protocol | None, files: tuple[Path, ...]) -> None:
+        """Refuse options that cannot be, or that would mean nothing.
+
+        Raises:
+            GraspRefineError: names them.
+        """
+        for options in (self.simulation, self.robustness):
+            check_numbers(options)
+        if self.told.compare is not None and self.files:
+            raise GraspRefineError("--compare BEFORE AFTER stands instead of FILE: give one of them")
+        if not files:
+            raise GraspRefineError("name a grasp file: refine-grasp validate FILE, or --compare BEFORE AFTER")
+        if protocol is None and (self.simulation != Simulation(simulate=False) or self.robustness != Robustness()):
+            raise GraspRefineError("with --no-simulate, options of the simulation mean nothing: leave them out")
+        zero = [
+            f"--{name}"
+            for name, value in (
+                ("friction", self.simulation.friction),
+                ("mass", self.simulation.mass),
+                *(("frictions", value) for value in self.robustness.frictions),
+            )
+            if value == 0
+        ]
+        if zero:
+            raise GraspRefineError(f"{zero[0]} must be above 0")
+        if self.robustness.noise == 0:
+            for option in ("noise_offset", "noise_degrees"):
+                if getattr(self.robustness, option) != getattr(Robustness, option):
+                    raise GraspRefineError(f"{flag(option)} needs --noise N")
+        for path in (self.told.json, self.told.rows):
+            if path is not None:
+                check_writable(path)
+                if any(path.exists() and file.exists() and path.samefile(file) for file in files):
+                    raise GraspRefineError(f"{path}: would overwrite an input; give another name")
+        if self.told.rows is not None:
+            check_table(self.told.rows)
+
+    def _validated(self, problem: Problem, protocol: Protocol | None, reporter: Reporter) -> Validated:
+        """All grasps of a file, in the order in which they were asked for."""
+        model = None
+        if protocol is not None:
+            model = model_of(problem.hand)
+            for note in model.notes:
+                reporter.say(f"note: {note}")
+        noise = Noise(self.robustness.noise, self.robustness.noise_offset, radians(self.robustness.noise_degrees))
+        checks = Checks(
+            noise=noise,
+            frictions=self.robustness.frictions,
+            without_squeeze=self.robustness.without_squeeze,
+            seed=self.robustness.seed,
+            threads=self.simulation.threads,
+        )
+        parts = []
+        for group in problem.groups:
+            scene = group.scene
+            world = motion = None
+            if protocol is not None and model is not None:
+                world = build_world(model, scene.object, protocol, scene.table)
+                motion = group.motion(self.simulation.closing)
+            found = validate(
+                scene,
+                name=group.object,
+                scale=group.scale,
+                rows=group.rows,
+                index=group.index,
+                world=world,
+                motion=motion,
+                checks=checks,
+                tell=reporter.telling(group.object, len(group.rows)),
+            )
+            parts.append(found)
+            if world is not None and motion is not None and found.trials is not None:
+                for line in self.recording.record(group, world, motion, found.trials, problem.hand.name):
+                    reporter.say(line)
+        return Validated.join(parts).select(problem.order)
+
+    def _write(
+        self, files: tuple[Path, ...], found: list[Validated], protocol: Protocol | None, wall_s: float, cpu_s: float
+    ) -> list[Path]:
+        """Write the files that were asked for; returns them."""
+        frictions, written = self.robustness.frictions, []
+        if self.told.json is not None:
+            described = {
+                "files": [fingerprint(path) for path in files],
+                "inputs": settings(self.sources),
+                "simulation": settings(self.simulation),
+                "robustness": settings(self.robustness),
+                "protocol": settings(protocol),
+            }
+            document = validate_document(
+                found,
+                files,
+                protocol=protocol,
+                frictions=frictions,
+                config=described,
+                seed=self.robustness.seed,
+                wall_s=wall_s,
+                cpu_s=cpu_s,
+            )
+            save_json(self.told.json, document)
+            written.append(self.told.json)
+        if self.told.rows is not None:
+            save_table(self.told.rows, flat_rows(found, files, protocol, frictions))
+            written.append(self.told.rows)
+        return written
+
+
+def _check_comparable(before: Problem, after: Problem) -> None:
+    """Nothing, when two files hold the same grasps as far as one can tell.
+
+    Raises:
+        GraspRefineError: they do not.
+    """
+    if len(before) != len(after):
+        raise GraspRefineError(f"--compare needs the same grasps in both files: {len(before)} against {len(after)}")
+    names = [np.concatenate([np.full(len(g.rows), g.object) for g in p.groups])[p.order] for p in (before, after)]
+    if (names[0] != names[1]).any():
+        raise GraspRefineError("--compare needs the same grasps in both files: their objects differ")

@@ -1,0 +1,279 @@
+"""The tables that a person reads after a validation: what held, what failed and why, before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich import box
+from rich.console import Group, RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from grasp_refine.report.table import LONGEST, NONE, WORST
+from grasp_refine.validation.metrics import NEAR
+from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.trials import Reason
+from grasp_refine.validation.validate import BARELY, ENOUGH, Validated
+
+QUANTILES = ((0.5, "median"), (0.9, "90 %"), (1.0, "worst"))
+"""Which quantiles of displacements are told."""
+
+_MANY = 12
+"""Most grasps of an object that are listed by number in a line."""
+
+
+def validation_table(
+    validated: Validated, hand: str, protocol: Protocol | None, frictions: Sequence[float], *, verbose: bool = False
+) -> RenderableType:
+    """Tables of all grasps by object and a verdict; of many grasps only those that failed first, unless `verbose`."""
+    parts: list[RenderableType] = []
+    names = list(dict.fromkeys(validated.object.tolist()))
+    for name in names:
+        of_object = validated.select(np.flatnonzero(validated.object == name))
+        parts += [_object_table(of_object, f"{hand} on {name}", protocol, verbose), ""]
+    if len(names) > 1 and protocol is not None:
+        parts += [_by_object(validated, names), ""]
+    return Group(*parts, *_verdict(validated, protocol, frictions))
+
+
+def comparison_table(before: Validated, after: Validated, hand: str, protocol: Protocol | None) -> RenderableType:
+    """What changed between two validations of the same grasps, in the mean and in the verdicts."""
+    table = _plain(f"{hand}: {_count(len(after))}, before → after")
+    table.add_column("")
+    for column in ("before", "after", "better in", "worse in"):
+        table.add_column(column, justify="right", no_wrap=True)
+    measures = (
+        ("penetration, mean mm", "penetration_m", 1e3, -1),
+        ("self-penetration, mean mm", "self_penetration_m", 1e3, -1),
+        ("contact distance, mean mm", "contact_distance_m", 1e3, -1),
+        ("links in contact, mean", "contact_number", 1.0, 1),
+        ("wrench residual, mean", "wrench_residual", 1.0, -1),
+    )
+    for label, field, factor, sign in measures:
+        old, new = (np.asarray(getattr(v.metrics, field), dtype=float) * factor for v in (before, after))
+        known = np.isfinite(old) & np.isfinite(new)
+        if not known.any():
+            continue
+        better = sign * (new[known] - old[known])
+        table.add_row(
+            label,
+            f"{old[known].mean():.3f}",
+            f"{new[known].mean():.3f}",
+            str(int((better > 1e-9).sum())),
+            str(int((better < -1e-9).sum())),
+        )
+    parts: list[RenderableType] = []
+    if protocol is not None:
+        won, lost = after.success & ~before.success, before.success & ~after.success
+        table.add_row(
+            f"held, {protocol.name}",
+            f"{before.success.sum()} ({_percent(before.success)})",
+            f"{after.success.sum()} ({_percent(after.success)})",
+            str(int(won.sum())),
+            str(int(lost.sum())),
+            style="bold",
+        )
+        for word, which in (("won", won), ("lost", lost)):
+            if which.any():
+                parts.append(Text(f"{word}: {_numbers(after, which)}"))
+    return Group(table, "", *parts)
+
+
+def _object_table(validated: Validated, what: str, protocol: Protocol | None, verbose: bool) -> Table:
+    title, shown = f"{what}: {_count(len(validated))}", np.arange(len(validated))
+    if protocol is not None:
+        title += f", {protocol.name}, friction {protocol.friction:g}"
+    if len(validated) > LONGEST and not verbose:
+        shown = np.argsort(-_badness(validated), kind="stable")[:WORST]
+        title += f", the worst {WORST} (--verbose: all)"
+    table = _plain(title)
+    for head, align in (
+        ("\n grasp", "right"),
+        ("penetr.\nmm", "right"),
+        ("self\nmm", "right"),
+        ("gap\nmm", "right"),
+        ("\nlinks", "right"),
+        ("wrench\nresidual", "right"),
+    ):
+        table.add_column(head, justify=align, no_wrap=True)
+    if protocol is not None:
+        table.add_column("  moved\n mm    deg", justify="right", no_wrap=True)
+        table.add_column("\n verdict")
+    for i in shown:
+        table.add_row(*_row(validated, int(i), protocol))
+    if len(validated) > 1:
+        table.add_section()
+        metrics = validated.metrics
+        medians = [
+            _number(_median(values) * factor, digits)
+            for values, factor, digits in (
+                (metrics.penetration_m, 1e3, 2),
+                (metrics.self_penetration_m, 1e3, 2),
+                (metrics.contact_distance_m, 1e3, 2),
+                (metrics.contact_number, 1, 0),
+                (metrics.wrench_residual, 1, 3),
+            )
+        ]
+        last = [] if protocol is None else ["", f" {_held(validated)}"]
+        table.add_row("median", *medians, *last, style="bold")
+    return table
+
+
+def _badness(validated: Validated) -> np.ndarray:
+    """Failures first, then by how far the object moved or, without simulation, by depth."""
+    if validated.trials is None:
+        return np.nan_to_num(validated.metrics.penetration_m, nan=np.inf)
+    moved = np.nan_to_num(validated.trials.displacement_m.max(axis=1), nan=1e3)
+    return np.where(validated.success, 0.0, 1e6) + moved
+
+
+def _row(validated: Validated, i: int, protocol: Protocol | None) -> list[RenderableType]:
+    metrics = validated.metrics
+    cells: list[RenderableType] = [
+        str(validated.index[i]),
+        _number(metrics.penetration_m[i] * 1e3, 2),
+        _number(metrics.self_penetration_m[i] * 1e3, 2),
+        _number(metrics.contact_distance_m[i] * 1e3, 2),
+        _number(metrics.contact_number[i], 0),
+        _number(metrics.wrench_residual[i], 3),
+    ]
+    if protocol is not None and validated.trials is not None:
+        trials = validated.trials
+        worst = trials.worst[i]
+        cells.append(
+            f"{_number(trials.displacement_m[i, worst] * 1e3, 1):>5} "
+            f"{_number(np.degrees(trials.angle_rad[i, worst]), 1):>6}"
+        )
+        cells.append(_reason(validated, i, protocol))
+    return cells
+
+
+def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
+    trials = validated.trials
+    assert trials is not None
+    worst = trials.worst[i]
+    reason = Reason(trials.reason[i, worst])
+    if reason == Reason.HELD:
+        flags = [
+            word
+            for word, flagged in (
+                ("barely", validated.barely(protocol)[i]),
+                ("by the squeeze", validated.by_squeeze[i]),
+            )
+            if flagged
+        ]
+        return Text(f" held{', ' + ', '.join(flags) if flags else ''}", "yellow" if flags else "green")
+    failed = np.flatnonzero(trials.reason[i] != Reason.HELD)
+    if reason in (Reason.PENETRATES, Reason.NOT_FINITE):
+        depth = f" {trials.penetration_m[i] * 1e3:.1f} mm at the pregrasp" if reason == Reason.PENETRATES else ""
+        return Text(f" {reason.label}{depth}", "red")
+    every = len(failed) == len(trials.directions)
+    where = f"all {len(failed)}" if every and len(failed) > 1 else " ".join(trials.directions[d] for d in failed)
+    when = "" if np.isnan(trials.time_s[i, worst]) else f", {trials.time_s[i, worst]:.1f} s"
+    return Text(f" {reason.label} {where}{when}, {trials.contacts[i, worst].sum()} left", "red")
+
+
+def _by_object(validated: Validated, names: Sequence[str]) -> Table:
+    table = _plain(f"all {len(names)} objects: {_count(len(validated))}")
+    for column, align in (("object", "left"), ("grasps", "right"), ("held", "right"), ("", "right")):
+        table.add_column(column, justify=align, no_wrap=column != "object")
+    for name in names:
+        held = validated.success[validated.object == name]
+        table.add_row(escape(name), str(len(held)), str(int(held.sum())), _percent(held))
+    return table
+
+
+def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequence[float]) -> list[Text]:
+    trials = validated.trials
+    if trials is None or protocol is None:
+        return []
+    success = validated.success
+    color = "green" if success.all() else "yellow"
+    how = f"in all of {', '.join(trials.directions)}" if len(trials.directions) > 1 else f"the {trials.directions[0]}"
+    lines = [Text.assemble((f"{success.sum()} of {_count(len(success))} held", color), f" ({_percent(success)}) {how}")]
+    worst = trials.reason[np.arange(len(trials)), trials.worst]
+    for reason in list(Reason)[1:]:
+        which = worst == reason
+        if which.any():
+            lines.append(Text.assemble((f"{which.sum()} {reason.label}", "red"), f": {reason.meaning(protocol)}"))
+    held = trials.reason == Reason.HELD
+    if held.any():
+        parts = []
+        for values, factor, unit in ((trials.displacement_m, 1e3, "mm"), (np.degrees(trials.angle_rad), 1, "deg")):
+            numbers = " / ".join(f"{np.quantile(values[held], q) * factor:.1f}" for q, _ in QUANTILES)
+            parts.append(f"{numbers} {unit}")
+        words = " / ".join(word for _, word in QUANTILES)
+        lines.append(Text(f"where they held, objects moved {parts[0]} and turned {parts[1]} ({words})"))
+    barely = validated.barely(protocol)
+    if barely.any():
+        limits = f"{BARELY * protocol.farthest * 1e3:.0f} mm or {np.degrees(BARELY * protocol.steepest):.1f} deg"
+        lines.append(
+            Text.assemble(
+                (f"{barely.sum()} held only barely", "yellow"),
+                f" (moved more than {limits}): {_numbers(validated, barely)}",
+            )
+        )
+    squeezed = validated.by_squeeze
+    if squeezed.any():
+        near = f"fewer than {ENOUGH} links within {NEAR * 1e3:g} mm of the object before it"
+        how = near if validated.unsqueezed is None else "fails without"
+        lines.append(
+            Text.assemble(
+                (f"{squeezed.sum()} held only by the squeeze", "yellow"),
+                f" ({how}): {_numbers(validated, squeezed)}",
+            )
+        )
+    if validated.noise is not None:
+        mean = validated.noise.mean()
+        lines.append(Text(f"with the object shifted and turned at random, {mean:.0%} of the trials held"))
+    if validated.frictions is not None:
+        shares = (f"{f:g}: {_percent(h)}" for f, h in zip(frictions, validated.frictions.T, strict=True))
+        lines.append(Text(f"held by friction: {', '.join(shares)}"))
+    return lines
+
+
+def _held(validated: Validated) -> str:
+    return f"{validated.success.sum()} held, {_percent(validated.success)}"
+
+
+def _numbers(validated: Validated, which: np.ndarray) -> str:
+    """Which grasps: their numbers, by object where there are several."""
+    names = list(dict.fromkeys(validated.object.tolist()))
+    parts = []
+    for name in names:
+        numbers = [str(number) for number in validated.index[which & (validated.object == name)]]
+        if numbers:
+            more = f" and {len(numbers) - _MANY} more" if len(numbers) > _MANY else ""
+            parts.append((f"{name} " if len(names) > 1 else "") + ", ".join(numbers[:_MANY]) + more)
+    return "; ".join(parts)
+
+
+def _plain(title: str) -> Table:
+    return Table(
+        title=escape(title),
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        padding=(0, 1, 0, 0),
+        header_style="dim",
+    )
+
+
+def _median(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else np.nan
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if np.isfinite(value) else NONE
+
+
+def _percent(held: np.ndarray) -> str:
+    return f"{100 * held.mean():.1f} %"
+
+
+def _count(number: int) -> str:
+    return f"{number} grasp{'' if number == 1 else 's'}"

@@ -1,0 +1,166 @@
+"""How an MJCF of a hand lies to its URDF: base pose and signs of the joints, found from where the joints are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.errors import HandError
+from grasp_refine.hand import Hand
+from grasp_refine.se3 import exp_so3
+
+FARTHEST = 2e-3
+"""Joints that are farther apart than this, in metres, are not those of the same hand."""
+
+STEEPEST = np.radians(2.0)
+"""Nor are those whose axes differ by more than this, in radians."""
+
+NOTED = 1e-4
+"""A distance from which on it is told, in metres."""
+
+CONFIGURATIONS = 20
+"""Random joint values at which the two are compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """Where the world of an MJCF is, and how its joints turn."""
+
+    T_base_world: Float[np.ndarray, "4 4"]
+    """Pose (4, 4) of that world in the frame of the hand's base link."""
+    sign: Float[np.ndarray, " m"]
+    """1, or -1 for joints that turn the other way."""
+    distance: float
+    """Farthest that two joints are apart, in metres."""
+    angle: float
+    """Most that two axes differ, in radians."""
+    notes: tuple[str, ...]
+    """What a user should know about it."""
+
+
+def align(hand: Hand, joints: Sequence[str], model: mujoco.MjModel, named: Sequence[str], path: Path) -> Alignment:
+    """How `model` lies to `hand`, by anchors and axes of its joints `named`, which are the hand's `joints`.
+
+    The base pose is the least-squares fit of the anchors (and of axes, where these are on one line) with all joints at
+    0, the signs are those of the axes then. Both are held against random joint values within the hand's limits.
+
+    Raises:
+        HandError: they do not move alike, or anchors and axes do not determine the pose.
+    """
+    matrix, offset, movable = hand.mimic_map()
+    rows = [movable.index(name) for name in joints]
+    lower, upper = np.where(np.isinf(hand.lower), -np.pi, hand.lower), np.where(np.isinf(hand.upper), np.pi, hand.upper)
+    q = np.random.default_rng(0).uniform(lower, upper, (CONFIGURATIONS, len(lower)))
+    values = np.concatenate([np.zeros((1, len(movable))), q @ matrix.T + offset])
+    anchors, axes = _hand_joints(hand, dict(zip(movable, values.T, strict=True)), joints)
+    still = _model_joints(model, named, np.zeros((1, len(named))))
+    best = None
+    for turn in _rotations(anchors[0], axes[0], still[0][0], still[1][0], path):
+        sign = np.where(np.einsum("ji,ji->j", axes[0], still[1][0] @ turn.T) < 0, -1.0, 1.0)
+        shift = anchors[0].mean(axis=0) - turn @ still[0][0].mean(axis=0)
+        there, along = _model_joints(model, named, sign * values[:, rows])
+        distance = np.linalg.norm(there @ turn.T + shift - anchors, axis=-1)
+        turned = sign[:, None] * along @ turn.T
+        angle = np.arctan2(np.linalg.norm(np.cross(turned, axes), axis=-1), (turned * axes).sum(axis=-1))
+        # Where a hand is its own mirror image, several poses fit; fewest joints turn the other way then.
+        rank = (round(distance.max() / NOTED) + round(angle.max() / STEEPEST), (sign < 0).sum())
+        if best is None or rank < best[0]:
+            best = rank, turn, shift, sign, distance.max(axis=0), angle.max(axis=0)
+    _, turn, shift, sign, distance, angle = best
+    if distance.max() > FARTHEST or angle.max() > STEEPEST:
+        far, steep = int(distance.argmax()), int(angle.argmax())
+        raise HandError(
+            f"{path}: moves unlike hand '{hand.name}': joint '{joints[far]}' is up to {distance[far] * 1e3:.2f} mm off "
+            f"(at most {FARTHEST * 1e3:g}), the axis of '{joints[steep]}' {np.degrees(angle[steep]):.2f} degrees "
+            f"(at most {np.degrees(STEEPEST):g}); the MJCF is of another hand or has another zero"
+        )
+    notes = []
+    if distance.max() > NOTED:
+        notes.append(f"joints of {path.name} are up to {distance.max() * 1e3:.2f} mm from those of the URDF")
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = turn, shift
+    return Alignment(T, sign, float(distance.max()), float(angle.max()), tuple(notes))
+
+
+def _hand_joints(
+    hand: Hand, values: Mapping[str, np.ndarray], joints: Sequence[str]
+) -> tuple[Float[np.ndarray, "batch m 3"], Float[np.ndarray, "batch m 3"]]:
+    """Anchors and axes of `joints` (batch, m, 3) in the base link's frame, before each joint itself has moved.
+
+    `values` are those of all movable joints, each (batch,).
+    """
+    count = len(next(iter(values.values())))
+    T = {hand.base_link: np.tile(np.eye(4), (count, 1, 1))}
+    anchors, axes = {}, {}
+    for joint in hand.joints:  # parents before children
+        at = T[joint.parent] @ joint.T_parent_child
+        anchors[joint.name], axes[joint.name] = at[:, :3, 3], at[:, :3, :3] @ joint.axis
+        if joint.movable:
+            motion, step = np.tile(np.eye(4), (count, 1, 1)), values[joint.name][:, None] * joint.axis
+            if joint.kind == "prismatic":
+                motion[:, :3, 3] = step
+            else:
+                motion[:, :3, :3] = exp_so3(step)
+            at = at @ motion
+        T[joint.child] = at
+    return np.stack([anchors[name] for name in joints], axis=1), np.stack([axes[name] for name in joints], axis=1)
+
+
+def _model_joints(
+    model: mujoco.MjModel, named: Sequence[str], values: Float[np.ndarray, "batch m"]
+) -> tuple[Float[np.ndarray, "batch m 3"], Float[np.ndarray, "batch m 3"]]:
+    """Anchors and axes of the joints `named` (batch, m, 3) in the world of `model`."""
+    data = mujoco.MjData(model)
+    rows = [model.joint(name).id for name in named]
+    anchors, axes = np.empty((2, *values.shape, 3))
+    for number, value in enumerate(values):
+        data.qpos[model.jnt_qposadr[rows]] = value
+        mujoco.mj_kinematics(model, data)
+        anchors[number], axes[number] = data.xanchor[rows], data.xaxis[rows]
+    return anchors, axes
+
+
+def _rotations(
+    anchors: Float[np.ndarray, "m 3"],
+    axes: Float[np.ndarray, "m 3"],
+    anchors_model: Float[np.ndarray, "m 3"],
+    axes_model: Float[np.ndarray, "m 3"],
+    path: Path,
+) -> list[Float[np.ndarray, "3 3"]]:
+    """The rotations that can take the model's anchors and axes to the hand's; an axis counts like its opposite."""
+    here, there = anchors - anchors.mean(axis=0), anchors_model - anchors_model.mean(axis=0)
+    spread = np.linalg.svd(there, compute_uv=False) / np.sqrt(len(there))
+    if len(spread) > 1 and spread[1] > FARTHEST:
+        return [_fit(here, there)]
+    pairs = []
+    if spread[0] > FARTHEST:
+        # The ends of the line on which the anchors are.
+        end = int(np.linalg.norm(there, axis=1).argmax())
+        pairs.append((_unit(here[end]), _unit(there[end])))
+    free = []
+    for axis in zip(axes, axes_model, strict=True):
+        if len(pairs) + len(free) < 2 and all(np.linalg.norm(np.cross(axis[1], b)) > 0.1 for _, b in pairs + free):
+            free.append(axis)
+    if len(pairs) + len(free) < 2:
+        raise HandError(f"{path}: its joints are on one line and parallel to it, which does not say how the hand lies")
+    found = []
+    for signs in product((1.0, -1.0), repeat=len(free)):
+        signed = [(a, sign * b) for sign, (a, b) in zip(signs, free, strict=True)]
+        found.append(_fit(*(np.array(vectors) for vectors in zip(*pairs, *signed, strict=True))))
+    return found
+
+
+def _fit(here: Float[np.ndarray, "m 3"], there: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "3 3"]:
+    """The rotation that takes `there` nearest to `here`: W. Kabsch, Acta Cryst. A32 (1976) 922."""
+    u, _, vt = np.linalg.svd(here.T @ there)
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)

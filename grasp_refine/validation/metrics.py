@@ -1,0 +1,96 @@
+"""What grasps are worth by geometry and statics alone, each measured where the hand is, without moving anything."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.hand import Hand
+from grasp_refine.objects import Object
+from grasp_refine.scene import links_of
+from grasp_refine.self_collision import self_penetration, touching_pairs
+from grasp_refine.squeeze import contacts
+from grasp_refine.validation.geometry import measure
+from grasp_refine.wrench import center_of_mass, contact_forces
+
+FARTHEST = 0.01
+"""Fingers count as no farther from the object than this, in metres."""
+NEAR = 0.002
+"""Links within this signed distance count as touching, in metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Metrics:
+    """Measures of N grasps; NaN where a grasp is not finite, or a query could not be answered."""
+
+    contact_distance_m: Float[np.ndarray, " N"]
+    """Mean over the fingers of how far each one's nearest contact link is from the object, `FARTHEST` at most (N,)."""
+    contact_number: Float[np.ndarray, " N"]
+    """Number of links within `NEAR` of the object (N,)."""
+    penetration_m: Float[np.ndarray, " N"]
+    """Deepest penetration of any link in the object (N,), metres."""
+    self_penetration_m: Float[np.ndarray, " N"]
+    """Deepest penetration of links in each other (N,), metres."""
+    limits_violated: Float[np.ndarray, " N"]
+    """Number of joint values beyond their limits (N,)."""
+    wrench_residual: Float[np.ndarray, " N"]
+    """What is left of forces and torques when the contacts balance them best (`ContactForces.residual`), (N,); NaN
+    without contacts, too."""
+
+    def __len__(self) -> int:
+        """Return the number of grasps."""
+        return len(self.penetration_m)
+
+    def select(self, rows: np.ndarray) -> Metrics:
+        """The grasps `rows`, in that order."""
+        return Metrics(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    @staticmethod
+    def join(parts: Sequence[Metrics]) -> Metrics:
+        """The grasps of all parts, in that order."""
+        return Metrics(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Metrics)))
+
+
+def metrics(hand: Hand, obj: Object, T_world_root: np.ndarray, q: np.ndarray) -> Metrics:
+    """Measures of grasps on one object at the world's origin.
+
+    Args:
+        hand: The hand.
+        obj: The object.
+        T_world_root: Poses (N, 4, 4) of the base link in the object's frame.
+        q: Joint values (N, n).
+    """
+    links = tuple(dict.fromkeys(links_of(hand)))  # a link with several contact points comes several times
+    nowhere = np.full((len(q), len(links), 3), np.nan)
+    found = measure(hand, obj, links, T_world_root, q, nowhere, nowhere)
+    known = found.witness.valid.all(axis=1)
+    point, normal = contacts(hand, links, found.witness)
+    forces = contact_forces(point, normal, center_of_mass(obj))
+
+    def where_known(values: np.ndarray) -> np.ndarray:
+        return np.where(known, values, np.nan)
+
+    return Metrics(
+        contact_distance_m=where_known(_contact_distance(hand, links, found.distance)),
+        contact_number=where_known((found.distance <= NEAR).sum(axis=1)),
+        penetration_m=where_known(found.penetration),
+        self_penetration_m=where_known(self_penetration(hand, touching_pairs(hand), q)),
+        limits_violated=where_known(found.limits_violated),
+        wrench_residual=where_known(forces.residual),
+    )
+
+
+def _contact_distance(
+    hand: Hand, links: tuple[str, ...], distance: Float[np.ndarray, "N L"]
+) -> Float[np.ndarray, " N"]:
+    """Mean distance (N,) of the fingers, NaN for a hand without any."""
+    fingers: dict[str, set[int]] = {}
+    for contact in hand.contacts:
+        fingers.setdefault(contact.group, set()).add(links.index(contact.link))
+    if not fingers:
+        return np.full(len(distance), np.nan)
+    nearest = np.stack([distance[:, sorted(columns)].min(axis=1) for columns in fingers.values()])
+    return np.clip(nearest, 0.0, FARTHEST).mean(axis=0)

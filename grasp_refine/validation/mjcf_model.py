@@ -1,0 +1,306 @@
+"""A hand as MuJoCo takes it, read from an MJCF file and matched to the URDF's joints by name and by where they are."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from grasp_refine.errors import HandError
+from grasp_refine.hand import Hand
+from grasp_refine.validation.alignment import align
+from grasp_refine.validation.hand_model import HandModel
+from grasp_refine.validation.urdf_model import add_actuators
+
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+_FIRST = re.compile(rb"<\s*([A-Za-z]\w*)")
+
+ADVICE = "it must be a MuJoCo XML file with its meshes where it names them"
+
+
+def mjcf_model(hand: Hand, path: Path) -> HandModel:
+    """The hand in the MJCF file `path`, which must move as `hand` does.
+
+    Collision geometry, contact parameters, dampings, limits and position actuators are those of the file. What a hand
+    does not need is left out: visual geometry (its mass stays), cameras, lights, keyframes, sensors, a free joint at
+    the root, and what is in the world beside the hand. Joints that `hand` lacks stay where the file draws them.
+
+    Names are matched first (`hand.mjcf_joints`, equal names, equal but for a prefix); then `align` finds base pose and
+    signs, and checks them.
+
+    Raises:
+        HandError: the file cannot be used, or is of another hand.
+    """
+    spec = _read(path)
+    notes: list[str] = []
+    root = _only_the_hand(spec, path, notes)
+    _name_all(spec)
+    matched = _matched_joints(hand, spec, path)
+    _drop_joints(spec, set(matched.values()), notes)
+    _drop_visuals(spec, path)
+    matrix, offset, movable = hand.mimic_map()
+    rows = [movable.index(name) for name in matched]
+    model = _compiled(spec, path)
+    fit = align(hand, tuple(matched), model, tuple(matched.values()), path)
+    notes += fit.notes
+    driven = {joint: matched[joint] for joint in hand.joint_names}
+    if spec.actuators:
+        _check_servos(spec, path)
+    else:
+        add_actuators(spec, hand, driven, dict(zip(matched, fit.sign, strict=True)))
+        notes.append(f"{path.name} has no actuators: position actuators are added, as for the URDF")
+    idle = [joint for joint, name in matched.items() if name not in _ruled(spec)]
+    if idle:
+        notes.append(f"joints {', '.join(idle)} follow nothing in {path.name}, neither actuator nor equality")
+    T_base_root = fit.T_base_world @ _pose(model, root)
+    # Where the file puts the hand has no meaning in another world.
+    top = spec.body(root)
+    top.pos, top.quat, top.alt.type = np.zeros(3), [1, 0, 0, 0], mujoco.mjtOrientation.mjORIENTATION_QUAT
+    _compiled(spec, path)
+    return HandModel(
+        spec=spec,
+        root=root,
+        T_base_root=T_base_root,
+        joints=tuple(matched.values()),
+        matrix=fit.sign[:, None] * matrix[rows],
+        offset=fit.sign * offset[rows],
+        links=_links(hand, model, root, matched),
+        notes=tuple(notes),
+    )
+
+
+def _read(path: Path) -> mujoco.MjSpec:
+    if not path.is_file():
+        raise HandError(f"{path}: no such MJCF file")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise HandError(f"{path}: {_line(error)}; {ADVICE}") from None
+    # MuJoCo reads URDF files, too, but such a hand is made from its URDF.
+    outermost = _FIRST.search(_COMMENT.sub(b"", path.read_bytes()))
+    if outermost and outermost[1] == b"robot":
+        raise HandError(f"{path}: a URDF, not an MJCF; {ADVICE}")
+    # Bodies and their frames must be those of the file.
+    spec.compiler.fusestatic = False
+    # How it is simulated is not for the hand to say; MuJoCo warns where it says something else than its world.
+    plain = mujoco.MjSpec().option
+    for name in dir(plain):
+        if not name.startswith("_"):
+            setattr(spec.option, name, getattr(plain, name))
+    spec.authored.option = spec.authored.disableflags = spec.authored.enableflags = spec.authored.disableactuator = 0
+    return spec
+
+
+def _compiled(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise HandError(f"{path}: MuJoCo cannot compile it: {_line(error)}; {ADVICE}") from None
+
+
+def _line(error: ValueError) -> str:
+    return " ".join(str(error).removeprefix("Error: ").split())
+
+
+def _only_the_hand(spec: mujoco.MjSpec, path: Path, notes: list[str]) -> str:
+    """Name of the body that everything hangs from; what is no part of it is dropped."""
+    for things in (
+        spec.keys,
+        spec.sensors,
+        spec.cameras,
+        spec.lights,
+        spec.skins,
+        spec.numerics,
+        spec.texts,
+        spec.tuples,
+    ):
+        _delete(spec, list(things))
+    tops = list(spec.worldbody.bodies)
+    jointed = [body for body in tops if _joints_below(body)]
+    if len(jointed) != 1:
+        found = ", ".join(f"'{body.name}'" for body in jointed) or "none"
+        raise HandError(f"{path}: one body with joints must hang from <worldbody>, here: {found}")
+    (root,) = jointed
+    others = [body for body in tops if body is not root]
+    beside = [*others, *spec.worldbody.geoms, *spec.worldbody.sites]
+    if others or spec.worldbody.geoms:
+        notes.append(f"{path.name}: {len(others) + len(spec.worldbody.geoms)} things beside the hand are left out")
+    gone = {"", "world", *(below.name for body in others for below in [body, *body.find_all("body")])}
+    rigid = (mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT)
+    tied = [e for e in spec.equalities if e.type in rigid and e.objtype == mujoco.mjtObj.mjOBJ_BODY]
+    _delete(spec, [equality for equality in tied if {equality.name1, equality.name2} & gone])
+    _delete(spec, [pair for pair in spec.excludes if {pair.bodyname1, pair.bodyname2} & gone])
+    _delete(spec, beside)
+    root.mocap = False
+    root.name = root.name or "hand"
+    free = [joint for joint in root.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    _delete(spec, free)
+    if not _joints_below(root):
+        raise HandError(f"{path}: body '{root.name}' has no joints but a free one")
+    return root.name
+
+
+def _joints_below(body: mujoco.MjsBody) -> list[mujoco.MjsJoint]:
+    return [*body.joints, *(joint for child in body.bodies for joint in _joints_below(child))]
+
+
+def _delete(spec: mujoco.MjSpec, things: Sequence[object]) -> None:
+    for thing in things:
+        spec.delete(thing)
+
+
+def _name_all(spec: mujoco.MjSpec) -> None:
+    """Nothing; what has no name gets one."""
+    for kind, things in (("body", spec.bodies), ("joint", spec.joints)):
+        taken = {thing.name for thing in things}
+        number = 0
+        for thing in things:
+            while not thing.name:
+                number += 1
+                if f"{kind}_{number}" not in taken:
+                    thing.name = f"{kind}_{number}"
+
+
+def _matched_joints(hand: Hand, spec: mujoco.MjSpec, path: Path) -> dict[str, str]:
+    """Joint of the hand -> joint of the file, in the order of the hand's joints.
+
+    Mimic joints may be missing.
+    """
+    there = [joint.name for joint in spec.joints]
+    matched: dict[str, str] = {}
+    for joint in hand.joints:
+        if not joint.movable:
+            continue
+        named = hand.mjcf_joints.get(joint.name)
+        # Another MJCF of the same hand may have other names than the one that hand.toml was written for.
+        found = [named] if named in there else similar(joint.name, there)
+        if len(found) == 1:
+            matched[joint.name] = found[0]
+    missing = [name for name in hand.joint_names if name not in matched]
+    if missing:
+        wanted = [f"{name} ({hand.mjcf_joints[name]})" if name in hand.mjcf_joints else name for name in missing]
+        left = [name for name in there if name not in matched.values()]
+        raise HandError(
+            f"{path}: joints {', '.join(wanted)} of hand '{hand.name}' are not found by name among "
+            f"{', '.join(left) or 'no others'}; a table [mjcf_joints] in its hand.toml can say which is which, and a "
+            "base_link beyond them leaves them out"
+        )
+    twice = [name for name in matched.values() if list(matched.values()).count(name) > 1]
+    if twice:
+        both = " and ".join(name for name, other in matched.items() if other == twice[0])
+        raise HandError(f"{path}: joint '{twice[0]}' is found for {both}; [mjcf_joints] must say which is which")
+    return matched
+
+
+def similar(name: str, there: Sequence[str]) -> list[str]:
+    """The name itself where it is `there`, else those that are it behind a prefix, such as rh_FFJ4 or hand/FFJ4."""
+    if name in there:
+        return [name]
+    return [other for other in there if other.endswith(name) and not other.removesuffix(name)[-1].isalnum()]
+
+
+def _drop_joints(spec: mujoco.MjSpec, kept: set[str], notes: list[str]) -> None:
+    """Nothing; deletes joints that are not kept, and what acts on them."""
+    dropped = {joint.name for joint in spec.joints} - kept
+    if not dropped:
+        return
+    listed = [joint.name for joint in spec.joints if joint.name in dropped]
+    notes.append(f"joints {', '.join(listed)} of the MJCF are fixed: the hand does not have them")
+    loose = {tendon.name for tendon in spec.tendons if _joints_of(tendon) & dropped}
+    joint_like = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+
+    def acts(actuator: mujoco.MjsActuator) -> bool:
+        if actuator.trntype in joint_like:
+            return actuator.target in dropped
+        return actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON and actuator.target in loose
+
+    def ties(equality: mujoco.MjsEquality) -> bool:
+        names = {equality.name1, equality.name2}
+        if equality.type == mujoco.mjtEq.mjEQ_JOINT:
+            return bool(names & dropped)
+        return equality.type == mujoco.mjtEq.mjEQ_TENDON and bool(names & loose)
+
+    _delete(spec, [actuator for actuator in spec.actuators if acts(actuator)])
+    _delete(spec, [equality for equality in spec.equalities if ties(equality)])
+    _delete(spec, [tendon for tendon in spec.tendons if tendon.name in loose])
+    _delete(spec, [joint for joint in spec.joints if joint.name in dropped])
+
+
+def _drop_visuals(spec: mujoco.MjSpec, path: Path) -> None:
+    """Nothing; deletes geometry that touches nothing, after its mass was written into its body."""
+    model = _compiled(spec, path)
+    for body in spec.bodies[1:]:
+        compiled = model.body(body.name)
+        body.mass, body.ipos, body.iquat = compiled.mass[0], compiled.ipos, compiled.iquat
+        body.inertia, body.explicitinertial = compiled.inertia, True
+        # What these were given as counts before the moments, where it is there.
+        body.fullinertia = [np.nan, *[0.0] * 5]
+        body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    spec.compiler.settotalmass = -1.0
+    named = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+    seen = [geom for geom in spec.geoms if geom.contype == geom.conaffinity == 0 and geom.name not in {*named} - {""}]
+    _delete(spec, seen)
+    used = {geom.meshname for geom in spec.geoms}
+    _delete(spec, [mesh for mesh in spec.meshes if _mesh_name(mesh) not in used])
+
+
+def _mesh_name(mesh: mujoco.MjsMesh) -> str:
+    return mesh.name or Path(mesh.file).stem
+
+
+def _check_servos(spec: mujoco.MjSpec, path: Path) -> None:
+    for actuator in spec.actuators:
+        fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+        affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE
+        if not (fixed and affine and actuator.biasprm[1] == -actuator.gainprm[0]):
+            raise HandError(
+                f"{path}: actuator '{actuator.name}' is no position servo (<position>, or <general> with "
+                'biastype="affine" and a bias of minus the gain); grasps are sequences of joint positions'
+            )
+
+
+def _ruled(spec: mujoco.MjSpec) -> set[str]:
+    """Names of the joints that something moves: an actuator, directly or through a tendon, or an equality."""
+    tendon = mujoco.mjtTrn.mjTRN_TENDON
+    pulled = {actuator.target for actuator in spec.actuators if actuator.trntype == tendon}
+    ruled = {actuator.target for actuator in spec.actuators if actuator.trntype != tendon}
+    for each in spec.tendons:
+        if each.name in pulled:
+            ruled |= _joints_of(each)
+    for equality in spec.equalities:
+        if equality.type == mujoco.mjtEq.mjEQ_JOINT:
+            ruled |= {equality.name1, equality.name2}
+    return ruled
+
+
+def _joints_of(tendon: mujoco.MjsTendon) -> set[str]:
+    wraps = [tendon.path[i] for i in range(len(tendon.path))]
+    return {wrap.target.name for wrap in wraps if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT}
+
+
+def _pose(model: mujoco.MjModel, body: str) -> np.ndarray:
+    """Pose (4, 4) of a body in the world where all joints are as drawn."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = data.body(body).xmat.reshape(3, 3), data.body(body).xpos
+    return T
+
+
+def _links(hand: Hand, model: mujoco.MjModel, root: str, matched: Mapping[str, str]) -> dict[str, str]:
+    """What each body stands for: what a matched joint carries, the base link, or itself."""
+    names = [model.body(number).name for number in range(1, model.nbody)]
+    links = {name: name for name in names}
+    jointed = [model.body(int(model.joint(name).bodyid[0])) for name in matched.values()]
+    for name, body in zip(matched, jointed, strict=True):
+        links[body.name] = hand.joints_by_name[name].child
+    # A mount or a forearm may come before the palm, at which the hand begins; they are one rigid part.
+    part = model.body_weldid == model.body(root).weldid
+    parents = [model.body(int(body.parentid[0])).name for body in jointed if part[body.parentid[0]]]
+    base = max([root, *parents], key=lambda name: (parents.count(name), name == root))
+    links[base] = hand.base_link
+    return links

@@ -1,0 +1,63 @@
+"""The motion that closes a hand: from the pregrasp over the grasp to the squeeze."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.errors import GraspFileError
+from grasp_refine.grasps import GraspSet, match_joints
+from grasp_refine.hand import Hand
+from grasp_refine.hand_object import HandObject
+from grasp_refine.pregrasp import opened
+from grasp_refine.scene import Scene
+from grasp_refine.se3 import transform_from_pose
+from grasp_refine.squeeze import squeezed
+
+STAGES = ("pregrasp", "grasp", "squeeze")
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """N grasps, each with its three stages, in the order of `STAGES`."""
+
+    T_world_root: Float[np.ndarray, "N 3 4 4"]
+    """Poses (N, 3, 4, 4) of the hand's base link in the object's frame, metres."""
+    q: Float[np.ndarray, "N 3 n"]
+    """Joint values (N, 3, n) in `Hand.joint_names` order, radians or metres; a squeeze may lie beyond the limits."""
+
+    def __len__(self) -> int:
+        """Return the number of grasps."""
+        return len(self.q)
+
+    def select(self, rows: np.ndarray) -> Motion:
+        """The grasps `rows`, in that order."""
+        return replace(self, T_world_root=self.T_world_root[rows], q=self.q[rows])
+
+
+def closing(scene: Scene, prepared: HandObject | None = None) -> Motion:
+    """The motion that we give to the grasps of a scene: opened before, pressing after; NaN for what is not finite."""
+    prepared = prepared or HandObject.of(scene)
+    finite = np.isfinite(scene.T_world_root).all(axis=(1, 2)) & np.isfinite(scene.q).all(axis=1)
+    T = np.where(finite[:, None, None], scene.T_world_root, np.nan)
+    T_open, q_open = opened(scene, prepared)
+    q = np.where(finite[:, None], scene.q, np.nan)
+    return Motion(np.stack([T_open, T, T], axis=1), np.stack([q_open, q, squeezed(scene, prepared)], axis=1))
+
+
+def motion_of(grasps: GraspSet, hand: Hand) -> Motion:
+    """The motion that a grasp file gives, its joints matched to the hand by name.
+
+    Raises:
+        GraspFileError: the file has no pregrasp or no squeeze, or its joints are not those of the hand.
+    """
+    if grasps.pregrasp is None or grasps.squeeze is None:
+        lacking = " and ".join(name for name in ("pregrasp", "squeeze") if getattr(grasps, name) is None)
+        raise GraspFileError(f"the grasps come without {lacking}")
+    stages = [grasps.at(grasps.pregrasp), grasps, grasps.at(grasps.squeeze)]
+    return Motion(
+        np.stack([transform_from_pose(stage.hand_pose) for stage in stages], axis=1),
+        np.stack([match_joints(stage, hand)[0] for stage in stages], axis=1),
+    )

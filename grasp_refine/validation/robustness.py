@@ -1,0 +1,104 @@
+"""How much a grasp that held can take: other friction, another pose of the object, no squeeze."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import radians
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from grasp_refine.se3 import exp_so3
+from grasp_refine.validation.motion import STAGES, Motion
+from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.stepping import Conditions
+from grasp_refine.validation.world import World
+
+Progress = Callable[[float], None]
+"""Is told how many trials are done, in fractions."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Random offsets of the object before the hand closes on it."""
+
+    count: int = 0
+    """Number of offsets that each grasp is tried with."""
+    offset: float = 0.005
+    """Largest shift in metres; shifts are uniform in the ball of this radius."""
+    turn: float = radians(5)
+    """Largest rotation about the object's middle, in radians; rotation vectors are uniform in the ball."""
+
+
+def noise_score(
+    world: World,
+    motion: Motion,
+    noise: Noise,
+    *,
+    middle: Float[np.ndarray, " 3"],
+    numbers: Int[np.ndarray, " N"],
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Float[np.ndarray, " N"]:
+    """Share (N,) of the offsets of the object at which a grasp still holds in every direction.
+
+    Args:
+        world: Hand, object and protocol.
+        motion: N grasps.
+        noise: The offsets.
+        middle: What the object turns about (3,), metres, object frame.
+        numbers: A number (N,) for each grasp: its offsets depend on this and on the seed only.
+        seed: Of the offsets.
+        threads: CPU threads.
+        progress: Is told of N x `noise.count` trials.
+    """
+    each = np.repeat(np.arange(len(motion)), noise.count)
+    shifts, turns = zip(
+        *(_draw(np.random.default_rng([seed, int(number)]), noise) for number in numbers),
+        strict=True,
+    )
+    T = np.tile(np.eye(4), (len(each), 1, 1))
+    T[:, :3, :3] = exp_so3(np.concatenate(turns))
+    T[:, :3, 3] = middle - T[:, :3, :3] @ middle + np.concatenate(shifts)
+    friction = np.full(len(each), world.protocol.friction)
+    trials = simulate(
+        world, motion.select(each), Conditions(T, friction), threads=threads, first_failure=True, progress=progress
+    )
+    return trials.success.reshape(len(motion), noise.count).mean(axis=1)
+
+
+def holds_at(
+    world: World,
+    motion: Motion,
+    frictions: Sequence[float],
+    *,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Bool[np.ndarray, "N F"]:
+    """Whether each of N grasps holds (N, F) with each of F coefficients of sliding friction."""
+    each, at = np.repeat(np.arange(len(motion)), len(frictions)), np.tile(frictions, len(motion))
+    conditions = replace(Conditions.nominal(world, len(each)), friction=at.astype(float))
+    trials = simulate(world, motion.select(each), conditions, threads=threads, first_failure=True, progress=progress)
+    return trials.success.reshape(len(motion), len(frictions))
+
+
+def holds_without_squeeze(
+    world: World, motion: Motion, *, threads: int | None = None, progress: Progress | None = None
+) -> Bool[np.ndarray, " N"]:
+    """Whether each of N grasps (N,) holds when the hand stops closing at the grasp."""
+    grasp, squeeze = STAGES.index("grasp"), STAGES.index("squeeze")
+    T, q = motion.T_world_root.copy(), motion.q.copy()
+    T[:, squeeze], q[:, squeeze] = T[:, grasp], q[:, grasp]
+    return simulate(world, Motion(T, q), threads=threads, first_failure=True, progress=progress).success
+
+
+def _draw(rng: np.random.Generator, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
+    """Shifts and rotation vectors (count, 3) each, uniform in their balls."""
+    balls = []
+    for radius in (noise.offset, noise.turn):
+        direction = rng.normal(size=(noise.count, 3))
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        balls.append(radius * rng.uniform(size=(noise.count, 1)) ** (1 / 3) * direction)
+    return balls[0], balls[1]

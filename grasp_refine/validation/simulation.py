@@ -1,0 +1,291 @@
+"""Grasps in simulation: the hand closes once, and from that state the object is pushed in each direction."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from grasp_refine.se3 import exp_so3, log_so3, pose_from_transform, transform
+from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.protocol import AXES, Protocol
+from grasp_refine.validation.stepping import Conditions, Rows, Watch
+from grasp_refine.validation.trials import Reason, Trials
+from grasp_refine.validation.world import World
+
+CHUNK = 32
+"""Grasps that are simulated at a time, which bounds the memory and lets progress be told."""
+
+LIFT = ("lift",)
+"""The only direction where the object is lifted off a table."""
+
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Closed:
+    """N grasps after the hand closed, before the object is pushed."""
+
+    conditions: Conditions
+    """Under which it closed."""
+    state: Float[np.ndarray, "N s"]
+    """All that MuJoCo needs to go on (N, s), warm starts included."""
+    reason: Int[np.ndarray, " N"]
+    """A `Reason` (N,): why the trial is over already; HELD where it is not."""
+    contacts_grasp: Bool[np.ndarray, "N L"]
+    """Which links touched the object at the grasp (N, L)."""
+    contacts_squeeze: Bool[np.ndarray, "N L"]
+    """Which links touched it after the squeeze (N, L)."""
+    closing_m: Float[np.ndarray, " N"]
+    """How far the object was moved (N,), metres."""
+    closing_rad: Float[np.ndarray, " N"]
+    """How far it was turned (N,), radians."""
+    penetration_m: Float[np.ndarray, " N"]
+    """How deep hand and object were in each other at the pregrasp (N,), metres."""
+
+
+def simulate(
+    world: World,
+    motion: Motion,
+    conditions: Conditions | None = None,
+    *,
+    threads: int | None = None,
+    first_failure: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> Trials:
+    """What becomes of N grasps; a bad one fails with a reason and does not harm the others.
+
+    Args:
+        world: Hand, object and protocol.
+        motion: How the hand closes.
+        conditions: What differs between the grasps; by default nothing.
+        threads: CPU threads; by default as many as there are. The result does not depend on it.
+        first_failure: A grasp that failed in one direction is not simulated further in the others, for which the
+            same reason is then given.
+        progress: Is told how many grasps are done, in fractions.
+    """
+    conditions = Conditions.nominal(world, len(motion)) if conditions is None else conditions
+    parts = []
+    for start in range(0, len(motion), CHUNK):
+        rows = np.arange(start, min(start + CHUNK, len(motion)))
+
+        def tell(share: float, start: int = start, count: int = len(rows)) -> None:
+            if progress is not None:
+                progress(start + share * count)
+
+        closed = close(world, motion.select(rows), conditions.select(rows), threads=threads, tell=tell)
+        parts.append(push(world, closed, threads=threads, tell=tell, first_failure=first_failure))
+    return Trials.join(parts)
+
+
+def close(
+    world: World,
+    motion: Motion,
+    conditions: Conditions,
+    *,
+    threads: int | None = None,
+    tell: Callable[[float], None] = lambda share: None,
+    watch: Watch | None = None,
+) -> Closed:
+    """N grasps after the hand closed from the pregrasp over the grasp to the squeeze.
+
+    Args:
+        world: Hand, object and protocol.
+        motion: How the hand closes.
+        conditions: Where the object lies, and how slippery it is.
+        threads: CPU threads; by default as many as there are.
+        tell: Is told which share of the whole trial is done.
+        watch: Sees every simulation step.
+    """
+    protocol = world.protocol
+    finite = np.isfinite(motion.T_world_root).all(axis=(1, 2, 3)) & np.isfinite(motion.q).all(axis=(1, 2))
+    finite &= np.isfinite(conditions.T_world_object).all(axis=(1, 2)) & np.isfinite(conditions.friction)
+    start = np.where(finite[:, None, None], conditions.T_world_object, np.eye(4))
+    course = _Course.of(world, motion, finite)
+    rows = Rows(world, np.where(finite, conditions.friction, protocol.friction), finite, _threads(threads), watch)
+    batch = rows.batch
+    batch.qpos[:, world.root_at : world.root_at + 7] = course.root(0, 0.0)
+    batch.qpos[:, world.joints_at] = course.joints[:, 0]
+    batch.qpos[:, world.object_at : world.object_at + 7] = pose_from_transform(start)
+    _, penetration = rows.touching(np.flatnonzero(finite))
+    deep = finite & (penetration > protocol.deepest)
+    rows.running &= ~deep
+    contacts, steps = [], 0
+    for stage in (0, 1):
+        for move in range(1, protocol.moves + 1):
+            share = move / protocol.moves
+            batch.ctrl[:] = course.set_points(stage, share)
+            pose = course.root(stage, share)
+            batch.mocap_pos[:, 0], batch.mocap_quat[:, 0] = pose[:, :3], pose[:, 3:]
+            rows.step(protocol.steps_per_move)
+            steps += protocol.steps_per_move
+            tell(steps / _steps(protocol))
+        contacts.append(rows.touching(np.flatnonzero(rows.running))[0])
+    moved, turned = distances(start, rows.object_poses())
+    ran = finite & ~deep
+    return Closed(
+        conditions=conditions,
+        state=batch.state.copy(),
+        reason=np.select(
+            [~finite, deep, rows.unstable],
+            [Reason.NOT_FINITE, Reason.PENETRATES, Reason.UNSTABLE],
+            Reason.HELD,
+        ),
+        contacts_grasp=contacts[0],
+        contacts_squeeze=contacts[1],
+        closing_m=np.where(ran, moved, np.nan),
+        closing_rad=np.where(ran, turned, np.nan),
+        penetration_m=np.where(finite, penetration, np.nan),
+    )
+
+
+def push(
+    world: World,
+    closed: Closed,
+    *,
+    directions: tuple[str, ...] | None = None,
+    threads: int | None = None,
+    first_failure: bool = False,
+    to_the_end: bool = False,
+    tell: Callable[[float], None] = lambda share: None,
+    watch: Watch | None = None,
+) -> Trials:
+    """What becomes of closed grasps while the object is pushed in each direction, or lifted.
+
+    Args:
+        world: Hand, object and protocol.
+        closed: The grasps.
+        directions: Only these; by default all of the protocol.
+        threads: CPU threads; by default as many as there are.
+        first_failure: As for `simulate`.
+        to_the_end: Trials that have failed go on, to be watched; what is said of them is as if they did not.
+        tell: Is told which share of the whole trial is done.
+        watch: Sees every simulation step.
+    """
+    protocol, count = world.protocol, len(closed.reason)
+    names = directions or protocol.directions or LIFT
+    shape = (count, len(names))
+    grasp = np.repeat(np.arange(count), len(names))
+    start = closed.conditions.T_world_object[grasp]
+    reason = closed.reason[grasp]
+    undecided = reason == Reason.HELD
+    rows = Rows(world, closed.conditions.friction[grasp], undecided, _threads(threads), watch)
+    rows.batch.state[:] = closed.state[grasp]
+    if not protocol.tabletop:
+        forces = protocol.mass * protocol.acceleration * np.array([AXES[name] for name in names])
+        rows.batch.xfrc_applied[:, world.object_body, :3] = np.tile(forces, (count, 1))
+    time, displacement, angle = (np.full(len(grasp), np.nan) for _ in range(3))
+    contacts = np.zeros((len(grasp), len(world.links)), dtype=bool)
+    for check in range(1, protocol.checks + 1):
+        wanted = start.copy()
+        if protocol.tabletop:
+            wanted[:, :3, 3] += _lift(rows, protocol, check) * _UP
+        else:
+            rows.step(protocol.steps_per_check)
+        moved, turned = distances(wanted, rows.object_poses())
+        found = np.select(
+            [rows.unstable, moved >= protocol.farthest, turned >= protocol.steepest],
+            [Reason.UNSTABLE, Reason.MOVED, Reason.TURNED],
+            Reason.HELD,
+        )
+        failed = undecided & (found != Reason.HELD)
+        decided = undecided if check == protocol.checks else failed
+        reason[failed] = found[failed]
+        time[failed] = check * protocol.steps_per_check * protocol.timestep
+        displacement[decided], angle[decided] = moved[decided], turned[decided]
+        contacts[decided] = rows.touching(np.flatnonzero(decided & ~rows.unstable))[0][decided]
+        undecided = undecided & ~decided
+        if first_failure:
+            worst = reason.reshape(shape).max(axis=1)[grasp]
+            lost = undecided & (worst != Reason.HELD)
+            reason[lost], undecided = worst[lost], undecided & ~lost
+        if not to_the_end:
+            rows.running &= undecided
+        tell(1.0 - (protocol.checks - check) * protocol.steps_per_check / _steps(protocol))
+    return Trials(
+        directions=names,
+        links=world.links,
+        reason=reason.reshape(shape),
+        time_s=time.reshape(shape),
+        displacement_m=displacement.reshape(shape),
+        angle_rad=angle.reshape(shape),
+        contacts=contacts.reshape(*shape, -1),
+        contacts_grasp=closed.contacts_grasp,
+        contacts_squeeze=closed.contacts_squeeze,
+        closing_m=closed.closing_m,
+        closing_rad=closed.closing_rad,
+        penetration_m=closed.penetration_m,
+    )
+
+
+def distances(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far (metres) and by what angle (radians) poses (N, 4, 4) differ; NaN where one is not finite."""
+    finite = np.isfinite(before).all(axis=(-2, -1)) & np.isfinite(after).all(axis=(-2, -1))
+    before, after = (np.where(finite[:, None, None], T, np.eye(4)) for T in (before, after))
+    moved = np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=-1)
+    turned = np.linalg.norm(log_so3(before[:, :3, :3].mT @ after[:, :3, :3]), axis=-1)
+    return np.where(finite, moved, np.nan), np.where(finite, turned, np.nan)
+
+
+def _lift(rows: Rows, protocol: Protocol, check: int) -> float:
+    """Raises the hands to where they should be at a check; returns how high that is, in metres."""
+    height = 0.0
+    # In steps as small as those in which the hand closes.
+    parts = max(protocol.steps_per_check // protocol.steps_per_move, 1)
+    for part in range(1, parts + 1):
+        before, height = height, protocol.lift * (check - 1 + part / parts) / protocol.checks
+        rise = height - (before if part > 1 else protocol.lift * (check - 1) / protocol.checks)
+        rows.batch.mocap_pos[:, 0] += rise * _UP
+        rows.step(protocol.steps_per_check // parts)
+    return height
+
+
+def _steps(protocol: Protocol) -> int:
+    """Simulation steps of a whole trial."""
+    return 2 * protocol.moves * protocol.steps_per_move + protocol.checks * protocol.steps_per_check
+
+
+def _threads(threads: int | None) -> int:
+    if threads is not None:
+        return threads
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """Where hands are to be, between their stages."""
+
+    world: World
+    T_world_body: Float[np.ndarray, "N 3 4 4"]
+    """Poses of the hand's root body at the three stages."""
+    joints: Float[np.ndarray, "N 3 m"]
+    """Values of its joints there."""
+
+    @classmethod
+    def of(cls, world: World, motion: Motion, finite: np.ndarray) -> _Course:
+        """That of a motion; where it is not finite, any."""
+        hand = world.hand
+        T = np.where(finite[:, None, None, None], motion.T_world_root, np.eye(4)) @ hand.T_base_root
+        q = np.where(finite[:, None, None], motion.q, 0.0)
+        return cls(world, T, _each(hand.matrix, q) + hand.offset)
+
+    def root(self, stage: int, share: float) -> Float[np.ndarray, "N 7"]:
+        """Poses (N, 7) of the root body on the way from `stage` to the next one: straight on, at an even turn."""
+        before, after = self.T_world_body[:, stage], self.T_world_body[:, stage + 1]
+        turn = log_so3(before[:, :3, :3].mT @ after[:, :3, :3])
+        position = before[:, :3, 3] + share * (after[:, :3, 3] - before[:, :3, 3])
+        return pose_from_transform(transform(before[:, :3, :3] @ exp_so3(share * turn), position))
+
+    def set_points(self, stage: int, share: float) -> Float[np.ndarray, "N u"]:
+        """Set points (N, u) of the actuators on that way."""
+        values = self.joints[:, stage] + share * (self.joints[:, stage + 1] - self.joints[:, stage])
+        return _each(self.world.control, values)
+
+
+def _each(matrix: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Products (..., m) of one matrix (m, n) with vectors (..., n), each rounded as if it were alone."""
+    flat = vectors.reshape(-1, vectors.shape[-1])
+    return np.stack([matrix @ vector for vector in flat]).reshape(*vectors.shape[:-1], len(matrix))

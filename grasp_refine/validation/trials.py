@@ -1,0 +1,112 @@
+"""What simulations of grasps came to: held or not, and why not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from math import degrees
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from grasp_refine.validation.protocol import Protocol
+
+
+class Reason(IntEnum):
+    """How the trial of a grasp in one direction ended."""
+
+    HELD = 0
+    MOVED = 1
+    TURNED = 2
+    PENETRATES = 3
+    UNSTABLE = 4
+    NOT_FINITE = 5
+
+    @property
+    def label(self) -> str:
+        """As results and tables say it."""
+        return self.name.lower().replace("_", " ")
+
+    def meaning(self, protocol: Protocol) -> str:
+        """What happened, for a person."""
+        return {
+            Reason.HELD: "the object stayed",
+            Reason.MOVED: f"the object was {protocol.farthest * 1e3:g} mm or more away from where it should be",
+            Reason.TURNED: f"the object had turned by {degrees(protocol.steepest):g} degrees or more",
+            Reason.PENETRATES: f"hand and object are deeper than {protocol.deepest * 1e3:g} mm in each other at the "
+            "pregrasp, which would throw the object",
+            Reason.UNSTABLE: "the simulation diverged",
+            Reason.NOT_FINITE: "the grasp holds numbers that are not finite",
+        }[self]
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """N grasps, each tried in D directions; contacts are by L links."""
+
+    directions: tuple[str, ...]
+    """Names of the D directions, such as "+x", or "lift"."""
+    links: tuple[str, ...]
+    """Names of the L links that can touch the object."""
+    reason: Int[np.ndarray, "N D"]
+    """A `Reason` for each trial (N, D)."""
+    time_s: Float[np.ndarray, "N D"]
+    """When it failed (N, D), in seconds after the push or the lift began; NaN where it did not."""
+    displacement_m: Float[np.ndarray, "N D"]
+    """How far the object had moved from where it lay at first (N, D), at the failure or at the end, metres."""
+    angle_rad: Float[np.ndarray, "N D"]
+    """How far it had turned (N, D), radians."""
+    contacts: Bool[np.ndarray, "N D L"]
+    """Which links touched the object then (N, D, L)."""
+    contacts_grasp: Bool[np.ndarray, "N L"]
+    """Which links touched it when the hand had closed to the grasp, before the squeeze (N, L)."""
+    contacts_squeeze: Bool[np.ndarray, "N L"]
+    """Which links touched it after the squeeze, before the push (N, L)."""
+    closing_m: Float[np.ndarray, " N"]
+    """How far closing the hand moved the object (N,), metres."""
+    closing_rad: Float[np.ndarray, " N"]
+    """How far closing the hand turned it (N,), radians."""
+    penetration_m: Float[np.ndarray, " N"]
+    """How deep hand and object were in each other at the pregrasp (N,), metres."""
+
+    def __len__(self) -> int:
+        """Return the number of grasps."""
+        return len(self.reason)
+
+    @property
+    def success(self) -> Bool[np.ndarray, " N"]:
+        """Which grasps (N,) held in every direction."""
+        return (self.reason == Reason.HELD).all(axis=1)
+
+    @property
+    def worst(self) -> Int[np.ndarray, " N"]:
+        """The column (N,) of the first direction that failed, else of the one in which the object moved most."""
+        failed = self.reason != Reason.HELD
+        moved = np.nan_to_num(self.displacement_m, nan=np.inf).argmax(axis=1)
+        return np.where(failed.any(axis=1), failed.argmax(axis=1), moved)
+
+    def select(self, rows: np.ndarray) -> Trials:
+        """The grasps `rows`, in that order."""
+        return Trials(
+            self.directions,
+            self.links,
+            *(getattr(self, field.name)[rows] for field in fields(self)[2:]),
+        )
+
+    @classmethod
+    def join(cls, parts: list[Trials]) -> Trials:
+        """The grasps of all parts, in that order; parts may name different links."""
+        links = tuple(dict.fromkeys(link for part in parts for link in part.links))
+
+        def spread(part: Trials, contacts: np.ndarray) -> np.ndarray:
+            wide = np.zeros((*contacts.shape[:-1], len(links)), dtype=bool)
+            wide[..., [links.index(link) for link in part.links]] = contacts
+            return wide
+
+        columns = {}
+        for field in fields(cls)[2:]:
+            values = [getattr(part, field.name) for part in parts]
+            if field.name.startswith("contacts"):
+                values = [spread(part, value) for part, value in zip(parts, values, strict=True)]
+            columns[field.name] = np.concatenate(values)
+        return cls(parts[0].directions, links, **columns)

@@ -1,0 +1,274 @@
+"""A hand as MuJoCo takes it, made from the very links, joints and convex pieces that are refined.
+
+MuJoCo's own URDF reader is not used: mesh paths, fixed joints, mimic joints and impossible inertias are its traps, and
+what is simulated would not be what was refined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.description.inertia import DENSITY, Inertia
+from grasp_refine.geometry.pieces import Piece
+from grasp_refine.hand import Hand, Link
+from grasp_refine.se3 import exp_so3, quaternion_from_matrix
+from grasp_refine.self_collision import touching_pairs
+from grasp_refine.validation.hand_model import HandModel
+
+SPECK = Inertia(1e-3, np.zeros(3), 1e-6 * np.eye(3))
+"""What a moving part gets of which the URDF gives neither mass nor geometry: 1 g."""
+
+FOLLOWING = {"solref": [0.01, 1.0], "solimp": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
+"""How hard a mimic joint follows: as hard as steps of 4 ms allow."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Which links move as one."""
+
+    matrix: Float[np.ndarray, "m n"]
+    """Values of the m joints that can move are `matrix` times q, plus `offset`."""
+    offset: Float[np.ndarray, " m"]
+    """What is added (m,), in rad or m."""
+    joints: tuple[str, ...]
+    """The m joints that can move."""
+    still: Mapping[str, float]
+    """Values in rad or m of the movable joints that cannot move: those with equal limits, and what follows these."""
+    of: Mapping[str, str]
+    """Link -> first link of its part, which is what a joint carries, or the base link."""
+    carrier: Mapping[str, str]
+    """First link of a part -> that of the part it hangs from."""
+
+    @classmethod
+    def by_joints(cls, hand: Hand) -> Parts:
+        """The parts of `hand`."""
+        matrix, offset, names = hand.mimic_map()
+        free = hand.lower < hand.upper
+        moves = (matrix[:, free] != 0).any(axis=1)
+        at = matrix @ np.where(free, 0.0, hand.lower) + offset
+        still = {name: float(value) for name, value in zip(names, at, strict=True) if not moves[names.index(name)]}
+        joints = tuple(name for name, moving in zip(names, moves, strict=True) if moving)
+        of, carrier = {hand.base_link: hand.base_link}, {}
+        for joint in hand.joints:  # parents before children
+            of[joint.child] = joint.child if joint.name in joints else of[joint.parent]
+            if joint.name in joints:
+                carrier[joint.child] = of[joint.parent]
+        return cls(matrix[moves], offset[moves], joints, still, of, carrier)
+
+
+def urdf_model(hand: Hand) -> HandModel:
+    """`hand` as MuJoCo takes it: a body for each link, its convex pieces, and position actuators.
+
+    Joints have the limits of the URDF, and damping, armature and dry friction of `hand.actuator`; mimic joints have no
+    limits and follow by equality constraints. Hand links collide with each other only where `touching_pairs` says so,
+    and with everything else. A locked joint (equal limits) is no joint here.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = hand.name
+    spec.compiler.degree, spec.compiler.fusestatic = False, False
+    parts = Parts.by_joints(hand)
+    names = _body_names(hand)
+    bodies = {hand.base_link: spec.worldbody.add_body(name=names[hand.base_link])}
+    for joint in hand.joints:
+        T = joint.T_parent_child
+        if joint.name in parts.still:
+            T = T @ _moved(joint.kind, joint.axis * parts.still[joint.name])
+        bodies[joint.child] = bodies[joint.parent].add_body(
+            name=names[joint.child], pos=T[:3, 3], quat=quaternion_from_matrix(T[:3, :3])
+        )
+        if joint.name in parts.joints:
+            _add_joint(spec, bodies[joint.child], hand, parts, parts.joints.index(joint.name))
+    rounded = [link.name for link in hand.links if link.body is not None and _add_geoms(spec, bodies[link.name], link)]
+    notes = _add_masses(hand, parts, bodies)
+    if rounded:
+        notes.append(f"rounded edges of {', '.join(rounded)} are polyhedra in the simulation")
+    add_actuators(spec, hand, {name: name for name in hand.joint_names if name in parts.joints})
+    for a, b in apart(hand, parts):
+        spec.add_exclude(bodyname1=names[a], bodyname2=names[b])
+    return HandModel(
+        spec=spec,
+        root=names[hand.base_link],
+        T_base_root=np.eye(4),
+        joints=parts.joints,
+        matrix=parts.matrix,
+        offset=parts.offset,
+        links={body: link for link, body in names.items()},
+        notes=tuple(notes),
+    )
+
+
+def add_actuators(
+    spec: mujoco.MjSpec, hand: Hand, joints: Mapping[str, str], sign: Mapping[str, float] | None = None
+) -> None:
+    """Position actuators of `hand` in `spec`, named like what they drive: one per joint, one per coupled group.
+
+    A group pulls at a tendon whose length is the sum of ratio x joint value; stiffness and force limit are those of
+    its first joint.
+
+    Args:
+        spec: Where joints are, and actuators will be.
+        hand: The hand.
+        joints: Independent joint of the hand -> name in `spec`; others are left out.
+        sign: Independent joint -> -1 where its values have the other sign in `spec`.
+    """
+    row = {name: i for i, name in enumerate(hand.joint_names)}
+
+    def add(name: str, target: str, kind: mujoco.mjtTrn, i: int) -> None:
+        kp, limit = hand.actuator.kp[i], hand.actuator.force_limit[i]
+        # MuJoCo takes no empty range: what may exert nothing pulls with nothing.
+        servo = spec.add_actuator(name=name, target=target, trntype=kind)
+        servo.set_to_position(kp=kp if limit > 0 else 0.0)
+        if 0 < limit < np.inf:
+            servo.forcelimited, servo.forcerange = True, [-limit, limit]
+
+    grouped = {joint for group in hand.coupled for joint in group.joints}
+    for joint, name in joints.items():
+        if joint not in grouped:
+            add(name, name, mujoco.mjtTrn.mjTRN_JOINT, row[joint])
+    for group in hand.coupled:
+        driven = [(joint, ratio) for joint, ratio in zip(group.joints, group.ratio, strict=True) if joint in joints]
+        if driven:
+            tendon = spec.add_tendon(name="+".join(joints[joint] for joint, _ in driven))
+            for joint, ratio in driven:
+                tendon.wrap_joint(joints[joint], ratio * (sign or {}).get(joint, 1.0))
+            add(tendon.name, tendon.name, mujoco.mjtTrn.mjTRN_TENDON, row[driven[0][0]])
+
+
+def apart(hand: Hand, parts: Parts) -> list[tuple[str, str]]:
+    """The pairs of links that must not collide; without neighbours, which MuJoCo never lets collide."""
+    touching = {frozenset(pair) for pair in touching_pairs(hand)}
+    solid = [link.name for link in hand.links if link.body is not None]
+    return [
+        (a, b)
+        for a, b in combinations(solid, 2)
+        if frozenset((a, b)) not in touching
+        and parts.of[a] != parts.of[b]
+        and parts.carrier.get(parts.of[a]) != parts.of[b]
+        and parts.carrier.get(parts.of[b]) != parts.of[a]
+    ]
+
+
+def _body_names(hand: Hand) -> dict[str, str]:
+    """Link -> body; MuJoCo's own root has the name "world", which is also common in URDFs."""
+    taken = {link.name for link in hand.links}
+    other = "world_link"
+    while other in taken:
+        other += "_"
+    return {name: other if name == "world" else name for name in (link.name for link in hand.links)}
+
+
+def _add_joint(spec: mujoco.MjSpec, body: mujoco.MjsBody, hand: Hand, parts: Parts, index: int) -> None:
+    joint = hand.joints_by_name[parts.joints[index]]
+    row = parts.matrix[index]
+    leader = int(np.abs(row).argmax())
+    slides = joint.kind == "prismatic"
+    added = body.add_joint(
+        name=joint.name,
+        type=mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE,
+        axis=joint.axis,
+        damping=hand.actuator.damping[leader],
+        armature=hand.actuator.armature[leader],
+    )
+    if joint.mimic is not None:
+        tie = spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_JOINT,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            name1=joint.name,
+            name2=hand.joint_names[leader],
+            **FOLLOWING,
+        )
+        # A polynomial; how many numbers there is room for differs between versions of MuJoCo.
+        tie.data = [parts.offset[index], row[leader], *[0.0] * (len(tie.data) - 2)]
+        return
+    added.frictionloss = hand.actuator.frictionloss[leader]
+    if joint.kind != "continuous":
+        added.limited, added.range = True, [joint.lower, joint.upper]
+
+
+def _add_geoms(spec: mujoco.MjSpec, body: mujoco.MjsBody, link: Link) -> bool:
+    """Whether some rounded piece had to become a polyhedron; adds the pieces of `link` to its body."""
+    rounded = False
+    for number, piece in enumerate(link.body.pieces):
+        corners = piece.vertices
+        if len(corners) == 1:
+            body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[piece.radius, 0, 0], pos=corners[0])
+        elif len(corners) == 2:
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[piece.radius, 0, 0], fromto=[*corners[0], *corners[1]]
+            )
+        else:
+            rounded |= piece.radius > 0
+            mesh = f"{body.name}:{number}"
+            # Masses are explicit; the other ways to find inertias refuse what is thin or small.
+            shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+            spec.add_mesh(name=mesh, uservert=_corners(piece).ravel(), inertia=shell)
+            body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh)
+    return rounded
+
+
+def _corners(piece: Piece) -> np.ndarray:
+    return np.asarray(piece.mesh().vertices if piece.radius > 0 else piece.vertices)
+
+
+def _add_masses(hand: Hand, parts: Parts, bodies: Mapping[str, mujoco.MjsBody]) -> list[str]:
+    """Notes on what was repaired; sets mass and inertia of the bodies."""
+    kinds: dict[str, list[str]] = {
+        f"mass and inertia of {{}} are those of solid pieces of {DENSITY:g} kg/m^3: the URDF gives no mass": [],
+        "inertia of {} follows from mass and geometry, or is that of a ball of 1 cm: the URDF gives none above 0": [],
+        "inertia of {} balanced: its principal moments broke the triangle inequality": [],
+        f"{{}} weighs {SPECK.mass * 1e3:g} g: the URDF gives neither mass nor geometry": [],
+    }
+    without_mass, without_moments, unbalanced, without_all = kinds.values()
+    weighed = set()
+    for link in hand.links:
+        inertia = link.inertia
+        mass = link.mass or 0.0
+        if inertia is not None and inertia.positive():
+            if not inertia.possible():
+                unbalanced.append(link.name)
+        elif mass > 0:
+            without_moments.append(link.name)
+            inertia = _shaped(link, mass)
+        elif link.body is not None:
+            without_mass.append(link.name)
+            inertia = Inertia.of(link.body.pieces)
+        else:
+            continue
+        weighed.add(parts.of[link.name])
+        _set_inertia(bodies[link.name], inertia.balanced())
+    for first in dict.fromkeys(parts.of.values()):
+        if first not in weighed:
+            without_all.append(first)
+            _set_inertia(bodies[first], SPECK)
+    return [note.format(", ".join(links)) for note, links in kinds.items() if links]
+
+
+def _shaped(link: Link, mass: float) -> Inertia:
+    """Inertia of `link` with the given mass, spread like its geometry, or without any like a ball of 1 cm."""
+    centre = None if link.inertia is None else link.inertia.centre
+    if link.body is None:
+        return Inertia(mass, np.zeros(3) if centre is None else centre, 0.4 * mass * 0.01**2 * np.eye(3))
+    solid = Inertia.of(link.body.pieces)
+    return Inertia(mass, solid.centre if centre is None else centre, solid.matrix * (mass / solid.mass))
+
+
+def _set_inertia(body: mujoco.MjsBody, inertia: Inertia) -> None:
+    moments, axes = inertia.principal()
+    body.mass, body.ipos, body.iquat, body.inertia = inertia.mass, inertia.centre, quaternion_from_matrix(axes), moments
+    body.explicitinertial = True
+
+
+def _moved(kind: str, step: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
+    """Motion of a joint by a rotation vector or a translation (3,)."""
+    T = np.eye(4)
+    if kind == "prismatic":
+        T[:3, 3] = step
+    else:
+        T[:3, :3] = exp_so3(step)
+    return T

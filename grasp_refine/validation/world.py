@@ -1,0 +1,214 @@
+"""The world of a simulation: one hand on a free root, one object, compiled once for any number of grasps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from grasp_refine.errors import GraspRefineError
+from grasp_refine.geometry.pieces import Piece
+from grasp_refine.objects import Object
+from grasp_refine.plane import Plane
+from grasp_refine.validation.hand_model import HandModel
+from grasp_refine.validation.protocol import Protocol
+
+OBJECT, HAND, HOLDER, TABLE = "object", "hand", "holder", "table"
+"""Names of the bodies and of the free joints of object and hand; what the hand's names start with; of the table."""
+
+ROLLING = 1e-4
+"""Rolling friction, which contacts of dimension 4 do not have; MuJoCo asks for a value."""
+HAND_SOLREF, HAND_SOLIMP = (0.005, 1.0), (0.5, 0.99, 1e-4, 0.5, 2.0)
+"""How stiff contacts of the hand are."""
+WELD_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
+"""How stiffly the root of the hand follows its holder."""
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A compiled model, and where in it things stand; the object's frame is the world's where the object starts."""
+
+    spec: mujoco.MjSpec
+    """What was compiled, for export."""
+    model: mujoco.MjModel
+    """The model; nothing changes it."""
+    hand: HandModel
+    """The hand as it was put into it."""
+    object: str
+    """Name of the object."""
+    protocol: Protocol
+    """What it was compiled for."""
+    root_at: int
+    """Where in qpos the pose (7,) of the hand's root stands."""
+    object_at: int
+    """Where in qpos the pose (7,) of the object stands."""
+    joints_at: Int[np.ndarray, " m"]
+    """Where in qpos the values of the hand's joints stand (m,), in the order of `HandModel.joints`."""
+    object_body: int
+    """Number of the object's body."""
+    control: Float[np.ndarray, "u m"]
+    """The set points of the u actuators at which they rest are this (u, m) times the joint values (m,)."""
+    links: tuple[str, ...]
+    """Names of the L links that have something to touch with."""
+    link_of_geom: Int[np.ndarray, " g"]
+    """Number of the link that each geom belongs to (g,); -1 for those of the object, -2 for others."""
+
+
+def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane | None = None) -> World:
+    """The world in which grasps of a hand on an object are simulated.
+
+    Args:
+        hand: The hand; it is copied.
+        obj: The object, with all its convex pieces.
+        protocol: The physics.
+        table: What the object lies on, where it is lifted; by default a plane under its lowest point.
+
+    Raises:
+        GraspRefineError: MuJoCo cannot compile it; says what it complains of.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = f"{obj.name} in a hand"
+    spec.compiler.degree = False
+    spec.copy_during_attach = True
+    _set_options(spec, protocol)
+    _add_object(spec, obj, protocol)
+    _add_hand(spec, hand, gravity=protocol.tabletop)
+    if protocol.tabletop:
+        _add_table(spec, table if table is not None else resting_plane(obj))
+    for geom in spec.geoms:
+        geom.condim, geom.friction = 4, [protocol.friction, protocol.torsion, ROLLING]
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise GraspRefineError(f"MuJoCo cannot simulate {obj.name} in this hand: {error}") from None
+    return _located(spec, model, hand, obj.name, protocol)
+
+
+def resting_plane(obj: Object) -> Plane:
+    """The horizontal plane that touches the object from below, z up in its frame."""
+    return Plane(offset=float(min(piece.bounds[0, 2] for piece in obj.body.pieces)))
+
+
+def _set_options(spec: mujoco.MjSpec, protocol: Protocol) -> None:
+    option, disable = spec.option, mujoco.mjtDisableBit
+    option.timestep = protocol.timestep
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.noslip_iterations = 2
+    option.impratio = 10.0
+    option.gravity = [0.0, 0.0, -protocol.acceleration if protocol.tabletop else 0.0]
+    # A simulation that diverges must not be set back to its start, where it would look like one that holds. And one
+    # contact for a pair of convex pieces, as in the MuJoCo that the protocol was published with: 4 has up to four.
+    option.disableflags |= disable.mjDSBL_AUTORESET | disable.mjDSBL_MULTICCD
+
+
+def _add_object(spec: mujoco.MjSpec, obj: Object, protocol: Protocol) -> None:
+    body = spec.worldbody.add_body(name=OBJECT)
+    body.add_freejoint(name=OBJECT)
+    volumes = np.array([volume(piece) for piece in obj.body.pieces])
+    for number, (piece, share) in enumerate(zip(obj.body.pieces, volumes / volumes.sum(), strict=True)):
+        geom = add_piece(spec, body, piece, f"{OBJECT}_{number}")
+        geom.mass = protocol.mass * share
+
+
+def add_piece(spec: mujoco.MjSpec, body: mujoco.MjsBody, piece: Piece, name: str) -> mujoco.MjsGeom:
+    """A geom of a body for one convex piece: a ball, a capsule, or the hull of its vertices as a mesh."""
+    if len(piece.vertices) == 1:
+        return body.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[piece.radius, 0, 0], pos=piece.vertices[0]
+        )
+    if len(piece.vertices) == 2:
+        return body.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            size=[piece.radius, 0, 0],
+            fromto=piece.vertices.reshape(-1),
+        )
+    solid = piece if piece.radius == 0 else piece.mesh()
+    mesh = spec.add_mesh(name=name)
+    mesh.uservert = np.asarray(solid.vertices).reshape(-1)
+    # That of the hull itself; others need a surface whose volume is well defined.
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    return body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
+
+
+def volume(piece: Piece) -> float:
+    """Volume of a convex piece in cubic metres."""
+    if len(piece.vertices) <= 2:
+        length = np.linalg.norm(piece.vertices[-1] - piece.vertices[0])
+        return float(np.pi * piece.radius**2 * (length + 4 / 3 * piece.radius))
+    return float(piece.mesh().volume)
+
+
+def _add_hand(spec: mujoco.MjSpec, hand: HandModel, *, gravity: bool) -> None:
+    prefix = f"{HAND}/"
+    spec.attach(hand.spec, prefix=prefix, frame=spec.worldbody.add_frame())
+    root = spec.body(prefix + hand.root)
+    root.pos, root.quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+    root.add_freejoint(name=HAND)
+    for body in spec.bodies:
+        if body.name.startswith(prefix):
+            # A hand that is held by an arm carries itself.
+            body.gravcomp = 1.0 if gravity else 0.0
+            for geom in body.geoms:
+                geom.solref, geom.solimp = HAND_SOLREF, HAND_SOLIMP
+    spec.worldbody.add_body(name=HOLDER, mocap=True)
+    weld = spec.add_equality(
+        name=HOLDER,
+        type=mujoco.mjtEq.mjEQ_WELD,
+        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        name1=HOLDER,
+        name2=root.name,
+    )
+    # Anchor (3), relative position (3) and rotation (4), and how much a torque counts against a force.
+    weld.data[:11] = [0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 1]
+    weld.solimp = WELD_SOLIMP
+
+
+def _add_table(spec: mujoco.MjSpec, plane: Plane) -> None:
+    normal = np.asarray(plane.normal)
+    geom = spec.worldbody.add_geom(name=TABLE, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05])
+    geom.pos = plane.offset * normal
+    geom.alt.zaxis = normal
+
+
+def _located(spec: mujoco.MjSpec, model: mujoco.MjModel, hand: HandModel, name: str, protocol: Protocol) -> World:
+    prefix = f"{HAND}/"
+    body_names = [model.body(i).name for i in range(model.nbody)]
+    object_body = body_names.index(OBJECT)
+    touching = [model.geom_contype[g] != 0 or model.geom_conaffinity[g] != 0 for g in range(model.ngeom)]
+    owners = [
+        hand.links.get(body.removeprefix(prefix), body.removeprefix(prefix)) if body.startswith(prefix) else None
+        for body in (body_names[b] for b in model.geom_bodyid)
+    ]
+    links = tuple(dict.fromkeys(owner for owner, solid in zip(owners, touching, strict=True) if owner and solid))
+    link_of_geom = [
+        links.index(owner) if owner in links else (-1 if body == object_body else -2)
+        for owner, body in zip(owners, model.geom_bodyid, strict=True)
+    ]
+    joints = [model.joint(prefix + joint) for joint in hand.joints]
+    return World(
+        spec=spec,
+        model=model,
+        hand=hand,
+        object=name,
+        protocol=protocol,
+        root_at=int(model.joint(HAND).qposadr[0]),
+        object_at=int(model.joint(OBJECT).qposadr[0]),
+        joints_at=np.array([joint.qposadr[0] for joint in joints], dtype=int),
+        object_body=object_body,
+        control=_moments(model)[:, [joint.dofadr[0] for joint in joints]],
+        links=links,
+        link_of_geom=np.array(link_of_geom, dtype=int),
+    )
+
+
+def _moments(model: mujoco.MjModel) -> Float[np.ndarray, "u v"]:
+    """How the length of each actuator (u) changes with each degree of freedom (v); joints and tendons make it fixed."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    dense = np.zeros((model.nu, model.nv))
+    mujoco.mju_sparse2dense(dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    return dense

@@ -1,0 +1,69 @@
+"""A parallel gripper for MuJoCo whose normal force is known: two plates that slide together."""
+
+import mujoco
+import numpy as np
+
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import Piece
+from grasp_refine.objects import Object, load_object
+from grasp_refine.validation.hand_model import HandModel
+from grasp_refine.validation.motion import Motion
+
+KP = 500.0
+RADIUS = 0.03
+
+XML = """
+<mujoco>
+  <worldbody>
+    <body name="palm">
+      <inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+      <body name="left" pos="0 0 0.1">
+        <joint name="left" type="slide" axis="1 0 0" damping="5"/>
+        <geom type="box" size="0.005 0.04 0.04" pos="-0.005 0 0" mass="0.05"/>
+      </body>
+      <body name="right" pos="0 0 0.1">
+        <joint name="right" type="slide" axis="1 0 0" damping="5"/>
+        <geom type="box" size="0.005 0.04 0.04" pos="0.005 0 0" mass="0.05"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position joint="left" kp="{kp}"/>
+    <position joint="right" kp="{kp}"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def gripper(kp: float = KP) -> HandModel:
+    """The gripper: one value, the opening between the plates."""
+    return HandModel(
+        spec=mujoco.MjSpec.from_string(XML.format(kp=kp)),
+        root="palm",
+        T_base_root=np.eye(4),
+        joints=("left", "right"),
+        matrix=np.array([[-0.5], [0.5]]),
+        offset=np.zeros(2),
+        links={"palm": "palm", "left": "left plate", "right": "right plate"},
+        notes=(),
+    )
+
+
+def ball(radius: float = RADIUS) -> Object:
+    return load_object(f"sphere:{radius}", candidates=16)
+
+
+def two_balls() -> Object:
+    """Two balls that touch, so that there are several pieces."""
+    mesh = load_object(f"sphere:{RADIUS}", candidates=16).mesh
+    none = np.zeros((0, 3), dtype=int)
+    pieces = [Piece(np.array([[0.0, y, 0.0]]), none, 0.02) for y in (-0.02, 0.02)]
+    return Object("two balls", mesh, build_body("two balls", pieces, candidates=16), convex=False, notes=())
+
+
+def around(force: float, *, count: int = 1, opening: float = 2 * RADIUS + 0.01, grasp: float = 2 * RADIUS) -> Motion:
+    """Closing on a ball at the origin from `opening` over `grasp` until each plate presses with `force` (newtons)."""
+    T = np.tile(np.eye(4), (count, 3, 1, 1))
+    T[..., 2, 3] = -0.1
+    q = np.tile(np.array([[opening], [grasp], [2 * RADIUS - 2 * force / KP]]), (count, 1, 1))
+    return Motion(T, q)

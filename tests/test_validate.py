@@ -1,0 +1,190 @@
+"""`refine-grasp validate` and `run --validate`: what a person reads, what programs read, and what is refused."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import refused
+
+from grasp_refine.assets import resource_dir
+from grasp_refine.cli import main
+from grasp_refine.grasps import load_grasps, save_npz
+from grasp_refine.validation.protocol import AXES
+
+EXAMPLE = resource_dir("robots") / "allegro" / "example_rounded_box.npz"
+SHADOW = {
+    "core_bottle_523cddb320608c09a37f3fc191551700": 100.0,
+    "core_can_be67418a10003cc9eae3efbc9dbeea": 62.5,
+    "sem_Piano_438f64dd9ff80bfddd5efa4c0e7932e": 30.0,
+}
+"""Object -> per cent of the BODex grasps that hold, as DexGraspBench itself finds (../shared/assets/README.md)."""
+
+
+def validate(*arguments: str | Path) -> dict[str, Any]:
+    """The document of a command line that works."""
+    assert main(["validate", *map(str, arguments), "--json", "report.json"]) == 0
+    return json.loads(Path("report.json").read_text())
+
+
+def test_a_validation_has_the_keys_of_the_contract(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    document = validate(EXAMPLE, "--index", "0", "2", "--rows", "rows.csv")
+    out = capfd.readouterr().out
+    assert (document["schema"], document["command"]) == (1, "validate")
+    assert document["totals"]["n"] == 2 and document["totals"]["success_before"] is None
+    assert [grasp["index"] for grasp in document["grasps"]] == [0, 2]
+    for grasp in document["grasps"]:
+        assert grasp["simulation"]["before"] is None
+        after = grasp["simulation"]["after"]
+        assert after["setting"] == "force-closure"
+        assert [entry["direction"] for entry in after["directions"]] == list(AXES)
+        assert after["success"] == all(entry["reason"] == "held" for entry in after["directions"])
+        assert after["displacement_m"] == max(entry["displacement_m"] for entry in after["directions"])
+        assert set(after["flags"]) == {"barely", "by_squeeze"}
+        assert grasp["penetration_m"]["after"] > 0
+        assert isinstance(grasp["contact_number"]["after"], int)
+    held = sum(grasp["simulation"]["after"]["success"] for grasp in document["grasps"])
+    assert document["totals"]["success_after"] == held
+    assert f"{held} of 2 grasps held" in out
+    with open("rows.csv") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["index"] for row in rows] == ["0", "2"]
+    assert float(rows[1]["penetration_m"]) == document["grasps"][1]["penetration_m"]["after"]
+    assert rows[0]["success"] == str(document["grasps"][0]["simulation"]["after"]["success"])
+
+
+def test_the_same_as_parquet(workplace: Path) -> None:
+    import pyarrow.parquet
+
+    document = validate(EXAMPLE, "--index", "1", "--no-simulate", "--rows", "rows.parquet")
+    (row,) = pyarrow.parquet.read_table("rows.parquet").to_pylist()
+    assert row["wrench_residual"] == document["grasps"][0]["wrench_residual"]["after"]
+    assert document["grasps"][0]["simulation"] == {"before": None, "after": None}
+
+
+def test_further_trials_are_told(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    document = validate(
+        EXAMPLE, "--index", "0", "--noise", "2", "--frictions", "0.05", "0.9", "--without-squeeze"
+    )  # fmt: skip
+    after = document["grasps"][0]["simulation"]["after"]
+    assert after["noise_score"] in (0.0, 0.5, 1.0)
+    assert after["by_friction"] == {"0.05": False, "0.9": True}
+    assert document["totals"]["by_friction"] == {"0.05": 0, "0.9": 1}
+    # A grasp that only touches does not press.
+    assert after["without_squeeze"] is False and after["flags"]["by_squeeze"] is True
+    out = capfd.readouterr().out
+    assert "held only by the squeeze (fails without): 0" in " ".join(out.split())
+    assert "held by friction: 0.05: 0.0 %, 0.9: 100.0 %" in out
+
+
+def test_the_same_seed_gives_the_same_document(workplace: Path) -> None:
+    first, second = (
+        validate(EXAMPLE, "--index", "3", "--noise", "2", "--threads", threads)["grasps"] for threads in ("1", "2")
+    )
+    for grasp in (*first, *second):
+        grasp.pop("wall_s"), grasp.pop("cpu_s")
+    assert first == second
+
+
+def test_before_and_after_are_compared(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--object", "rounded_box", "--index", "0", "1", "--out", "refined"]) == 0
+    grasps = load_grasps(EXAMPLE).select([0, 1])
+    save_npz("before.npz", grasps.arrays())
+    capfd.readouterr()
+    assert main(["validate", "--compare", "before.npz", "refined/allegro_rounded_box.npz"]) == 0
+    out = capfd.readouterr().out
+    assert "allegro: 2 grasps, before → after" in out
+    (line,) = [line for line in out.splitlines() if line.startswith("penetration, mean mm")]
+    assert line.split()[3:] == [line.split()[3], "0.000", "2", "0"]
+
+
+def test_a_run_can_prove_what_it_did(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    arguments = ["run", "--object", "rounded_box", "--index", "0", "--validate", "--json", "run.json"]
+    assert main(arguments) == 0
+    document = json.loads(Path("run.json").read_text())
+    (grasp,) = document["grasps"]
+    before, after = (grasp["simulation"][when] for when in ("before", "after"))
+    assert document["totals"]["success_before"] == before["success"]
+    assert document["totals"]["success_after"] == after["success"] == 1
+    assert "held in simulation: 1 → 1 of 1" in capfd.readouterr().out
+    # The file holds the pregrasp and the squeeze that were simulated.
+    again = validate("grasp-refine-results/allegro_rounded_box.npz", "--closing", "file")
+    found = again["grasps"][0]["simulation"]["after"]
+    for key in ("success", "reason", "direction", "contacts"):
+        assert found[key] == after[key]
+    assert found["displacement_m"] == pytest.approx(after["displacement_m"], rel=1e-3)
+
+
+def test_replays_are_recorded(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    import mujoco
+
+    from grasp_refine.validation.replay import load_replay
+
+    document = validate(EXAMPLE, "--index", "0", "--replays", "replays", "--direction", "+z")
+    replay = load_replay("replays/allegro_rounded_box_0_+z.npz")
+    (entry,) = [e for e in document["grasps"][0]["simulation"]["after"]["directions"] if e["direction"] == "+z"]
+    assert replay.reason == entry["reason"]
+    assert replay.displacement()[0][-1] == pytest.approx(entry["displacement_m"], abs=1e-12)
+    model = mujoco.MjModel.from_xml_path("replays/allegro_rounded_box_0_+z.xml")
+    assert model.nkey > 3
+
+
+def test_bad_input_is_refused(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    quick = ("validate", EXAMPLE, "--index", "0")
+    grasps = load_grasps(EXAMPLE)
+    save_npz("other.npz", {**grasps.arrays(), "object": np.array("sphere:0.04")})
+    save_npz("fewer.npz", grasps.select([0, 1]).arrays())
+    for arguments, complaint in (
+        (("validate",), "name a grasp file"),
+        (("validate", "missing.npz"), "no such grasp file"),
+        ((*quick, "--friction", "0"), "--friction must be above 0"),
+        ((*quick, "--mass", "-1"), "--mass must be finite and not negative"),
+        ((*quick, "--threads", "0"), "--threads must be at least 1"),
+        ((*quick, "--noise-offset", "0.01"), "--noise-offset needs --noise N"),
+        ((*quick, "--no-simulate", "--noise", "2"), "with --no-simulate"),
+        ((*quick, "--closing", "file"), "come without pregrasp and squeeze"),
+        ((*quick, "--rows", "rows.xlsx"), "ends with .csv or .parquet"),
+        ((*quick, "--film"), "for --replays"),
+        ((*quick, "--replays", "r", "--direction", "up"), "there are +x, -x, +y, -y, +z, -z"),
+        ((*quick, "--json", EXAMPLE), "would overwrite an input"),
+        (("validate", EXAMPLE, "--compare", EXAMPLE, EXAMPLE), "stands instead of FILE"),
+        (("validate", "--compare", EXAMPLE, "other.npz"), "their objects differ"),
+        (("validate", "--compare", EXAMPLE, "fewer.npz"), "4 against 2"),
+        (("run", "--setting", "strict"), "--setting is for --validate"),
+    ):
+        assert complaint in refused(capfd, *arguments), arguments
+
+
+@pytest.fixture
+def bodex(shared_assets: Path) -> tuple[str, ...]:
+    """Command line of the BODex grasps with the hand and the pieces that DexGraspBench takes."""
+    grasps, hands = shared_assets / "grasps", shared_assets / "hands"
+    return (
+        str(grasps / "normalised" / "bodex_shadow.npz"),
+        *("--objects", str(grasps / "bodex_shadow" / "example_object")),
+        *("--hand", "shadow", "--urdf", str(hands / "shadow" / "shadow_right.urdf")),
+        *("--mjcf", str(hands / "shadow_mjcf" / "right_hand_22dof_dgb.xml")),
+    )
+
+
+def by_object(document: dict[str, Any]) -> dict[str, float]:
+    """Object -> per cent that held."""
+    held: dict[str, list[bool]] = {}
+    for grasp in document["grasps"]:
+        held.setdefault(grasp["object"], []).append(grasp["simulation"]["after"]["success"])
+    return {name: 100 * float(np.mean(values)) for name, values in held.items()}
+
+
+def test_published_outcomes_of_a_sample(workplace: Path, bodex: tuple[str, ...]) -> None:
+    shares = by_object(validate(*bodex, "--index", *map(str, range(0, 80, 10))))
+    assert shares["core_bottle_523cddb320608c09a37f3fc191551700"] == 100
+    assert list(shares) == list(SHADOW) and len(set(shares.values())) > 1
+
+
+@pytest.mark.slow
+def test_published_outcomes_are_reproduced(workplace: Path, bodex: tuple[str, ...]) -> None:
+    shares = by_object(validate(*bodex))
+    for name, published in SHADOW.items():
+        assert shares[name] == pytest.approx(published, abs=4), name

@@ -1,0 +1,123 @@
+"""Metrics of a clamp around a ball in closed form."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from grasp_refine.hand import Hand, load_hand
+from grasp_refine.objects import Object, load_object
+from grasp_refine.se3 import exp_se3
+from grasp_refine.validation.metrics import FARTHEST, Metrics, metrics
+
+PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
+LIMIT = '<limit lower="-0.1" upper="0.1" effort="1" velocity="1"/>'
+URDF = f"""<robot name="clamp">
+  <link name="base"/><link name="left">{PAD}</link><link name="right">{PAD}</link><link name="palm">{PAD}</link>
+  <joint name="l" type="prismatic"><parent link="base"/><child link="left"/><origin xyz="0.06 0 0"/>
+    <axis xyz="1 0 0"/>{LIMIT}</joint>
+  <joint name="r" type="prismatic"><parent link="base"/><child link="right"/><origin xyz="-0.06 0 0"/>
+    <axis xyz="-1 0 0"/>{LIMIT}</joint>
+  <joint name="p" type="prismatic"><parent link="base"/><child link="palm"/><origin xyz="0 0 -0.06"/>
+    <axis xyz="0 0 -1"/>{LIMIT}</joint>
+</robot>"""
+"""Three balls of 1 cm that touch a ball of 5 cm and move straight away from it by as much as their joints say."""
+
+TOML = """urdf = "clamp.urdf"
+[rest_pose]
+l = 0.05
+r = 0.05
+p = 0.05
+[[contact]]
+link = "left"
+group = "one"
+point = [-0.01, 0.0, 0.0]
+[[contact]]
+link = "left"
+group = "one"
+point = [0.0, 0.01, 0.0]
+[[contact]]
+link = "right"
+group = "two"
+"""
+"""The palm is no contact link; the left pad has two contact points."""
+
+
+@pytest.fixture(scope="module")
+def hand(tmp_path_factory: pytest.TempPathFactory) -> Hand:
+    folder: Path = tmp_path_factory.mktemp("clamp")
+    (folder / "clamp.urdf").write_text(URDF)
+    (folder / "hand.toml").write_text(TOML)
+    return load_hand(folder, candidates=16)
+
+
+@pytest.fixture(scope="module")
+def ball() -> Object:
+    return load_object("sphere:0.05", candidates=16)
+
+
+def at(hand: Hand, ball: Object, q: list, T: np.ndarray | None = None) -> Metrics:
+    q = np.array(q, dtype=float)
+    return metrics(hand, ball, np.tile(np.eye(4), (len(q), 1, 1)) if T is None else T, q)
+
+
+def test_fingers_count_once_and_no_farther_than_a_centimetre(hand: Hand, ball: Object) -> None:
+    found = at(hand, ball, [[0.004, 0.001, 0.0], [-0.003, 0.008, 0.03], [0.05, 0.09, 0.0]])
+    np.testing.assert_allclose(found.contact_distance_m, [0.0025, 0.004, FARTHEST], atol=1e-9)
+
+
+def test_links_near_the_object_count_once_each(hand: Hand, ball: Object) -> None:
+    found = at(hand, ball, [[0, 0, 0], [0.0019, 0.0021, 0.0], [-0.001, 0.01, 0.01], [0.01, 0.01, 0.01]])
+    np.testing.assert_array_equal(found.contact_number, [3, 2, 1, 0])
+
+
+def test_depths_and_limits(hand: Hand, ball: Object) -> None:
+    found = at(hand, ball, [[-0.004, 0.0, -0.006], [0.01, 0.01, 0.01], [-0.06, -0.06, 0.2]])
+    np.testing.assert_allclose(found.penetration_m, [0.006, 0.0, 0.06], atol=1e-6)
+    np.testing.assert_array_equal(found.limits_violated, [0, 0, 1])
+    # The two pads coincide: as deep in each other as they are wide.
+    np.testing.assert_allclose(found.self_penetration_m, [0.0, 0.0, 0.02], atol=1e-6)
+
+
+def test_a_clamp_balances_and_its_palm_alone_does_not(hand: Hand, ball: Object) -> None:
+    # Both pads; both and the palm, which need not push; pads out of reach; all out of reach.
+    found = at(hand, ball, [[0.009, 0.0, 0.05], [0, 0, 0.0029], [0.011, 0.011, 0.0], [0.011, 0.011, 0.0031]])
+    np.testing.assert_allclose(found.wrench_residual, [0.0, 0.0, 1.0, np.nan], atol=1e-6)
+
+
+def test_torques_are_about_the_centre_of_mass(hand: Hand, tmp_path: Path) -> None:
+    """A plate, pushed up 2 cm beside its centre and 1 cm below it by the palm alone; friction t helps a little.
+
+    |[F, tau / 5 cm]|^2 = 1 + t^2 + (0.4 - 0.2 t)^2 is least at t = 0.08 / 1.04.
+    """
+    plate = trimesh.creation.box((0.2, 0.2, 0.02))
+    plate.apply_translation([0.02, 0.0, -0.04])
+    plate.export(tmp_path / "plate.obj")
+    found = at(hand, load_object(tmp_path / "plate.obj", candidates=16), [[0.09, 0.09, 0.001]])
+    np.testing.assert_allclose(found.wrench_residual, np.sqrt(1.0 + 0.4**2 / 1.04), atol=1e-5)
+
+
+def test_the_hand_may_come_from_anywhere(hand: Hand, ball: Object) -> None:
+    turn = exp_se3(np.array([0.0, 0.0, 0.0, 1.0, 0.3, -2.0]))[None]
+    q = [[0.001, -0.002, 0.003]]
+    turned, straight = at(hand, ball, q, turn), at(hand, ball, q)
+    for name in ("contact_distance_m", "contact_number", "penetration_m", "self_penetration_m", "wrench_residual"):
+        np.testing.assert_allclose(getattr(turned, name), getattr(straight, name), atol=1e-6)
+
+
+def test_grasps_that_are_not_finite_have_no_metrics_and_spoil_no_other(hand: Hand, ball: Object) -> None:
+    T, q = np.tile(np.eye(4), (3, 1, 1)), np.zeros((3, 3))
+    T[0, 2, 2], q[2, 1] = np.nan, np.inf
+    found, alone = metrics(hand, ball, T, q), metrics(hand, ball, T[1:2], q[1:2])
+    for name in vars(found):
+        np.testing.assert_array_equal(np.isnan(getattr(found, name)), [True, False, True], err_msg=name)
+        np.testing.assert_array_equal(getattr(found, name)[1:2], getattr(alone, name))
+
+
+def test_select_and_join(hand: Hand, ball: Object) -> None:
+    found = at(hand, ball, [[0.001 * i, 0.0, 0.0] for i in range(4)])
+    again = Metrics.join([found.select(np.array([2, 3])), found.select(np.array([0]))])
+    assert len(found) == 4 and len(again) == 3
+    np.testing.assert_array_equal(again.contact_distance_m, found.contact_distance_m[[2, 3, 0]])
+    np.testing.assert_array_equal(again.wrench_residual, found.wrench_residual[[2, 3, 0]])

@@ -1,0 +1,344 @@
+"""MJCF hands matched to URDF hands: the published maps, mirrored and turned files, and files that do not fit."""
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from grasp_refine.errors import HandError
+from grasp_refine.hand import Hand, load_hand
+from grasp_refine.kinematics import Kinematics
+from grasp_refine.validation.hand_model import HandModel
+from grasp_refine.validation.mjcf_model import mjcf_model, similar
+
+NAMES = {"shadow": "shadow", "shadow_22": "shadow", "allegro": "allegro", "leap": "leap"}
+"""Maps in joint_maps.json -> hands of ours."""
+
+TIPS = {"shadow": 5, "shadow_22": 5, "allegro": 4, "leap": 4}
+
+
+def facts(shared_assets: Path, name: str) -> tuple[dict, Hand, Path]:
+    fact = json.loads((shared_assets / "facts/joint_maps.json").read_text())[name]
+    urdf = shared_assets / "hands" / fact["urdf"]
+    hand = load_hand(NAMES[name], urdf=urdf, base_link=fact["urdf_base"], candidates=16)
+    return fact, hand, shared_assets / "hands" / fact["mjcf"]
+
+
+def check_poses(hand: Hand, made: HandModel, tolerance: float) -> None:
+    """What stands for a link has its joint where the link's origin is, at random joint values."""
+    model = made.spec.compile()
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(1)
+    child = {joint.child for joint in hand.joints if joint.movable}
+    links = {body: link for body, link in made.links.items() if link in child}
+    assert len(links) == len(made.joints)
+    kinematics = Kinematics(hand, list(links.values()))
+    for _ in range(5):
+        q = rng.uniform(hand.lower, hand.upper)
+        for name, value in zip(made.joints, made.matrix @ q + made.offset, strict=True):
+            data.joint(name).qpos = value
+        mujoco.mj_kinematics(model, data)
+        root = np.eye(4)
+        root[:3, :3], root[:3, 3] = data.body(made.root).xmat.reshape(3, 3), data.body(made.root).xpos
+        T_world_base = torch.tensor(root @ np.linalg.inv(made.T_base_root))[None]
+        T = kinematics(T_world_base, torch.tensor(q)[None])[0].numpy()
+        rows = np.array([model.body(body).jntadr[0] for body in links])
+        # MuJoCo's anchor of a slide is where it begins.
+        slid = (model.jnt_type[rows] == mujoco.mjtJoint.mjJNT_SLIDE) * data.qpos[rows]
+        anchors = data.xanchor[rows] + slid[:, None] * data.xaxis[rows]
+        np.testing.assert_allclose(anchors, T[:, :3, 3], atol=tolerance)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_published_hands_match(name: str, shared_assets: Path) -> None:
+    fact, hand, path = facts(shared_assets, name)
+    made = mjcf_model(hand, path)
+    assert made.notes == ()
+    assert dict(zip(hand.mimic_map()[2], made.joints, strict=True)) == {
+        ours: theirs["mjcf_joint"] for ours, theirs in fact["joints"].items()
+    }
+    np.testing.assert_array_equal(made.matrix[made.matrix != 0], [theirs["sign"] for theirs in fact["joints"].values()])
+    assert not made.offset.any()
+    model = made.spec.compile()
+    check_poses(hand, made, 1e-4)
+    # The facts are about the body that stands for the base link, which need not be the root.
+    (base,) = [body for body, link in made.links.items() if link == hand.base_link]
+    assert base == fact["mjcf_base"]
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    T = [np.eye(4), np.eye(4)]
+    for pose, body in zip(T, (made.root, base), strict=True):
+        pose[:3, :3], pose[:3, 3] = data.body(body).xmat.reshape(3, 3), data.body(body).xpos
+    T_base = made.T_base_root @ np.linalg.inv(T[0]) @ T[1]
+    published = fact["T_urdfbase_from_mjcfbase"]
+    np.testing.assert_allclose(T_base[:3, :3], published["R"], atol=1e-3)
+    np.testing.assert_allclose(T_base[:3, 3], published["t"], atol=2e-4)
+    # What pulls, weighs and collides is that of the file, less what is only seen.
+    theirs = mujoco.MjModel.from_xml_path(str(path))
+    assert (model.nu, model.nv, model.ntendon, model.nexclude) == (
+        theirs.nu,
+        theirs.nv,
+        theirs.ntendon,
+        theirs.nexclude,
+    )
+    assert model.body_mass.sum() == pytest.approx(theirs.body_mass.sum())
+    assert model.ngeom == np.count_nonzero(theirs.geom_contype | theirs.geom_conaffinity)
+    for body in made.links:
+        np.testing.assert_allclose(model.body(body).inertia, theirs.body(body).inertia)
+    assert (model.nkey, model.nsensor, model.ncam, model.nlight) == (0, 0, 0, 0)
+
+
+def test_a_hand_that_begins_at_the_palm_keeps_its_forearm_rigid(shared_assets: Path) -> None:
+    hand = load_hand("shadow", urdf=shared_assets / "hands/shadow/shadow_right.urdf", base_link="palm", candidates=16)
+    made = mjcf_model(hand, shared_assets / "hands/shadow_mjcf/right_hand.xml")
+    assert made.notes == ("joints rh_WRJ2, rh_WRJ1 of the MJCF are fixed: the hand does not have them",)
+    assert made.root == "rh_forearm" and made.links["rh_palm"] == "palm" and made.links["rh_wrist"] == "rh_wrist"
+    model = made.spec.compile()
+    assert (model.nv, model.nu) == (22, 18)
+    check_poses(hand, made, 1e-4)
+
+
+@pytest.mark.parametrize(("name", "other"), [("shadow", "leap"), ("allegro", "shadow")])
+def test_the_mjcf_of_another_hand_is_refused(name: str, other: str, shared_assets: Path) -> None:
+    _, hand, _ = facts(shared_assets, name)
+    with pytest.raises(HandError, match=r"joints .* are not found by name among .*\[mjcf_joints\]"):
+        mjcf_model(hand, facts(shared_assets, other)[2])
+
+
+# --- a hand of our own
+
+
+URDF = """<robot name="r"><link name="palm"/><link name="a1"/><link name="a2"/><link name="b1"/>
+  <joint name="a1_j" type="revolute"><parent link="palm"/><child link="a1"/><origin xyz="0.05 0 0.02" rpy="0 0 0.4"/>
+    <axis xyz="0 1 0"/><limit lower="-1" upper="1.5" effort="3"/></joint>
+  <joint name="a2_j" type="revolute"><parent link="a1"/><child link="a2"/><origin xyz="0 0 0.04"/>
+    <axis xyz="1 0 0"/><limit lower="-1" upper="1.5" effort="3"/>{}</joint>
+  <joint name="b1_j" type="prismatic"><parent link="palm"/><child link="b1"/><origin xyz="-0.05 0.03 0.02"/>
+    <axis xyz="1 0 0"/><limit lower="0" upper="0.03" effort="3"/></joint></robot>"""
+
+TREE = """<body name="{palm}" pos="1 2 3" euler="0 90 30">{root}
+    <geom name="seen" size="0.02" contype="0" conaffinity="0" mass="0.3"/><geom size="0.01" mass="0.1"/>
+    <body name="a1" pos="0.05 0 0.02" euler="0 0 22.918311805232932"><joint name="rh_a1_j" axis="0 {sign} 0"/>
+      <geom size="0.01"/>
+      <body name="a2" pos="0 0 {reach}"><joint name="rh_a2_j" axis="1 0 0"/><geom size="0.01"/>
+        <body name="tip" pos="0 0 0.01"><geom size="0.01"/>{tip}</body></body></body>
+    <body name="b1" pos="-0.05 0.03 0.02"><joint name="rh_b1_j" type="slide" axis="1 0 0"/><geom size="0.01"/></body>
+  </body>"""
+
+SERVOS = """<actuator><position name="p1" joint="rh_a1_j" kp="3"/><position name="p2" joint="rh_a2_j" kp="3"/>
+  <position name="p3" joint="rh_b1_j" kp="3"/></actuator>"""
+
+
+def ours(folder: Path, mimic: str = "", toml: str = "") -> Hand:
+    (folder / "hand.urdf").write_text(URDF.format(mimic))
+    (folder / "hand.toml").write_text(toml)
+    return load_hand(folder, candidates=16)
+
+
+def written(
+    folder: Path,
+    *,
+    palm: str = "palm",
+    root: str = "",
+    sign: int = 1,
+    reach: float = 0.04,
+    tip: str = "",
+    world: str = "",
+    rest: str = SERVOS,
+) -> Path:
+    path = folder / "hand.xml"
+    tree = TREE.format(palm=palm, root=root, sign=sign, reach=reach, tip=tip)
+    path.write_text(f"<mujoco><worldbody>{world}{tree}</worldbody>{rest}</mujoco>")
+    return path
+
+
+def test_pose_and_signs_are_found(tmp_path: Path) -> None:
+    hand = ours(tmp_path)
+    for sign in (1, -1):
+        made = mjcf_model(hand, written(tmp_path, sign=sign))
+        assert made.joints == ("rh_a1_j", "rh_a2_j", "rh_b1_j") and made.notes == ()
+        np.testing.assert_array_equal(made.matrix, np.diag([sign, 1, 1]))
+        np.testing.assert_allclose(made.T_base_root, np.eye(4), atol=1e-9)
+        assert made.links == {"palm": "palm", "a1": "a1", "a2": "a2", "b1": "b1", "tip": "tip"}
+        check_poses(hand, made, 1e-9)
+
+
+def test_what_is_no_part_of_the_hand_is_left_out(tmp_path: Path) -> None:
+    path = written(
+        tmp_path,
+        root='<freejoint/><camera name="c"/>',
+        world="""<geom type="plane" size="1 1 1"/><light/><body name="table"><geom size="1"/>
+          <body name="leg"><geom size="1"/></body></body><body mocap="true" name="target"/>""",
+        rest=SERVOS
+        + '<equality><weld body1="target" body2="palm"/><weld body1="palm"/></equality>'
+        + '<contact><exclude body1="leg" body2="a1"/><exclude body1="palm" body2="a2"/></contact>'
+        + '<keyframe><key qpos="0 0 0 1 0 0 0 0 0 0"/></keyframe><sensor><jointpos joint="rh_a1_j"/></sensor>',
+    )
+    made = mjcf_model(ours(tmp_path), path)
+    model = made.spec.compile()
+    assert (model.nq, model.ngeom, model.nkey, model.nsensor, model.ncam, model.nlight) == (3, 5, 0, 0, 0, 0)
+    assert made.notes == ("hand.xml: 3 things beside the hand are left out",)
+    assert (model.neq, model.nexclude, model.nbody) == (0, 1, 6)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    np.testing.assert_array_equal([*data.body("palm").xpos, *data.body("palm").xquat], [0, 0, 0, 1, 0, 0, 0])
+    # What is only seen has gone, its mass has not.
+    assert model.body("palm").mass[0] == pytest.approx(0.4)
+    expected = 0.4 * (0.3 * 0.02**2 + 0.1 * 0.01**2)
+    np.testing.assert_allclose(model.body("palm").inertia, expected)
+
+
+def test_joints_that_the_hand_lacks_are_fixed_with_what_moves_them(tmp_path: Path) -> None:
+    more = """<tendon><fixed name="t"><joint joint="extra" coef="1"/><joint joint="rh_a1_j" coef="1"/></fixed></tendon>
+      <equality><joint joint1="extra" joint2="rh_a2_j"/><tendon tendon1="t"/></equality>"""
+    servos = SERVOS.replace(
+        "</actuator>", '<position name="e" joint="extra"/><position name="f" tendon="t"/></actuator>'
+    )
+    made = mjcf_model(ours(tmp_path), written(tmp_path, tip='<joint name="extra"/>', rest=servos + more))
+    model = made.spec.compile()
+    assert (model.nv, model.nu, model.ntendon, model.neq) == (3, 3, 0, 0)
+    assert made.notes == ("joints extra of the MJCF are fixed: the hand does not have them",)
+
+
+def test_without_actuators_those_of_the_hand_are_added(tmp_path: Path) -> None:
+    hand = ours(
+        tmp_path,
+        toml="coupled = [{ joints = ['a1_j', 'a2_j'], ratio = [1, 0.5] }]\nactuator = { kp = 4, force_limit = 2 }",
+    )
+    made = mjcf_model(hand, written(tmp_path, sign=-1, rest=""))
+    assert made.notes == ("hand.xml has no actuators: position actuators are added, as for the URDF",)
+    model = made.spec.compile()
+    assert [model.actuator(i).name for i in range(model.nu)] == ["rh_b1_j", "rh_a1_j+rh_a2_j"]
+    data = mujoco.MjData(model)
+    q = np.array([0.3, 0.2, 0.01])
+    for name, value in zip(made.joints, made.matrix @ q, strict=True):
+        data.joint(name).qpos = value
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.actuator_length, [0.01, 0.3 + 0.5 * 0.2], atol=1e-12)
+    np.testing.assert_array_equal(model.actuator_forcerange, [[-2, 2], [-2, 2]])
+
+
+def test_mimic_joints_follow_in_the_file_or_it_says_that_they_do_not(tmp_path: Path) -> None:
+    hand = ours(tmp_path, '<mimic joint="a1_j" multiplier="-0.5" offset="0.2"/>')
+    servos = SERVOS.replace('<position name="p2" joint="rh_a2_j" kp="3"/>', "")
+    loose = mjcf_model(hand, written(tmp_path, rest=servos))
+    assert loose.notes == ("joints a2_j follow nothing in hand.xml, neither actuator nor equality",)
+    tie = '<equality><joint joint1="rh_a2_j" joint2="rh_a1_j" polycoef="0.2 -0.5 0 0 0"/></equality>'
+    made = mjcf_model(hand, written(tmp_path, rest=servos + tie))
+    assert made.notes == ()
+    np.testing.assert_array_equal(made.matrix, [[1, 0], [-0.5, 0], [0, 1]])
+    np.testing.assert_array_equal(made.offset, [0, 0.2, 0])
+    check_poses(hand, made, 1e-9)
+
+
+def test_a_hand_that_is_put_into_a_world_causes_no_warning(tmp_path: Path) -> None:
+    option = '<option timestep="0.01" cone="elliptic" impratio="7"><flag eulerdamp="disable"/></option>'
+    made = mjcf_model(ours(tmp_path), written(tmp_path, rest=SERVOS + option))
+    world = mujoco.MjSpec()
+    world.option.timestep = 0.004
+    world.attach(made.spec, prefix="hand/", frame=world.worldbody.add_frame())
+    model = world.compile()
+    assert model.opt.timestep == 0.004 and model.nu == 3
+
+
+def test_names_match_behind_a_prefix() -> None:
+    there = ["rh_FFJ4", "lh/FFJ3", "XFFJ2", "a_1", "b_1", "FFJ1", "x_FFJ1"]
+    assert similar("FFJ4", there) == ["rh_FFJ4"] and similar("FFJ3", there) == ["lh/FFJ3"]
+    assert similar("FFJ2", there) == [] and similar("1", there) == ["a_1", "b_1"] and similar("FFJ1", there) == ["FFJ1"]
+
+
+def test_hand_toml_says_which_joint_is_which(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    path.write_text(path.read_text().replace("rh_a1_j", "thumb").replace("rh_a2_j", "index"))
+    with pytest.raises(HandError, match="joints a1_j, a2_j of hand .* are not found by name among thumb, index; a tab"):
+        mjcf_model(ours(tmp_path), path)
+    made = mjcf_model(ours(tmp_path, toml="mjcf_joints = { a1_j = 'thumb', a2_j = 'index' }"), path)
+    assert made.joints == ("thumb", "index", "rh_b1_j")
+    with pytest.raises(HandError, match=r"joints a1_j \(tumb\) of hand"):
+        mjcf_model(ours(tmp_path, toml="mjcf_joints = { a1_j = 'tumb', a2_j = 'index' }"), path)
+    with pytest.raises(HandError, match="joint 'rh_b1_j' is found for a1_j and b1_j;"):
+        mjcf_model(ours(tmp_path, toml="mjcf_joints = { a1_j = 'rh_b1_j', a2_j = 'index' }"), path)
+
+
+def test_a_small_difference_is_told_and_a_large_one_refused(tmp_path: Path) -> None:
+    hand = ours(tmp_path)
+    made = mjcf_model(hand, written(tmp_path, reach=0.0406))
+    assert made.notes[0].startswith("joints of hand.xml are up to 0.") and made.notes[0].endswith(
+        "mm from those of the URDF"
+    )
+    with pytest.raises(
+        HandError, match=r"joint 'a2_j' is up to \d+\.\d\d mm off \(at most 2\), the axis of .* another"
+    ):
+        mjcf_model(hand, written(tmp_path, reach=0.05))
+    crooked = written(tmp_path)
+    crooked.write_text(crooked.read_text().replace('name="rh_a2_j" axis="1 0 0"', 'name="rh_a2_j" axis="1 0 0.1"'))
+    with pytest.raises(HandError, match=r"the axis of 'a2_j' \d+\.\d\d degrees \(at most 2\)"):
+        mjcf_model(hand, crooked)
+
+
+def test_joints_on_one_line_are_aligned_by_their_axes(tmp_path: Path) -> None:
+    def finger(first: str, second: str, reach: str) -> tuple[Hand, str]:
+        limit = '<limit lower="-1" upper="1.5" effort="3"/>'
+        (tmp_path / "hand.urdf").write_text(
+            f'<robot name="r"><link name="p"/><link name="a"/><link name="b"/>'
+            f'<joint name="1" type="revolute"><parent link="p"/><child link="a"/><axis xyz="{first}"/>{limit}</joint>'
+            f'<joint name="2" type="revolute"><parent link="a"/><child link="b"/><origin xyz="0 0 {reach}"/>'
+            f'<axis xyz="{second}"/>{limit}</joint></robot>'
+        )
+        tree = f"""<mujoco><worldbody><body name="p" euler="40 50 60"><geom size="0.01"/><body name="a">
+          <joint name="1" axis="{first}"/><geom size="0.01"/><body name="b" pos="0 0 {reach}">
+          <joint name="2" axis="{second}"/><geom size="0.01"/></body></body></body></worldbody></mujoco>"""
+        return load_hand(tmp_path / "hand.urdf", candidates=16), tree
+
+    path = tmp_path / "hand.xml"
+    for first, second, reach in (("1 0 0", "1 0 0", "0.04"), ("1 0 0", "0 1 0", "0.04"), ("1 0 0", "0 1 0", "0")):
+        hand, tree = finger(first, second, reach)
+        path.write_text(tree)
+        made = mjcf_model(hand, path)
+        np.testing.assert_allclose(made.matrix, np.eye(2))
+        np.testing.assert_allclose(made.T_base_root, np.eye(4), atol=1e-9)
+        check_poses(hand, made, 1e-9)
+    hand, tree = finger("0 0 1", "0 0 1", "0.04")
+    path.write_text(tree)
+    with pytest.raises(HandError, match="its joints are on one line and parallel to it, which does not say how"):
+        mjcf_model(hand, path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, "no such MJCF file"),
+        ("{}", "it must be a MuJoCo XML file with its meshes where it names them"),
+        ('<!-- <mujoco> --><robot name="r"><link name="a"/></robot>', "a URDF, not an MJCF; it must be"),
+        ('<mujoco><worldbody><body foo="1"/></worldbody></mujoco>', "unrecognized attribute: 'foo'"),
+        ("mesh", "no.obj"),
+        (
+            "<mujoco><worldbody><body/></worldbody></mujoco>",
+            "one body with joints must hang from <worldbody>, here: none",
+        ),
+        (
+            '<mujoco><worldbody><body name="a"><joint/></body><body><joint/></body></worldbody></mujoco>',
+            "one body with joints must hang from <worldbody>, here: 'a', ''",
+        ),
+        (
+            '<mujoco><worldbody><body name="a"><freejoint/></body></worldbody></mujoco>',
+            "body 'a' has no joints but a free one",
+        ),
+        ("motor", "actuator 'p1' is no position servo .*sequences of joint positions"),
+    ],
+)
+def test_files_that_cannot_be_used_are_refused_in_one_line(tmp_path: Path, text: str | None, message: str) -> None:
+    hand, path = ours(tmp_path), tmp_path / "hand.xml"
+    if text == "motor":
+        written(tmp_path, rest=SERVOS.replace("<position", "<motor", 1).replace(' kp="3"', "", 1))
+    elif text == "mesh":
+        geom = '<geom type="mesh" mesh="m"/>'
+        written(tmp_path, tip=geom, rest=SERVOS + '<asset><mesh name="m" file="no.obj"/></asset>')
+    elif text is not None:
+        path.write_text(text)
+    with pytest.raises(HandError, match=f"hand.xml: .*{message}") as caught:
+        mjcf_model(hand, path)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,68 @@
+"""The motion that closes a hand: ours, and that of a file."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from grasp_refine.assets import resource_dir
+from grasp_refine.errors import GraspFileError
+from grasp_refine.grasps import GraspSet, Stage, load_grasps
+from grasp_refine.hand import Hand, load_hand
+from grasp_refine.objects import load_object
+from grasp_refine.pregrasp import opened
+from grasp_refine.scene import Scene
+from grasp_refine.se3 import transform_from_pose
+from grasp_refine.squeeze import squeezed
+from grasp_refine.validation.motion import STAGES, closing, motion_of
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("allegro", candidates=16)
+
+
+@pytest.fixture(scope="module")
+def grasps() -> GraspSet:
+    return load_grasps(resource_dir("robots") / "allegro" / "example_rounded_box.npz").select(range(3))
+
+
+def test_the_stages_are_open_grasp_and_squeeze(hand: Hand, grasps: GraspSet) -> None:
+    box = load_object("rounded_box", scale=float(grasps.scale[0]), candidates=16)
+    T, q = transform_from_pose(grasps.hand_pose), grasps.q.copy()
+    q[1, 3] = np.nan
+    scene = Scene(hand, box, T, q)
+    motion = closing(scene)
+    assert len(motion) == 3 and STAGES == ("pregrasp", "grasp", "squeeze")
+    T_open, q_open = opened(scene)
+    good = [0, 2]
+    np.testing.assert_array_equal(motion.T_world_root, np.where(np.isnan(q[:, 3])[:, None, None, None], np.nan,
+                                                                np.stack([T_open, T, T], axis=1)))  # fmt: skip
+    np.testing.assert_array_equal(motion.q[good], np.stack([q_open, q, squeezed(scene)], axis=1)[good])
+    assert np.isnan(motion.q[1]).all(), "half a grasp is none"
+    assert np.abs(motion.q[good, 2] - q[good]).max() > 0.05
+    chosen = motion.select(np.array([2, 0]))
+    np.testing.assert_array_equal(chosen.q, motion.q[[2, 0]])
+
+
+def test_the_motion_of_a_file_has_its_joints_by_name(hand: Hand, grasps: GraspSet) -> None:
+    names = grasps.joint_names[::-1]
+    pregrasp = Stage(grasps.hand_pose + [0.01, 0, 0, 0, 0, 0, 0], grasps.q[:, ::-1] - 0.1)
+    squeeze = Stage(grasps.hand_pose, grasps.q[:, ::-1] + 0.2)
+    mirrored = replace(grasps, joint_names=names, q=grasps.q[:, ::-1], pregrasp=pregrasp, squeeze=squeeze)
+    motion = motion_of(mirrored, hand)
+    np.testing.assert_allclose(motion.q - grasps.q[:, None], np.broadcast_to([[-0.1], [0.0], [0.2]], motion.q.shape))
+    T = transform_from_pose(grasps.hand_pose)
+    np.testing.assert_array_equal(motion.T_world_root[:, 1], T)
+    np.testing.assert_array_equal(motion.T_world_root[:, 2], T)
+    np.testing.assert_allclose(motion.T_world_root[:, 0, :3, 3], T[:, :3, 3] + [0.01, 0, 0])
+
+
+@pytest.mark.parametrize("lacking", [("pregrasp",), ("squeeze",), ("pregrasp", "squeeze")])
+def test_a_file_without_a_stage_has_no_motion(hand: Hand, grasps: GraspSet, lacking: tuple[str, ...]) -> None:
+    stage = Stage(grasps.hand_pose, grasps.q)
+    some = replace(grasps, **{name: stage for name in ("pregrasp", "squeeze") if name not in lacking})
+    message = f"the grasps come without {' and '.join(lacking)}"
+    with pytest.raises(GraspFileError, match=f"^{re.escape(message)}$"):
+        motion_of(some, hand)

@@ -1,0 +1,155 @@
+"""Pictures and films: hand and object are seen in them, and what they say is right."""
+
+import ctypes
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from PIL import Image
+from recorded_gripper import Recorded, recorded_gripper
+
+from grasp_refine.errors import GraspRefineError
+from grasp_refine.validation.export import export_xml
+from grasp_refine.validation.offscreen import choose_gl
+from grasp_refine.validation.render import FORMATS, View, check_renderer, film, picture
+
+
+@pytest.fixture(scope="module")
+def recorded() -> Recorded:
+    return recorded_gripper()
+
+
+@pytest.fixture(scope="module")
+def gl() -> str:
+    """The kind of OpenGL that is here; .ci/run installs one."""
+    try:
+        check_renderer()
+    except GraspRefineError as error:
+        pytest.skip(str(error))
+    return choose_gl()
+
+
+def shares(image: Image.Image) -> dict[str, float]:
+    """Of the picture: how much is orange, as the object; grey and not light, as the hand; red, as the arrow."""
+    red, green, blue = np.moveaxis(np.asarray(image.convert("RGB")).astype(int), 2, 0)
+    orange = (red - blue > 60) & (green - blue > 20)
+    return {
+        "object": orange.mean(),
+        "hand": ((abs(red - blue) < 25) & (red < 205) & (red > 60)).mean(),
+        "push": ((red - green > 90) & (abs(green - blue) < 45)).mean(),
+        "contact": ((blue - red > 110) & (green > red)).mean(),
+    }
+
+
+def test_hand_and_object_are_in_the_picture(recorded: Recorded, gl: str) -> None:
+    image = picture(recorded.model, recorded.replay, size=(320, 280))
+    assert image.size == (320, 280) and image.mode == "RGB"
+    found = shares(image)
+    assert found["object"] > 0.02 and found["hand"] > 0.05 and found["push"] > 0.001, found
+    assert found["contact"] > 0.00003, found
+    before = shares(picture(recorded.model, recorded.replay, 0, size=(320, 280)))
+    assert before["push"] == 0 and before["contact"] == 0, before
+    assert before["object"] > 0.02, before
+
+
+def test_the_same_frame_gives_the_same_picture(recorded: Recorded, gl: str) -> None:
+    one, two = (picture(recorded.model, recorded.replay, -1, size=(240, 200)) for _ in range(2))
+    assert one.tobytes() == two.tobytes()
+    assert one.tobytes() != picture(recorded.model, recorded.replay, 0, size=(240, 200)).tobytes()
+    assert recorded.model.vis.global_.fovy == 45, "the model is left as it was"
+
+
+def test_an_exported_model_is_drawn_like_its_original(recorded: Recorded, gl: str, tmp_path: Path) -> None:
+    export_xml(recorded.spec, recorded.model, recorded.replay, tmp_path / "replay.xml")
+    exported = mujoco.MjModel.from_xml_path(str(tmp_path / "replay.xml"))
+    ours, theirs = (np.asarray(picture(m, recorded.replay, size=(240, 200))) for m in (recorded.model, exported))
+    assert np.mean(np.abs(ours.astype(int) - theirs) > 8) < 0.01
+
+
+def test_a_lost_object_is_shown_while_it_is_in_sight(recorded: Recorded, gl: str, tmp_path: Path) -> None:
+    qpos = recorded.replay.qpos.copy()
+    qpos[150:, 1] += np.arange(75)
+    lost = replace(recorded.replay, qpos=qpos, reason="moved")
+    assert shares(picture(recorded.model, lost, size=(240, 200)))["object"] > 0.01
+    count = film(recorded.model, lost, tmp_path / "lost.gif", size=(200, 160), rate=10)
+    assert count == 7, "0.6 s at 10 pictures a second, both ends counted"
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_a_film_has_pictures_that_differ(recorded: Recorded, gl: str, tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"film{ending}"
+    count = film(recorded.model, recorded.replay, path, size=(200, 160), rate=5)
+    with Image.open(path) as image:
+        assert image.n_frames == count == 6
+        assert image.size == (200, 160) and image.info.get("loop") == 0
+        frames = []
+        for frame in range(count):
+            image.seek(frame)
+            frames.append(np.asarray(image.convert("RGB")).astype(int))
+    assert all(np.abs(a - b).max() > 20 for a, b in zip(frames, frames[1:], strict=False))
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_view_shows_all_that_it_was_fitted_to() -> None:
+    points = np.random.default_rng(3).normal(size=(50, 3)) * [0.1, 0.02, 0.05] + [1.0, 2.0, 3.0]
+    for azimuth, elevation in ((0, 0), (90, -30), (200, 40)):
+        view = View(float(azimuth), float(elevation), np.zeros(3), 1.0).fitted(points, 1.5)
+        pixels = view.project(points, 600, 400)
+        assert (pixels >= [40, 25]).all() and (pixels <= [560, 375]).all()
+        touching = [abs(pixels[:, 0] - 300).max() / 300, abs(pixels[:, 1] - 200).max() / 200]
+        assert max(touching) == pytest.approx(0.84), "no farther away than it must be"
+        np.testing.assert_allclose(view.axes() @ view.axes().T, np.eye(3), atol=1e-12)
+    ahead = View(90.0, 0.0, np.zeros(3), 1.0)
+    right_of_it, above_it = ahead.project(np.array([[0.1, 0.0, 0.0], [0.0, 0.0, 0.1]]), 600, 400)
+    assert right_of_it[0] > 300 and above_it[1] < 200
+
+
+def test_what_cannot_be_drawn_is_named(recorded: Recorded, tmp_path: Path) -> None:
+    with pytest.raises(GraspRefineError, match=r"film.mp4: a film can be saved as .gif, .png, .webp, not as '.mp4'"):
+        film(recorded.model, recorded.replay, tmp_path / "film.mp4")
+    with pytest.raises(GraspRefineError, match="100 x 100 pixels: at least 200 x 160"):
+        picture(recorded.model, recorded.replay, size=(100, 100))
+    with pytest.raises(GraspRefineError, match="is of another model"):
+        picture(recorded.model, replace(recorded.replay, qpos_names=("a", *recorded.replay.qpos_names[1:])))
+
+
+def test_without_opengl_one_line_says_what_to_install(recorded: Recorded, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("MUJOCO_GL", "PYOPENGL_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+
+    def missing(name: str) -> ctypes.CDLL:
+        raise OSError(name)
+
+    monkeypatch.setattr(ctypes, "CDLL", missing)
+    monkeypatch.setattr(sys, "platform", "linux")
+    with pytest.raises(GraspRefineError, match=r"apt-get install libegl1.*libosmesa6.*MUJOCO_GL") as caught:
+        picture(recorded.model, recorded.replay)
+    assert "\n" not in str(caught.value)
+
+
+def test_mujoco_gl_is_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", " EGL ")
+    assert choose_gl() == "egl"
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    with pytest.raises(GraspRefineError, match="MUJOCO_GL=off forbids OpenGL; set it to egl or osmesa"):
+        check_renderer()
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(GraspRefineError, match="MUJOCO_GL=glfw needs a screen; set it to egl or osmesa"):
+        check_renderer()
+
+
+def test_a_kind_that_cannot_be_loaded_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    kind = "egl" if "mujoco.osmesa" in sys.modules else "osmesa"
+    monkeypatch.setenv("MUJOCO_GL", kind)
+    # Somebody has loaded PyOpenGL for something else.
+    monkeypatch.setitem(os.environ, "PYOPENGL_PLATFORM", "glx")
+    with pytest.raises(GraspRefineError, match=rf"install EGL .*\({kind}: ") as caught:
+        check_renderer()
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,117 @@
+"""Recorded motions: what they say, and their files."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_gripper import Recorded, recorded_gripper
+
+from grasp_refine.errors import GraspFileError, GraspRefineError
+from grasp_refine.npz import load_npz, save_npz
+from grasp_refine.validation.replay import Replay, Stage, load_replay, qpos_names, save_replay, written_whole
+
+
+@pytest.fixture(scope="module")
+def recorded() -> Recorded:
+    return recorded_gripper()
+
+
+@pytest.fixture
+def replay(recorded: Recorded) -> Replay:
+    return recorded.replay
+
+
+def test_a_file_gives_back_what_was_recorded(replay: Replay, tmp_path: Path) -> None:
+    path = tmp_path / "new folder" / "replay.npz"
+    save_replay(path, replay)
+    loaded = load_replay(path)
+    for field in fields(Replay):
+        np.testing.assert_array_equal(getattr(loaded, field.name), getattr(replay, field.name), err_msg=field.name)
+    assert [entry.name for entry in path.parent.iterdir()] == ["replay.npz"], "nothing is left beside it"
+
+
+def test_values_of_qpos_have_names(recorded: Recorded) -> None:
+    names = qpos_names(recorded.model)
+    assert names[:7] == tuple(f"object {axis}" for axis in ("x", "y", "z", "qw", "qx", "qy", "qz"))
+    assert names[14:] == ("hand/left", "hand/left_tip", "hand/right", "hand/right_tip")
+    np.testing.assert_array_equal(recorded.replay.object_pose, recorded.replay.qpos[:, :7])
+
+
+def test_the_object_moves_and_turns_from_where_it_lay(replay: Replay) -> None:
+    qpos = replay.qpos.copy()
+    qpos[0, :7] = [1, 2, 3, 1, 0, 0, 0]
+    qpos[1, :7] = [1, 2, 3, np.cos(0.2), 0, np.sin(0.2), 0]
+    qpos[2, :7] = [1, 2.3, 3.4, 0, 0, 0, 1]
+    moved, turned = replace(replay, qpos=qpos).displacement()
+    np.testing.assert_allclose(moved[:3], [0, 0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(turned[:3], [0, 0.4, np.pi], atol=1e-7)
+    nameless = replace(replay, qpos_names=("thing x", *replay.qpos_names[1:]))
+    with pytest.raises(GraspRefineError, match="no free joint 'object' among thing x"):
+        nameless.displacement()
+
+
+def test_time_in_a_stage_begins_where_the_one_before_ended(replay: Replay) -> None:
+    since = replay.since_stage()
+    np.testing.assert_allclose(since[[0, 49, 50, 99, 100, 224]], [0.0, 0.196, 0.004, 0.2, 0.004, 0.5], atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 4, 5, 60, 1000])
+def test_thinned_frames_keep_the_ends_of_stages(replay: Replay, count: int) -> None:
+    frames = replay.thinned(count)
+    assert {0, 49, 99, 224} <= set(frames.tolist())
+    assert len(frames) == min(max(count, 4), len(replay))
+    assert (np.diff(frames) > 0).all()
+    if count == 60:
+        assert np.diff(frames).max() <= 8, "evenly spread"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"qpos": None}, "not a replay, qpos missing"),
+        ({"schema": 2}, r"replay schema 2 is not known; this version reads 1"),
+        ({"qpos": np.zeros((225, 3))}, r"qpos must be 225 x 18 numbers; it has shape \(225, 3\)"),
+        ({"qvel": np.zeros(225)}, r"qvel must be 225 x any numbers"),
+        ({"time": -np.arange(225.0)}, "time must not fall"),
+        ({"time": np.zeros(0)}, "the replay has no frames"),
+        ({"stage": np.full(225, 9)}, r"stage must be among 0 \(close\)"),
+        ({"force": np.array([1.0, np.nan, 0.0])}, "force must be finite"),
+        ({"hand": 3.0}, "hand must hold text"),
+    ],
+)
+def test_a_damaged_file_is_refused(replay: Replay, tmp_path: Path, change: dict, message: str) -> None:
+    path = tmp_path / "replay.npz"
+    save_replay(path, replay)
+    entries = {**load_npz(path).entries, **change}
+    save_npz(path, {key: value for key, value in entries.items() if value is not None})
+    with pytest.raises(GraspFileError, match=message) as caught:
+        load_replay(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_half_a_file_is_refused(replay: Replay, tmp_path: Path) -> None:
+    path = tmp_path / "replay.npz"
+    save_replay(path, replay)
+    path.write_bytes(path.read_bytes()[:3000])
+    with pytest.raises(GraspFileError):
+        load_replay(path)
+    with pytest.raises(GraspFileError, match="no such"):
+        load_replay(tmp_path / "none.npz")
+
+
+def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "film.gif"
+    path.write_text("before")
+    with pytest.raises(ZeroDivisionError), written_whole(path) as partial:
+        assert partial.suffix == ".gif"
+        partial.write_text("half")
+        raise ZeroDivisionError
+    assert path.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [path]
+    with pytest.raises(GraspRefineError, match="cannot be written"), written_whole(path / "below.gif"):
+        pass
+
+
+def test_stages_have_the_names_that_key_frames_use() -> None:
+    assert [stage.label for stage in Stage] == ["close", "squeeze", "push", "lift"]

@@ -1,0 +1,224 @@
+"""Simulated grasps against physics that is known in closed form."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gripper import KP, RADIUS, around, ball, gripper, two_balls
+
+from grasp_refine.geometry.pieces import Piece, box
+from grasp_refine.se3 import exp_so3
+from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT, TABLETOP
+from grasp_refine.validation.record import record
+from grasp_refine.validation.replay import Stage
+from grasp_refine.validation.robustness import Noise, holds_at, holds_without_squeeze, noise_score
+from grasp_refine.validation.simulation import CHUNK, distances, simulate
+from grasp_refine.validation.stepping import Conditions
+from grasp_refine.validation.trials import Reason, Trials
+from grasp_refine.validation.world import World, build_world, volume
+
+PUSH = FORCE_CLOSURE.mass * FORCE_CLOSURE.acceleration
+ACROSS = ("+y", "-y", "+z", "-z")
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return build_world(gripper(), ball(), FORCE_CLOSURE)
+
+
+def holds(world: World, force: float, friction: float) -> Trials:
+    conditions = Conditions(np.eye(4)[None], np.array([friction]))
+    return simulate(world, around(force), conditions)
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.6, 1.0])
+def test_a_ball_between_two_plates_holds_when_friction_can_carry_the_push(world: World, friction: float) -> None:
+    # Each plate carries half of the push across: it slips when that is above friction x normal force.
+    limit = PUSH / (2 * friction)
+    held, dropped = holds(world, 1.15 * limit, friction), holds(world, 0.85 * limit, friction)
+    across = [held.directions.index(name) for name in ACROSS]
+    assert (held.reason[0, across] == Reason.HELD).all()
+    assert (dropped.reason[0, across] == Reason.MOVED).all()
+    # MuJoCo's friction creeps near its limit, far from it it does not.
+    assert holds(world, 2 * limit, friction).displacement_m[0, across].max() < 0.01
+
+
+def test_a_push_along_the_plates_normal_is_carried_by_both_actuators(world: World) -> None:
+    trials = holds(world, 4.0, 0.6)
+    along = trials.displacement_m[0, [trials.directions.index("+x"), trials.directions.index("-x")]]
+    # The plates are springs in parallel; the root's weld and the contacts give a little more.
+    assert along == pytest.approx([PUSH / (2 * KP)] * 2, rel=0.3)
+    assert trials.success.all()
+
+
+def test_a_free_object_moves_as_the_push_says(world: World) -> None:
+    trials = simulate(world, Motion(around(0.0).T_world_root, np.full((1, 3, 1), 2.0)))
+    dt, n = FORCE_CLOSURE.timestep, FORCE_CLOSURE.steps_per_check
+    # Velocity first, then position: x = a dt^2 (1 + 2 + ... + n).
+    expected = FORCE_CLOSURE.acceleration * dt**2 * n * (n + 1) / 2
+    assert (trials.reason == Reason.MOVED).all()
+    np.testing.assert_allclose(trials.displacement_m, expected, rtol=1e-9)
+    np.testing.assert_allclose(trials.time_s, n * dt)
+    np.testing.assert_allclose(trials.angle_rad, 0.0, atol=1e-9)
+    assert not trials.contacts.any() and not trials.contacts_squeeze.any()
+    np.testing.assert_allclose(trials.closing_m, 0.0, atol=1e-12)
+
+
+def test_an_object_that_is_pushed_off_its_middle_turns(world: World) -> None:
+    # One plate alone touches, off the middle: the object gets away.
+    T = around(1.0).T_world_root.copy()
+    T[..., 0, 3] += 0.02
+    trials = simulate(world, Motion(T, around(1.0).q))
+    assert not trials.success.any()
+
+
+def test_links_that_touch_are_told_by_stage(world: World) -> None:
+    trials = holds(world, 4.0, 0.6)
+    assert set(trials.links) == {"left plate", "right plate"}
+    assert trials.contacts_squeeze.all() and trials.contacts.all()
+    early = simulate(world, around(4.0, grasp=2 * RADIUS + 0.006))
+    assert not early.contacts_grasp.any() and early.contacts_squeeze.all()
+
+
+def test_deep_penetration_at_the_pregrasp_is_a_failure_of_its_own(world: World) -> None:
+    motion = around(2.0)
+    q = motion.q.copy()
+    q[:, 0] = 2 * RADIUS - 0.03
+    trials = simulate(world, Motion(motion.T_world_root, q))
+    assert (trials.reason == Reason.PENETRATES).all()
+    assert trials.penetration_m[0] == pytest.approx(0.015, abs=1e-3)
+    assert np.isnan(trials.displacement_m).all() and not trials.success.any()
+
+
+def test_a_simulation_that_diverges_is_unstable_never_a_success(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    wild = build_world(gripper(kp=1e13), ball(), FORCE_CLOSURE)
+    trials = simulate(wild, around(2.0))
+    assert (trials.reason == Reason.UNSTABLE).all()
+    assert not trials.success.any()
+    assert not list(tmp_path.iterdir()), "MuJoCo writes its warnings to a file in the current folder"
+
+
+def test_a_bad_grasp_fails_and_harms_no_other(world: World) -> None:
+    motion = around(4.0, count=3)
+    q, T = motion.q.copy(), motion.T_world_root.copy()
+    q[1, 2] = np.nan
+    trials = simulate(world, Motion(T, q))
+    assert trials.success.tolist() == [True, False, True]
+    assert (trials.reason[1] == Reason.NOT_FINITE).all()
+    alone = simulate(world, around(4.0))
+    np.testing.assert_array_equal(trials.displacement_m[[0]], alone.displacement_m)
+
+
+def various(count: int, seed: int = 0) -> Motion:
+    rng = np.random.default_rng(seed)
+    motion = around(0.0, count=count)
+    q, T = motion.q.copy(), motion.T_world_root.copy()
+    q[:, 2, 0] -= 2 * rng.uniform(0.5, 12.0, count) / KP
+    T[..., :3, 3] += rng.uniform(-0.003, 0.003, (count, 1, 3))
+    T[:, 2, :3, :3] = exp_so3(rng.uniform(-0.02, 0.02, (count, 3)))
+    return Motion(T, q)
+
+
+def test_a_batch_equals_its_grasps_one_by_one_bit_for_bit_at_any_number_of_threads() -> None:
+    world = build_world(gripper(), ball(), STRICT)
+    motion = various(CHUNK + 3)
+    together = simulate(world, motion, threads=2)
+    again = simulate(world, motion, threads=1)
+    rows = [0, 1, CHUNK - 1, CHUNK, CHUNK + 2]
+    single = Trials.join([simulate(world, motion.select(np.array([row])), threads=1) for row in rows])
+    assert 0 < together.success.sum() < len(motion)
+    for name in ("reason", "time_s", "displacement_m", "angle_rad", "contacts", "closing_m", "penetration_m"):
+        np.testing.assert_array_equal(getattr(together, name), getattr(again, name), err_msg=name)
+        np.testing.assert_array_equal(getattr(together, name)[rows], getattr(single, name), err_msg=name)
+
+
+def test_a_recorded_trial_is_the_same_trial(world: World) -> None:
+    motion = around(0.9)
+    trials = simulate(world, motion)
+    for direction in ("+y", "+x"):
+        replay = record(world, motion, direction, name="ball 0", hand="gripper")
+        assert replay is not None
+        column = trials.directions.index(direction)
+        assert replay.reason == Reason(trials.reason[0, column]).label
+        moved, turned = replay.displacement()
+        pushed = np.flatnonzero(replay.stage == Stage.PUSH)
+        # The trial says where it was decided.
+        seconds = trials.time_s[0, column]
+        at = len(replay) - 1 if np.isnan(seconds) else pushed[0] + round(seconds / 0.02) - 1
+        assert moved[at] == trials.displacement_m[0, column]
+        assert turned[at] == pytest.approx(trials.angle_rad[0, column], abs=1e-12)
+    assert record(world, Motion(motion.T_world_root * np.nan, motion.q), "+x", name="", hand="") is None
+
+
+def test_progress_ends_at_the_number_of_grasps(world: World) -> None:
+    told: list[float] = []
+    simulate(world, around(1.0, count=2), progress=told.append)
+    assert told == sorted(told) and told[-1] == pytest.approx(2)
+
+
+def test_stopping_at_the_first_failure_changes_no_verdict(world: World) -> None:
+    motion = various(8)
+    whole, short = simulate(world, motion), simulate(world, motion, first_failure=True)
+    np.testing.assert_array_equal(whole.success, short.success)
+    lost = ~short.success
+    assert (short.reason[lost] != Reason.HELD).all(axis=1).all()
+
+
+def test_more_friction_holds_what_less_does_not(world: World) -> None:
+    motion = around(1.0, count=2)
+    held = holds_at(world, motion, (0.3, 0.4, 0.6, 0.9))
+    np.testing.assert_array_equal(held, [[False, False, True, True]] * 2)
+
+
+def test_without_squeeze_only_what_touches_before_can_hold(world: World) -> None:
+    np.testing.assert_array_equal(holds_without_squeeze(world, around(4.0)), [False])
+    pressed = around(4.0, grasp=2 * RADIUS - 8.0 / KP)
+    np.testing.assert_array_equal(holds_without_squeeze(world, pressed), [True])
+
+
+def test_noise_depends_on_the_seed_and_the_grasp_not_on_the_batch(world: World) -> None:
+    motion, noise = around(4.0, count=3), Noise(count=4, offset=0.004)
+    numbers = np.array([5, 6, 7])
+    score = noise_score(world, motion, noise, middle=np.zeros(3), numbers=numbers)
+    alone = noise_score(world, motion.select(np.array([1])), noise, middle=np.zeros(3), numbers=numbers[[1]])
+    assert score[1] == alone[0] and ((score >= 0) & (score <= 1)).all()
+    far = noise_score(world, motion, Noise(count=4, offset=0.2), middle=np.zeros(3), numbers=numbers)
+    assert (far < score).any()
+
+
+def test_an_object_is_lifted_off_a_table() -> None:
+    world = build_world(gripper(), ball(), TABLETOP)
+    held, dropped = simulate(world, around(8.0)), simulate(world, around(0.05))
+    assert held.directions == ("lift",)
+    assert held.success.all() and held.displacement_m.max() < 0.02
+    assert (dropped.reason == Reason.MOVED).all()
+
+
+def test_the_object_has_its_mass_whatever_its_pieces() -> None:
+    for thing in (ball(), two_balls()):
+        world = build_world(gripper(), thing, replace(FORCE_CLOSURE, mass=0.25))
+        assert world.model.body_mass[world.object_body] == pytest.approx(0.25)
+    inertia = build_world(gripper(), ball(), FORCE_CLOSURE).model.body_inertia[1]
+    np.testing.assert_allclose(inertia, 0.4 * 0.1 * RADIUS**2, rtol=1e-6)
+
+
+def test_volumes() -> None:
+    none = np.zeros((0, 3), dtype=int)
+    assert volume(Piece(np.zeros((1, 3)), none, 2.0)) == pytest.approx(4 / 3 * np.pi * 8)
+    capsule = Piece(np.array([[0.0, 0, 0], [0, 0, 3.0]]), none, 1.0)
+    assert volume(capsule) == pytest.approx(np.pi * (4 / 3 + 3))
+    assert volume(box([1.0, 2.0, 3.0])) == pytest.approx(6.0)
+
+
+def test_distances_of_poses_that_are_not_finite_are_not_known() -> None:
+    T = np.tile(np.eye(4), (3, 1, 1))
+    other = T.copy()
+    other[0, :3, 3], other[1, :3, :3], other[2, 0, 0] = [3, 4, 0], exp_so3(np.array([0, 0, 0.5])), np.nan
+    moved, turned = distances(T, other)
+    np.testing.assert_allclose(moved, [5, 0, np.nan])
+    np.testing.assert_allclose(turned, [0, 0.5, np.nan], atol=1e-12)
