@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import radians
 from pathlib import Path
@@ -30,6 +31,9 @@ from grasp_refine.validation.robustness import Noise
 from grasp_refine.validation.validate import Checks, Validated, model_of, validate
 from grasp_refine.validation.world import build_world
 
+CHECK = Protocol.steps_per_check * Protocol.timestep
+"""Seconds between two checks of a push."""
+
 
 @dataclass(frozen=True)
 class Simulation:
@@ -44,14 +48,23 @@ class Simulation:
     """Another coefficient of sliding friction; that of torsion follows in proportion."""
     mass: float = Protocol.mass
     """Mass of the object in kg."""
+    seconds: float = Protocol.checks * Protocol.steps_per_check * Protocol.timestep
+    """How long each push, or the lift, lasts, in steps of 0.2 s; 0.4 takes a third of the time."""
     closing: StageSource = "auto"
     """Pregrasps and squeezes: those of the file, our own, or auto: those of the file if it has them, else our own."""
     threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
     """CPU threads; results do not depend on it."""
 
     def protocol(self) -> Protocol:
-        """The protocol that the options mean."""
-        protocol = replace(SETTINGS[self.setting], mass=self.mass)
+        """The protocol that the options mean.
+
+        Raises:
+            GraspRefineError: a push cannot be that long.
+        """
+        checks = round(self.seconds / CHECK)
+        if checks < 1 or abs(checks * CHECK - self.seconds) > 1e-9:
+            raise GraspRefineError(f"--seconds must be a multiple of {CHECK:g}, got {self.seconds:g}")
+        protocol = replace(SETTINGS[self.setting], mass=self.mass, checks=checks)
         if self.friction is None:
             return protocol
         torsion = protocol.torsion * self.friction / protocol.friction
@@ -115,7 +128,8 @@ class Validate:
         Raises:
             GraspRefineError: an input that cannot be used; then nothing is written.
         """
-        wall, cpu = time.perf_counter(), cpu_seconds()
+        wall, cpu, started = time.perf_counter(), cpu_seconds(), time.process_time()
+        check_numbers(self.simulation)
         protocol = self.simulation.protocol() if self.simulation.simulate else None
         files = self.told.compare or self.files
         self._check(protocol, files)
@@ -127,7 +141,7 @@ class Validate:
             self.recording.check(protocol, sum(len(problem) for problem in problems))
             for note in dict.fromkeys(note for problem in problems for note in problem.notes):
                 reporter.say(f"note: {note}")
-            found = [self._validated(problem, protocol, reporter) for problem in problems]
+            found, compiling = zip(*(self._validated(problem, protocol, reporter) for problem in problems), strict=True)
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
         console = screen()
         for path, problem, part in zip(files, problems, found, strict=True):
@@ -143,8 +157,12 @@ class Validate:
             console.print(comparison_table(found[0], found[1], problems[0].hand.name, protocol))
         if protocol is not None:
             cost = np.concatenate([part.cpu_s for part in found])
-            console.print(f"simulation: {np.nansum(cost):.1f} s of CPU, {np.nanmean(cost) * 1e3:.0f} ms a grasp")
-        written = self._write(files, found, protocol, wall, cpu)
+            console.print(
+                f"CPU: {started:.1f} s to load the program, {sum(compiling):.2f} s to compile, "
+                f"{cost.sum():.1f} s to simulate, {cost.mean() * 1e3:.0f} ms a grasp"
+            )
+        times = {"wall_s": wall, "cpu_s": cpu, "start_cpu_s": started, "compile_cpu_s": sum(compiling)}
+        written = self._write(files, found, protocol, times)
         console.print(f"{wall:.1f} s" + ("; wrote" if written else ""), *written, soft_wrap=True, markup=False)
         known = any(np.isfinite(part.metrics.penetration_m).any() for part in found)
         return 0 if known else NOTHING_USABLE
@@ -155,8 +173,7 @@ class Validate:
         Raises:
             GraspRefineError: names them.
         """
-        for options in (self.simulation, self.robustness):
-            check_numbers(options)
+        check_numbers(self.robustness)
         if self.told.compare is not None and self.files:
             raise GraspRefineError("--compare BEFORE AFTER stands instead of FILE: give one of them")
         if not files:
@@ -186,13 +203,14 @@ class Validate:
         if self.told.rows is not None:
             check_table(self.told.rows)
 
-    def _validated(self, problem: Problem, protocol: Protocol | None, reporter: Reporter) -> Validated:
-        """All grasps of a file, in the order in which they were asked for."""
-        model = None
+    def _validated(self, problem: Problem, protocol: Protocol | None, reporter: Reporter) -> tuple[Validated, float]:
+        """All grasps of a file, in the order in which they were asked for, and the CPU time of compiling worlds."""
+        model, compiling = None, -time.process_time()
         if protocol is not None:
             model = model_of(problem.hand)
             for note in model.notes:
                 reporter.say(f"note: {note}")
+        compiling += time.process_time()
         noise = Noise(self.robustness.noise, self.robustness.noise_offset, radians(self.robustness.noise_degrees))
         checks = Checks(
             noise=noise,
@@ -206,7 +224,9 @@ class Validate:
             scene = group.scene
             world = motion = None
             if protocol is not None and model is not None:
+                compiling -= time.process_time()
                 world = build_world(model, scene.object, protocol, scene.table)
+                compiling += time.process_time()
                 motion = group.motion(self.simulation.closing)
             found = validate(
                 scene,
@@ -223,10 +243,14 @@ class Validate:
             if world is not None and motion is not None and found.trials is not None:
                 for line in self.recording.record(group, world, motion, found.trials, problem.hand.name):
                     reporter.say(line)
-        return Validated.join(parts).select(problem.order)
+        return Validated.join(parts).select(problem.order), compiling
 
     def _write(
-        self, files: tuple[Path, ...], found: list[Validated], protocol: Protocol | None, wall_s: float, cpu_s: float
+        self,
+        files: tuple[Path, ...],
+        found: Sequence[Validated],
+        protocol: Protocol | None,
+        times: Mapping[str, float],
     ) -> list[Path]:
         """Write the files that were asked for; returns them."""
         frictions, written = self.robustness.frictions, []
@@ -245,8 +269,7 @@ class Validate:
                 frictions=frictions,
                 config=described,
                 seed=self.robustness.seed,
-                wall_s=wall_s,
-                cpu_s=cpu_s,
+                times=times,
             )
             save_json(self.told.json, document)
             written.append(self.told.json)

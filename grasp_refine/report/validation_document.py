@@ -29,8 +29,7 @@ def validate_document(
     frictions: Sequence[float],
     config: Mapping[str, Any],
     seed: int,
-    wall_s: float,
-    cpu_s: float,
+    times: Mapping[str, float],
 ) -> dict[str, Any]:
     """The document of `validate`: totals, and one entry per grasp.
 
@@ -41,8 +40,7 @@ def validate_document(
         frictions: Coefficients of friction that were tried beside that of the protocol.
         config: All settings.
         seed: Seed of everything that was drawn.
-        wall_s: Wall time of the whole command, loading and decomposition included.
-        cpu_s: Its CPU time.
+        times: Seconds by key: `wall_s` and `cpu_s` of the whole command, and parts of it.
     """
     validated = Validated.join(list(parts))
     simulated = validated.trials is not None
@@ -60,8 +58,8 @@ def validate_document(
             "by_friction": None
             if validated.frictions is None
             else {f"{f:g}": int(n) for f, n in zip(frictions, validated.frictions.sum(axis=0), strict=True)},
-            "wall_s": wall_s,
-            "cpu_s": cpu_s,
+            "simulation_cpu_s": float(validated.cpu_s.sum()) if simulated else None,
+            **times,
         },
         "grasps": [
             {"file": path, **_grasp(part, i, protocol, frictions)}

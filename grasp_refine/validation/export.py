@@ -59,8 +59,9 @@ def export_xml(
     "push", is the force on the object, as its control is 1 in key frames of the push: from such a key frame on, the
     simulation goes on as it was recorded.
 
-    Numbers are written so that they are read back exactly, except for meshes that came from files, which are written
-    as compiled: to 1e-8 of a metre. MuJoCo's own writer rounds to six digits and uses words that MuJoCo 3 refuses.
+    Numbers are written so that they are read back exactly; only meshes from files, and those whose frame MuJoCo
+    chooses anew, may come back 1e-8 of a metre off. MuJoCo's own writer rounds to six digits, and uses words that
+    MuJoCo 3 refuses.
 
     Args:
         spec: What `model` was compiled from: has the meshes as they were given.

@@ -38,7 +38,8 @@ def record(
     def watch(batch: Batch) -> None:
         nonlocal steps
         steps += 1
-        if steps % EVERY == 0:
+        # A simulation that diverged has nothing to show from there on.
+        if steps % EVERY == 0 and np.isfinite(batch.qpos).all() and np.isfinite(batch.qvel).all():
             closing = protocol.moves * protocol.steps_per_move
             after = Stage.LIFT if direction == LIFT[0] else Stage.PUSH
             stages.append(Stage.CLOSE if steps <= closing else Stage.SQUEEZE if steps <= 2 * closing else after)

@@ -243,6 +243,8 @@ def _dressed(model: mujoco.MjModel, photo: tuple[int, int]) -> mujoco.MjModel:
         else:
             color = HAND_COLORS[body % len(HAND_COLORS)]
         model.geom_rgba[geom] = (*color, 1.0)
+    # A table would be covered with the shadow of its own rounding errors.
+    model.geom_castshadow[model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE] = 0
     model.vis.global_.offwidth, model.vis.global_.offheight = photo
     model.vis.global_.fovy = FIELD_OF_VIEW
     # Smooth edges come from drawing larger, which leaves a clear border between object and background.

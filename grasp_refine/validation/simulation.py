@@ -174,6 +174,7 @@ def push(
     undecided = reason == Reason.HELD
     rows = Rows(world, closed.conditions.friction[grasp], undecided, _threads(threads), watch)
     rows.batch.state[:] = closed.state[grasp]
+    held_at = rows.batch.mocap_pos.copy()
     if not protocol.tabletop:
         forces = protocol.mass * protocol.acceleration * np.array([AXES[name] for name in names])
         rows.batch.xfrc_applied[:, world.object_body, :3] = np.tile(forces, (count, 1))
@@ -182,7 +183,7 @@ def push(
     for check in range(1, protocol.checks + 1):
         wanted = start.copy()
         if protocol.tabletop:
-            wanted[:, :3, 3] += _lift(rows, protocol, check) * _UP
+            wanted[:, :3, 3] += _lift(rows, held_at, protocol, check) * _UP
         else:
             rows.step(protocol.steps_per_check)
         moved, turned = distances(wanted, rows.object_poses())
@@ -230,15 +231,13 @@ def distances(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.nda
     return np.where(finite, moved, np.nan), np.where(finite, turned, np.nan)
 
 
-def _lift(rows: Rows, protocol: Protocol, check: int) -> float:
-    """Raises the hands to where they should be at a check; returns how high that is, in metres."""
-    height = 0.0
+def _lift(rows: Rows, held_at: np.ndarray, protocol: Protocol, check: int) -> float:
+    """Raises the hands from where they were `held_at` to where they should be at a check; returns how high, metres."""
     # In steps as small as those in which the hand closes.
     parts = max(protocol.steps_per_check // protocol.steps_per_move, 1)
     for part in range(1, parts + 1):
-        before, height = height, protocol.lift * (check - 1 + part / parts) / protocol.checks
-        rise = height - (before if part > 1 else protocol.lift * (check - 1) / protocol.checks)
-        rows.batch.mocap_pos[:, 0] += rise * _UP
+        height = protocol.lift * (check - 1 + part / parts) / protocol.checks
+        rows.batch.mocap_pos[:] = held_at + height * _UP
         rows.step(protocol.steps_per_check // parts)
     return height
 
