@@ -30,6 +30,9 @@ COMMANDS = {
 }
 """Name of each command -> what it does."""
 
+SIMULATING = ("run", "validate")
+"""Commands that load MuJoCo, which fails with a stack of Python where `MUJOCO_GL` is wrong."""
+
 BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
 
 THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -60,6 +63,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for variable in THREADS:
         os.environ.setdefault(variable, "1")
     try:
+        if name in SIMULATING:
+            from grasp_refine.validation.offscreen import check_setting
+
+            check_setting()
         words = name.split()
         command = getattr(
             import_module(f"grasp_refine.commands.{'_'.join(words)}"), "".join(map(str.capitalize, words))

@@ -16,11 +16,12 @@ from rich.table import Table
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine import __version__
-from grasp_refine.errors import AssetError
+from grasp_refine.errors import AssetError, GraspRefineError
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hand import list_hands
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA, check_writable, save_json
+from grasp_refine.validation.offscreen import choose_gl
 from grasp_refine.versions import NAME, Requirement, requirements, versions
 
 BROKEN = 1
@@ -74,7 +75,7 @@ def examine() -> dict[str, Any]:
         "gpu": any(device["name"] != "cpu" for device in devices),
         "cache": _cache(),
         "hands": hands,
-        "mujoco": Requirement("mujoco", "").installed,
+        "pictures": _pictures(),
         "browser": next(filter(None, map(shutil.which, BROWSERS)), None),
         "problems": problems,
     }
@@ -103,6 +104,14 @@ def _devices() -> tuple[list[dict[str, str]], str]:
     if torch.backends.mps.is_available():
         devices.append({"name": "mps", "what": "Apple GPU, float32 only"})
     return devices, ""
+
+
+def _pictures() -> str | None:
+    """The OpenGL that films of simulations are drawn with; None: none."""
+    try:
+        return choose_gl()
+    except GraspRefineError:
+        return None
 
 
 def _cache() -> dict[str, Any]:
@@ -145,13 +154,12 @@ def _lines(found: dict[str, Any]) -> list[str]:
     cache = found["cache"]
     devices = [f"{device['name']} ({device['what']})" for device in found["devices"]]
     lacking = sorted({p["extra"] for p in found["packages"] if p["extra"] and p["state"] == "missing"})
-    mujoco = found["mujoco"] or "not installed; simulation needs it, pip install mujoco"
     browser = found["browser"] or "none; the viewer's tests need chromium, apt install chromium"
     lines = [
         f"devices: {', '.join(devices) or 'none'}" + ("" if found["gpu"] else "; no GPU, none is needed"),
         f"cache:   {cache['folder']}, {cache['entries']} decompositions, {cache['bytes'] / 1e6:.1f} MB",
         f"hands:   {', '.join(found['hands']) or 'none'}",
-        f"mujoco:  {mujoco}",
+        f"films:   {found['pictures'] or 'none, no OpenGL without a screen; apt install libegl1 libgl1-mesa-dri'}",
         f"browser: {browser}",
     ]
     if lacking:

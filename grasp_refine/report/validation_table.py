@@ -88,18 +88,18 @@ def _object_table(validated: Validated, what: str, protocol: Protocol | None, ve
     if len(validated) > LONGEST and not verbose:
         shown = np.argsort(-_badness(validated), kind="stable")[:WORST]
         title += f", the worst {WORST} (--verbose: all)"
-    table = _plain(title)
+    table = _plain(title, between=0)
     for head, align in (
         ("\n grasp", "right"),
         ("penetr.\nmm", "right"),
-        ("self\nmm", "right"),
-        ("gap\nmm", "right"),
+        (" self\nmm", "right"),
+        ("  gap\nmm", "right"),
         ("\nlinks", "right"),
-        ("wrench\nresidual", "right"),
+        ("wrench\nresid.", "right"),
     ):
         table.add_column(head, justify=align, no_wrap=True)
     if protocol is not None:
-        table.add_column("  moved\n mm    deg", justify="right", no_wrap=True)
+        table.add_column("   moved\nmm   deg", justify="right", no_wrap=True)
         table.add_column("\n verdict")
     for i in shown:
         table.add_row(*_row(validated, int(i), protocol))
@@ -144,7 +144,7 @@ def _row(validated: Validated, i: int, protocol: Protocol | None) -> list[Render
         worst = trials.worst[i]
         cells.append(
             f"{_number(trials.displacement_m[i, worst] * 1e3, 1):>5} "
-            f"{_number(np.degrees(trials.angle_rad[i, worst]), 1):>6}"
+            f"{_number(np.degrees(trials.angle_rad[i, worst]), 1):>5}"
         )
         cells.append(_reason(validated, i, protocol))
     return cells
@@ -250,14 +250,14 @@ def _numbers(validated: Validated, which: np.ndarray) -> str:
     return "; ".join(parts)
 
 
-def _plain(title: str) -> Table:
+def _plain(title: str, between: int = 1) -> Table:
     return Table(
         title=escape(title),
         title_justify="left",
         title_style="bold",
         box=box.SIMPLE_HEAD,
         show_edge=False,
-        padding=(0, 1, 0, 0),
+        padding=(0, between, 0, 0),
         header_style="dim",
     )
 

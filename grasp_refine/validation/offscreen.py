@@ -14,8 +14,31 @@ _NO_GL = (
     "or OSMesa (apt-get install libosmesa6), or set MUJOCO_GL to egl or osmesa"
 )
 
+_OSMESA = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
+
+_KINDS = ("egl", "osmesa", "glfw")
+_OFF = ("disable", "disabled", "off", "false", "0")
+_SETTINGS = ("", *_KINDS, *_OFF, "enable", "enabled", "on", "true", "1")
+"""Values of `MUJOCO_GL` that MuJoCo takes."""
+
 _EGL_PLATFORM_DEVICE = 0x313F
 """Asks EGL for drawing without any window system (EGL_EXT_platform_device)."""
+
+
+def check_setting() -> None:
+    """Nothing, when MuJoCo can be loaded with what `MUJOCO_GL` is set to: also who draws nothing needs that.
+
+    Raises:
+        GraspRefineError: It cannot; says what to set or install.
+    """
+    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if wanted not in _SETTINGS:
+        raise GraspRefineError(f"MuJoCo does not know MUJOCO_GL={wanted}; set it to egl or osmesa, or unset it")
+    if wanted == "osmesa" and _library(*_OSMESA) is None:
+        raise GraspRefineError(
+            "MuJoCo cannot be loaded with MUJOCO_GL=osmesa, the library is missing: unset it, set it to egl, or "
+            "install OSMesa (Debian: apt-get install libosmesa6)"
+        )
 
 
 def choose_gl() -> str:
@@ -32,9 +55,9 @@ def choose_gl() -> str:
     linux = sys.platform.startswith("linux")
     if wanted == "glfw" and linux and not screen:
         raise GraspRefineError("no picture: MUJOCO_GL=glfw needs a screen; set it to egl or osmesa, or unset it")
-    if wanted in ("egl", "osmesa", "glfw"):
+    if wanted in _KINDS:
         return wanted
-    if wanted in ("disable", "disabled", "off", "false", "0"):
+    if wanted in _OFF:
         raise GraspRefineError(f"no picture: MUJOCO_GL={wanted} forbids OpenGL; set it to egl or osmesa, or unset it")
     if not linux:
         return "glfw"
@@ -42,7 +65,7 @@ def choose_gl() -> str:
     platform = os.environ.get("PYOPENGL_PLATFORM", "").lower()
     if platform in ("", "egl") and _egl_works():
         return "egl"
-    if platform in ("", "osmesa") and _library("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so") is not None:
+    if platform in ("", "osmesa") and _library(*_OSMESA) is not None:
         return "osmesa"
     if screen:
         return "glfw"

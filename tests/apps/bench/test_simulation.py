@@ -1,0 +1,37 @@
+"""The benchmark of validation: both ways come to the same verdicts, and it says what they cost."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gripper import around, ball, gripper
+
+from grasp_refine.apps.bench.simulation import main, plain
+from grasp_refine.assets import resource_dir
+from grasp_refine.validation.protocol import FORCE_CLOSURE
+from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.world import build_world
+
+
+def test_a_plain_loop_and_the_batch_agree() -> None:
+    world = build_world(gripper(), ball(), FORCE_CLOSURE)
+    verdicts = []
+    for force in (0.5, 3.0):
+        held = simulate(world, around(force)).success[0]
+        assert plain(world, around(force)) == held
+        verdicts.append(bool(held))
+    assert verdicts == [False, True]
+
+
+def test_it_prints_and_writes_what_grasps_cost(
+    workplace: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    example = resource_dir("robots") / "allegro" / "example_rounded_box.npz"
+    monkeypatch.setattr(sys, "argv", ["simulation", str(example), "--count", "1", "--json", "costs.json"])
+    main()
+    (row,) = json.loads(Path("costs.json").read_text())
+    assert (row["grasps"], row["agree"]) == (1, 1)
+    assert 0 < row["ours_s"] and 0 < row["peer_s"] and np.isfinite(row["compile_s"])
+    assert "CPU per grasp" in capsys.readouterr().out
