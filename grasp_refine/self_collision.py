@@ -21,8 +21,11 @@ from grasp_refine.kinematics import Kinematics
 LinkPair = tuple[str, str]
 """Names of two links."""
 
-SCHEMA = 1
+SCHEMA = 2
 """Which candidates there are, and how they are judged; a new one leaves all old cache entries unused."""
+
+_MEET = 1e-3
+"""Joints that turn about points closer than this, in metres, turn about the same point."""
 
 _BLOCK = 256
 """Configurations that are asked at a time, which bounds the memory."""
@@ -74,7 +77,8 @@ def touching_pairs(
 
     - have no bodies, or no joint that can move between them;
     - are neighbours: one hangs from the other, with one movable joint between them, or several with nothing solid
-      between these. Hulls overlap around a joint by design;
+      between these, or several that turn about one point, such as those of a knuckle. Hulls overlap around a joint by
+      design;
     - overlap at `hand.rest`, or nearly always: so do hulls that cover more than the link, such as those of a
       knuckle's next but one. A rest pose that is itself in collision hides a pair here, so that a hand whose middle
       of the joint ranges is no sensible pose needs a `rest_pose` in its hand.toml;
@@ -129,12 +133,17 @@ def _candidates(hand: Hand) -> list[LinkPair]:
     moving = {name for name, travel in zip(movable, np.abs(matrix) @ (upper - lower), strict=True) if travel > 0}
     part = {hand.base_link: hand.base_link}  # the link by which each rigid part is known
     carrier: dict[str, str] = {}  # the part that each part hangs from
+    place = {hand.base_link: np.eye(4)}  # of each link in its part, whose frame is at its joint
+    meeting: set[str] = set()  # parts that turn about the same point as those that they hang from
     for joint in hand.joints:  # parents before children
+        T = place[joint.parent] @ joint.T_parent_child
         if joint.name in moving:
-            part[joint.child] = joint.child
+            part[joint.child], place[joint.child] = joint.child, np.eye(4)
             carrier[joint.child] = part[joint.parent]
+            if joint.kind != "prismatic" and np.linalg.norm(T[:3, 3]) < _MEET and part[joint.parent] in carrier:
+                meeting.add(joint.child)
         else:
-            part[joint.child] = part[joint.parent]
+            part[joint.child], place[joint.child] = part[joint.parent], T
     names = [link.name for link in hand.links if link.body is not None]
     solid = {part[name] for name in names}
     left_out = {(own, own) for own in solid}
@@ -143,6 +152,10 @@ def _candidates(hand: Hand) -> list[LinkPair]:
         while other not in solid and other in carrier:
             other = carrier[other]
         left_out |= {(own, other), (other, own)}
+        inner = own
+        while inner in meeting:
+            inner = carrier[inner]
+            left_out |= {(own, carrier[inner]), (carrier[inner], own)}
     return [(a, b) for a, b in combinations(names, 2) if (part[a], part[b]) not in left_out]
 
 

@@ -85,6 +85,18 @@ def test_links_over_a_joint_without_anything_solid_between_are_neighbours(tmp_pa
     assert found(build(tmp_path, *solid)) == (("base", "tip"),)
 
 
+@pytest.mark.parametrize(("apart", "pairs"), [(0.0, ()), (0.02, (("base", "finger"),))])
+def test_links_over_joints_that_turn_about_one_point_are_neighbours(
+    tmp_path: Path, apart: float, pairs: tuple[tuple[str, str], ...]
+) -> None:
+    """A knuckle of two joints is one joint; where the second sits elsewhere, it is none."""
+    base = f"""<link name="base"><collision><origin xyz="-0.05 0.01 0"/><geometry><sphere radius="{RADIUS}"/></geometry>
+      </collision></link>"""
+    knuckle = turn("base", "knuckle", 0.0)
+    finger = turn("knuckle", "finger", 0.045).replace("<axis", f'<origin xyz="{apart} 0 0"/><axis')
+    assert found(build(tmp_path, knuckle, finger, base=base)) == pairs
+
+
 def test_fingers_on_a_base_that_is_not_solid_are_no_neighbours(tmp_path: Path) -> None:
     fingers = slide("base", "a", 0.0, 0.1), slide("base", "b", 0.1, 0.2)
     assert found(build(tmp_path, *fingers, base=link("base", None))) == (("a", "b"),)

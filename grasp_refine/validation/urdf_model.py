@@ -21,6 +21,9 @@ from grasp_refine.se3 import exp_so3, quaternion_from_matrix
 from grasp_refine.self_collision import touching_pairs
 from grasp_refine.validation.hand_model import HandModel
 
+STEEL = 7850.0
+"""Density in kg/m^3 that no hand is above."""
+
 SPECK = Inertia(1e-3, np.zeros(3), 1e-6 * np.eye(3))
 """What a moving part gets of which the URDF gives neither mass nor geometry: 1 g."""
 
@@ -222,13 +225,16 @@ def _add_masses(hand: Hand, parts: Parts, bodies: Mapping[str, mujoco.MjsBody]) 
         f"mass and inertia of {{}} are those of solid pieces of {DENSITY:g} kg/m^3: the URDF gives no mass": [],
         "inertia of {} follows from mass and geometry, or is that of a ball of 1 cm: the URDF gives none above 0": [],
         "inertia of {} balanced: its principal moments broke the triangle inequality": [],
+        "{} denser than steel: the URDF gives them more mass than they can have, which slows the simulated hand": [],
         f"{{}} weighs {SPECK.mass * 1e3:g} g: the URDF gives neither mass nor geometry": [],
     }
-    without_mass, without_moments, unbalanced, without_all = kinds.values()
+    without_mass, without_moments, unbalanced, too_dense, without_all = kinds.values()
     weighed = set()
     for link in hand.links:
         inertia = link.inertia
         mass = link.mass or 0.0
+        if link.body is not None and mass > STEEL / DENSITY * Inertia.of(link.body.pieces).mass:
+            too_dense.append(link.name)
         if inertia is not None and inertia.positive():
             if not inertia.possible():
                 unbalanced.append(link.name)

@@ -245,16 +245,22 @@ BALL_MASS = 1000 * 4 / 3 * np.pi * 0.01**3
             [0.4 * BALL_MASS * 1e-4] * 3,
         ),
         (
-            weight(0.5, 0, 0, 0) + BALL,
+            weight(0.03, 0, 0, 0) + BALL,
             "inertia of b follows from mass and geometry, or is that of a ball of 1 cm: the URDF gives none above 0",
-            0.5,
-            [0.4 * 0.5 * 1e-4] * 3,
+            0.03,
+            [0.4 * 0.03 * 1e-4] * 3,
         ),
         (
             '<inertial><mass value="0.5"/></inertial>',
             "inertia of b follows from mass and geometry, or is that of a ball of 1 cm: the URDF gives none above 0",
             0.5,
             [0.4 * 0.5 * 1e-4] * 3,
+        ),
+        (
+            weight(0.12, 1e-5, 1e-5, 1e-5) + BALL,
+            "b denser than steel: the URDF gives them more mass than they can have, which slows the simulated hand",
+            0.12,
+            [1e-5] * 3,
         ),
         ("", "b weighs 1 g: the URDF gives neither mass nor geometry", 1e-3, [1e-6] * 3),
     ],
@@ -347,7 +353,8 @@ def test_thin_and_small_pieces_compile(tmp_path: Path) -> None:
 
 
 def test_a_rounded_polytope_becomes_a_polyhedron_and_says_so(tmp_path: Path) -> None:
-    hand = build(tmp_path, {"a": weight(1, 1, 1, 1), "b": weight(1, 1, 1, 1)}, joint("j", "a", "b"))
+    light = weight(0.01, 1e-6, 1e-6, 1e-6)
+    hand = build(tmp_path, {"a": light, "b": light}, joint("j", "a", "b"))
     sharp = box([0.02, 0.02, 0.02])
     made = urdf_model(reshaped(hand, Piece(sharp.vertices, sharp.faces, 0.005)))
     assert made.notes == ("rounded edges of a, b are polyhedra in the simulation",)
