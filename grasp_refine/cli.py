@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ.setdefault(variable, "1")
     try:
         if name in SIMULATING:
-            from grasp_refine.validation.offscreen import check_setting
+            from grasp_refine.replay.offscreen import check_setting
 
             check_setting()
         words = name.split()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from grasp_refine.atomic import written_whole
 from grasp_refine.errors import GraspFileError
 
 if TYPE_CHECKING:
@@ -115,21 +115,9 @@ def save_npz(path: str | Path, arrays: Mapping[str, ArrayLike]) -> None:
     Missing folders are made. Raises GraspFileError when the file cannot be written, ValueError when an array
     could only be stored as a pickle.
     """
-    path = Path(path)
     entries = {key: np.asarray(value) for key, value in arrays.items()}
     pickled = [key for key, value in entries.items() if value.dtype.hasobject]
     if pickled:
         raise ValueError(f"object arrays cannot be stored without pickle: {', '.join(pickled)}")
-    # Beside the target, so that os.replace stays within one file system; not by tempfile, whose files
-    # nobody else may read.
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with partial.open("wb") as stream:
-                np.savez(stream, **entries)
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise GraspFileError(f"{path}: cannot be written ({error.strerror or error})") from error
+    with written_whole(path, GraspFileError) as partial, partial.open("wb") as stream:
+        np.savez(stream, **entries)

@@ -32,7 +32,8 @@ def squeezed(scene: Scene, prepared: HandObject | None = None, *, total: float =
     that are not finite become NaN.
 
     Args:
-        scene: Hand, object and grasps.
+        scene: Hand, object and grasps. It must be the hand's own `actuator` that moves it: in a simulation with
+            other ones (`HandModel.actuator`), the hand with these.
         prepared: Of this hand and object; None: built here.
         total: Sum of the pressures in newtons.
     """

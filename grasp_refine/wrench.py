@@ -14,6 +14,7 @@ import daqp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from grasp_refine.description.inertia import Inertia
 from grasp_refine.se3 import hat, tangents
 
 if TYPE_CHECKING:
@@ -95,11 +96,14 @@ def contact_forces(
 
 
 def center_of_mass(obj: Object) -> Float[np.ndarray, " 3"]:
-    """Centre of mass (3,) of an object of uniform density in its own frame, metres: that of its closed mesh.
+    """Centre of mass (3,) of an object of uniform density in its own frame, metres.
 
-    Not of its convex pieces, which overlap a little and fill small hollows.
+    That of its mesh, where this is closed; the pieces overlap a little and fill small hollows. An open surface, which
+    may come with given pieces, has none: there it is that of the pieces, each with its own volume.
     """
-    return np.asarray(obj.mesh.center_mass, dtype=np.float64)
+    if obj.mesh.is_volume:
+        return np.asarray(obj.mesh.center_mass, dtype=np.float64)
+    return Inertia.of(obj.body.pieces).centre
 
 
 def _balanced(

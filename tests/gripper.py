@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 
+from grasp_refine.description.defaults import Actuator
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.objects import Object, load_object
@@ -46,6 +47,7 @@ def gripper(kp: float = KP) -> HandModel:
         offset=np.zeros(2),
         links={"palm": "palm", "left": "left plate", "right": "right plate"},
         notes=(),
+        actuator=Actuator(*(np.array([value]) for value in (kp / 2, np.inf, 5.0, 0.0, 0.0))),
     )
 
 

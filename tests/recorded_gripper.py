@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from grasp_refine.validation.replay import Replay, Stage, qpos_names
+from grasp_refine.replay.replay import Replay, Stage, qpos_names
 
 FORCE = np.array([0.0, 0.7, 0.7])
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """What was simulated, and what came of it; one frame for each simulation step."""
+    """What was simulated, and what came of it; a frame of the start, and one for each simulation step."""
 
     spec: mujoco.MjSpec
     model: mujoco.MjModel
@@ -78,15 +78,16 @@ def recorded_gripper(force: np.ndarray = FORCE) -> Recorded:
     spec = gripper_spec()
     model = spec.compile()
     data = mujoco.MjData(model)
-    stages = [Stage.CLOSE] * 50 + [Stage.SQUEEZE] * 50 + [Stage.PUSH] * 125
+    stages = [Stage.CLOSE] * 51 + [Stage.SQUEEZE] * 50 + [Stage.PUSH] * 125
     columns: dict[str, list[np.ndarray]] = {
         key: [] for key in ("time", "qpos", "qvel", "ctrl", "mocap_pos", "mocap_quat")
     }
     for step, stage in enumerate(stages):
-        data.ctrl[0] = 0.06 * min((step + 1) / 50, 1.0) + 0.04 * np.clip((step - 49) / 50, 0.0, 1.0)
-        if stage == Stage.PUSH:
-            data.xfrc_applied[model.body("object").id, :3] = force
-        mujoco.mj_step(model, data)
+        if step:
+            data.ctrl[0] = 0.06 * min(step / 50, 1.0) + 0.04 * np.clip((step - 50) / 50, 0.0, 1.0)
+            if stage == Stage.PUSH:
+                data.xfrc_applied[model.body("object").id, :3] = force
+            mujoco.mj_step(model, data)
         for key, column in columns.items():
             column.append(np.array(getattr(data, key)[0] if key.startswith("mocap") else getattr(data, key)))
     replay = Replay(

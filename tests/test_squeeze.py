@@ -75,6 +75,14 @@ def test_a_clamp_presses_inward_with_half_the_total_each(clamp: Hand, ball: Obje
     assert found[0, 0] < clamp.lower[0], "set points may lie beyond the limits"
 
 
+def test_set_points_are_those_of_the_actuators_that_pull(clamp: Hand, ball: Object) -> None:
+    """Another simulated hand is said by its actuators; what was prepared of the hand may stay."""
+    other = replace(clamp.actuator, kp=np.array([500.0, 1.0]), force_limit=np.array([np.inf, 0.5]))
+    scene = Scene(clamp, ball, np.eye(4)[None], np.array([[0.002, 0.0]]))
+    found = squeezed(replace(scene, hand=replace(clamp, actuator=other)), HandObject.of(scene))
+    np.testing.assert_allclose(found, [[0.002 - 15.0 / 500.0, 0.5]], atol=1e-6)
+
+
 def test_torques_do_the_work_of_the_forces(mugs: Scene) -> None:
     """Virtual work: tau . dq is the sum of f . dx of the points of the links, for any dq."""
     force, on_link = forces_of(mugs)

@@ -41,10 +41,21 @@ def test_a_validation_has_the_keys_of_the_contract(workplace: Path, capfd: pytes
         assert after["setting"] == "force-closure"
         assert [entry["direction"] for entry in after["directions"]] == list(AXES)
         assert after["success"] == all(entry["reason"] == "held" for entry in after["directions"])
-        assert after["displacement_m"] == max(entry["displacement_m"] for entry in after["directions"])
+        (worst,) = [entry for entry in after["directions"] if entry["direction"] == after["direction"]]
+        assert all(after[key] == worst[key] for key in worst)
+        assert set(grasp) >= {
+            "index", "object", "status", "advice", "iterations", "queries", "wall_s", "cpu_s", "quality",
+            "contact_error_m", "penetration_m", "self_penetration_m", "wrench_residual", "limits_violated", "moved",
+            "simulation",
+        }  # fmt: skip
+        assert grasp["status"] is None and grasp["moved"] is None and grasp["quality"] is None
         assert set(after["flags"]) == {"barely", "by_squeeze"}
         assert grasp["penetration_m"]["after"] > 0
         assert isinstance(grasp["contact_number"]["after"], int)
+    assert document["config"]["files"][0]["closing"] == {"pregrasp": "own", "squeeze": "own"}
+    assert "pregrasps and squeezes are our own" in out
+    peaks = [max(e["peak_m"] for e in grasp["simulation"]["after"]["directions"]) for grasp in document["grasps"]]
+    assert document["totals"]["moved_m"]["1"] == max(peaks)
     held = sum(grasp["simulation"]["after"]["success"] for grasp in document["grasps"])
     assert document["totals"]["success_after"] == held
     assert f"{held} of 2 grasps held" in out
@@ -117,10 +128,21 @@ def test_a_run_can_prove_what_it_did(workplace: Path, capfd: pytest.CaptureFixtu
     assert found["displacement_m"] == pytest.approx(after["displacement_m"], rel=1e-3)
 
 
+def test_only_the_stages_that_a_file_lacks_are_ours(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    grasps = load_grasps(EXAMPLE).select([0])
+    far = grasps.hand_pose.copy()
+    far[:, :3] += 1.0
+    save_npz("open.npz", {**grasps.arrays(), "pregrasp_pose": far, "pregrasp_q": grasps.q})
+    document = validate("open.npz")
+    assert document["config"]["files"][0]["closing"] == {"pregrasp": "file", "squeeze": "own"}
+    assert "pregrasps are of the file, squeezes our own" in capfd.readouterr().out
+    assert document["grasps"][0]["simulation"]["after"]["closing"]["pregrasp_penetration_m"] == 0
+
+
 def test_replays_are_recorded(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
     import mujoco
 
-    from grasp_refine.validation.replay import load_replay
+    from grasp_refine.replay.replay import load_replay
 
     document = validate(EXAMPLE, "--index", "0", "--replays", "replays", "--direction", "+z")
     replay = load_replay("replays/allegro_rounded_box_0_+z.npz")
@@ -145,6 +167,8 @@ def test_bad_input_is_refused(workplace: Path, capfd: pytest.CaptureFixture[str]
         ((*quick, "--noise-offset", "0.01"), "--noise-offset needs --noise N"),
         ((*quick, "--no-simulate", "--noise", "2"), "with --no-simulate"),
         ((*quick, "--closing", "file"), "come without pregrasp and squeeze"),
+        ((*quick, "--seconds", "1e9"), "--seconds must be a multiple of 0.2, at most 60"),
+        ((*quick, "--frictions", "0.6", "0.6"), "names a coefficient twice"),
         ((*quick, "--rows", "rows.xlsx"), "ends with .csv or .parquet"),
         ((*quick, "--film"), "for --replays"),
         ((*quick, "--replays", "r", "--direction", "up"), "there are +x, -x, +y, -y, +z, -z"),

@@ -235,3 +235,19 @@ def test_centre_of_mass_is_that_of_the_closed_mesh(tmp_path: Path) -> None:
     trimesh.util.concatenate([low, high]).export(path)
     tower = load_object(path, scale=0.5, candidates=16)
     np.testing.assert_allclose(center_of_mass(tower), [0.0, 0.5 * 0.015, 0.5 * 0.15], atol=1e-6)
+
+
+def test_an_open_surface_beside_given_pieces_has_no_centre_of_mass(tmp_path: Path) -> None:
+    """Pieces of 1 and 3 litres, whose centre is known; the surface lacks a triangle and is 2 m away."""
+    low, high = trimesh.creation.box((0.1, 0.1, 0.1)), trimesh.creation.box((0.1, 0.1, 0.3))
+    high.apply_translation([0.0, 0.02, 0.2])
+    (tmp_path / "mesh").mkdir()
+    low.export(tmp_path / "a.obj")
+    high.export(tmp_path / "b.obj")
+    ball = trimesh.creation.icosphere(radius=0.1)
+    ball.update_faces(np.arange(len(ball.faces)) > 80)
+    ball.apply_translation([2.0, 0.0, 0.0])
+    ball.export(tmp_path / "mesh" / "simplified.obj")
+    tower = load_object(tmp_path, scale=0.5, candidates=16)
+    assert any("not watertight" in note for note in tower.notes)
+    np.testing.assert_allclose(center_of_mass(tower), [0.0, 0.5 * 0.015, 0.5 * 0.15], atol=1e-6)

@@ -24,6 +24,7 @@ from grasp_refine.hand import Hand, load_hand
 from grasp_refine.objects import find_object, load_object
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import exp_so3, log_so3, pose_from_transform, transform_from_pose
+from grasp_refine.validation.messages import unlogged
 from grasp_refine.validation.motion import Motion, closing, motion_of
 from grasp_refine.validation.protocol import AXES, FORCE_CLOSURE
 from grasp_refine.validation.simulation import distances, simulate
@@ -69,7 +70,8 @@ def measure(hand: Hand, scene: Scene, motion: Motion) -> dict[str, float]:
     built = time.process_time()
     ours = simulate(world, motion, threads=1)
     done = time.process_time()
-    peer = [plain(world, motion.select(np.array([i]))) for i in range(len(motion))]
+    with unlogged():
+        peer = [plain(world, motion.select(np.array([i]))) for i in range(len(motion))]
     end = time.process_time()
     # A grasp that fails before the push has no verdict of the peer's.
     tried = np.isfinite(ours.displacement_m).all(axis=1)

@@ -19,9 +19,9 @@ from grasp_refine import __version__
 from grasp_refine.errors import AssetError, GraspRefineError
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hand import list_hands
+from grasp_refine.replay.offscreen import choose_gl
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA, check_writable, save_json
-from grasp_refine.validation.offscreen import choose_gl
 from grasp_refine.versions import NAME, Requirement, requirements, versions
 
 BROKEN = 1

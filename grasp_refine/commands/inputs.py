@@ -16,12 +16,13 @@ from grasp_refine.description.tree import read_tree
 from grasp_refine.errors import AssetError, GraspFileError, GraspRefineError, HandError
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.shapes import EMBEDDED
-from grasp_refine.grasps import GraspSet, Targets, choose_rows, load_grasps, match_joints
+from grasp_refine.grasps import OTHER_STAGES, GraspSet, Targets, choose_rows, load_grasps, match_joints
 from grasp_refine.hand import Hand, list_hands, load_hand, needs_urdf
 from grasp_refine.objects import PRIMITIVE_FORMS, find_object, load_object
 from grasp_refine.plane import Plane
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import transform_from_pose
+from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.motion import Motion, closing, motion_of
 
 StageSource = Literal["auto", "file", "own"]
@@ -60,15 +61,16 @@ class Group:
         """How the hand closes to the grasps.
 
         Args:
-            source: Pregrasps and squeezes are those of the file, our own, or those of the file if it has both.
+            source: Pregrasps and squeezes are those of the file, our own, or, stage by stage, those of the file where
+                it has them.
 
         Raises:
-            GraspFileError: they are to be those of the file, which lacks them.
+            GraspFileError: they are to be those of the file, which lacks some.
         """
-        given = self.grasps.pregrasp is not None and self.grasps.squeeze is not None
-        if source == "file" or (source == "auto" and given):
-            return motion_of(self.grasps, self.scene.hand)
-        return closing(self.scene)
+        if source == "own":
+            return closing(self.scene)
+        whole = source == "file" or (self.grasps.pregrasp is not None and self.grasps.squeeze is not None)
+        return motion_of(self.grasps, self.scene.hand, None if whole else closing(self.scene))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +89,11 @@ class Problem:
     def __len__(self) -> int:
         """Return the number of grasps."""
         return sum(len(group.rows) for group in self.groups)
+
+    def closing(self, source: StageSource = "auto") -> dict[str, str]:
+        """Whose pregrasps and squeezes `Group.motion` takes: stage -> "file" or "own"."""
+        grasps = self.groups[0].grasps
+        return {name: "own" if source == "own" or getattr(grasps, name) is None else "file" for name in OTHER_STAGES}
 
     @property
     def order(self) -> np.ndarray:
@@ -190,7 +197,11 @@ class Sources:
                 f"'{grasps.base_link}' on, no link of hand '{hand.name}' has collision geometry"
             )
         # A file that is given is meant to be used.
-        return hand if self.mjcf is None else replace(hand, collision="mjcf")
+        hand = hand if self.mjcf is None else replace(hand, collision="mjcf")
+        if hand.collision == "mjcf" and hand.mjcf is not None:
+            # Squeezes are for the actuators that will press.
+            hand = replace(hand, actuator=mjcf_model(hand, hand.mjcf).actuator)
+        return hand
 
     def _names(self, grasps: GraspSet, path: Path) -> list[str]:
         """Names of the objects whose grasps are meant, in the order of the file."""

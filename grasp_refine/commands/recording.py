@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -13,12 +13,12 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.commands.inputs import Group
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.replay.export import export_xml
+from grasp_refine.replay.record import record
+from grasp_refine.replay.replay import Replay, save_replay
 from grasp_refine.report.writing import check_writable
-from grasp_refine.validation.export import export_xml
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import Protocol
-from grasp_refine.validation.record import record
-from grasp_refine.validation.replay import save_replay
 from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.world import World
@@ -33,9 +33,10 @@ class Recording:
 
     replays: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
     """Record each grasp in the direction that is worst for it into this folder: .npz with all joint values over
-    time, .xml that opens in any MuJoCo. At most 20 grasps: choose them with --index."""
+    time, .xml that opens in any MuJoCo; of several files, each into a folder of its own therein. At most 20 grasps:
+    choose them with --index."""
     direction: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: the worst)")] = None
-    """Record this direction: +x, -x, +y, -y, +z, -z."""
+    """Record this direction: +x, -x, +y, -y, +z, -z; with --setting tabletop, lift."""
     film: bool = False
     """Beside each replay, a short film (.gif); needs an offscreen OpenGL, MUJOCO_GL=egl or osmesa."""
 
@@ -58,28 +59,73 @@ class Recording:
             raise GraspRefineError(f"--replays records at most {MOST} grasps, here are {count}: choose with --index")
         check_writable(self.replays / "replay.npz")
         if self.film:
-            from grasp_refine.validation.render import check_renderer
+            from grasp_refine.replay.render import check_renderer
 
             check_renderer()
 
-    def record(self, group: Group, world: World, motion: Motion, trials: Trials, hand: str) -> Iterator[str]:
-        """Record the grasps of a group; yields what to tell about each."""
+    def folders(self, files: Sequence[Path]) -> tuple[Path, ...]:
+        """For each grasp file the folder that its replays go to, none being another's; empty: nothing is recorded."""
         if self.replays is None:
-            return
+            return ()
+        if len(files) == 1:
+            return (self.replays,)
+        names: list[str] = []
+        for path in files:
+            stem, number = _plain(path.stem), 2
+            name = stem
+            while name in names:
+                name, number = f"{stem}_{number}", number + 1
+            names.append(name)
+        return tuple(self.replays / name for name in names)
+
+    def record(
+        self, group: Group, world: World, motion: Motion, trials: Trials, hand: str, folder: Path
+    ) -> Iterator[str]:
+        """Record the grasps of a group; yields what to tell about each, also where something could not be written.
+
+        Args:
+            group: The grasps.
+            world: In which they were simulated.
+            motion: How the hand closed to them.
+            trials: What became of them.
+            hand: Name of the hand.
+            folder: One of `folders`.
+        """
         for i, number in enumerate(group.index):
             direction = self.direction or trials.directions[trials.worst[i]]
+            # An object in another size is another object to who looks at it.
+            thing = group.object if group.scale == 1 else f"{group.object}_x{group.scale:g}"
             name = f"{group.object} {number}"
             replay = record(world, motion.select(np.array([i])), direction, name=name, hand=hand)
             if replay is None:
                 yield f"{name}: nothing to record, the trial could not start"
                 continue
-            # Objects of several scales share a name.
-            stem = re.sub(r"[^\w.,=+-]+", "_", f"{hand}_{group.object}_{number}_{direction}")
-            path = self.replays / f"{stem}.npz"
-            save_replay(path, replay)
-            export_xml(world.spec, world.model, replay, path.with_suffix(".xml"))
-            if self.film:
-                from grasp_refine.validation.render import film
+            path = folder / f"{_plain(f'{hand}_{thing}_{number}_{direction}')}.npz"
+            yield f"{name}: {direction} {replay.reason}, {self._save(replay, world, path)}"
 
+    def _save(self, replay: Replay, world: World, path: Path) -> str:
+        """Write all files of a replay, the most important one first; returns which there are, and why others not."""
+        try:
+            save_replay(path, replay)
+        except GraspRefineError as error:
+            return f"not recorded: {error}"
+        said = f"recorded in {path}"
+        try:
+            export_xml(world.spec, world.model, replay, path.with_suffix(".xml"))
+            said += ", .xml"
+        except GraspRefineError as error:
+            said += f"; no XML: {error}"
+        if self.film:
+            from grasp_refine.replay.render import film
+
+            try:
                 film(world.model, replay, path.with_suffix(".gif"))
-            yield f"{name}: {direction} {replay.reason}, recorded in {path.with_suffix('')}.*"
+                said += ", .gif"
+            except GraspRefineError as error:
+                said += f"; no film: {error}"
+        return said
+
+
+def _plain(name: str) -> str:
+    """The name with only what any file system takes."""
+    return re.sub(r"[^\w.,=+-]+", "_", name)

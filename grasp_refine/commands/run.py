@@ -190,4 +190,9 @@ def _proved(problem: Problem, parts: Sequence[Outcome], protocol: Protocol, repo
         refined = Motion(transform_from_pose(part.stage_pose), part.stage_q)
         before.append(simulate(world, group.motion(), progress=partial(tell, "simulating, before")))
         after.append(simulate(world, refined, progress=partial(tell, "simulating, after")))
-    return Proof(protocol, Trials.join(before).select(problem.order), Trials.join(after).select(problem.order))
+    return Proof(
+        protocol,
+        Trials.join(before).select(problem.order),
+        problem.closing(),
+        Trials.join(after).select(problem.order),
+    )

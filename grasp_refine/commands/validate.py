@@ -15,24 +15,31 @@ from rich.markup import escape
 from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
-from grasp_refine.commands.inputs import Problem, Sources, StageSource
+from grasp_refine.commands.inputs import Group, Problem, Sources, StageSource
 from grasp_refine.commands.options import check_numbers, flag
 from grasp_refine.commands.recording import Recording
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.report.document import settings
 from grasp_refine.report.progress import Reporter
+from grasp_refine.report.proof import closing_line
 from grasp_refine.report.results import fingerprint
 from grasp_refine.report.screen import screen
 from grasp_refine.report.validation_document import check_table, flat_rows, save_table, validate_document
 from grasp_refine.report.validation_table import comparison_table, validation_table
 from grasp_refine.report.writing import check_writable, save_json
+from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
 from grasp_refine.validation.robustness import Noise
+from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.validate import Checks, Validated, model_of, validate
-from grasp_refine.validation.world import build_world
+from grasp_refine.validation.world import World, build_world
 
 CHECK = Protocol.steps_per_check * Protocol.timestep
 """Seconds between two checks of a push."""
+
+
+LONGEST = 60.0
+"""Longest push in seconds."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +68,11 @@ class Simulation:
         Raises:
             GraspRefineError: a push cannot be that long.
         """
-        checks = round(self.seconds / CHECK)
-        if checks < 1 or abs(checks * CHECK - self.seconds) > 1e-9:
-            raise GraspRefineError(f"--seconds must be a multiple of {CHECK:g}, got {self.seconds:g}")
+        checks = round(min(self.seconds, 2 * LONGEST) / CHECK)
+        if not CHECK <= self.seconds <= LONGEST or abs(checks * CHECK - self.seconds) > 1e-9:
+            raise GraspRefineError(
+                f"--seconds must be a multiple of {CHECK:g}, at most {LONGEST:g}, got {self.seconds:g}"
+            )
         protocol = replace(SETTINGS[self.setting], mass=self.mass, checks=checks)
         if self.friction is None:
             return protocol
@@ -141,31 +150,53 @@ class Validate:
             self.recording.check(protocol, sum(len(problem) for problem in problems))
             for note in dict.fromkeys(note for problem in problems for note in problem.notes):
                 reporter.say(f"note: {note}")
-            found, compiling = zip(*(self._validated(problem, protocol, reporter) for problem in problems), strict=True)
+            examined = [self._examined(problem, protocol, reporter) for problem in problems]
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
+        found = [part.validated for part in examined]
+        compiling = sum(part.compile_cpu_s for part in examined)
+        times = {"wall_s": wall, "cpu_s": cpu, "start_cpu_s": started, "compile_cpu_s": compiling}
+        self._show(files, examined, protocol, times)
+        written = self._write(files, examined, protocol, times)
         console = screen()
-        for path, problem, part in zip(files, problems, found, strict=True):
-            if len(problems) > 1:
-                console.print(f"[bold]{escape(str(path))}[/]\n")
-            tables = validation_table(
-                part, problem.hand.name, protocol, self.robustness.frictions, verbose=self.told.verbose
-            )
-            console.print(tables)
-            if len(problems) > 1:
-                console.print()
-        if self.told.compare is not None:
-            console.print(comparison_table(found[0], found[1], problems[0].hand.name, protocol))
-        if protocol is not None:
-            cost = np.concatenate([part.cpu_s for part in found])
-            console.print(
-                f"CPU: {started:.1f} s to load the program, {sum(compiling):.2f} s to compile, "
-                f"{cost.sum():.1f} s to simulate, {cost.mean() * 1e3:.0f} ms a grasp"
-            )
-        times = {"wall_s": wall, "cpu_s": cpu, "start_cpu_s": started, "compile_cpu_s": sum(compiling)}
-        written = self._write(files, found, protocol, times)
         console.print(f"{wall:.1f} s" + ("; wrote" if written else ""), *written, soft_wrap=True, markup=False)
+        # Last, so that a replay that cannot be written costs nothing but itself.
+        for folder, part in zip(self.recording.folders(files), examined, strict=False):
+            for trial in part.trials:
+                for line in self.recording.record(*trial, part.problem.hand.name, folder):
+                    console.print(line, soft_wrap=True, markup=False)
         known = any(np.isfinite(part.metrics.penetration_m).any() for part in found)
         return 0 if known else NOTHING_USABLE
+
+    def _show(
+        self,
+        files: tuple[Path, ...],
+        examined: Sequence[_Examined],
+        protocol: Protocol | None,
+        times: Mapping[str, float],
+    ) -> None:
+        """Print the tables."""
+        console = screen()
+        for path, part in zip(files, examined, strict=True):
+            if len(files) > 1:
+                console.print(f"[bold]{escape(str(path))}[/]\n")
+            frictions, verbose = self.robustness.frictions, self.told.verbose
+            console.print(
+                validation_table(part.validated, part.problem.hand.name, protocol, frictions, verbose=verbose)
+            )
+            if protocol is not None:
+                console.print(closing_line(part.problem.closing(self.simulation.closing)))
+            if len(files) > 1:
+                console.print()
+        if self.told.compare is not None:
+            before, after = examined
+            console.print(comparison_table(before.validated, after.validated, before.problem.hand.name, protocol))
+        if protocol is not None:
+            cost = np.concatenate([part.validated.cpu_s for part in examined])
+            rest = times["cpu_s"] - times["compile_cpu_s"] - cost.sum()
+            console.print(
+                f"CPU: {times['start_cpu_s']:.1f} s to load the program, {times['compile_cpu_s']:.2f} s to compile, "
+                f"{cost.sum():.1f} s to simulate ({cost.mean() * 1e3:.0f} ms a grasp), {rest:.1f} s for the rest"
+            )
 
     def _check(self, protocol: Protocol | None, files: tuple[Path, ...]) -> None:
         """Refuse options that cannot be, or that would mean nothing.
@@ -191,6 +222,8 @@ class Validate:
         ]
         if zero:
             raise GraspRefineError(f"{zero[0]} must be above 0")
+        if len(set(self.robustness.frictions)) < len(self.robustness.frictions):
+            raise GraspRefineError("--frictions names a coefficient twice")
         if self.robustness.noise == 0:
             for option in ("noise_offset", "noise_degrees"):
                 if getattr(self.robustness, option) != getattr(Robustness, option):
@@ -203,8 +236,8 @@ class Validate:
         if self.told.rows is not None:
             check_table(self.told.rows)
 
-    def _validated(self, problem: Problem, protocol: Protocol | None, reporter: Reporter) -> tuple[Validated, float]:
-        """All grasps of a file, in the order in which they were asked for, and the CPU time of compiling worlds."""
+    def _examined(self, problem: Problem, protocol: Protocol | None, reporter: Reporter) -> _Examined:
+        """All grasps of a file."""
         model, compiling = None, -time.process_time()
         if protocol is not None:
             model = model_of(problem.hand)
@@ -219,7 +252,7 @@ class Validate:
             seed=self.robustness.seed,
             threads=self.simulation.threads,
         )
-        parts = []
+        parts, trials = [], []
         for group in problem.groups:
             scene = group.scene
             world = motion = None
@@ -241,22 +274,26 @@ class Validate:
             )
             parts.append(found)
             if world is not None and motion is not None and found.trials is not None:
-                for line in self.recording.record(group, world, motion, found.trials, problem.hand.name):
-                    reporter.say(line)
-        return Validated.join(parts).select(problem.order), compiling
+                trials.append((group, world, motion, found.trials))
+        validated = Validated.join(parts).select(problem.order)
+        return _Examined(problem, validated, tuple(trials), compiling)
 
     def _write(
         self,
         files: tuple[Path, ...],
-        found: Sequence[Validated],
+        examined: Sequence[_Examined],
         protocol: Protocol | None,
         times: Mapping[str, float],
     ) -> list[Path]:
         """Write the files that were asked for; returns them."""
         frictions, written = self.robustness.frictions, []
+        found = [part.validated for part in examined]
         if self.told.json is not None:
             described = {
-                "files": [fingerprint(path) for path in files],
+                "files": [
+                    {**fingerprint(path), "closing": part.problem.closing(self.simulation.closing)}
+                    for path, part in zip(files, examined, strict=True)
+                ],
                 "inputs": settings(self.sources),
                 "simulation": settings(self.simulation),
                 "robustness": settings(self.robustness),
@@ -277,6 +314,20 @@ class Validate:
             save_table(self.told.rows, flat_rows(found, files, protocol, frictions))
             written.append(self.told.rows)
         return written
+
+
+@dataclass(frozen=True, eq=False)
+class _Examined:
+    """The grasps of one file, with what was found of them."""
+
+    problem: Problem
+    """The grasps."""
+    validated: Validated
+    """What was found, in the order in which they were asked for."""
+    trials: tuple[tuple[Group, World, Motion, Trials], ...]
+    """By object and scale: where and how the grasps were simulated, and what it came to."""
+    compile_cpu_s: float
+    """CPU time of making models for MuJoCo, seconds."""
 
 
 def _check_comparable(before: Problem, after: Problem) -> None:

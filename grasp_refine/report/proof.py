@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,8 +21,28 @@ class Proof:
     """How they were simulated."""
     before: Trials
     """The grasps as they came."""
+    closing: Mapping[str, str]
+    """Whose pregrasps and squeezes were simulated before: stage -> "file" or "own"."""
     after: Trials
     """The refined grasps, with pregrasps and squeezes of their own."""
+
+
+def reason_lines(trials: Trials, protocol: Protocol) -> list[Text]:
+    """How many grasps failed for which reason."""
+    worst = trials.reason[np.arange(len(trials)), trials.worst]
+    return [
+        Text.assemble((f"{(worst == reason).sum()} {reason.label}", "red"), f": {reason.meaning(protocol)}")
+        for reason in list(Reason)[1:]
+        if (worst == reason).any()
+    ]
+
+
+def closing_line(owners: Mapping[str, str]) -> Text:
+    """Whose pregrasps and squeezes were simulated: stage -> "file" or "own"."""
+    words = {"file": "of the file", "own": "our own"}
+    if len(set(owners.values())) == 1:
+        return Text(f"pregrasps and squeezes are {words[owners['squeeze']]}")
+    return Text(f"pregrasps are {words[owners['pregrasp']]}, squeezes {words[owners['squeeze']]}")
 
 
 def proof_lines(proof: Proof) -> list[Text]:
@@ -34,11 +55,8 @@ def proof_lines(proof: Proof) -> list[Text]:
             f" ({proof.protocol.name}; {int((after & ~before).sum())} won, {int((before & ~after).sum())} lost)",
         )
     ]
-    worst = proof.after.reason[np.arange(len(after)), proof.after.worst]
-    for reason in list(Reason)[1:]:
-        count = int((worst == reason).sum())
-        if count:
-            lines.append(Text.assemble((f"{count} {reason.label}", "yellow"), f": {reason.meaning(proof.protocol)}"))
+    lines += reason_lines(proof.after, proof.protocol)
+    lines.append(Text("before, ").append(closing_line(proof.closing)).append("; after, they are our own"))
     return lines
 
 
@@ -52,6 +70,8 @@ def simulation_entry(trials: Trials, i: int, protocol: Protocol) -> dict[str, An
             "time_s": trials.time_s[i, d],
             "displacement_m": trials.displacement_m[i, d],
             "angle_rad": trials.angle_rad[i, d],
+            "peak_m": trials.peak_m[i, d],
+            "peak_rad": trials.peak_rad[i, d],
             "contacts": _names(trials, trials.contacts[i, d]),
         }
         for d, direction in enumerate(trials.directions)

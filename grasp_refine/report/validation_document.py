@@ -17,6 +17,12 @@ from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.validate import Validated
 from grasp_refine.versions import versions
 
+QUANTILES = {0.5: "median", 0.9: "90 %", 1.0: "worst"}
+"""Which quantiles of displacements are told, and what they are called."""
+
+ABSENT = ("status", "advice", "iterations", "queries", "contact_error_m", "moved", "quality")
+"""Keys of the entries of `run` that validation has nothing to say about."""
+
 TABLES = (".csv", ".parquet")
 """Endings of the names of flat tables."""
 
@@ -58,6 +64,8 @@ def validate_document(
             "by_friction": None
             if validated.frictions is None
             else {f"{f:g}": int(n) for f, n in zip(frictions, validated.frictions.sum(axis=0), strict=True)},
+            "moved_m": _quantiles(validated, "peak_m"),
+            "turned_rad": _quantiles(validated, "peak_rad"),
             "simulation_cpu_s": float(validated.cpu_s.sum()) if simulated else None,
             **times,
         },
@@ -81,9 +89,10 @@ def _grasp(validated: Validated, i: int, protocol: Protocol | None, frictions: S
         "row": validated.row[i],
         "object": validated.object[i],
         "scale": validated.scale[i],
+        # Validation refines nothing.
+        **dict.fromkeys(ABSENT),
         "wall_s": validated.wall_s[i],
         "cpu_s": validated.cpu_s[i],
-        "quality": after(None),
         "contact_distance_m": after(metrics.contact_distance_m[i]),
         "contact_number": after(_whole(metrics.contact_number[i])),
         "penetration_m": after(metrics.penetration_m[i]),
@@ -123,6 +132,7 @@ def flat_rows(
     )
     for entry in entries:
         row = {key: value["after"] if isinstance(value, dict) else value for key, value in entry.items()}
+        row = {key: value for key, value in row.items() if key not in ABSENT}
         simulation = row.pop("simulation") or {}
         simulation.pop("directions", None)
         for key, value in simulation.items():
@@ -131,6 +141,14 @@ def flat_rows(
                 row["_".join(filter(None, (key, name)))] = " ".join(part) if isinstance(part, list) else part
         rows.append({key: _scalar(value) for key, value in row.items()})
     return rows
+
+
+def _quantiles(validated: Validated, field: str) -> dict[str, float] | None:
+    """How far the objects of grasps that held were away at most."""
+    if validated.trials is None or not validated.success.any():
+        return None
+    most = getattr(validated.trials, field)[validated.success].max(axis=1)
+    return {f"{q:g}": float(np.quantile(most, q)) for q in QUANTILES}
 
 
 def _whole(value: float) -> int | None:

@@ -11,14 +11,16 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from grasp_refine.report.proof import reason_lines
 from grasp_refine.report.table import LONGEST, NONE, WORST
+from grasp_refine.report.validation_document import QUANTILES
 from grasp_refine.validation.metrics import NEAR
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import BARELY, ENOUGH, Validated
 
-QUANTILES = ((0.5, "median"), (0.9, "90 %"), (1.0, "worst"))
-"""Which quantiles of displacements are told."""
+_FEW = 3
+"""Most directions that are named in a cell."""
 
 _MANY = 12
 """Most grasps of an object that are listed by number in a line."""
@@ -64,6 +66,9 @@ def comparison_table(before: Validated, after: Validated, hand: str, protocol: P
             str(int((better > 1e-9).sum())),
             str(int((better < -1e-9).sum())),
         )
+    lost_all = [int(np.isnan(v.metrics.wrench_residual).sum()) for v in (before, after)]
+    if any(lost_all):
+        table.add_row("without any contact", *map(str, lost_all), "", "")
     parts: list[RenderableType] = []
     if protocol is not None:
         won, lost = after.success & ~before.success, before.success & ~after.success
@@ -85,6 +90,8 @@ def _object_table(validated: Validated, what: str, protocol: Protocol | None, ve
     title, shown = f"{what}: {_count(len(validated))}", np.arange(len(validated))
     if protocol is not None:
         title += f", {protocol.name}, friction {protocol.friction:g}"
+        if protocol.checks != Protocol.checks:
+            title += f", pushes of {protocol.checks * protocol.steps_per_check * protocol.timestep:g} s"
     if len(validated) > LONGEST and not verbose:
         shown = np.argsort(-_badness(validated), kind="stable")[:WORST]
         title += f", the worst {WORST} (--verbose: all)"
@@ -160,19 +167,27 @@ def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
             word
             for word, flagged in (
                 ("barely", validated.barely(protocol)[i]),
-                ("by the squeeze", validated.by_squeeze[i]),
+                (_by_squeeze(validated), validated.by_squeeze[i]),
             )
             if flagged
         ]
+        if validated.noise is not None:
+            flags.append(f"noise {validated.noise[i]:.0%}")
         return Text(f" held{', ' + ', '.join(flags) if flags else ''}", "yellow" if flags else "green")
     failed = np.flatnonzero(trials.reason[i] != Reason.HELD)
-    if reason in (Reason.PENETRATES, Reason.NOT_FINITE):
-        depth = f" {trials.penetration_m[i] * 1e3:.1f} mm at the pregrasp" if reason == Reason.PENETRATES else ""
-        return Text(f" {reason.label}{depth}", "red")
-    every = len(failed) == len(trials.directions)
-    where = f"all {len(failed)}" if every and len(failed) > 1 else " ".join(trials.directions[d] for d in failed)
-    when = "" if np.isnan(trials.time_s[i, worst]) else f", {trials.time_s[i, worst]:.1f} s"
-    return Text(f" {reason.label} {where}{when}, {trials.contacts[i, worst].sum()} left", "red")
+    if reason == Reason.PENETRATES:
+        return Text(f" penetrates {trials.penetration_m[i] * 1e3:.0f} mm at first", "red")
+    if reason == Reason.THROWN:
+        return Text(f" thrown {trials.closing_m[i] * 1e3:.0f} mm by closing", "red")
+    if reason in (Reason.IN_TABLE, Reason.NOT_FINITE) or np.isnan(trials.time_s[i, worst]):
+        return Text(f" {reason.label}", "red")
+    count = len(trials.directions)
+    where = " ".join(trials.directions[d] for d in failed)
+    if len(failed) > _FEW:
+        where = f"all {count}" if len(failed) == count else f"{len(failed)} of {count}"
+    return Text(
+        f" {reason.label} {where}, {trials.time_s[i, worst]:.1f} s, {trials.contacts[i, worst].sum()} left", "red"
+    )
 
 
 def _by_object(validated: Validated, names: Sequence[str]) -> Table:
@@ -193,19 +208,14 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
     color = "green" if success.all() else "yellow"
     how = f"in all of {', '.join(trials.directions)}" if len(trials.directions) > 1 else f"the {trials.directions[0]}"
     lines = [Text.assemble((f"{success.sum()} of {_count(len(success))} held", color), f" ({_percent(success)}) {how}")]
-    worst = trials.reason[np.arange(len(trials)), trials.worst]
-    for reason in list(Reason)[1:]:
-        which = worst == reason
-        if which.any():
-            lines.append(Text.assemble((f"{which.sum()} {reason.label}", "red"), f": {reason.meaning(protocol)}"))
-    held = trials.reason == Reason.HELD
-    if held.any():
+    lines += reason_lines(trials, protocol)
+    if success.any():
         parts = []
-        for values, factor, unit in ((trials.displacement_m, 1e3, "mm"), (np.degrees(trials.angle_rad), 1, "deg")):
-            numbers = " / ".join(f"{np.quantile(values[held], q) * factor:.1f}" for q, _ in QUANTILES)
-            parts.append(f"{numbers} {unit}")
-        words = " / ".join(word for _, word in QUANTILES)
-        lines.append(Text(f"where they held, objects moved {parts[0]} and turned {parts[1]} ({words})"))
+        for values, factor, unit in ((trials.peak_m, 1e3, "mm"), (np.degrees(trials.peak_rad), 1, "deg")):
+            most = values[success].max(axis=1)
+            parts.append(" / ".join(f"{np.quantile(most, q) * factor:.1f}" for q in QUANTILES) + f" {unit}")
+        words = " / ".join(QUANTILES.values())
+        lines.append(Text(f"objects that were held moved {parts[0]} and turned {parts[1]} ({words})"))
     barely = validated.barely(protocol)
     if barely.any():
         limits = f"{BARELY * protocol.farthest * 1e3:.0f} mm or {np.degrees(BARELY * protocol.steepest):.1f} deg"
@@ -219,9 +229,10 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
     if squeezed.any():
         near = f"fewer than {ENOUGH} links within {NEAR * 1e3:g} mm of the object before it"
         how = near if validated.unsqueezed is None else "fails without"
+        perhaps = "perhaps " if validated.unsqueezed is None else ""
         lines.append(
             Text.assemble(
-                (f"{squeezed.sum()} held only by the squeeze", "yellow"),
+                (f"{squeezed.sum()} held {perhaps}only by the squeeze", "yellow"),
                 f" ({how}): {_numbers(validated, squeezed)}",
             )
         )
@@ -232,6 +243,11 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
         shares = (f"{f:g}: {_percent(h)}" for f, h in zip(frictions, validated.frictions.T, strict=True))
         lines.append(Text(f"held by friction: {', '.join(shares)}"))
     return lines
+
+
+def _by_squeeze(validated: Validated) -> str:
+    """The flag: a guess, unless it was tried."""
+    return "by the squeeze" + ("?" if validated.unsqueezed is None else "")
 
 
 def _held(validated: Validated) -> str:

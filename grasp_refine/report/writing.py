@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 from collections.abc import Mapping
 from enum import Enum
 from math import isfinite
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.atomic import written_whole
 from grasp_refine.errors import GraspRefineError
 
 SCHEMA = 1
@@ -19,22 +21,27 @@ SCHEMA = 1
 
 
 def check_writable(path: Path) -> None:
-    """Nothing, when a file can be made at `path`; found out before the work, not after it.
+    """Nothing, when a file can be made at `path`; found out before the work, not after it, and nothing is left there.
 
     Raises:
         GraspRefineError: `path` is a folder, or lies where nothing can be written.
     """
-    if path.is_dir():
-        raise GraspRefineError(f"{path}: is a folder, a file is to be written there")
-    if path.exists():
-        writable = os.access(path, os.W_OK)
-    else:
+    try:
+        if path.is_dir():
+            raise GraspRefineError(f"{path}: is a folder, a file is to be written there")
+        if path.exists() and not os.access(path, os.W_OK):
+            raise GraspRefineError(f"{path}: cannot be written, no permission")
+        # A link or a pipe is written to, everything else is replaced by a new file.
+        if path.exists() and (path.is_symlink() or not path.is_file()):
+            return
         folder = next(parent for parent in path.absolute().parents if parent.exists())
         if not folder.is_dir():
             raise GraspRefineError(f"{path}: cannot be written, {folder} is no folder")
-        writable = os.access(folder, os.W_OK | os.X_OK)
-    if not writable:
-        raise GraspRefineError(f"{path}: cannot be written, no permission")
+        # Who asks for permission alone is told that root may write to /proc.
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise GraspRefineError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
 def dumps(document: Any, indent: int | None = None) -> str:
@@ -75,22 +82,10 @@ def save_text(path: Path, text: str) -> None:
 
 
 def save_bytes(path: Path, content: bytes) -> None:
-    """Write a file; it appears whole or not at all, and missing folders are made.
+    """Write a file as `written_whole` does.
 
     Raises:
         GraspRefineError: the file cannot be written.
     """
-    try:
-        # A pipe or /dev/stdout is written to, never replaced.
-        if path.is_symlink() or (path.exists() and not path.is_file()):
-            path.write_bytes(content)
-            return
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-        try:
-            partial.write_bytes(content)
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise GraspRefineError(f"{path}: cannot be written ({error.strerror or error})") from error
+    with written_whole(path) as partial:
+        partial.write_bytes(content)

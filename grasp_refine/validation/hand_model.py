@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.hand import Actuator
+
 if TYPE_CHECKING:
     import mujoco
 
@@ -37,3 +39,9 @@ class HandModel:
     """Name of each body -> what it is called in results: the link of the hand that it stands for, or its own name."""
     notes: tuple[str, ...]
     """What a user should know about how the model was made."""
+    actuator: Actuator
+    """How the n independent joints are driven as it is simulated, in their units and order.
+
+    Of a coupled group it is the stiffness and the limit of the tendon, as in `Hand.actuator`, whose place this takes
+    where set points are planned.
+    """

@@ -13,10 +13,15 @@ from grasp_refine.errors import HandError
 from grasp_refine.hand import Hand
 from grasp_refine.validation.alignment import align
 from grasp_refine.validation.hand_model import HandModel
+from grasp_refine.validation.messages import complaint, unlogged
+from grasp_refine.validation.servos import check_servos, joints_of, moved_joints, servo_settings
 from grasp_refine.validation.urdf_model import add_actuators
 
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _FIRST = re.compile(rb"<\s*([A-Za-z]\w*)")
+
+SIZES = ("memory", "nstack", "njmax", "nconmax", "nemax", "nkey", "nuserdata")
+"""What <size> says, but for the room for user data of bodies, joints and so on (`nuser_*`)."""
 
 ADVICE = "it must be a MuJoCo XML file with its meshes where it names them"
 
@@ -48,27 +53,31 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
     notes += fit.notes
     driven = {joint: matched[joint] for joint in hand.joint_names}
     if spec.actuators:
-        _check_servos(spec, path)
+        check_servos(spec, path)
     else:
         add_actuators(spec, hand, driven, dict(zip(matched, fit.sign, strict=True)))
         notes.append(f"{path.name} has no actuators: position actuators are added, as for the URDF")
-    idle = [joint for joint, name in matched.items() if name not in _ruled(spec)]
+    idle = [joint for joint, name in matched.items() if name not in moved_joints(spec)]
     if idle:
         notes.append(f"joints {', '.join(idle)} follow nothing in {path.name}, neither actuator nor equality")
     T_base_root = fit.T_base_world @ _pose(model, root)
     # Where the file puts the hand has no meaning in another world.
     top = spec.body(root)
     top.pos, top.quat, top.alt.type = np.zeros(3), [1, 0, 0, 0], mujoco.mjtOrientation.mjORIENTATION_QUAT
-    _compiled(spec, path)
+    placed = _compiled(spec, path)
+    if placed.actuator_ctrllimited.any():
+        notes.append("set points beyond the ctrlrange of the MJCF are clipped")
+    matrix, offset = fit.sign[:, None] * matrix[rows], fit.sign * offset[rows]
     return HandModel(
         spec=spec,
         root=root,
         T_base_root=T_base_root,
         joints=tuple(matched.values()),
-        matrix=fit.sign[:, None] * matrix[rows],
-        offset=fit.sign * offset[rows],
+        matrix=matrix,
+        offset=offset,
         links=_links(hand, model, root, matched),
         notes=tuple(notes),
+        actuator=servo_settings(hand, placed, matched, matrix),
     )
 
 
@@ -76,33 +85,47 @@ def _read(path: Path) -> mujoco.MjSpec:
     if not path.is_file():
         raise HandError(f"{path}: no such MJCF file")
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        with unlogged():
+            spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
-        raise HandError(f"{path}: {_line(error)}; {ADVICE}") from None
+        raise HandError(f"{path}: {complaint(error)}; {ADVICE}") from None
     # MuJoCo reads URDF files, too, but such a hand is made from its URDF.
     outermost = _FIRST.search(_COMMENT.sub(b"", path.read_bytes()))
     if outermost and outermost[1] == b"robot":
         raise HandError(f"{path}: a URDF, not an MJCF; {ADVICE}")
     # Bodies and their frames must be those of the file.
     spec.compiler.fusestatic = False
-    # How it is simulated is not for the hand to say; MuJoCo warns where it says something else than its world.
-    plain = mujoco.MjSpec().option
-    for name in dir(plain):
-        if not name.startswith("_"):
-            setattr(spec.option, name, getattr(plain, name))
-    spec.authored.option = spec.authored.disableflags = spec.authored.enableflags = spec.authored.disableactuator = 0
+    _reset(spec)
     return spec
+
+
+def _reset(spec: mujoco.MjSpec) -> None:
+    """Sets how it is simulated and shown, and the room for user data, back to what MuJoCo begins with.
+
+    That is not for the hand to say; MuJoCo warns where it says something else than the world that it is put into.
+    """
+    plain = mujoco.MjSpec()
+    visual = [(getattr(spec.visual, name), getattr(plain.visual, name)) for name in _public(plain.visual)]
+    for ours, default in ((spec.option, plain.option), (spec.stat, plain.stat), *visual):
+        for name in _public(default):
+            setattr(ours, name, getattr(default, name))
+    for name in _public(plain):
+        if name in SIZES or name.startswith("nuser_"):
+            setattr(spec, name, getattr(plain, name))
+    for name in _public(spec.authored):
+        setattr(spec.authored, name, 0)
+
+
+def _public(thing: object) -> list[str]:
+    return [name for name in dir(thing) if not name.startswith("_")]
 
 
 def _compiled(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     try:
-        return spec.compile()
+        with unlogged():
+            return spec.compile()
     except ValueError as error:
-        raise HandError(f"{path}: MuJoCo cannot compile it: {_line(error)}; {ADVICE}") from None
-
-
-def _line(error: ValueError) -> str:
-    return " ".join(str(error).removeprefix("Error: ").split())
+        raise HandError(f"{path}: MuJoCo cannot compile it: {complaint(error)}; {ADVICE}") from None
 
 
 def _only_the_hand(spec: mujoco.MjSpec, path: Path, notes: list[str]) -> str:
@@ -153,7 +176,7 @@ def _delete(spec: mujoco.MjSpec, things: Sequence[object]) -> None:
 
 
 def _name_all(spec: mujoco.MjSpec) -> None:
-    """Nothing; what has no name gets one."""
+    """Gives a name to what has none."""
     for kind, things in (("body", spec.bodies), ("joint", spec.joints)):
         taken = {thing.name for thing in things}
         number = 0
@@ -203,13 +226,13 @@ def similar(name: str, there: Sequence[str]) -> list[str]:
 
 
 def _drop_joints(spec: mujoco.MjSpec, kept: set[str], notes: list[str]) -> None:
-    """Nothing; deletes joints that are not kept, and what acts on them."""
+    """Deletes joints that are not kept, and what acts on them."""
     dropped = {joint.name for joint in spec.joints} - kept
     if not dropped:
         return
     listed = [joint.name for joint in spec.joints if joint.name in dropped]
     notes.append(f"joints {', '.join(listed)} of the MJCF are fixed: the hand does not have them")
-    loose = {tendon.name for tendon in spec.tendons if _joints_of(tendon) & dropped}
+    loose = {tendon.name for tendon in spec.tendons if joints_of(tendon) & dropped}
     joint_like = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 
     def acts(actuator: mujoco.MjsActuator) -> bool:
@@ -230,7 +253,7 @@ def _drop_joints(spec: mujoco.MjSpec, kept: set[str], notes: list[str]) -> None:
 
 
 def _drop_visuals(spec: mujoco.MjSpec, path: Path) -> None:
-    """Nothing; deletes geometry that touches nothing, after its mass was written into its body."""
+    """Deletes geometry that touches nothing, after writing its mass into its body."""
     model = _compiled(spec, path)
     for body in spec.bodies[1:]:
         compiled = model.body(body.name)
@@ -250,36 +273,6 @@ def _drop_visuals(spec: mujoco.MjSpec, path: Path) -> None:
 
 def _mesh_name(mesh: mujoco.MjsMesh) -> str:
     return mesh.name or Path(mesh.file).stem
-
-
-def _check_servos(spec: mujoco.MjSpec, path: Path) -> None:
-    for actuator in spec.actuators:
-        fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
-        affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE
-        if not (fixed and affine and actuator.biasprm[1] == -actuator.gainprm[0]):
-            raise HandError(
-                f"{path}: actuator '{actuator.name}' is no position servo (<position>, or <general> with "
-                'biastype="affine" and a bias of minus the gain); grasps are sequences of joint positions'
-            )
-
-
-def _ruled(spec: mujoco.MjSpec) -> set[str]:
-    """Names of the joints that something moves: an actuator, directly or through a tendon, or an equality."""
-    tendon = mujoco.mjtTrn.mjTRN_TENDON
-    pulled = {actuator.target for actuator in spec.actuators if actuator.trntype == tendon}
-    ruled = {actuator.target for actuator in spec.actuators if actuator.trntype != tendon}
-    for each in spec.tendons:
-        if each.name in pulled:
-            ruled |= _joints_of(each)
-    for equality in spec.equalities:
-        if equality.type == mujoco.mjtEq.mjEQ_JOINT:
-            ruled |= {equality.name1, equality.name2}
-    return ruled
-
-
-def _joints_of(tendon: mujoco.MjsTendon) -> set[str]:
-    wraps = [tendon.path[i] for i in range(len(tendon.path))]
-    return {wrap.target.name for wrap in wraps if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT}
 
 
 def _pose(model: mujoco.MjModel, body: str) -> np.ndarray:

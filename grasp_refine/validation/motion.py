@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.errors import GraspFileError
-from grasp_refine.grasps import GraspSet, match_joints
+from grasp_refine.grasps import OTHER_STAGES, GraspSet, match_joints
 from grasp_refine.hand import Hand
 from grasp_refine.hand_object import HandObject
 from grasp_refine.pregrasp import opened
@@ -47,17 +47,27 @@ def closing(scene: Scene, prepared: HandObject | None = None) -> Motion:
     return Motion(np.stack([T_open, T, T], axis=1), np.stack([q_open, q, squeezed(scene, prepared)], axis=1))
 
 
-def motion_of(grasps: GraspSet, hand: Hand) -> Motion:
+def motion_of(grasps: GraspSet, hand: Hand, own: Motion | None = None) -> Motion:
     """The motion that a grasp file gives, its joints matched to the hand by name.
 
+    Args:
+        grasps: The grasps.
+        hand: Their hand.
+        own: The same grasps with our own stages, for those that the file lacks.
+
     Raises:
-        GraspFileError: the file has no pregrasp or no squeeze, or its joints are not those of the hand.
+        GraspFileError: the file lacks a stage and there is no `own`, or its joints are not those of the hand.
     """
-    if grasps.pregrasp is None or grasps.squeeze is None:
-        lacking = " and ".join(name for name in ("pregrasp", "squeeze") if getattr(grasps, name) is None)
-        raise GraspFileError(f"the grasps come without {lacking}")
-    stages = [grasps.at(grasps.pregrasp), grasps, grasps.at(grasps.squeeze)]
-    return Motion(
-        np.stack([transform_from_pose(stage.hand_pose) for stage in stages], axis=1),
-        np.stack([match_joints(stage, hand)[0] for stage in stages], axis=1),
-    )
+    lacking = [name for name in OTHER_STAGES if getattr(grasps, name) is None]
+    if lacking and own is None:
+        raise GraspFileError(f"the grasps come without {' and '.join(lacking)}")
+    T, q = [], []
+    for at, name in enumerate(STAGES):
+        if name in lacking and own is not None:
+            T.append(own.T_world_root[:, at])
+            q.append(own.q[:, at])
+        else:
+            stage = grasps.at(getattr(grasps, name)) if name in OTHER_STAGES else grasps
+            T.append(transform_from_pose(stage.hand_pose))
+            q.append(match_joints(stage, hand)[0])
+    return Motion(np.stack(T, axis=1), np.stack(q, axis=1))

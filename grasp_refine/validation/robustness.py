@@ -26,7 +26,7 @@ class Noise:
     count: int = 0
     """Number of offsets that each grasp is tried with."""
     offset: float = 0.005
-    """Largest shift in metres; shifts are uniform in the ball of this radius."""
+    """Largest shift in metres; shifts are uniform in the ball of this radius, or its shadow on the table."""
     turn: float = radians(5)
     """Largest rotation about the object's middle, in radians; rotation vectors are uniform in the ball."""
 
@@ -38,6 +38,7 @@ def noise_score(
     *,
     middle: Float[np.ndarray, " 3"],
     numbers: Int[np.ndarray, " N"],
+    upright: Float[np.ndarray, " 3"] | None = None,
     seed: int = 0,
     threads: int | None = None,
     progress: Progress | None = None,
@@ -50,6 +51,7 @@ def noise_score(
         noise: The offsets.
         middle: What the object turns about (3,), metres, object frame.
         numbers: A number (N,) for each grasp: its offsets depend on this and on the seed only.
+        upright: The table's unit normal (3,), where there is one: objects are then shifted along it and turned on it.
         seed: Of the offsets.
         threads: CPU threads.
         progress: Is told of N x `noise.count` trials.
@@ -59,9 +61,12 @@ def noise_score(
         *(_draw(np.random.default_rng([seed, int(number)]), noise) for number in numbers),
         strict=True,
     )
+    shift, turn = np.concatenate(shifts), np.concatenate(turns)
+    if upright is not None:
+        shift, turn = shift - np.outer(shift @ upright, upright), np.outer(turn @ upright, upright)
     T = np.tile(np.eye(4), (len(each), 1, 1))
-    T[:, :3, :3] = exp_so3(np.concatenate(turns))
-    T[:, :3, 3] = middle - T[:, :3, :3] @ middle + np.concatenate(shifts)
+    T[:, :3, :3] = exp_so3(turn)
+    T[:, :3, 3] = middle - T[:, :3, :3] @ middle + shift
     friction = np.full(len(each), world.protocol.friction)
     trials = simulate(
         world, motion.select(each), Conditions(T, friction), threads=threads, first_failure=True, progress=progress

@@ -98,7 +98,7 @@ def close(
         conditions: Where the object lies, and how slippery it is.
         threads: CPU threads; by default as many as there are.
         tell: Is told which share of the whole trial is done.
-        watch: Sees every simulation step.
+        watch: Sees the start, unless nothing starts, and every simulation step.
     """
     protocol = world.protocol
     finite = np.isfinite(motion.T_world_root).all(axis=(1, 2, 3)) & np.isfinite(motion.q).all(axis=(1, 2))
@@ -110,9 +110,12 @@ def close(
     batch.qpos[:, world.root_at : world.root_at + 7] = course.root(0, 0.0)
     batch.qpos[:, world.joints_at] = course.joints[:, 0]
     batch.qpos[:, world.object_at : world.object_at + 7] = pose_from_transform(start)
-    _, penetration = rows.touching(np.flatnonzero(finite))
-    deep = finite & (penetration > protocol.deepest)
-    rows.running &= ~deep
+    start_touch = rows.touching(np.flatnonzero(finite))
+    deep = finite & (start_touch.depth > protocol.deepest)
+    in_table = finite & (start_touch.depth_table > protocol.deepest)
+    rows.running &= ~(deep | in_table)
+    if watch is not None and rows.running.any():
+        watch(batch)
     contacts, steps = [], 0
     for stage in (0, 1):
         for move in range(1, protocol.moves + 1):
@@ -123,22 +126,23 @@ def close(
             rows.step(protocol.steps_per_move)
             steps += protocol.steps_per_move
             tell(steps / _steps(protocol))
-        contacts.append(rows.touching(np.flatnonzero(rows.running))[0])
+        contacts.append(rows.touching(np.flatnonzero(rows.running)).links)
     moved, turned = distances(start, rows.object_poses())
-    ran = finite & ~deep
+    ran = finite & ~deep & ~in_table
+    thrown = (moved >= protocol.farthest) | (turned >= protocol.steepest)
     return Closed(
         conditions=conditions,
         state=batch.state.copy(),
         reason=np.select(
-            [~finite, deep, rows.unstable],
-            [Reason.NOT_FINITE, Reason.PENETRATES, Reason.UNSTABLE],
+            [~finite, deep, in_table, rows.unstable, thrown],
+            [Reason.NOT_FINITE, Reason.PENETRATES, Reason.IN_TABLE, Reason.UNSTABLE, Reason.THROWN],
             Reason.HELD,
         ),
         contacts_grasp=contacts[0],
         contacts_squeeze=contacts[1],
         closing_m=np.where(ran, moved, np.nan),
         closing_rad=np.where(ran, turned, np.nan),
-        penetration_m=np.where(finite, penetration, np.nan),
+        penetration_m=np.where(finite, start_touch.depth, np.nan),
     )
 
 
@@ -178,7 +182,7 @@ def push(
     if not protocol.tabletop:
         forces = protocol.mass * protocol.acceleration * np.array([AXES[name] for name in names])
         rows.batch.xfrc_applied[:, world.object_body, :3] = np.tile(forces, (count, 1))
-    time, displacement, angle = (np.full(len(grasp), np.nan) for _ in range(3))
+    time, displacement, angle, peak, steepest = (np.full(len(grasp), np.nan) for _ in range(5))
     contacts = np.zeros((len(grasp), len(world.links)), dtype=bool)
     for check in range(1, protocol.checks + 1):
         wanted = start.copy()
@@ -197,7 +201,9 @@ def push(
         reason[failed] = found[failed]
         time[failed] = check * protocol.steps_per_check * protocol.timestep
         displacement[decided], angle[decided] = moved[decided], turned[decided]
-        contacts[decided] = rows.touching(np.flatnonzero(decided & ~rows.unstable))[0][decided]
+        peak[undecided] = np.fmax(peak, moved)[undecided]
+        steepest[undecided] = np.fmax(steepest, turned)[undecided]
+        contacts[decided] = rows.touching(np.flatnonzero(decided & ~rows.unstable)).links[decided]
         undecided = undecided & ~decided
         if first_failure:
             worst = reason.reshape(shape).max(axis=1)[grasp]
@@ -213,6 +219,8 @@ def push(
         time_s=time.reshape(shape),
         displacement_m=displacement.reshape(shape),
         angle_rad=angle.reshape(shape),
+        peak_m=peak.reshape(shape),
+        peak_rad=steepest.reshape(shape),
         contacts=contacts.reshape(*shape, -1),
         contacts_grasp=closed.contacts_grasp,
         contacts_squeeze=closed.contacts_squeeze,

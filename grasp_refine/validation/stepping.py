@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float
 from mujoco.batch import Batch, SimulationError
 
 from grasp_refine.se3 import transform_from_pose
-from grasp_refine.validation.world import World
+from grasp_refine.validation.messages import unlogged
+from grasp_refine.validation.world import OBJECT_GEOM, OTHER_GEOM, World
 
 DIVERGED = [
     warning.value
@@ -29,7 +30,7 @@ DIVERGED = [
 """Warnings after which a simulation means nothing any more."""
 
 Watch = Callable[[Batch], None]
-"""Is called after every simulation step."""
+"""Is called after every simulation step, and once before the first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +52,18 @@ class Conditions:
         return Conditions(self.T_world_object[rows], self.friction[rows])
 
 
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """What the hands of N simulations touch."""
+
+    links: Bool[np.ndarray, "N L"]
+    """Which links touch the object (N, L)."""
+    depth: Float[np.ndarray, " N"]
+    """How deep any of them is in the object (N,), metres."""
+    depth_table: Float[np.ndarray, " N"]
+    """How deep any of them is in the table (N,), metres."""
+
+
 class Rows:
     """N simulations of a world; what becomes of one depends neither on the others nor on the number of threads."""
 
@@ -63,8 +76,6 @@ class Rows:
         watch: Watch | None = None,
     ) -> None:
         """N simulations at the model's initial state, of which those that are `running` will be stepped."""
-        # MuJoCo would write each warning to a file in the current folder; here they are counted.
-        mujoco.set_mju_user_warning(_unheard)
         self.world = world
         self.batch = Batch(world.model, len(running), threads)
         self.running = running.copy()
@@ -83,7 +94,9 @@ class Rows:
             if not len(ids):
                 return
             try:
-                self.batch.step(ids, nstep=steps)
+                # Warnings are counted below.
+                with unlogged():
+                    self.batch.step(ids, nstep=steps)
             except SimulationError as error:
                 self.unstable[error.ids] = True
             self.unstable[ids] |= (self.batch.warning[ids][:, DIVERGED, 1] > 0).any(axis=1)
@@ -92,25 +105,25 @@ class Rows:
             if self._watch is not None:
                 self._watch(self.batch)
 
-    def touching(self, rows: np.ndarray) -> tuple[Bool[np.ndarray, "N L"], Float[np.ndarray, " N"]]:
-        """Which links touch the object (N, L) in the simulations `rows`, and how deep (N,) in metres; else nothing."""
-        links = np.zeros((len(self.running), len(self.world.links)), dtype=bool)
-        depth = np.zeros(len(self.running))
+    def touching(self, rows: np.ndarray) -> Touch:
+        """What touches what in the simulations `rows`; nothing in the others."""
+        count = len(self.running)
+        links = np.zeros((count, len(self.world.links)), dtype=bool)
+        depth, depth_table = np.zeros(count), np.zeros(count)
         for row in rows:
             self.batch.get_data(int(row), self._data)
-            mujoco.mj_fwdPosition(self.world.model, self._data)
+            with unlogged():
+                mujoco.mj_fwdPosition(self.world.model, self._data)
             contact = self._data.contact
-            owners = self.world.link_of_geom[contact.geom]
-            between = (owners.min(axis=1) == -1) & (owners.max(axis=1) >= 0) & (contact.dist <= 0)
-            links[row, owners.max(axis=1)[between]] = True
-            depth[row] = np.max(-contact.dist[between], initial=0.0)
-        return links, depth
+            owners = np.sort(self.world.link_of_geom[contact.geom], axis=1)
+            by_link = (owners[:, 1] >= 0) & (contact.dist <= 0)
+            on_object, on_table = by_link & (owners[:, 0] == OBJECT_GEOM), by_link & (owners[:, 0] == OTHER_GEOM)
+            links[row, owners[on_object, 1]] = True
+            depth[row] = np.max(-contact.dist[on_object], initial=0.0)
+            depth_table[row] = np.max(-contact.dist[on_table], initial=0.0)
+        return Touch(links, depth, depth_table)
 
     def object_poses(self) -> Float[np.ndarray, "N 4 4"]:
         """Poses of the object (N, 4, 4)."""
         at = self.world.object_at
         return transform_from_pose(self.batch.qpos[:, at : at + 7])
-
-
-def _unheard(message: str) -> None:
-    """Nothing."""

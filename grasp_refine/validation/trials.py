@@ -18,9 +18,11 @@ class Reason(IntEnum):
     HELD = 0
     MOVED = 1
     TURNED = 2
-    PENETRATES = 3
-    UNSTABLE = 4
-    NOT_FINITE = 5
+    THROWN = 3
+    PENETRATES = 4
+    IN_TABLE = 5
+    UNSTABLE = 6
+    NOT_FINITE = 7
 
     @property
     def label(self) -> str:
@@ -33,6 +35,9 @@ class Reason(IntEnum):
             Reason.HELD: "the object stayed",
             Reason.MOVED: f"the object was {protocol.farthest * 1e3:g} mm or more away from where it should be",
             Reason.TURNED: f"the object had turned by {degrees(protocol.steepest):g} degrees or more",
+            Reason.THROWN: f"closing the hand had moved the object by {protocol.farthest * 1e3:g} mm, or turned it by "
+            f"{degrees(protocol.steepest):g} degrees, before the push",
+            Reason.IN_TABLE: f"the hand is deeper than {protocol.deepest * 1e3:g} mm in the table at the pregrasp",
             Reason.PENETRATES: f"hand and object are deeper than {protocol.deepest * 1e3:g} mm in each other at the "
             "pregrasp, which would throw the object",
             Reason.UNSTABLE: "the simulation diverged",
@@ -56,6 +61,10 @@ class Trials:
     """How far the object had moved from where it lay at first (N, D), at the failure or at the end, metres."""
     angle_rad: Float[np.ndarray, "N D"]
     """How far it had turned (N, D), radians."""
+    peak_m: Float[np.ndarray, "N D"]
+    """How far it was away at most, of all checks until then (N, D), metres."""
+    peak_rad: Float[np.ndarray, "N D"]
+    """How far it was turned at most (N, D), radians."""
     contacts: Bool[np.ndarray, "N D L"]
     """Which links touched the object then (N, D, L)."""
     contacts_grasp: Bool[np.ndarray, "N L"]
@@ -80,10 +89,10 @@ class Trials:
 
     @property
     def worst(self) -> Int[np.ndarray, " N"]:
-        """The column (N,) of the first direction that failed, else of the one in which the object moved most."""
+        """The column (N,) of the first direction that failed, else of the one that was nearest to failing."""
         failed = self.reason != Reason.HELD
-        moved = np.nan_to_num(self.displacement_m, nan=np.inf).argmax(axis=1)
-        return np.where(failed.any(axis=1), failed.argmax(axis=1), moved)
+        share = np.maximum(self.peak_m / Protocol.farthest, self.peak_rad / Protocol.steepest)
+        return np.where(failed.any(axis=1), failed.argmax(axis=1), np.nan_to_num(share, nan=np.inf).argmax(axis=1))
 
     def select(self, rows: np.ndarray) -> Trials:
         """The grasps `rows`, in that order."""

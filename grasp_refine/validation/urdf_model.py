@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.description.inertia import DENSITY, Inertia
-from grasp_refine.geometry.pieces import Piece
 from grasp_refine.hand import Hand, Link
 from grasp_refine.se3 import exp_so3, quaternion_from_matrix
 from grasp_refine.self_collision import touching_pairs
+from grasp_refine.validation.geoms import add_piece
 from grasp_refine.validation.hand_model import HandModel
 
 STEEL = 7850.0
@@ -103,6 +103,7 @@ def urdf_model(hand: Hand) -> HandModel:
         offset=parts.offset,
         links={body: link for link, body in names.items()},
         notes=tuple(notes),
+        actuator=hand.actuator,
     )
 
 
@@ -196,27 +197,10 @@ def _add_joint(spec: mujoco.MjSpec, body: mujoco.MjsBody, hand: Hand, parts: Par
 
 def _add_geoms(spec: mujoco.MjSpec, body: mujoco.MjsBody, link: Link) -> bool:
     """Whether some rounded piece had to become a polyhedron; adds the pieces of `link` to its body."""
-    rounded = False
     for number, piece in enumerate(link.body.pieces):
-        corners = piece.vertices
-        if len(corners) == 1:
-            body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[piece.radius, 0, 0], pos=corners[0])
-        elif len(corners) == 2:
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[piece.radius, 0, 0], fromto=[*corners[0], *corners[1]]
-            )
-        else:
-            rounded |= piece.radius > 0
-            mesh = f"{body.name}:{number}"
-            # Masses are explicit; the other ways to find inertias refuse what is thin or small.
-            shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-            spec.add_mesh(name=mesh, uservert=_corners(piece).ravel(), inertia=shell)
-            body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh)
-    return rounded
-
-
-def _corners(piece: Piece) -> np.ndarray:
-    return np.asarray(piece.mesh().vertices if piece.radius > 0 else piece.vertices)
+        # Masses are explicit; the other ways to find inertias refuse what is thin or small.
+        add_piece(spec, body, piece, f"{body.name}:{number}", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    return any(piece.radius > 0 and len(piece.vertices) > 2 for piece in link.body.pieces)
 
 
 def _add_masses(hand: Hand, parts: Parts, bodies: Mapping[str, mujoco.MjsBody]) -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from grasp_refine.hand import Hand
+from grasp_refine.plane import Plane
 from grasp_refine.scene import Scene
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.metrics import Metrics, metrics
@@ -89,8 +90,8 @@ class Validated:
         """Which grasps (N,) held, but let the object come more than half of the way to what counts as lost."""
         if self.trials is None:
             return self.success
-        moved = self.trials.displacement_m.max(axis=1) > BARELY * protocol.farthest
-        turned = self.trials.angle_rad.max(axis=1) > BARELY * protocol.steepest
+        moved = self.trials.peak_m.max(axis=1) > BARELY * protocol.farthest
+        turned = self.trials.peak_rad.max(axis=1) > BARELY * protocol.steepest
         return self.success & (moved | turned)
 
     @property
@@ -184,6 +185,7 @@ def _further(
             motion,
             checks.noise,
             middle=center_of_mass(scene.object),
+            upright=_normal(scene) if world.protocol.tabletop else None,
             numbers=rows,
             seed=checks.seed,
             threads=checks.threads,
@@ -203,6 +205,10 @@ def _further(
         )
     assert all(len(value) == count for value in found.values())
     return found
+
+
+def _normal(scene: Scene) -> np.ndarray:
+    return np.asarray(Plane.normal if scene.table is None else scene.table.normal)
 
 
 def _rows(value: np.ndarray | Metrics | Trials | None, rows: np.ndarray) -> np.ndarray | Metrics | Trials | None:

@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
+from grasp_refine.description.inertia import Inertia
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.objects import Object
 from grasp_refine.plane import Plane
+from grasp_refine.validation.geoms import add_piece
 from grasp_refine.validation.hand_model import HandModel
+from grasp_refine.validation.messages import complaint, unlogged
 from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.servos import moments
 
 OBJECT, HAND, HOLDER, TABLE = "object", "hand", "holder", "table"
 """Names of the bodies and of the free joints of object and hand; what the hand's names start with; of the table."""
+
+OBJECT_GEOM, OTHER_GEOM = -1, -2
+"""What stands for a link where a geom belongs to none."""
+
+EVERYTHING = -1
+"""All 32 bits: object and table touch whatever can touch anything, whichever bits the file of the hand chose."""
 
 ROLLING = 1e-4
 """Rolling friction, which contacts of dimension 4 do not have; MuJoCo asks for a value."""
@@ -53,7 +64,7 @@ class World:
     links: tuple[str, ...]
     """Names of the L links that have something to touch with."""
     link_of_geom: Int[np.ndarray, " g"]
-    """Number of the link that each geom belongs to (g,); -1 for those of the object, -2 for others."""
+    """Number of the link that each geom belongs to (g,), or `OBJECT_GEOM`, or `OTHER_GEOM`, such as the table's."""
 
 
 def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane | None = None) -> World:
@@ -66,7 +77,8 @@ def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane |
         table: What the object lies on, where it is lifted; by default a plane under its lowest point.
 
     Raises:
-        GraspRefineError: MuJoCo cannot compile it; says what it complains of.
+        GraspRefineError: MuJoCo cannot compile it, with what it complains of; or nothing of the hand can touch the
+            object.
     """
     spec = mujoco.MjSpec()
     spec.modelname = f"{obj.name} in a hand"
@@ -80,10 +92,19 @@ def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane |
     for geom in spec.geoms:
         geom.condim, geom.friction = 4, [protocol.friction, protocol.torsion, ROLLING]
     try:
-        model = spec.compile()
+        with unlogged():
+            model = spec.compile()
     except ValueError as error:
-        raise GraspRefineError(f"MuJoCo cannot simulate {obj.name} in this hand: {error}") from None
+        raise GraspRefineError(f"MuJoCo cannot simulate {obj.name} in this hand: {_advised(error)}") from None
     return _located(spec, model, hand, obj.name, protocol)
+
+
+def _advised(error: ValueError) -> str:
+    """What MuJoCo complains of, and what may be the cause where it is about the mass or the size of the object."""
+    text = complaint(error)
+    if re.search(rf"\b{OBJECT}(_\d+)?\b", text) and re.search(r"\b(mass|inertia|volume|size)\b", text):
+        return f"{text}; --mass or --scale may be too small for it"
+    return text
 
 
 def resting_plane(obj: Object) -> Plane:
@@ -111,40 +132,18 @@ def _add_object(spec: mujoco.MjSpec, obj: Object, protocol: Protocol) -> None:
     for number, (piece, share) in enumerate(zip(obj.body.pieces, volumes / volumes.sum(), strict=True)):
         geom = add_piece(spec, body, piece, f"{OBJECT}_{number}")
         geom.mass = protocol.mass * share
-
-
-def add_piece(spec: mujoco.MjSpec, body: mujoco.MjsBody, piece: Piece, name: str) -> mujoco.MjsGeom:
-    """A geom of a body for one convex piece: a ball, a capsule, or the hull of its vertices as a mesh."""
-    if len(piece.vertices) == 1:
-        return body.add_geom(
-            name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[piece.radius, 0, 0], pos=piece.vertices[0]
-        )
-    if len(piece.vertices) == 2:
-        return body.add_geom(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            size=[piece.radius, 0, 0],
-            fromto=piece.vertices.reshape(-1),
-        )
-    solid = piece if piece.radius == 0 else piece.mesh()
-    mesh = spec.add_mesh(name=name)
-    mesh.uservert = np.asarray(solid.vertices).reshape(-1)
-    # That of the hull itself; others need a surface whose volume is well defined.
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-    return body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
+        geom.contype = geom.conaffinity = EVERYTHING
 
 
 def volume(piece: Piece) -> float:
     """Volume of a convex piece in cubic metres."""
-    if len(piece.vertices) <= 2:
-        length = np.linalg.norm(piece.vertices[-1] - piece.vertices[0])
-        return float(np.pi * piece.radius**2 * (length + 4 / 3 * piece.radius))
-    return float(piece.mesh().volume)
+    return Inertia.of([piece], density=1.0).mass
 
 
 def _add_hand(spec: mujoco.MjSpec, hand: HandModel, *, gravity: bool) -> None:
     prefix = f"{HAND}/"
-    spec.attach(hand.spec, prefix=prefix, frame=spec.worldbody.add_frame())
+    with unlogged():
+        spec.attach(hand.spec, prefix=prefix, frame=spec.worldbody.add_frame())
     root = spec.body(prefix + hand.root)
     root.pos, root.quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
     root.add_freejoint(name=HAND)
@@ -172,20 +171,26 @@ def _add_table(spec: mujoco.MjSpec, plane: Plane) -> None:
     geom = spec.worldbody.add_geom(name=TABLE, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05])
     geom.pos = plane.offset * normal
     geom.alt.zaxis = normal
+    geom.contype = geom.conaffinity = EVERYTHING
 
 
 def _located(spec: mujoco.MjSpec, model: mujoco.MjModel, hand: HandModel, name: str, protocol: Protocol) -> World:
     prefix = f"{HAND}/"
     body_names = [model.body(i).name for i in range(model.nbody)]
     object_body = body_names.index(OBJECT)
-    touching = [model.geom_contype[g] != 0 or model.geom_conaffinity[g] != 0 for g in range(model.ngeom)]
+    # As the object has all bits, these are what it can touch.
+    touching = (model.geom_contype | model.geom_conaffinity) != 0
     owners = [
         hand.links.get(body.removeprefix(prefix), body.removeprefix(prefix)) if body.startswith(prefix) else None
         for body in (body_names[b] for b in model.geom_bodyid)
     ]
     links = tuple(dict.fromkeys(owner for owner, solid in zip(owners, touching, strict=True) if owner and solid))
+    if not links:
+        raise GraspRefineError(
+            f"no geometry of this hand can touch {name}: it has none, or all of it has contype and conaffinity 0"
+        )
     link_of_geom = [
-        links.index(owner) if owner in links else (-1 if body == object_body else -2)
+        links.index(owner) if owner in links else (OBJECT_GEOM if body == object_body else OTHER_GEOM)
         for owner, body in zip(owners, model.geom_bodyid, strict=True)
     ]
     joints = [model.joint(prefix + joint) for joint in hand.joints]
@@ -199,16 +204,7 @@ def _located(spec: mujoco.MjSpec, model: mujoco.MjModel, hand: HandModel, name: 
         object_at=int(model.joint(OBJECT).qposadr[0]),
         joints_at=np.array([joint.qposadr[0] for joint in joints], dtype=int),
         object_body=object_body,
-        control=_moments(model)[:, [joint.dofadr[0] for joint in joints]],
+        control=moments(model)[:, [joint.dofadr[0] for joint in joints]],
         links=links,
         link_of_geom=np.array(link_of_geom, dtype=int),
     )
-
-
-def _moments(model: mujoco.MjModel) -> Float[np.ndarray, "u v"]:
-    """How the length of each actuator (u) changes with each degree of freedom (v); joints and tendons make it fixed."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    dense = np.zeros((model.nu, model.nv))
-    mujoco.mju_sparse2dense(dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
-    return dense

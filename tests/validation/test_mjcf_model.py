@@ -1,6 +1,7 @@
 """MJCF hands matched to URDF hands: the published maps, mirrored and turned files, and files that do not fit."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -11,13 +12,15 @@ import torch
 from grasp_refine.errors import HandError
 from grasp_refine.hand import Hand, load_hand
 from grasp_refine.kinematics import Kinematics
+from grasp_refine.squeeze import actuated
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.mjcf_model import mjcf_model, similar
+from grasp_refine.validation.servos import moments
 
 NAMES = {"shadow": "shadow", "shadow_22": "shadow", "allegro": "allegro", "leap": "leap"}
 """Maps in joint_maps.json -> hands of ours."""
 
-TIPS = {"shadow": 5, "shadow_22": 5, "allegro": 4, "leap": 4}
+CLIPPED = "set points beyond the ctrlrange of the MJCF are clipped"
 
 
 def facts(shared_assets: Path, name: str) -> tuple[dict, Hand, Path]:
@@ -56,7 +59,7 @@ def check_poses(hand: Hand, made: HandModel, tolerance: float) -> None:
 def test_published_hands_match(name: str, shared_assets: Path) -> None:
     fact, hand, path = facts(shared_assets, name)
     made = mjcf_model(hand, path)
-    assert made.notes == ()
+    assert set(made.notes) <= {CLIPPED}
     assert dict(zip(hand.mimic_map()[2], made.joints, strict=True)) == {
         ours: theirs["mjcf_joint"] for ours, theirs in fact["joints"].items()
     }
@@ -78,6 +81,7 @@ def test_published_hands_match(name: str, shared_assets: Path) -> None:
     np.testing.assert_allclose(T_base[:3, 3], published["t"], atol=2e-4)
     # What pulls, weighs and collides is that of the file, less what is only seen.
     theirs = mujoco.MjModel.from_xml_path(str(path))
+    assert bool(made.notes) == theirs.actuator_ctrllimited.any()
     assert (model.nu, model.nv, model.ntendon, model.nexclude) == (
         theirs.nu,
         theirs.nv,
@@ -94,7 +98,7 @@ def test_published_hands_match(name: str, shared_assets: Path) -> None:
 def test_a_hand_that_begins_at_the_palm_keeps_its_forearm_rigid(shared_assets: Path) -> None:
     hand = load_hand("shadow", urdf=shared_assets / "hands/shadow/shadow_right.urdf", base_link="palm", candidates=16)
     made = mjcf_model(hand, shared_assets / "hands/shadow_mjcf/right_hand.xml")
-    assert made.notes == ("joints rh_WRJ2, rh_WRJ1 of the MJCF are fixed: the hand does not have them",)
+    assert made.notes == ("joints rh_WRJ2, rh_WRJ1 of the MJCF are fixed: the hand does not have them", CLIPPED)
     assert made.root == "rh_forearm" and made.links["rh_palm"] == "palm" and made.links["rh_wrist"] == "rh_wrist"
     model = made.spec.compile()
     assert (model.nv, model.nu) == (22, 18)
@@ -234,14 +238,104 @@ def test_mimic_joints_follow_in_the_file_or_it_says_that_they_do_not(tmp_path: P
     check_poses(hand, made, 1e-9)
 
 
-def test_a_hand_that_is_put_into_a_world_causes_no_warning(tmp_path: Path) -> None:
-    option = '<option timestep="0.01" cone="elliptic" impratio="7"><flag eulerdamp="disable"/></option>'
-    made = mjcf_model(ours(tmp_path), written(tmp_path, rest=SERVOS + option))
+@pytest.mark.parametrize(
+    "said",
+    [
+        '<option timestep="0.01" cone="elliptic" impratio="7"><flag eulerdamp="disable"/></option>',
+        '<size nuserdata="3" nuser_body="2" memory="1M"/>',
+        '<size njmax="100" nconmax="50" nkey="2"/>',
+        '<statistic meansize="3"/><visual><global fovy="30"/><quality shadowsize="64"/></visual>',
+    ],
+)
+def test_a_hand_that_is_put_into_a_world_causes_no_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: str
+) -> None:
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    made = mjcf_model(ours(tmp_path), written(tmp_path, rest=SERVOS + said))
     world = mujoco.MjSpec()
-    world.option.timestep = 0.004
+    world.option.timestep, world.nuserdata, world.stat.meansize, world.visual.global_.fovy = 0.004, 1, 0.1, 50
     world.attach(made.spec, prefix="hand/", frame=world.worldbody.add_frame())
     model = world.compile()
-    assert model.opt.timestep == 0.004 and model.nu == 3
+    assert model.opt.timestep == 0.004 and model.nu == 3 and model.nuserdata == 1
+    assert not list(Path.cwd().iterdir()), "MuJoCo writes its warnings to a file in the current folder"
+
+
+# --- how it is driven
+
+
+def torques(hand: Hand, made: HandModel, q: np.ndarray, aim: np.ndarray) -> np.ndarray:
+    """What the servos pull with at q when they are sent to `aim`, as torques at the joints of the hand."""
+    model = made.spec.compile()
+    data = mujoco.MjData(model)
+    dof = [model.joint(name).dofadr[0] for name in made.joints]
+    data.qpos[dof] = made.matrix @ q + made.offset
+    data.ctrl = moments(model)[:, dof] @ (made.matrix @ aim + made.offset)
+    mujoco.mj_forward(model, data)
+    return made.matrix.T @ data.qfrc_actuator[dof]
+
+
+def test_servos_pull_as_the_file_says_and_not_as_hand_toml(tmp_path: Path) -> None:
+    """An MJCF with a weaker kp than hand.toml once squeezed with that share of the force that was asked for."""
+    hand = ours(tmp_path, toml="actuator = { kp = 5, force_limit = 3 }")
+    rest = """<actuator><general name="g" joint="rh_a2_j" gear="3" biastype="affine" gainprm="1" biasprm="0 -1 -0.2"
+        forcerange="-0.1 0.2"/>
+      <position name="s" joint="rh_a1_j" kp="0.25" ctrlrange="-9 9"/><position name="b" joint="rh_b1_j" kp="7"/>
+    </actuator>"""
+    path = written(tmp_path, sign=-1, rest=rest)
+    path.write_text(
+        path.read_text()
+        .replace('name="rh_a1_j"', 'name="rh_a1_j" actuatorfrcrange="-1.5 1.5" damping="0.3" frictionloss="0.02"')
+        .replace('name="rh_a2_j"', 'name="rh_a2_j" armature="0.001" damping="0.1"')
+    )
+    made = mjcf_model(hand, path)
+    assert made.notes == (CLIPPED,)
+    np.testing.assert_allclose(made.actuator.kp, [0.25, 9.0, 7.0])
+    np.testing.assert_allclose(made.actuator.force_limit, [1.5, 0.6, np.inf])
+    np.testing.assert_allclose(made.actuator.damping, [0.3, 0.1 + 9 * 0.2, 0.0])
+    np.testing.assert_allclose(made.actuator.armature, [0.0, 0.001, 0.0])
+    np.testing.assert_allclose(made.actuator.frictionloss, [0.02, 0.0, 0.0])
+    wanted, q = np.array([0.7, 0.25, -3.0]), np.array([0.1, 0.2, 0.01])
+    aim = q + actuated(replace(hand, actuator=made.actuator), wanted[None])[0]
+    np.testing.assert_allclose(torques(hand, made, q, aim), wanted, atol=1e-9)
+    asked = q + actuated(hand, wanted[None])[0]
+    assert np.abs(torques(hand, made, q, asked) - wanted).max() > 0.5
+
+
+def test_a_tendon_pulls_as_the_file_says_for_its_group(tmp_path: Path) -> None:
+    """The tendon of the file is twice as long as the sum of ratio x joint value, and one joint turns the other way."""
+    hand = ours(tmp_path, toml="coupled = [{ joints = ['a1_j', 'a2_j'], ratio = [1, 0.5] }]")
+    rest = """<tendon><fixed name="t"><joint joint="rh_a1_j" coef="-2"/><joint joint="rh_a2_j" coef="1"/></fixed>
+      </tendon><actuator><position tendon="t" kp="0.5" forcerange="-4 4"/><position joint="rh_b1_j" kp="7"/>
+      </actuator>"""
+    made = mjcf_model(hand, written(tmp_path, sign=-1, rest=rest))
+    np.testing.assert_allclose(made.actuator.kp, [2.0, 2.0, 7.0])
+    np.testing.assert_allclose(made.actuator.force_limit, [8.0, 8.0, np.inf])
+    wanted, q = 1.2 * np.array([1.0, 0.5, 0.0]), np.array([0.1, 0.2, 0.01])
+    aim = q + actuated(replace(hand, actuator=made.actuator), wanted[None])[0]
+    np.testing.assert_allclose(torques(hand, made, q, aim), wanted, atol=1e-9)
+
+
+def test_added_servos_are_those_of_the_hand(tmp_path: Path) -> None:
+    hand = ours(tmp_path, toml="actuator = { kp = { default = 4, a2_j = 6 }, force_limit = 2 }")
+    made = mjcf_model(hand, written(tmp_path, sign=-1, rest=""))
+    np.testing.assert_allclose(made.actuator.kp, hand.actuator.kp)
+    np.testing.assert_allclose(made.actuator.force_limit, hand.actuator.force_limit)
+
+
+@pytest.mark.parametrize(
+    "servo",
+    [
+        '<motor name="p1" joint="rh_a1_j"/>',
+        '<position name="p1" joint="rh_a1_j" kp="3" timeconst="0.1"/>',
+        '<general name="p1" joint="rh_a1_j" biastype="affine" gainprm="3" biasprm="0.5 -3 0"/>',
+        '<general name="p1" joint="rh_a1_j" biastype="affine" gainprm="3" biasprm="0 -2 0"/>',
+    ],
+)
+def test_what_is_no_position_servo_is_refused(tmp_path: Path, servo: str) -> None:
+    path = written(tmp_path, rest=SERVOS.replace('<position name="p1" joint="rh_a1_j" kp="3"/>', servo))
+    with pytest.raises(HandError, match="actuator 'p1' is no position servo .*sequences of joint positions"):
+        mjcf_model(ours(tmp_path), path)
 
 
 def test_names_match_behind_a_prefix() -> None:
@@ -327,14 +421,11 @@ def test_joints_on_one_line_are_aligned_by_their_axes(tmp_path: Path) -> None:
             '<mujoco><worldbody><body name="a"><freejoint/></body></worldbody></mujoco>',
             "body 'a' has no joints but a free one",
         ),
-        ("motor", "actuator 'p1' is no position servo .*sequences of joint positions"),
     ],
 )
 def test_files_that_cannot_be_used_are_refused_in_one_line(tmp_path: Path, text: str | None, message: str) -> None:
     hand, path = ours(tmp_path), tmp_path / "hand.xml"
-    if text == "motor":
-        written(tmp_path, rest=SERVOS.replace("<position", "<motor", 1).replace(' kp="3"', "", 1))
-    elif text == "mesh":
+    if text == "mesh":
         geom = '<geom type="mesh" mesh="m"/>'
         written(tmp_path, tip=geom, rest=SERVOS + '<asset><mesh name="m" file="no.obj"/></asset>')
     elif text is not None:

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from gripper import KP, RADIUS, around, ball, gripper, two_balls
 
+from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece, box
+from grasp_refine.objects import Object
+from grasp_refine.replay.record import record
+from grasp_refine.replay.replay import Stage
 from grasp_refine.se3 import exp_so3
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT, TABLETOP
-from grasp_refine.validation.record import record
-from grasp_refine.validation.replay import Stage
 from grasp_refine.validation.robustness import Noise, holds_at, holds_without_squeeze, noise_score
 from grasp_refine.validation.simulation import CHUNK, distances, simulate
 from grasp_refine.validation.stepping import Conditions
@@ -143,6 +145,14 @@ def test_a_recorded_trial_is_the_same_trial(world: World) -> None:
     for direction in ("+y", "+x"):
         replay = record(world, motion, direction, name="ball 0", hand="gripper")
         assert replay is not None
+        assert replay.time[0] == 0 and replay.stage[0] == Stage.CLOSE
+        np.testing.assert_array_equal(replay.object_pose[0], [0, 0, 0, 1, 0, 0, 0])
+        np.testing.assert_array_equal(replay.mocap_pos[0], motion.T_world_root[0, 0, :3, 3])
+        opening = motion.q[0, 0, 0]
+        np.testing.assert_allclose(replay.qpos[0, world.joints_at], [-opening / 2, opening / 2])
+        np.testing.assert_allclose(replay.ctrl[0], [-opening / 2, opening / 2])
+        # Every fifth step is kept.
+        np.testing.assert_allclose(np.diff(replay.time), 0.02)
         column = trials.directions.index(direction)
         assert replay.reason == Reason(trials.reason[0, column]).label
         moved, turned = replay.displacement()
@@ -191,12 +201,89 @@ def test_noise_depends_on_the_seed_and_the_grasp_not_on_the_batch(world: World) 
     assert (far < score).any()
 
 
+def test_noise_on_a_table_leaves_the_object_on_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[np.ndarray] = []
+
+    def spy(world: World, motion: Motion, conditions: Conditions, **others: object) -> Trials:
+        seen.append(conditions.T_world_object)
+        return simulate(world, motion, conditions, **others)
+
+    monkeypatch.setattr("grasp_refine.validation.robustness.simulate", spy)
+    world = build_world(gripper(), ball(), TABLETOP)
+    up, middle = np.array([0.0, 0.0, 1.0]), np.array([0.01, 0.0, 0.02])
+    noise_score(
+        world, raised(around(8.0), 0.015), Noise(3), middle=middle, numbers=np.array([0]), upright=up
+    )  # fmt: skip
+    (T,) = seen
+    np.testing.assert_allclose(T[:, 2, :3], np.tile(up, (3, 1)), atol=1e-15)
+    np.testing.assert_allclose(T[:, 2, 3], 0.0, atol=1e-15)
+    assert np.abs(T[:, :2, 3]).min() > 1e-5
+
+
+def raised(motion: Motion, height: float) -> Motion:
+    T = motion.T_world_root.copy()
+    T[..., 2, 3] += height
+    return Motion(T, motion.q)
+
+
 def test_an_object_is_lifted_off_a_table() -> None:
     world = build_world(gripper(), ball(), TABLETOP)
-    held, dropped = simulate(world, around(8.0)), simulate(world, around(0.05))
+    held, dropped = simulate(world, raised(around(8.0), 0.015)), simulate(world, raised(around(0.05), 0.015))
     assert held.directions == ("lift",)
     assert held.success.all() and held.displacement_m.max() < 0.02
     assert (dropped.reason == Reason.MOVED).all()
+
+
+def test_a_hand_in_the_table_is_a_failure_of_its_own() -> None:
+    # The plates reach 4 cm down, the ball lies on its radius of 3 cm.
+    world = build_world(gripper(), ball(), TABLETOP)
+    trials = simulate(world, raised(around(8.0), -0.005))
+    assert (trials.reason == Reason.IN_TABLE).all() and np.isnan(trials.displacement_m).all()
+
+
+def test_an_object_that_is_thrown_while_the_hand_closes_is_not_lost_to_the_push(world: World) -> None:
+    # One plate sweeps the ball away.
+    motion = around(0.0)
+    T, q = motion.T_world_root.copy(), np.full((1, 3, 1), 0.3)
+    T[:, 0, 0, 3] -= 0.2
+    T[:, 1:, 0, 3] += 0.1
+    trials = simulate(world, Motion(T, q))
+    assert (trials.reason == Reason.THROWN).all() and not trials.success.any()
+    assert trials.closing_m[0] > FORCE_CLOSURE.farthest
+    assert np.isnan(trials.time_s).all() and np.isnan(trials.displacement_m).all()
+
+
+def test_a_failure_says_at_which_check(world: World) -> None:
+    # A finger that slips slowly: later than at the first check, and earlier than at the end.
+    forces = np.linspace(0.70, 0.86, 17)
+    trials = simulate(
+        world,
+        Motion(
+            *(
+                np.concatenate(parts)
+                for parts in zip(*((motion.T_world_root, motion.q) for motion in map(around, forces)), strict=True)
+            )
+        ),
+    )
+    lost = trials.reason == Reason.MOVED
+    check = FORCE_CLOSURE.steps_per_check * FORCE_CLOSURE.timestep
+    assert (trials.time_s[lost] > 1.5 * check).any(), "none slips slowly"
+    np.testing.assert_allclose(trials.time_s[lost] / check, np.round(trials.time_s[lost] / check))
+    assert (trials.displacement_m[lost] >= FORCE_CLOSURE.farthest).all()
+    assert (trials.peak_m[lost] == trials.displacement_m[lost]).all()
+    held = trials.reason == Reason.HELD
+    assert np.isnan(trials.time_s[held]).all() and (trials.peak_m[held] >= trials.displacement_m[held]).all()
+
+
+@pytest.mark.parametrize(("torsion", "reason"), [(0.05, Reason.HELD), (0.0005, Reason.TURNED)])
+def test_torsional_friction_keeps_what_is_pushed_off_the_axis_from_turning(torsion: float, reason: Reason) -> None:
+    """A ball between two plates, with a smaller one at its side: the push has a lever, and only torsion carries it."""
+    none = np.zeros((0, 3), dtype=int)
+    pieces = [Piece(np.zeros((1, 3)), none, RADIUS), Piece(np.array([[0.0, 0.05, 0.0]]), none, 0.025)]
+    pair = Object("pair", ball().mesh, build_body("pair", pieces, candidates=16), convex=False, notes=())
+    world = build_world(gripper(), pair, replace(FORCE_CLOSURE, torsion=torsion))
+    trials = simulate(world, around(6.0))
+    assert trials.reason[0, trials.directions.index("+z")] == reason
 
 
 def test_the_object_has_its_mass_whatever_its_pieces() -> None:

@@ -1,7 +1,7 @@
 """The MuJoCo model of a URDF hand: it moves, weighs, collides and pulls as the hand says."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from grasp_refine.hand import Hand, load_hand
 from grasp_refine.kinematics import Kinematics
 from grasp_refine.self_collision import touching_pairs
 from grasp_refine.validation.hand_model import HandModel
+from grasp_refine.validation.servos import servo_settings
 from grasp_refine.validation.urdf_model import Parts, apart, urdf_model
 
 SHARED = ("allegro", "robotiq3f", "shadow", "leap", "barrett")
@@ -194,6 +195,25 @@ def test_a_coupled_group_pulls_with_one_tendon(tmp_path: Path) -> None:
     data.ctrl = data.actuator_length + [0, 0.1]
     mujoco.mj_forward(model, data)
     np.testing.assert_allclose(data.qfrc_actuator, [0, -0.5 * 0.8, 0.8], atol=1e-12)
+
+
+def test_what_is_simulated_is_what_the_hand_says(tmp_path: Path) -> None:
+    hand = build(
+        tmp_path,
+        dict.fromkeys("abcde", BALL),
+        joint("1", "a", "b"),
+        joint("2", "b", "c"),
+        joint("3", "c", "d"),
+        joint("4", "d", "e", inside=follow("1", -0.5)),
+        toml="coupled = [{ joints = ['3', '2'], ratio = [1, -0.5] }]\n"
+        "actuator = { kp = { 1 = 8 }, force_limit = { 1 = 2 }, damping = { 2 = 0.4 } }",
+    )
+    made = urdf_model(hand)
+    assert made.actuator is hand.actuator
+    matched = {name: name for name in made.joints}
+    read = servo_settings(hand, made.spec.compile(), matched, made.matrix)
+    for field in fields(read):
+        np.testing.assert_allclose(getattr(read, field.name), getattr(hand.actuator, field.name), err_msg=field.name)
 
 
 # --- masses

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grasp_refine.apps.bench.simulation import main, plain
 from gripper import around, ball, gripper
 
-from grasp_refine.apps.bench.simulation import main, plain
 from grasp_refine.assets import resource_dir
 from grasp_refine.validation.protocol import FORCE_CLOSURE
 from grasp_refine.validation.simulation import simulate

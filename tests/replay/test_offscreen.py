@@ -3,7 +3,7 @@
 import pytest
 
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.validation import offscreen
+from grasp_refine.replay import offscreen
 
 
 @pytest.mark.parametrize("value", ["", "egl", " EGL ", "glfw", "off", "disable", "1"])

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from pathlib import Path
@@ -44,7 +41,10 @@ class Stage(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """T frames of a simulation: from the pregrasp over the grasp and the squeeze to the end of the push or lift."""
+    """T frames of a simulation: from the pregrasp over the grasp and the squeeze to the end of the push or lift.
+
+    The first frame is the start, before anything moved.
+    """
 
     name: str
     """What it shows, as a person would say it, such as "core_bottle 17"."""
@@ -93,11 +93,21 @@ class Replay:
             raise GraspRefineError(f"replay {self.name}: no free joint '{OBJECT}' among {', '.join(self.qpos_names)}")
         return self.qpos[:, [self.qpos_names.index(name) for name in names]]
 
+    def lifted(self) -> Float[np.ndarray, "T 3"]:
+        """How far the hand was to be moved (T, 3) since the squeeze, metres, world frame; zero before the lift."""
+        lift = self.stage == Stage.LIFT
+        squeezed = max(int(lift.argmax()) - 1, 0)
+        return np.where(lift[:, None], self.mocap_pos - self.mocap_pos[squeezed], 0.0)
+
     def displacement(self) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]:
-        """How far the object has moved (T,) in metres, and turned (T,) in radians, since the first frame."""
+        """How far the object is (T,) in metres from where it should be, and how far turned (T,) in radians.
+
+        It should be where it lay in the first frame or, while it is lifted, as far from there as the hand was moved.
+        """
         T = transform_from_pose(self.object_pose)
+        wanted = T[0, :3, 3] + self.lifted()
         turned = log_so3(T[:1, :3, :3].mT @ T[:, :3, :3])
-        return np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1), np.linalg.norm(turned, axis=1)
+        return np.linalg.norm(T[:, :3, 3] - wanted, axis=1), np.linalg.norm(turned, axis=1)
 
     def since_stage(self) -> Float[np.ndarray, " T"]:
         """Seconds (T,) since the stage of each frame began, which is when the one before it ended."""
@@ -127,6 +137,20 @@ def qpos_names(model: mujoco.MjModel) -> tuple[str, ...]:
         axes = POSE_AXES[-(end - start) :]
         names.extend([name] if end - start == 1 else [f"{name} {axis}" for axis in axes])
     return tuple(names)
+
+
+def check_replay(model: mujoco.MjModel, replay: Replay) -> None:
+    """Nothing, when the replay can be of this model.
+
+    Raises:
+        GraspRefineError: It is not; names joints that only one of them has.
+    """
+    names = qpos_names(model)
+    if names != replay.qpos_names or replay.qvel.shape[1] != model.nv or model.nmocap != 1:
+        strange = sorted(set(names) ^ set(replay.qpos_names))[:4]
+        raise GraspRefineError(
+            f"replay {replay.name}: is of another model" + (f", {', '.join(strange)} is not in both" if strange else "")
+        )
 
 
 _TEXT = ("name", "hand", "object", "direction", "setting", "reason")
@@ -185,23 +209,3 @@ def _shaped(npz: NpzFile, key: str, shape: tuple[int | None, ...]) -> np.ndarray
         wanted = " x ".join("any" if size is None else str(size) for size in shape)
         raise npz.error(f"{key} must be {wanted} numbers; it has shape {value.shape}")
     return value
-
-
-@contextmanager
-def written_whole(path: str | Path) -> Iterator[Path]:
-    """Give the path of a file beside `path`, with the same ending, that replaces it once the block is done.
-
-    Raises:
-        GraspRefineError: It cannot be written.
-    """
-    path = Path(path)
-    partial = path.with_name(f".{os.getpid()}.partial.{path.name}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            yield partial
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise GraspRefineError(f"{path}: cannot be written ({error.strerror or error})") from error

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from mujoco.batch import Batch
 
+from grasp_refine.replay.replay import Replay, Stage, qpos_names
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import AXES
-from grasp_refine.validation.replay import Replay, Stage, qpos_names
 from grasp_refine.validation.simulation import LIFT, close, push
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason
@@ -20,7 +20,7 @@ EVERY = 5
 def record(
     world: World, motion: Motion, direction: str, *, name: str, hand: str, conditions: Conditions | None = None
 ) -> Replay | None:
-    """The motion of one grasp to the end of its trial, also when it fails before; None where it cannot start.
+    """The motion of one grasp from the pregrasp to the end of its trial, also when it fails; None if it cannot start.
 
     Args:
         world: Hand, object and protocol.
@@ -33,11 +33,17 @@ def record(
     protocol = world.protocol
     frames: list[tuple[np.ndarray, ...]] = []
     stages: list[Stage] = []
-    steps = 0
+    # The start is seen before the first step.
+    steps = -1
 
     def watch(batch: Batch) -> None:
         nonlocal steps
         steps += 1
+        if steps == 0:
+            # The set points of the first step are not set yet: a hand that is to stay at the pregrasp has these.
+            batch.ctrl[0] = world.control @ batch.qpos[0, world.joints_at]
+            root = batch.qpos[0, world.root_at : world.root_at + 7]
+            batch.mocap_pos[0, 0], batch.mocap_quat[0, 0] = root[:3], root[3:]
         # A simulation that diverged has nothing to show from there on.
         if steps % EVERY == 0 and np.isfinite(batch.qpos).all() and np.isfinite(batch.qvel).all():
             closing = protocol.moves * protocol.steps_per_move

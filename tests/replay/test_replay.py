@@ -9,7 +9,7 @@ from recorded_gripper import Recorded, recorded_gripper
 
 from grasp_refine.errors import GraspFileError, GraspRefineError
 from grasp_refine.npz import load_npz, save_npz
-from grasp_refine.validation.replay import Replay, Stage, load_replay, qpos_names, save_replay, written_whole
+from grasp_refine.replay.replay import Replay, Stage, load_replay, qpos_names, save_replay
 
 
 @pytest.fixture(scope="module")
@@ -51,15 +51,33 @@ def test_the_object_moves_and_turns_from_where_it_lay(replay: Replay) -> None:
         nameless.displacement()
 
 
+def test_an_object_that_is_lifted_should_be_as_high_as_the_hand(replay: Replay) -> None:
+    stage = np.where(replay.stage == Stage.PUSH, Stage.LIFT, replay.stage)
+    # The hand moves before the lift too, and stood somewhere at its beginning.
+    height = np.where(stage == Stage.LIFT, np.linspace(-0.2, 0.3, len(replay)), 0.0) + 0.07
+    height[:101] += np.linspace(-0.03, 0.0, 101)
+    mocap_pos = np.stack([0.4 + 0 * height, 0 * height, height], axis=1)
+    qpos = np.tile(replay.qpos[0], (len(replay), 1))
+    qpos[101:, 2] += height[101:] - 0.07
+    qpos[-1, 2] -= 0.004
+    lift = replace(replay, stage=stage, mocap_pos=mocap_pos, qpos=qpos, direction="lift")
+    assert lift.lifted()[-1] == pytest.approx([0.0, 0.0, 0.3])
+    np.testing.assert_array_equal(lift.lifted()[:101], 0.0)
+    np.testing.assert_allclose(lift.displacement()[0], [*[0.0] * 225, 0.004], atol=1e-12)
+    np.testing.assert_array_equal(replay.lifted(), 0.0)
+
+
 def test_time_in_a_stage_begins_where_the_one_before_ended(replay: Replay) -> None:
     since = replay.since_stage()
-    np.testing.assert_allclose(since[[0, 49, 50, 99, 100, 224]], [0.0, 0.196, 0.004, 0.2, 0.004, 0.5], atol=1e-12)
+    np.testing.assert_allclose(
+        since[[0, 1, 50, 51, 100, 101, 225]], [0, 0.004, 0.2, 0.004, 0.2, 0.004, 0.5], atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("count", [1, 4, 5, 60, 1000])
 def test_thinned_frames_keep_the_ends_of_stages(replay: Replay, count: int) -> None:
     frames = replay.thinned(count)
-    assert {0, 49, 99, 224} <= set(frames.tolist())
+    assert {0, 50, 100, 225} <= set(frames.tolist())
     assert len(frames) == min(max(count, 4), len(replay))
     assert (np.diff(frames) > 0).all()
     if count == 60:
@@ -71,11 +89,11 @@ def test_thinned_frames_keep_the_ends_of_stages(replay: Replay, count: int) -> N
     [
         ({"qpos": None}, "not a replay, qpos missing"),
         ({"schema": 2}, r"replay schema 2 is not known; this version reads 1"),
-        ({"qpos": np.zeros((225, 3))}, r"qpos must be 225 x 18 numbers; it has shape \(225, 3\)"),
-        ({"qvel": np.zeros(225)}, r"qvel must be 225 x any numbers"),
-        ({"time": -np.arange(225.0)}, "time must not fall"),
+        ({"qpos": np.zeros((226, 3))}, r"qpos must be 226 x 18 numbers; it has shape \(226, 3\)"),
+        ({"qvel": np.zeros(226)}, r"qvel must be 226 x any numbers"),
+        ({"time": -np.arange(226.0)}, "time must not fall"),
         ({"time": np.zeros(0)}, "the replay has no frames"),
-        ({"stage": np.full(225, 9)}, r"stage must be among 0 \(close\)"),
+        ({"stage": np.full(226, 9)}, r"stage must be among 0 \(close\)"),
         ({"force": np.array([1.0, np.nan, 0.0])}, "force must be finite"),
         ({"hand": 3.0}, "hand must hold text"),
     ],
@@ -98,19 +116,6 @@ def test_half_a_file_is_refused(replay: Replay, tmp_path: Path) -> None:
         load_replay(path)
     with pytest.raises(GraspFileError, match="no such"):
         load_replay(tmp_path / "none.npz")
-
-
-def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
-    path = tmp_path / "film.gif"
-    path.write_text("before")
-    with pytest.raises(ZeroDivisionError), written_whole(path) as partial:
-        assert partial.suffix == ".gif"
-        partial.write_text("half")
-        raise ZeroDivisionError
-    assert path.read_text() == "before"
-    assert list(tmp_path.iterdir()) == [path]
-    with pytest.raises(GraspRefineError, match="cannot be written"), written_whole(path / "below.gif"):
-        pass
 
 
 def test_stages_have_the_names_that_key_frames_use() -> None:

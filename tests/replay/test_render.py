@@ -13,9 +13,10 @@ from PIL import Image
 from recorded_gripper import Recorded, recorded_gripper
 
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.validation.export import export_xml
-from grasp_refine.validation.offscreen import choose_gl
-from grasp_refine.validation.render import FORMATS, View, check_renderer, film, picture
+from grasp_refine.replay.export import export_xml
+from grasp_refine.replay.offscreen import choose_gl
+from grasp_refine.replay.render import FORMATS, check_renderer, film, picture
+from grasp_refine.replay.replay import Stage
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +73,7 @@ def test_an_exported_model_is_drawn_like_its_original(recorded: Recorded, gl: st
 
 def test_a_lost_object_is_shown_while_it_is_in_sight(recorded: Recorded, gl: str, tmp_path: Path) -> None:
     qpos = recorded.replay.qpos.copy()
-    qpos[150:, 1] += np.arange(75)
+    qpos[150:, 1] += np.arange(76)
     lost = replace(recorded.replay, qpos=qpos, reason="moved")
     assert shares(picture(recorded.model, lost, size=(240, 200)))["object"] > 0.01
     count = film(recorded.model, lost, tmp_path / "lost.gif", size=(200, 160), rate=10)
@@ -94,18 +95,20 @@ def test_a_film_has_pictures_that_differ(recorded: Recorded, gl: str, tmp_path: 
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
-def test_a_view_shows_all_that_it_was_fitted_to() -> None:
-    points = np.random.default_rng(3).normal(size=(50, 3)) * [0.1, 0.02, 0.05] + [1.0, 2.0, 3.0]
-    for azimuth, elevation in ((0, 0), (90, -30), (200, 40)):
-        view = View(float(azimuth), float(elevation), np.zeros(3), 1.0).fitted(points, 1.5)
-        pixels = view.project(points, 600, 400)
-        assert (pixels >= [40, 25]).all() and (pixels <= [560, 375]).all()
-        touching = [abs(pixels[:, 0] - 300).max() / 300, abs(pixels[:, 1] - 200).max() / 200]
-        assert max(touching) == pytest.approx(0.84), "no farther away than it must be"
-        np.testing.assert_allclose(view.axes() @ view.axes().T, np.eye(3), atol=1e-12)
-    ahead = View(90.0, 0.0, np.zeros(3), 1.0)
-    right_of_it, above_it = ahead.project(np.array([[0.1, 0.0, 0.0], [0.0, 0.0, 0.1]]), 600, 400)
-    assert right_of_it[0] > 300 and above_it[1] < 200
+def test_an_object_that_is_lifted_high_stays_in_sight(recorded: Recorded, gl: str, tmp_path: Path) -> None:
+    """What is lifted with the hand is not lost, however far from its start."""
+    replay = recorded.replay
+    lift = np.where(replay.stage == Stage.PUSH, np.linspace(-0.3, 0.4, len(replay)).clip(0), 0.0)
+    qpos, mocap_pos = replay.qpos.copy(), replay.mocap_pos.copy()
+    root = replay.qpos_names.index("hand z")
+    qpos[:, 2], qpos[:, root], mocap_pos[:, 2] = qpos[0, 2] + lift, qpos[:, root] + lift, mocap_pos[:, 2] + lift
+    qpos[:, :2], qpos[:, 3:7] = qpos[0, :2], qpos[0, 3:7]
+    stage = np.where(replay.stage == Stage.PUSH, Stage.LIFT, replay.stage)
+    lifted = replace(replay, qpos=qpos, mocap_pos=mocap_pos, stage=stage, force=np.zeros(3), direction="lift")
+    assert film(recorded.model, lifted, tmp_path / "lift.gif", size=(200, 160), rate=5) == 6
+    with Image.open(tmp_path / "lift.gif") as image:
+        image.seek(5)
+        assert shares(image)["object"] > 0.002
 
 
 def test_what_cannot_be_drawn_is_named(recorded: Recorded, tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ import pytest
 from recorded_gripper import Recorded, gripper_spec, recorded_gripper
 
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.validation.export import PUSH, export_xml
-from grasp_refine.validation.replay import qpos_names
+from grasp_refine.replay.export import PUSH, export_xml
+from grasp_refine.replay.replay import qpos_names
 
 
 @pytest.fixture(scope="module")
@@ -84,8 +84,9 @@ def test_key_frames_are_frames_of_the_replay(recorded: Recorded, exported: Path)
     names = [model.key(i).name for i in range(model.nkey)]
     assert len(names) == len(set(names)) == 60
     assert names[0] == "pregrasp" and names[-1] == "push 0.500 s"
+    assert model.key("pregrasp").time == 0, "the state before the first step"
     assert names.index("pregrasp") < names.index("grasp") < names.index("squeeze")
-    for name, frame, pushing in (("pregrasp", 0, 0), ("grasp", 49, 0), ("squeeze", 99, 1), ("push 0.500 s", 224, 1)):
+    for name, frame, pushing in (("pregrasp", 0, 0), ("grasp", 50, 0), ("squeeze", 100, 1), ("push 0.500 s", 225, 1)):
         key = model.key(name)
         np.testing.assert_allclose(key.qpos, replay.qpos[frame], atol=1e-15)
         np.testing.assert_array_equal(key.qvel, replay.qvel[frame])

@@ -1,38 +1,29 @@
-"""Pictures and films of a replay: what was simulated, seen from where hand and object are both in sight."""
+"""Draws what was simulated: the shapes in our colours, where they touch, the push."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.validation.export import check_replay
-from grasp_refine.validation.offscreen import offscreen_context
-from grasp_refine.validation.replay import OBJECT, Replay, Stage, written_whole
-
-FORMATS = (".gif", ".png", ".webp")
-"""What a film can be saved as, by the ending of its name; .png is an animated PNG."""
+from grasp_refine.replay.camera import FIELD_OF_VIEW, VIEWS, View
+from grasp_refine.replay.caption import write_caption
+from grasp_refine.replay.offscreen import offscreen_context
+from grasp_refine.replay.replay import OBJECT, Replay, Stage, check_replay
 
 OVERSAMPLING = 2
 """Everything is drawn this many times larger and averaged, for smooth edges."""
-FIELD_OF_VIEW = 30.0
-"""Vertical opening of the camera in degrees."""
 OBJECT_OPACITY = 0.82
 """The object lets through a little of the fingers behind it."""
 NEARLY = 0.0005
 """Gaps below this (metres) are drawn as a contact."""
-FOLLOWED, LOST = 0.1, 0.2
-"""What moved farther than this (metres) is no longer followed by the camera, and no longer shown."""
 
 OBJECT_COLORS = ((0.96, 0.62, 0.27), (0.93, 0.55, 0.21), (0.98, 0.68, 0.35), (0.90, 0.50, 0.20))
 HAND_COLORS = ((0.72, 0.74, 0.78), (0.62, 0.65, 0.70))
@@ -41,169 +32,18 @@ OTHER_COLOR = (0.86, 0.88, 0.87)
 FORCE_COLOR = (0.78, 0.08, 0.16)
 SKY = ((248, 249, 252), (230, 234, 240))
 """The background at the top and at the bottom."""
-INK, FAINT, PAPER = "#1b2430", "#5b6675", "#ffffff"
-CONTACT, GOOD, BAD = "#1565d8", "#1b8a3a", "#c62828"
+PAPER, CONTACT = "#ffffff", "#1565d8"
 
 _ALL = mujoco.mjtCatBit.mjCAT_ALL.value
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """Where the camera stands; the world's z axis points up in its pictures."""
-
-    azimuth: float
-    """In which direction it looks, seen from above: degrees from the x axis, counterclockwise."""
-    elevation: float
-    """How steeply it looks up, degrees; negative from above."""
-    lookat: Float[np.ndarray, " 3"]
-    """The point in the middle of the picture, metres."""
-    distance: float
-    """How far that point is away, metres."""
-
-    def axes(self) -> Float[np.ndarray, "3 3"]:
-        """What is right, up and forward in the picture, as rows."""
-        azimuth, elevation = np.radians([self.azimuth, self.elevation])
-        forward = np.array(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-        )
-        right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
-        return np.stack([right, np.cross(right, forward), forward])
-
-    def project(self, points: Float[np.ndarray, "n 3"], width: int, height: int) -> Float[np.ndarray, "n 2"]:
-        """Where points (n, 3) are in a picture of that size (n, 2), pixels from the upper left corner."""
-        seen = (points - self.lookat) @ self.axes().T
-        scale = 0.5 * height / np.tan(np.radians(FIELD_OF_VIEW / 2)) / (seen[:, 2:] + self.distance)
-        return np.array([width / 2, height / 2]) + seen[:, :2] * scale * [1, -1]
-
-    def fitted(self, points: Float[np.ndarray, "n 3"], aspect: float) -> View:
-        """The same direction, from where points (n, 3) just fill a picture that is `aspect` times as wide as high."""
-        axes = self.axes()
-        seen = points @ axes.T
-        middle = (seen.max(axis=0) + seen.min(axis=0)) / 2
-        away = seen - middle
-        # A margin of 8 % on each side.
-        slope = np.tan(np.radians(FIELD_OF_VIEW / 2)) * 0.84 * np.array([aspect, 1.0])
-        distance = float(np.max(np.abs(away[:, :2]) / slope - away[:, 2:]))
-        return View(self.azimuth, self.elevation, middle @ axes, distance)
-
-
-VIEWS = tuple(View(float(a), float(e), np.zeros(3), 1.0) for e, a in product((-30, 20), range(10, 370, 30)))
-"""From where a picture may be taken; the one that shows most of hand and object is chosen."""
-
-
-def check_renderer() -> None:
-    """Nothing, when pictures can be drawn here; found out before the work, not after it.
-
-    Raises:
-        GraspRefineError: They cannot; says what to install or set.
-    """
-    offscreen_context(64, 64).free()
-
-
-def picture(
-    model: mujoco.MjModel,
-    replay: Replay,
-    frame: int | None = None,
-    size: tuple[int, int] = (720, 600),
-    view: View | None = None,
-) -> Image.Image:
-    """A frame of a replay: the shapes that were simulated, where they touch, the push, and a caption.
-
-    Args:
-        model: What was simulated.
-        replay: What was recorded of it.
-        frame: Which frame; negative numbers count from the end. By default the last one with the object in sight.
-        size: Width and height in pixels, the caption included.
-        view: From where; by default from where most of hand and object is seen.
-
-    Raises:
-        GraspRefineError: The replay is of another model, or nothing here can draw; says what to install.
-    """
-    with _studio(model, replay, size) as studio:
-        studio.pose(_last_in_sight(replay) if frame is None else frame)
-        view = studio.best_view(studio.corners()) if view is None else view
-        return studio.shoot(view)
-
-
-def film(
-    model: mujoco.MjModel,
-    replay: Replay,
-    path: str | Path,
-    size: tuple[int, int] = (480, 400),
-    rate: float = 20.0,
-    speed: float = 1.0,
-    view: View | None = None,
-) -> int:
-    """Save a replay as a film that plays for ever, and return its number of pictures.
-
-    It ends where the object, if it is lost, is out of sight.
-
-    Args:
-        model: What was simulated.
-        replay: What was recorded of it.
-        path: Where to; its ending is one of `FORMATS`.
-        size: Width and height in pixels, the caption included.
-        rate: Pictures a second.
-        speed: How much faster than it was it is shown.
-        view: From where; by default from where most of hand and object is seen.
-
-    Raises:
-        GraspRefineError: As for `picture`; or the ending is another, or the file cannot be written.
-    """
-    path = Path(path)
-    if path.suffix.lower() not in FORMATS:
-        raise GraspRefineError(f"{path}: a film can be saved as {', '.join(FORMATS)}, not as '{path.suffix}'")
-    moved, _ = replay.displacement()
-    end = replay.time[_last_in_sight(replay)]
-    wanted = np.append(np.arange(replay.time[0], end - 1e-9, speed / rate), end)
-    frames = np.clip(np.searchsorted(replay.time, wanted - 1e-9), 0, len(replay) - 1)
-    count = len(frames)
-    images = []
-    with _studio(model, replay, size) as studio:
-        if view is None:
-            followed = frames[moved[frames] < FOLLOWED]
-            corners = []
-            for frame in followed[:: max(len(followed) // 8, 1)]:
-                studio.pose(int(frame))
-                corners.append(studio.corners())
-            view = studio.best_view(np.concatenate(corners))
-        for frame in frames:
-            studio.pose(int(frame))
-            images.append(studio.shoot(view))
-    # The last picture stays for a second.
-    durations = [round(1000 / rate)] * (count - 1) + [1000]
-    with written_whole(path) as partial:
-        _save_film(partial, images, durations)
-    return count
-
-
-def _last_in_sight(replay: Replay) -> int:
-    """The last frame before the object is lost, or of all."""
-    lost = replay.displacement()[0] > LOST
-    return max(int(lost.argmax()) - 1, 0) if lost.any() else len(replay) - 1
-
-
-def _save_film(path: Path, images: list[Image.Image], durations: list[int]) -> None:
-    options: dict[str, Any] = {"save_all": True, "duration": durations, "loop": 0}
-    if path.suffix.lower() == ".gif":
-        # One palette for all pictures, or colours flicker; no dithering, or the file is twice as large.
-        width, height = images[0].size
-        sample = Image.new("RGB", (width, 4 * height))
-        for number in range(4):
-            sample.paste(images[number * (len(images) - 1) // 3], (0, number * height))
-        for number, color in enumerate((CONTACT, GOOD, BAD, tuple(round(255 * c) for c in FORCE_COLOR))):
-            # The few pixels of small things would not get a colour of their own.
-            sample.paste(color, (24 * number, 0, 24 * number + 24, 24))
-        palette = sample.quantize(256, dither=Image.Dither.NONE)
-        images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    elif path.suffix.lower() == ".webp":
-        options |= {"quality": 85, "method": 2}
-    images[0].save(path, append_images=images[1:], **options)
-
-
 @contextmanager
-def _studio(model: mujoco.MjModel, replay: Replay, size: tuple[int, int]) -> Iterator[_Studio]:
-    """All that is needed to draw, and given back afterwards."""
+def studio(model: mujoco.MjModel, replay: Replay, size: tuple[int, int]) -> Iterator[Studio]:
+    """All that is needed to draw pictures of that size in pixels, given back afterwards.
+
+    Raises:
+        GraspRefineError: The replay is of another model, the size cannot be, or nothing here can draw.
+    """
     check_replay(model, replay)
     width, height = size
     caption = max(round(0.11 * height), 44)
@@ -220,7 +60,7 @@ def _studio(model: mujoco.MjModel, replay: Replay, size: tuple[int, int]) -> Ite
         try:
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, drawing)
             drawing.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-            yield _Studio(dressed, replay, drawing, photo, (width, height))
+            yield Studio(dressed, replay, drawing, photo, (width, height))
         finally:
             drawing.free()
     finally:
@@ -260,7 +100,7 @@ def _dressed(model: mujoco.MjModel, photo: tuple[int, int]) -> mujoco.MjModel:
     return model
 
 
-class _Studio:
+class Studio:
     """Draws frames of one replay with one OpenGL context.
 
     `mujoco.Renderer` is not used: it takes the kind of context that was chosen when MuJoCo was imported, before anybody
@@ -331,7 +171,7 @@ class _Studio:
         self._mark(ImageDraw.Draw(image), view.project(contacts, *self._photo))
         page = Image.new("RGB", tuple(OVERSAMPLING * pixels for pixels in self._size), PAPER)
         page.paste(image)
-        self._write(page, image.height, len(contacts))
+        write_caption(page, image.height, self.replay, self.frame, len(contacts))
         return page.reduce(OVERSAMPLING)
 
     def _aim(self, view: View, hidden: bool) -> None:
@@ -416,36 +256,3 @@ class _Studio:
         r = max(self._photo[1] / 140, 3.0)
         for x, y in points:
             draw.ellipse([x - r, y - r, x + r, y + r], fill=CONTACT, outline="white", width=max(round(r / 3), 1))
-
-    def _write(self, page: Image.Image, top: int, contacts: int) -> None:
-        """The caption below the photo."""
-        replay, frame = self.replay, self.frame
-        draw = ImageDraw.Draw(page)
-        width, height = page.size
-        moved, turned = (float(values[frame]) for values in replay.displacement())
-        stage = Stage(int(replay.stage[frame]))
-        doing = {
-            Stage.CLOSE: "closing",
-            Stage.SQUEEZE: "squeezing",
-            Stage.PUSH: f"pushed {replay.direction}",
-            Stage.LIFT: "lifted",
-        }[stage]
-        margin, line = round(0.02 * width), (height - top) / 2.3
-        title = f"{replay.name}, {replay.hand}, {replay.direction}, {replay.setting}"
-        noun = "contact" if contacts == 1 else "contacts"
-        way = f"{1e3 * moved:.1f} mm" if moved < 1 else f"{moved:.1f} m"
-        state = f"{replay.time[frame]:.2f} s, {doing}: moved {way}, turned {np.degrees(turned):.1f}°, {contacts} {noun}"
-        color = GOOD if replay.reason == "held" else BAD
-        verdict = _fitting(replay.reason, 0.25 * width, 0.62 * line)
-        draw.text((width - margin, top + 0.62 * line), replay.reason, fill=color, font=verdict, anchor="rm")
-        room = width - 2 * margin
-        left = room - draw.textlength(replay.reason, font=verdict) - margin
-        draw.text((margin, top + 0.62 * line), title, fill=INK, font=_fitting(title, left, 0.62 * line), anchor="lm")
-        draw.text((margin, top + 1.55 * line), state, fill=FAINT, font=_fitting(state, room, 0.55 * line), anchor="lm")
-
-
-def _fitting(text: str, room: float, size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """The font of that size in pixels, or smaller, so that the text is not wider than `room`."""
-    font = ImageFont.load_default(size)
-    length = font.getlength(text)
-    return font if length <= room else ImageFont.load_default(max(size * room / length, 6.0))

@@ -1,0 +1,1 @@
+"""Simulations to be looked at: recorded, exported to any MuJoCo, drawn."""

@@ -1,0 +1,122 @@
+"""Position servos of a MuJoCo model: which actuators are some, what they move, and how hard they pull."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.errors import HandError
+from grasp_refine.hand import Actuator, Hand
+
+
+def check_servos(spec: mujoco.MjSpec, path: Path) -> None:
+    """Refuses actuators whose force is not the gain times how far they are from their set point.
+
+    A damping of their own is allowed.
+
+    Raises:
+        HandError: one of them is no position servo; `path` is the file that it is in.
+    """
+    for actuator in spec.actuators:
+        fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+        affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and actuator.biasprm[0] == 0.0
+        direct = actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE
+        if not (fixed and affine and direct and actuator.biasprm[1] == -actuator.gainprm[0]):
+            raise HandError(
+                f"{path}: actuator '{actuator.name}' is no position servo (<position> without timeconst, or <general> "
+                'with biastype="affine", a bias of minus the gain and no dynamics); grasps are sequences of joint '
+                "positions"
+            )
+
+
+def moved_joints(spec: mujoco.MjSpec) -> set[str]:
+    """Names of the joints that something moves: an actuator, directly or through a tendon, or an equality."""
+    tendon = mujoco.mjtTrn.mjTRN_TENDON
+    pulled = {actuator.target for actuator in spec.actuators if actuator.trntype == tendon}
+    moved = {actuator.target for actuator in spec.actuators if actuator.trntype != tendon}
+    for each in spec.tendons:
+        if each.name in pulled:
+            moved |= joints_of(each)
+    for equality in spec.equalities:
+        if equality.type == mujoco.mjtEq.mjEQ_JOINT:
+            moved |= {equality.name1, equality.name2}
+    return moved
+
+
+def joints_of(tendon: mujoco.MjsTendon) -> set[str]:
+    """Names of the joints that a fixed tendon runs over."""
+    wraps = [tendon.path[i] for i in range(len(tendon.path))]
+    return {wrap.target.name for wrap in wraps if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT}
+
+
+def moments(model: mujoco.MjModel) -> Float[np.ndarray, "u v"]:
+    """How the length of each actuator (u) changes with each degree of freedom (v); joints and tendons make it fixed."""
+    data = mujoco.MjData(model)
+    for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_transmission):
+        stage(model, data)
+    dense = np.zeros((model.nu, model.nv))
+    mujoco.mju_sparse2dense(dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    return dense
+
+
+def servo_settings(
+    hand: Hand, model: mujoco.MjModel, matched: Mapping[str, str], matrix: Float[np.ndarray, "m n"]
+) -> Actuator:
+    """How the position servos of `model` drive the n independent joints of the hand, in their units and order.
+
+    An actuator whose length changes by M_j with joint j pulls at it with kp M_j^2 per error, and with at most |M_j|
+    times its own limit; what several do adds up. In a coupled group M_j is divided by the joint's ratio: stiffness and
+    limit are those of a tendon whose length is the sum of ratio x joint value, as `Hand.actuator` has them. Limits of
+    the actuator force at joints and tendons count, too. Armature and dry friction are those of the joint itself, and
+    so is damping, to which that of the servos is added.
+
+    Args:
+        hand: The hand.
+        model: Its model, all of whose actuators are position servos.
+        matched: Joint of the hand -> its name in the model, for m joints.
+        matrix: As `HandModel.matrix` (m, n), for these joints.
+    """
+    dof = [model.joint(name).dofadr[0] for name in matched.values()]
+    M = np.abs(moments(model)[:, dof] @ matrix)
+    groups = [[hand.joint_names.index(name) for name in group.joints] for group in hand.coupled]
+    ratio = np.ones(len(hand.joint_names))
+    for group, rows in zip(hand.coupled, groups, strict=True):
+        ratio[rows] = np.abs(group.ratio)
+    M = M / ratio
+    # What does not pull at a joint adds nothing to its limit, even if its own is infinite.
+    reach = np.where(M > 0, _limits(model)[:, None], 0.0) * M
+    own = [model.joint(matched[name]).id for name in hand.joint_names]
+    limit = np.minimum(
+        np.where(M.any(axis=0), reach.sum(axis=0), np.inf),
+        _greatest(model.jnt_actfrclimited[own], model.jnt_actfrcrange[own]) / ratio,
+    )
+    for rows in groups:
+        limit[rows] = limit[rows].min()
+    own_dof = model.jnt_dofadr[own]
+    return Actuator(
+        kp=(model.actuator_gainprm[:, :1] * M**2).sum(axis=0),
+        force_limit=limit,
+        damping=model.dof_damping[own_dof] + (-model.actuator_biasprm[:, 2:3] * M**2).sum(axis=0),
+        armature=model.dof_armature[own_dof],
+        frictionloss=model.dof_frictionloss[own_dof],
+    )
+
+
+def _limits(model: mujoco.MjModel) -> Float[np.ndarray, " u"]:
+    """Greatest force (u,) of each actuator, with the limit of the tendon that it pulls at."""
+    limits = _greatest(model.actuator_forcelimited, model.actuator_forcerange)
+    at = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON)
+    tendons = model.actuator_trnid[at, 0]
+    limits[at] = np.minimum(
+        limits[at], _greatest(model.tendon_actfrclimited[tendons], model.tendon_actfrcrange[tendons])
+    )
+    return limits
+
+
+def _greatest(limited: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """The larger end (k,) of ranges (k, 2); inf where there is no limit."""
+    return np.where(limited.astype(bool), np.abs(reach).max(axis=1), np.inf)

@@ -1,0 +1,108 @@
+"""The world that a hand is put into: what can touch what there, and what is said where there can be none."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from gripper import XML, around, ball, gripper
+
+from grasp_refine.errors import GraspRefineError
+from grasp_refine.validation.hand_model import HandModel
+from grasp_refine.validation.messages import complaint, unlogged
+from grasp_refine.validation.protocol import FORCE_CLOSURE, TABLETOP
+from grasp_refine.validation.servos import moments
+from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.world import TABLE, build_world
+
+
+def with_bits(left: tuple[int, int], right: tuple[int, int]) -> HandModel:
+    """The gripper, whose plates have these contype and conaffinity."""
+    made = gripper()
+    for geom, (contype, conaffinity) in zip(made.spec.geoms, (left, right), strict=True):
+        geom.contype, geom.conaffinity = contype, conaffinity
+    return made
+
+
+@pytest.mark.parametrize("bits", [(1, 1), (0, 1), (4, 0), (2, 8), (-(2**31), 0)])
+def test_object_and_table_touch_whatever_can_touch_anything(bits: tuple[int, int]) -> None:
+    """A hand with bits other than the first once closed through the object, and nothing said so."""
+    held = simulate(build_world(with_bits(bits, bits), ball(), FORCE_CLOSURE), around(4.0))
+    assert held.success.all() and held.contacts_squeeze.all()
+    model = build_world(with_bits(bits, bits), ball(), TABLETOP).model
+    data = mujoco.MjData(model)
+    # The hand, upside down, in the table.
+    data.qpos[model.joint("hand").qposadr[0] :][:7] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
+    mujoco.mj_forward(model, data)
+    table = model.geom(TABLE).id
+    plates = [geom for geom in range(model.ngeom) if model.body(model.geom_bodyid[geom]).name.startswith("hand/")]
+    assert {g for pair in data.contact.geom if table in pair for g in pair} >= {table, *plates}
+
+
+def test_what_is_only_seen_touches_nothing() -> None:
+    world = build_world(with_bits((1, 1), (0, 0)), ball(), FORCE_CLOSURE)
+    assert world.links == ("left plate",)
+    assert not simulate(world, around(4.0)).success.any()
+
+
+def test_a_hand_that_cannot_touch_the_object_is_refused() -> None:
+    with pytest.raises(GraspRefineError, match="no geometry of this hand can touch sphere:0.03: .* conaffinity 0$"):
+        build_world(with_bits((0, 0), (0, 0)), ball(), FORCE_CLOSURE)
+
+
+@pytest.mark.parametrize(("radius", "mass"), [(0.03, 1e-16), (1e-9, 0.1)])
+def test_an_object_that_is_too_light_or_too_small_names_the_options(radius: float, mass: float) -> None:
+    with pytest.raises(GraspRefineError, match="mass and inertia of moving bodies.*; --mass or --scale") as caught:
+        build_world(gripper(), ball(radius), replace(FORCE_CLOSURE, mass=mass))
+    assert "\n" not in str(caught.value) and "Error:" not in str(caught.value)
+
+
+def test_a_hand_that_weighs_nothing_does_not_blame_the_object() -> None:
+    hand = gripper()
+    hand.spec.geoms[0].mass = 0.0
+    with pytest.raises(GraspRefineError, match="in this hand: mass and inertia .* 'hand/left'") as caught:
+        build_world(hand, ball(), FORCE_CLOSURE)
+    assert "--mass" not in str(caught.value)
+
+
+def test_complaints_fit_into_one_line() -> None:
+    text = "XML Error: Error: unrecognized attribute: 'foo'\n  Element 'body',\t line 1\n\n"
+    assert complaint(ValueError(text)) == "unrecognized attribute: 'foo', Element 'body', line 1"
+
+
+def test_warnings_of_mujoco_go_to_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    hand = replace(
+        gripper(), spec=mujoco.MjSpec.from_string(XML.format(kp=1).replace("<world", "<size nuserdata='3'/><world"))
+    )
+    with pytest.warns(UserWarning, match="Attach conflict"):
+        build_world(hand, ball(), FORCE_CLOSURE)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_was_done_with_warnings_is_done_again_afterwards() -> None:
+    heard: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(heard.append)
+    try:
+        with pytest.raises(KeyError), unlogged():
+            with unlogged():
+                pass
+            assert mujoco.get_mju_user_warning() != heard.append
+            raise KeyError
+        assert mujoco.get_mju_user_warning() == heard.append
+        simulate(build_world(gripper(kp=1e13), ball(), FORCE_CLOSURE), around(2.0), threads=2)
+        assert mujoco.get_mju_user_warning() == heard.append and not heard
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def test_moments_are_those_of_a_whole_step() -> None:
+    model = build_world(gripper(), ball(), FORCE_CLOSURE).model
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    dense = np.zeros((model.nu, model.nv))
+    mujoco.mju_sparse2dense(dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    np.testing.assert_array_equal(moments(model), dense)
+    assert (dense != 0).sum() == 2
