@@ -174,7 +174,8 @@ def test_meshes_of_a_folder_are_used_and_bad_ones_reported(meshes: Path, capfd: 
     assert {re.sub(r" [\d.]+ mm", "", pair) for pair in concave} <= {"near / far", "far / near"}
     said = " ".join(capfd.readouterr().err.split())
     assert "decomposing near" in said and "decomposing box" not in said
-    assert said.count("left out: ") == 2 and "broken.ply: cannot be read as a mesh" in said
+    # A long path may be broken before the colon.
+    assert said.count("left out: ") == 2 and re.search(r"broken\.ply ?: cannot be read as a mesh", said)
 
 
 def test_a_report_is_one_file_that_names_what_was_compared(capfd: pytest.CaptureFixture[str]):
