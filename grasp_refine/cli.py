@@ -30,8 +30,8 @@ COMMANDS = {
 }
 """Name of each command -> what it does."""
 
-SIMULATING = ("run", "validate")
-"""Commands that load MuJoCo, which fails with a stack of Python where `MUJOCO_GL` is wrong."""
+WITH_MUJOCO = ("run", "validate", "bench align", "bench grasp")
+"""Commands that load MuJoCo, or pytorch-kinematics, which does: that fails with a traceback if `MUJOCO_GL` is wrong."""
 
 BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
 
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for variable in THREADS:
         os.environ.setdefault(variable, "1")
     try:
-        if name in SIMULATING:
+        if name in WITH_MUJOCO:
             from grasp_refine.replay.offscreen import check_setting
 
             check_setting()

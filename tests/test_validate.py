@@ -176,7 +176,8 @@ def test_bad_input_is_refused(workplace: Path, capfd: pytest.CaptureFixture[str]
         (("validate", EXAMPLE, "--compare", EXAMPLE, EXAMPLE), "stands instead of FILE"),
         (("validate", "--compare", EXAMPLE, "other.npz"), "their objects differ"),
         (("validate", "--compare", EXAMPLE, "fewer.npz"), "4 against 2"),
-        (("run", "--setting", "strict"), "--setting is for --validate"),
+        (("run", "--setting", "strict"), "--setting and --friction are for --validate"),
+        (("run", "--validate", "--friction", "-1"), "--friction must be above 0"),
     ):
         assert complaint in refused(capfd, *arguments), arguments
 
@@ -212,3 +213,11 @@ def test_published_outcomes_are_reproduced(workplace: Path, bodex: tuple[str, ..
     shares = by_object(validate(*bodex))
     for name, published in SHADOW.items():
         assert shares[name] == pytest.approx(published, abs=4), name
+
+
+@pytest.mark.parametrize("command", ["run", "validate", "bench grasp"])
+def test_a_wrong_setting_of_opengl_is_one_line(
+    command: str, workplace: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "nonsense")
+    assert "MUJOCO_GL=nonsense" in refused(capfd, *command.split())

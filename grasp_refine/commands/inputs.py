@@ -6,27 +6,23 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.assets import resource_dir
+from grasp_refine.commands.problem import Group, Problem
 from grasp_refine.description.tree import read_tree
 from grasp_refine.errors import AssetError, GraspFileError, GraspRefineError, HandError
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.shapes import EMBEDDED
-from grasp_refine.grasps import OTHER_STAGES, GraspSet, Targets, choose_rows, load_grasps, match_joints
+from grasp_refine.grasps import GraspSet, Targets, choose_rows, load_grasps, match_joints
 from grasp_refine.hand import Hand, list_hands, load_hand, needs_urdf
 from grasp_refine.objects import PRIMITIVE_FORMS, find_object, load_object
 from grasp_refine.plane import Plane
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import transform_from_pose
-from grasp_refine.validation.mjcf_model import mjcf_model
-from grasp_refine.validation.motion import Motion, closing, motion_of
-
-StageSource = Literal["auto", "file", "own"]
-"""Where pregrasps and squeezes come from."""
 
 AUTO, NEAREST = "auto", "nearest"
 """Values of --targets: those of the grasp file, if any; or the points where links are nearest to the object."""
@@ -36,69 +32,6 @@ EXAMPLE_HAND = "allegro"
 
 EXAMPLE_OBJECT = "mug"
 """The object of the example that is refined when nobody says what."""
-
-
-@dataclass(frozen=True, eq=False)
-class Group:
-    """N grasps on one object at one scale."""
-
-    object: str
-    """Name of the object, as the grasp file says it."""
-    scale: float
-    """Factor that takes the object's mesh to metres."""
-    scene: Scene
-    """Hand, object and grasps."""
-    grasps: GraspSet
-    """The same grasps as the file has them, pregrasps and squeezes too."""
-    rows: np.ndarray
-    """Rows of the grasps (N,) in their file."""
-    index: np.ndarray
-    """Numbers of the grasps (N,) among those of their object."""
-    place: np.ndarray
-    """Where the grasps (N,) stand among all that were asked for."""
-
-    def motion(self, source: StageSource = "auto") -> Motion:
-        """How the hand closes to the grasps.
-
-        Args:
-            source: Pregrasps and squeezes are those of the file, our own, or, stage by stage, those of the file where
-                it has them.
-
-        Raises:
-            GraspFileError: they are to be those of the file, which lacks some.
-        """
-        if source == "own":
-            return closing(self.scene)
-        whole = source == "file" or (self.grasps.pregrasp is not None and self.grasps.squeeze is not None)
-        return motion_of(self.grasps, self.scene.hand, None if whole else closing(self.scene))
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """All grasps that were asked for."""
-
-    hand: Hand
-    """The hand, below the base link that the grasp file names."""
-    files: tuple[Path, ...]
-    """The grasp file, and that of the targets if it is another."""
-    groups: tuple[Group, ...]
-    """The grasps, by object and scale."""
-    notes: tuple[str, ...]
-    """What a user should know about how hand, objects and grasps were read."""
-
-    def __len__(self) -> int:
-        """Return the number of grasps."""
-        return sum(len(group.rows) for group in self.groups)
-
-    def closing(self, source: StageSource = "auto") -> dict[str, str]:
-        """Whose pregrasps and squeezes `Group.motion` takes: stage -> "file" or "own"."""
-        grasps = self.groups[0].grasps
-        return {name: "own" if source == "own" or getattr(grasps, name) is None else "file" for name in OTHER_STAGES}
-
-    @property
-    def order(self) -> np.ndarray:
-        """Takes the grasps from group after group to the order in which they were asked for."""
-        return np.argsort(np.concatenate([group.place for group in self.groups]))
 
 
 @dataclass(frozen=True)
@@ -199,6 +132,8 @@ class Sources:
         # A file that is given is meant to be used.
         hand = hand if self.mjcf is None else replace(hand, collision="mjcf")
         if hand.collision == "mjcf" and hand.mjcf is not None:
+            from grasp_refine.validation.mjcf_model import mjcf_model
+
             # Squeezes are for the actuators that will press.
             hand = replace(hand, actuator=mjcf_model(hand, hand.mjcf).actuator)
         return hand

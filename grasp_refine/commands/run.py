@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +15,8 @@ import torch
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
-from grasp_refine.commands.inputs import NEAREST, Group, Inputs, Problem
+from grasp_refine.commands.inputs import NEAREST, Inputs
+from grasp_refine.commands.problem import Group, Problem
 from grasp_refine.commands.settings import Settings
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
@@ -57,6 +59,8 @@ class Proving:
     """Simulate the grasps before and after: does the object stay in the hand when it is pushed?"""
     setting: SettingName = "force-closure"
     """The protocol: force-closure (friction 0.6), strict (friction 0.3), or tabletop (lifted off a table)."""
+    friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the setting)")] = None
+    """Another coefficient of sliding friction."""
 
 
 @dataclass(frozen=True)
@@ -79,9 +83,11 @@ class Run:
         """
         wall, cpu = time.perf_counter(), cpu_seconds()
         config = self.settings.config(nearest=self.inputs.targets == NEAREST)
-        protocol = SETTINGS[self.proof.setting] if self.proof.validate else None
+        protocol = SETTINGS[self.proof.setting].slippery(self.proof.friction) if self.proof.validate else None
         if protocol is None and self.proof != Proving():
-            raise GraspRefineError("--setting is for --validate: how grasps are simulated")
+            raise GraspRefineError("--setting and --friction are for --validate: how grasps are simulated")
+        if self.proof.friction is not None and not 0 < self.proof.friction < inf:
+            raise GraspRefineError(f"--friction must be above 0, got {self.proof.friction:g}")
         if self.inputs.table is None and config.weights.table != Weights.table:
             raise GraspRefineError("--weights.table needs a --table")
         # The tensors of a batch of grasps are small.

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from math import radians
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -15,9 +14,11 @@ from rich.markup import escape
 from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
-from grasp_refine.commands.inputs import Group, Problem, Sources, StageSource
+from grasp_refine.commands.inputs import Sources
 from grasp_refine.commands.options import check_numbers, flag
+from grasp_refine.commands.problem import Group, Problem
 from grasp_refine.commands.recording import Recording
+from grasp_refine.commands.simulating import Robustness, Simulation
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.report.document import settings
 from grasp_refine.report.progress import Reporter
@@ -28,74 +29,10 @@ from grasp_refine.report.validation_document import check_table, flat_rows, save
 from grasp_refine.report.validation_table import comparison_table, validation_table
 from grasp_refine.report.writing import check_writable, save_json
 from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
-from grasp_refine.validation.robustness import Noise
+from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Trials
-from grasp_refine.validation.validate import Checks, Validated, model_of, validate
+from grasp_refine.validation.validate import Validated, model_of, validate
 from grasp_refine.validation.world import World, build_world
-
-CHECK = Protocol.steps_per_check * Protocol.timestep
-"""Seconds between two checks of a push."""
-
-
-LONGEST = 60.0
-"""Longest push in seconds."""
-
-
-@dataclass(frozen=True)
-class Simulation:
-    """How grasps are simulated."""
-
-    simulate: bool = True
-    """Simulate the grasps, beside measuring their geometry."""
-    setting: SettingName = "force-closure"
-    """force-closure: pushed in six directions, friction 0.6; strict: the same with friction 0.3; tabletop: lifted off
-    a table by 10 cm."""
-    friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the setting)")] = None
-    """Another coefficient of sliding friction; that of torsion follows in proportion."""
-    mass: float = Protocol.mass
-    """Mass of the object in kg."""
-    seconds: float = Protocol.checks * Protocol.steps_per_check * Protocol.timestep
-    """How long each push, or the lift, lasts, in steps of 0.2 s; 0.4 takes a third of the time."""
-    closing: StageSource = "auto"
-    """Pregrasps and squeezes: those of the file, our own, or auto: those of the file if it has them, else our own."""
-    threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
-    """CPU threads; results do not depend on it."""
-
-    def protocol(self) -> Protocol:
-        """The protocol that the options mean.
-
-        Raises:
-            GraspRefineError: a push cannot be that long.
-        """
-        checks = round(min(self.seconds, 2 * LONGEST) / CHECK)
-        if not CHECK <= self.seconds <= LONGEST or abs(checks * CHECK - self.seconds) > 1e-9:
-            raise GraspRefineError(
-                f"--seconds must be a multiple of {CHECK:g}, at most {LONGEST:g}, got {self.seconds:g}"
-            )
-        protocol = replace(SETTINGS[self.setting], mass=self.mass, checks=checks)
-        if self.friction is None:
-            return protocol
-        torsion = protocol.torsion * self.friction / protocol.friction
-        return replace(protocol, friction=self.friction, torsion=torsion)
-
-
-@dataclass(frozen=True)
-class Robustness:
-    """What else is tried."""
-
-    noise: int = 0
-    """Try each grasp again with so many random offsets of the object; the score is the share that holds."""
-    noise_offset: float = Noise.offset
-    """Largest shift of these, in metres."""
-    noise_degrees: float = 5.0
-    """Largest rotation of these, in degrees."""
-    frictions: Annotated[tuple[float, ...], arg(metavar="F [F ...]", help_behavior_hint="(default: none)")] = ()
-    """Try each grasp again with these coefficients of friction."""
-    without_squeeze: bool = False
-    """Try each grasp again without the squeeze."""
-    seed: int = 0
-    """Seed of what is drawn."""
 
 
 @dataclass(frozen=True)
@@ -244,14 +181,7 @@ class Validate:
             for note in model.notes:
                 reporter.say(f"note: {note}")
         compiling += time.process_time()
-        noise = Noise(self.robustness.noise, self.robustness.noise_offset, radians(self.robustness.noise_degrees))
-        checks = Checks(
-            noise=noise,
-            frictions=self.robustness.frictions,
-            without_squeeze=self.robustness.without_squeeze,
-            seed=self.robustness.seed,
-            threads=self.simulation.threads,
-        )
+        checks = self.robustness.checks(self.simulation.threads)
         parts, trials = [], []
         for group in problem.groups:
             scene = group.scene

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import radians
 from typing import Literal
 
@@ -60,10 +60,16 @@ class Protocol:
         """Whether the object is lifted off a table instead of being pushed."""
         return not self.directions
 
+    def slippery(self, friction: float | None) -> Protocol:
+        """The same with another coefficient of sliding friction, and that of torsion in proportion; None: this one."""
+        if friction is None:
+            return self
+        return replace(self, friction=friction, torsion=self.torsion * friction / self.friction)
+
 
 FORCE_CLOSURE = Protocol()
 STRICT = Protocol("strict", friction=0.3, torsion=0.002)
-TABLETOP = Protocol("tabletop", directions=())
+TABLETOP = Protocol("tabletop", directions=(), acceleration=9.81)
 SETTINGS = {protocol.name: protocol for protocol in (FORCE_CLOSURE, STRICT, TABLETOP)}
 """The named settings."""
 
