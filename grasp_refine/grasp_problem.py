@@ -7,6 +7,7 @@ from zlib import crc32
 
 import numpy as np
 
+from grasp_refine.batch import choose
 from grasp_refine.chain import Frames, moved
 from grasp_refine.collision.culling import motion, nothing_near, query_near
 from grasp_refine.collision.query import QueryStatus, Witness
@@ -29,7 +30,6 @@ from grasp_refine.losses import (
 )
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import matvec, tangents, transform_points
-from grasp_refine.solvers.batch import choose
 from grasp_refine.solvers.least_squares import Linear, Point
 from grasp_refine.solvers.levenberg_marquardt import bounded_step
 from grasp_refine.solvers.rows import NEAR, Rows

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from grasp_refine.batch import choose, take
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.goal import Goal, goal_of
@@ -13,7 +14,6 @@ from grasp_refine.grasp_problem import GraspProblem
 from grasp_refine.hand_object import HandObject
 from grasp_refine.objective import Objective
 from grasp_refine.scene import Scene
-from grasp_refine.solvers.batch import choose, take
 from grasp_refine.solvers.first_order import descend
 from grasp_refine.solvers.least_squares import Minimum, Point, minimise
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt

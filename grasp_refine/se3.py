@@ -131,6 +131,15 @@ def inverse(T: Array) -> Array:
     return transform(R_transposed, -matvec(R_transposed, T[..., :3, 3]))
 
 
+def distances(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far (metres) and by what angle (radians) poses (N, 4, 4) differ, (N,) each; NaN where one is not finite."""
+    finite = np.isfinite(before).all(axis=(-2, -1)) & np.isfinite(after).all(axis=(-2, -1))
+    before, after = (np.where(finite[:, None, None], T, np.eye(4)) for T in (before, after))
+    moved = np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=-1)
+    turned = np.linalg.norm(log_so3(before[:, :3, :3].mT @ after[:, :3, :3]), axis=-1)
+    return np.where(finite, moved, np.nan), np.where(finite, turned, np.nan)
+
+
 def adjoint(T: Array) -> Array:
     """Matrix Ad(T) (..., 6, 6) that carries twists (v, w) along: T exp(xi) T^-1 = exp(Ad(T) xi)."""
     xp = array_namespace(T)

@@ -8,9 +8,10 @@ from jaxtyping import Float
 from grasp_refine.collision.query import Witness, query
 from grasp_refine.hand import Hand
 from grasp_refine.hand_object import HandObject
+from grasp_refine.objects import Object
 from grasp_refine.scene import Scene
 from grasp_refine.targets import Touching
-from grasp_refine.wrench import RIDGE, center_of_mass, contact_forces
+from grasp_refine.wrench import RIDGE, ContactForces, center_of_mass, contact_forces
 
 CONTACTS = Touching(farthest=0.0)
 """Which links have a contact: those within reach, however few they are."""
@@ -46,12 +47,27 @@ def squeezed(scene: Scene, prepared: HandObject | None = None, *, total: float =
     T_link = frames.T_world_link
     T_object = np.broadcast_to(np.eye(4), T_link.shape)
     witness = query(prepared.pairs, T_link, T_object, cutoff=CONTACTS.cutoff(hand, scene.links))
-    point, normal = contacts(hand, scene.links, witness)
-    force = total * contact_forces(point, normal, center_of_mass(scene.object), ridge=SQUEEZE_RIDGE).force
+    force = total * grasp_forces(hand, scene.object, scene.links, witness, ridge=SQUEEZE_RIDGE).force
     # A force at the contact does work on the twist of the link: f . V(x) = f . v + (x x f) . w.
     covector = np.concatenate([force, np.cross(witness.point_a, force)], axis=-1)
     torque = chain.pull(frames, covector, np.arange(len(scene.links)))[..., 6:].sum(axis=1)
     return np.where(finite[:, None], q + actuated(hand, torque), np.nan)
+
+
+def grasp_forces(
+    hand: Hand, obj: Object, links: tuple[str, ...], witness: Witness, *, ridge: float = RIDGE
+) -> ContactForces:
+    """What the contacts of N grasps do at best, torques taken about the object's centre of mass.
+
+    Args:
+        hand: The hand.
+        obj: The object.
+        links: As for `contacts`.
+        witness: As for `contacts`.
+        ridge: As for `contact_forces`.
+    """
+    point, normal = contacts(hand, links, witness)
+    return contact_forces(point, normal, center_of_mass(obj), ridge=ridge)
 
 
 def contacts(

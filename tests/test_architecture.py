@@ -15,6 +15,7 @@ ORDER = (
     "errors",
     "versions",
     "se3",
+    "batch",
     "assets",
     "geometry.mesh",
     "geometry.cache",

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from grasp_refine.assets import resource_dir
+from grasp_refine.batch import take
 from grasp_refine.chain import moved
 from grasp_refine.collision.query import QueryStatus
 from grasp_refine.config import Config
@@ -21,7 +22,6 @@ from grasp_refine.plane import Plane
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import exp_se3, matvec, tangents, transform_from_pose, transform_points
 from grasp_refine.solvers.adam import Adam
-from grasp_refine.solvers.batch import take
 from grasp_refine.solvers.least_squares import Point, minimise
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.solvers.rows import NEAR

@@ -23,11 +23,11 @@ from grasp_refine.grasps import load_grasps, match_joints
 from grasp_refine.hand import Hand, load_hand
 from grasp_refine.objects import find_object, load_object
 from grasp_refine.scene import Scene
-from grasp_refine.se3 import exp_so3, log_so3, pose_from_transform, transform_from_pose
+from grasp_refine.se3 import distances, exp_so3, log_so3, pose_from_transform, transform_from_pose
 from grasp_refine.validation.messages import unlogged
 from grasp_refine.validation.motion import Motion, closing, motion_of
 from grasp_refine.validation.protocol import AXES, FORCE_CLOSURE
-from grasp_refine.validation.simulation import distances, simulate
+from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import World, build_world
 

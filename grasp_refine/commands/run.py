@@ -30,7 +30,7 @@ from grasp_refine.report.proof import Proof, proof_lines
 from grasp_refine.report.results import fingerprint, result_paths, save_results
 from grasp_refine.report.screen import screen
 from grasp_refine.report.table import grasp_table
-from grasp_refine.report.writing import check_writable, save_json
+from grasp_refine.report.writing import check_no_input, check_writable, save_json
 from grasp_refine.se3 import transform_from_pose
 from grasp_refine.targets import Touching
 from grasp_refine.validation.motion import Motion, closing
@@ -151,8 +151,7 @@ class Run:
         for path in paths.values():
             check_writable(path)
         for path in [*paths.values(), *([self.output.json] if self.output.json else [])]:
-            if path.exists() and any(path.samefile(file) for file in problem.files):
-                raise GraspRefineError(f"{path}: the results would overwrite an input; give another --out or --json")
+            check_no_input(path, problem.files, "the results would overwrite an input; give another --out or --json")
         return paths
 
     def _save(self, problem: Problem, outcome: Outcome, paths: dict[str, Path], provenance: dict[str, object]) -> None:

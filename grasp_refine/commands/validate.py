@@ -27,7 +27,7 @@ from grasp_refine.report.results import fingerprint
 from grasp_refine.report.screen import screen
 from grasp_refine.report.validation_document import check_table, flat_rows, save_table, validate_document
 from grasp_refine.report.validation_table import comparison_table, validation_table
-from grasp_refine.report.writing import check_writable, save_json
+from grasp_refine.report.writing import check_no_input, check_writable, save_json
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Trials
@@ -168,8 +168,7 @@ class Validate:
         for path in (self.told.json, self.told.rows):
             if path is not None:
                 check_writable(path)
-                if any(path.exists() and file.exists() and path.samefile(file) for file in files):
-                    raise GraspRefineError(f"{path}: would overwrite an input; give another name")
+                check_no_input(path, files, "would overwrite an input; give another name")
         if self.told.rows is not None:
             check_table(self.told.rows)
 

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from grasp_refine.description.urdf import read_urdf
 from grasp_refine.errors import HandError
+from grasp_refine.se3 import exp_so3, transform
 
 if TYPE_CHECKING:
     import yourdfpy
@@ -58,6 +59,13 @@ class Joint:
     def movable(self) -> bool:
         """Whether the joint moves, on its own or by following another."""
         return self.kind != "fixed"
+
+    def motion(self, value: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch 4 4"]:
+        """How the child has moved (..., 4, 4), in its own frame, where the joint is at `value` (...), rad or m."""
+        step = np.asarray(value)[..., None] * self.axis
+        if self.kind == "prismatic":
+            return transform(np.broadcast_to(np.eye(3), (*step.shape, 3)), step)
+        return transform(exp_so3(step), np.zeros_like(step))
 
 
 @dataclass(frozen=True, eq=False)

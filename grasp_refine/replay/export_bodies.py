@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.replay.export_values import flag_of, name_of, text_of
+from grasp_refine.replay.export_values import flag_of, name_of, set_values, text_of
 from grasp_refine.replay.replay import OBJECT
 
 PUSH = "push"
@@ -135,8 +135,7 @@ def _write_joint(node: ET.Element, model: mujoco.MjModel, joint: int) -> None:
         joint_node.set("actuatorfrclimited", flag_of(model.jnt_actfrclimited[joint]))
         if model.jnt_actfrclimited[joint]:
             values["actuatorfrcrange"] = model.jnt_actfrcrange[joint]
-    for key, value in values.items():
-        joint_node.set(key, text_of(value))
+    set_values(joint_node, values)
 
 
 def _write_geom(node: ET.Element, model: mujoco.MjModel, geom: int, frames: dict[int, np.ndarray]) -> None:
@@ -166,8 +165,7 @@ def _write_geom(node: ET.Element, model: mujoco.MjModel, geom: int, frames: dict
         "margin": model.geom_margin[geom],
         "gap": model.geom_gap[geom],
     }
-    for key, value in values.items():
-        geom_node.set(key, text_of(value))
+    set_values(geom_node, values)
     geom_node.set("rgba", text_of(model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom], single=True))
     for key in ("condim", "contype", "conaffinity", "priority", "group"):
         geom_node.set(key, str(getattr(model, f"geom_{key}")[geom]))

@@ -9,7 +9,7 @@ import numpy as np
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.replay.export_bodies import PUSH
-from grasp_refine.replay.export_values import flag_of, name_of, text_of
+from grasp_refine.replay.export_values import flag_of, name_of, set_values, text_of
 
 _DYNAMICS = ("none", "integrator", "filter", "filterexact")
 _GAINS = ("fixed", "affine")
@@ -57,8 +57,7 @@ def write_tendons(root: ET.Element, model: mujoco.MjModel) -> None:
         }
         if model.tendon_limited[tendon]:
             values["range"] = model.tendon_range[tendon]
-        for key, value in values.items():
-            node.set(key, text_of(value))
+        set_values(node, values)
         for wrap in wraps:
             joint = name_of(model, "joint", model.wrap_objid[wrap])
             ET.SubElement(node, "joint", joint=joint, coef=text_of(model.wrap_prm[wrap]))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+
 import mujoco
 import numpy as np
 
@@ -11,6 +14,12 @@ def text_of(values: float | np.ndarray, single: bool = False) -> str:
     kind = np.float32 if single else np.float64
     # NumPy and Python write the fewest digits that identify a number.
     return " ".join(str(value) for value in np.atleast_1d(values).astype(kind).ravel())
+
+
+def set_values(node: ET.Element, values: Mapping[str, float | np.ndarray]) -> None:
+    """Give an element attributes that hold numbers."""
+    for key, value in values.items():
+        node.set(key, text_of(value))
 
 
 def name_of(model: mujoco.MjModel, kind: str, number: int) -> str:

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.npz import NpzFile, load_npz, save_npz
-from grasp_refine.se3 import log_so3, transform_from_pose
+from grasp_refine.se3 import distances, transform_from_pose
 
 if TYPE_CHECKING:
     import mujoco
@@ -105,9 +105,9 @@ class Replay:
         It should be where it lay in the first frame or, while it is lifted, as far from there as the hand was moved.
         """
         T = transform_from_pose(self.object_pose)
-        wanted = T[0, :3, 3] + self.lifted()
-        turned = log_so3(T[:1, :3, :3].mT @ T[:, :3, :3])
-        return np.linalg.norm(T[:, :3, 3] - wanted, axis=1), np.linalg.norm(turned, axis=1)
+        wanted = np.repeat(T[:1], len(T), axis=0)
+        wanted[:, :3, 3] += self.lifted()
+        return distances(wanted, T)
 
     def since_stage(self) -> Float[np.ndarray, " T"]:
         """Seconds (T,) since the stage of each frame began, which is when the one before it ended."""

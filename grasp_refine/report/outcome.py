@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
+from grasp_refine.batch import join, take
 from grasp_refine.refine import Refinement
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import inverse, pose_from_transform, transform_points
 from grasp_refine.self_collision import self_penetration, touching_pairs
 from grasp_refine.solvers.status import Status
-from grasp_refine.squeeze import contacts
+from grasp_refine.squeeze import grasp_forces
 from grasp_refine.validation.geometry import measure, movement
 from grasp_refine.validation.motion import Motion
-from grasp_refine.wrench import center_of_mass, contact_forces
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,12 +109,12 @@ class Outcome:
 
     def select(self, rows: np.ndarray) -> Outcome:
         """The grasps `rows`, in that order."""
-        return Outcome(*(getattr(self, field.name)[rows] for field in fields(self)))
+        return take(self, rows)
 
     @staticmethod
     def join(parts: Sequence[Outcome]) -> Outcome:
         """The grasps of all parts, which are of one hand."""
-        return Outcome(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Outcome)))
+        return join(*parts)
 
 
 def compare(
@@ -155,8 +155,7 @@ def compare(
     )
     pairs = touching_pairs(scene.hand)
     own = self_penetration(scene.hand, pairs, np.concatenate([scene.q, refinement.q]))
-    point, normal = contacts(scene.hand, scene.links, geometry.witness)
-    forces = contact_forces(point, normal, center_of_mass(scene.object))
+    forces = grasp_forces(scene.hand, scene.object, scene.links, geometry.witness)
     witness = geometry.witness.rows(slice(count, None))
     touching = refinement.touching & witness.valid
     T_link = geometry.T_world_link[count:]

@@ -42,14 +42,14 @@ def grasp_table(outcome: Outcome, hand: str, *, verbose: bool = False) -> Render
         of_object = outcome.select(np.flatnonzero(outcome.object == name))
         parts += [_object_table(of_object, f"{hand} on {name}", verbose), ""]
     if len(objects) > 1:
-        total = _table(f"all {len(objects)} objects: {_count(len(outcome), 'grasp')}")
+        total = _table(f"all {len(objects)} objects: {count_text(len(outcome), 'grasp')}")
         _add_summary(total, outcome)
         parts += [total, ""]
     return Group(*parts, *_verdict(outcome))
 
 
 def _object_table(outcome: Outcome, what: str, verbose: bool) -> Table:
-    shown, title = np.arange(len(outcome)), f"{what}: {_count(len(outcome), 'grasp')}"
+    shown, title = np.arange(len(outcome)), f"{what}: {count_text(len(outcome), 'grasp')}"
     if len(outcome) > LONGEST and not verbose:
         # Grasps without a result come first, then by how far they are from what was wanted.
         badness = np.fmax(outcome.worst_error[:, 1], outcome.penetration[:, 1])
@@ -64,16 +64,21 @@ def _object_table(outcome: Outcome, what: str, verbose: bool) -> Table:
     return table
 
 
-def _table(title: str) -> Table:
-    table = Table(
+def plain_table(title: str, between: int = 1) -> Table:
+    """An empty table with one rule below its heads, and so much space more than one between its columns."""
+    return Table(
         title=escape(title),
         title_justify="left",
         title_style="bold",
         box=box.SIMPLE_HEAD,
         show_edge=False,
-        padding=0,
+        padding=(0, between, 0, 0),
         header_style="dim",
     )
+
+
+def _table(title: str) -> Table:
+    table = plain_table(title, between=0)
     table.add_column("\n grasp", justify="right", no_wrap=True)
     table.add_column("contact error\nmm, worst", justify="center", no_wrap=True)
     table.add_column("penetration\nmm, worst", justify="center", no_wrap=True)
@@ -92,7 +97,7 @@ def _row(outcome: Outcome, i: int) -> list[RenderableType]:
         _change(outcome.worst_error[i] * 1e3),
         _change(outcome.penetration[i] * 1e3),
         _moved(outcome.palm_m[i], outcome.palm_rad[i]),
-        _number(np.degrees(outcome.joints_rad[i]), 1),
+        number_text(np.degrees(outcome.joints_rad[i]), 1),
         str(outcome.iterations[i]),
         _seconds(outcome.wall_s[i]),
         Text(f" {status.label}", _COLORS.get(status, "")),
@@ -107,7 +112,7 @@ def _add_summary(table: Table, outcome: Outcome) -> None:
             _change(_over(of, outcome.worst_error) * 1e3),
             _change(_over(of, outcome.penetration) * 1e3),
             _moved(_over(of, outcome.palm_m), _over(of, outcome.palm_rad)),
-            _number(np.degrees(_over(of, outcome.joints_rad)), 1),
+            number_text(np.degrees(_over(of, outcome.joints_rad)), 1),
             f"{_over(of, outcome.iterations):.0f}",
             _seconds(_over(of, outcome.wall_s)),
             style="bold" if word == "median" else "",
@@ -125,7 +130,7 @@ def _verdict(outcome: Outcome) -> list[Text]:
     """How many converged, what became of the grasps, and what can be done about those that did not converge."""
     converged = int((outcome.status == Status.CONVERGED).sum())
     color = "green" if converged == len(outcome) else "yellow"
-    lines = [Text.assemble((f"{converged} of {_count(len(outcome), 'grasp')} converged", color))]
+    lines = [Text.assemble((f"{converged} of {count_text(len(outcome), 'grasp')} converged", color))]
     measures = (
         ("contact error", outcome.worst_error),
         ("penetration", outcome.penetration),
@@ -147,20 +152,21 @@ def _improvement(name: str, values: np.ndarray) -> str:
     if not len(relevant):
         return ""
     better = int((relevant[:, 1] < relevant[:, 0]).sum())
-    mean = " → ".join(_number(value * 1e3, 3) for value in known.mean(axis=0))
+    mean = " → ".join(number_text(value * 1e3, 3) for value in known.mean(axis=0))
     return f"{name} in {better} of {len(relevant)} with any; mean {mean} mm"
 
 
 def _change(values: np.ndarray) -> str:
-    before, after = (_number(value, 2 if value < 99.995 else 1) for value in values)
+    before, after = (number_text(value, 2 if value < 99.995 else 1) for value in values)
     return f"{before:>6} → {after:<5}"
 
 
 def _moved(metres: float, radians: float) -> str:
-    return f"{_number(metres * 1e3, 1):>5} {_number(np.degrees(radians), 1):>5}"
+    return f"{number_text(metres * 1e3, 1):>5} {number_text(np.degrees(radians), 1):>5}"
 
 
-def _number(value: float, digits: int) -> str:
+def number_text(value: float, digits: int) -> str:
+    """A number with so many digits after the point, or what stands for none."""
     return f"{value:.{digits}f}" if np.isfinite(value) else NONE
 
 
@@ -170,5 +176,6 @@ def _seconds(value: float) -> str:
     return f"{value:.2f} s" if value < 9.995 else f"{value:.0f} s"
 
 
-def _count(number: int, word: str) -> str:
+def count_text(number: int, word: str) -> str:
+    """So many of a thing."""
     return f"{number} {word}{'' if number == 1 else 's'}"

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from rich import box
 from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
 from grasp_refine.report.proof import reason_lines
-from grasp_refine.report.table import LONGEST, NONE, WORST
+from grasp_refine.report.table import LONGEST, WORST, count_text, number_text, plain_table
 from grasp_refine.report.validation_document import QUANTILES
 from grasp_refine.validation.metrics import NEAR
 from grasp_refine.validation.protocol import Protocol
@@ -42,7 +41,7 @@ def validation_table(
 
 def comparison_table(before: Validated, after: Validated, hand: str, protocol: Protocol | None) -> RenderableType:
     """What changed between two validations of the same grasps, in the mean and in the verdicts."""
-    table = _plain(f"{hand}: {_count(len(after))}, before → after")
+    table = plain_table(f"{hand}: {count_text(len(after), 'grasp')}, before → after")
     table.add_column("")
     for column in ("before", "after", "better in", "worse in"):
         table.add_column(column, justify="right", no_wrap=True)
@@ -87,7 +86,7 @@ def comparison_table(before: Validated, after: Validated, hand: str, protocol: P
 
 
 def _object_table(validated: Validated, what: str, protocol: Protocol | None, verbose: bool) -> Table:
-    title, shown = f"{what}: {_count(len(validated))}", np.arange(len(validated))
+    title, shown = f"{what}: {count_text(len(validated), 'grasp')}", np.arange(len(validated))
     if protocol is not None:
         title += f", {protocol.name}, friction {protocol.friction:g}"
         if protocol.checks != Protocol.checks:
@@ -95,7 +94,7 @@ def _object_table(validated: Validated, what: str, protocol: Protocol | None, ve
     if len(validated) > LONGEST and not verbose:
         shown = np.argsort(-_badness(validated), kind="stable")[:WORST]
         title += f", the worst {WORST} (--verbose: all)"
-    table = _plain(title, between=0)
+    table = plain_table(title, between=0)
     for head, align in (
         ("\n grasp", "right"),
         ("penetr.\nmm", "right"),
@@ -114,7 +113,7 @@ def _object_table(validated: Validated, what: str, protocol: Protocol | None, ve
         table.add_section()
         metrics = validated.metrics
         medians = [
-            _number(_median(values) * factor, digits)
+            number_text(_median(values) * factor, digits)
             for values, factor, digits in (
                 (metrics.penetration_m, 1e3, 2),
                 (metrics.self_penetration_m, 1e3, 2),
@@ -140,18 +139,18 @@ def _row(validated: Validated, i: int, protocol: Protocol | None) -> list[Render
     metrics = validated.metrics
     cells: list[RenderableType] = [
         str(validated.index[i]),
-        _number(metrics.penetration_m[i] * 1e3, 2),
-        _number(metrics.self_penetration_m[i] * 1e3, 2),
-        _number(metrics.contact_distance_m[i] * 1e3, 2),
-        _number(metrics.contact_number[i], 0),
-        _number(metrics.wrench_residual[i], 3),
+        number_text(metrics.penetration_m[i] * 1e3, 2),
+        number_text(metrics.self_penetration_m[i] * 1e3, 2),
+        number_text(metrics.contact_distance_m[i] * 1e3, 2),
+        number_text(metrics.contact_number[i], 0),
+        number_text(metrics.wrench_residual[i], 3),
     ]
     if protocol is not None and validated.trials is not None:
         trials = validated.trials
         worst = trials.worst[i]
         cells.append(
-            f"{_number(trials.displacement_m[i, worst] * 1e3, 1):>5} "
-            f"{_number(np.degrees(trials.angle_rad[i, worst]), 1):>5}"
+            f"{number_text(trials.displacement_m[i, worst] * 1e3, 1):>5} "
+            f"{number_text(np.degrees(trials.angle_rad[i, worst]), 1):>5}"
         )
         cells.append(_reason(validated, i, protocol))
     return cells
@@ -191,7 +190,7 @@ def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
 
 
 def _by_object(validated: Validated, names: Sequence[str]) -> Table:
-    table = _plain(f"all {len(names)} objects: {_count(len(validated))}")
+    table = plain_table(f"all {len(names)} objects: {count_text(len(validated), 'grasp')}")
     for column, align in (("object", "left"), ("grasps", "right"), ("held", "right"), ("", "right")):
         table.add_column(column, justify=align, no_wrap=column != "object")
     for name in names:
@@ -207,7 +206,8 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
     success = validated.success
     color = "green" if success.all() else "yellow"
     how = f"in all of {', '.join(trials.directions)}" if len(trials.directions) > 1 else f"the {trials.directions[0]}"
-    lines = [Text.assemble((f"{success.sum()} of {_count(len(success))} held", color), f" ({_percent(success)}) {how}")]
+    held = f"{success.sum()} of {count_text(len(success), 'grasp')} held"
+    lines = [Text.assemble((held, color), f" ({_percent(success)}) {how}")]
     lines += reason_lines(trials, protocol)
     if success.any():
         parts = []
@@ -266,30 +266,10 @@ def _numbers(validated: Validated, which: np.ndarray) -> str:
     return "; ".join(parts)
 
 
-def _plain(title: str, between: int = 1) -> Table:
-    return Table(
-        title=escape(title),
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        padding=(0, between, 0, 0),
-        header_style="dim",
-    )
-
-
 def _median(values: np.ndarray) -> float:
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else np.nan
 
 
-def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if np.isfinite(value) else NONE
-
-
 def _percent(held: np.ndarray) -> str:
     return f"{100 * held.mean():.1f} %"
-
-
-def _count(number: int) -> str:
-    return f"{number} grasp{'' if number == 1 else 's'}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import Enum
 from math import isfinite
 from pathlib import Path
@@ -42,6 +42,16 @@ def check_writable(path: Path) -> None:
             pass
     except OSError as error:
         raise GraspRefineError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def check_no_input(path: Path, inputs: Iterable[Path], say: str) -> None:
+    """Nothing, when what is written to `path` takes the place of no input.
+
+    Raises:
+        GraspRefineError: it would; `say` is how that ends.
+    """
+    if path.exists() and any(file.exists() and path.samefile(file) for file in inputs):
+        raise GraspRefineError(f"{path}: {say}")
 
 
 def dumps(document: Any, indent: int | None = None) -> str:

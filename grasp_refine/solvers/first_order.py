@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from grasp_refine.batch import take
 from grasp_refine.solvers.adam import Adam
-from grasp_refine.solvers.batch import take
 from grasp_refine.solvers.descent import Descent
 from grasp_refine.solvers.least_squares import Minimum, Point
 from grasp_refine.solvers.status import Status

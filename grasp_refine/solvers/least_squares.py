@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from grasp_refine.solvers.batch import choose, join, take
+from grasp_refine.batch import choose, join, take
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt, bounded_step
 from grasp_refine.solvers.status import Status
 

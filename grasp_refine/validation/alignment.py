@@ -13,7 +13,6 @@ from jaxtyping import Float
 
 from grasp_refine.errors import HandError
 from grasp_refine.hand import Hand
-from grasp_refine.se3 import exp_so3
 
 FARTHEST = 2e-3
 """Joints that are farther apart than this, in metres, are not those of the same hand."""
@@ -102,12 +101,7 @@ def _hand_joints(
         at = T[joint.parent] @ joint.T_parent_child
         anchors[joint.name], axes[joint.name] = at[:, :3, 3], at[:, :3, :3] @ joint.axis
         if joint.movable:
-            motion, step = np.tile(np.eye(4), (count, 1, 1)), values[joint.name][:, None] * joint.axis
-            if joint.kind == "prismatic":
-                motion[:, :3, 3] = step
-            else:
-                motion[:, :3, :3] = exp_so3(step)
-            at = at @ motion
+            at = at @ joint.motion(values[joint.name])
         T[joint.child] = at
     return np.stack([anchors[name] for name in joints], axis=1), np.stack([axes[name] for name in joints], axis=1)
 

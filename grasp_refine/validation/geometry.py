@@ -9,7 +9,7 @@ from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.hand import Hand
 from grasp_refine.kinematics import Kinematics
 from grasp_refine.objects import Object
-from grasp_refine.se3 import log_so3, transform_points
+from grasp_refine.se3 import distances, transform_points
 
 LIMIT_TOLERANCE = 1e-6
 """Joint values this far (rad or m) beyond a limit do not count as violations."""
@@ -96,10 +96,5 @@ def measure(
 
 def movement(T_before: np.ndarray, q_before: np.ndarray, T_after: np.ndarray, q_after: np.ndarray) -> Movement:
     """How far root poses (N, 4, 4) and joint values (N, n) moved; NaN where they are not finite."""
-    finite = np.isfinite(T_before).all(axis=(1, 2)) & np.isfinite(T_after).all(axis=(1, 2))
-    eye = np.eye(4)
-    before, after = (np.where(finite[:, None, None], T, eye) for T in (T_before, T_after))
-    turned = np.linalg.norm(log_so3(before[:, :3, :3].mT @ after[:, :3, :3]), axis=1)
-    moved = np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1)
-    joints = np.abs(q_after - q_before).max(axis=1, initial=0.0)
-    return Movement(np.where(finite, moved, np.nan), np.where(finite, turned, np.nan), joints)
+    moved, turned = distances(T_before, T_after)
+    return Movement(moved, turned, np.abs(q_after - q_before).max(axis=1, initial=0.0))

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.batch import join, take
 from grasp_refine.hand import Hand
 from grasp_refine.objects import Object
 from grasp_refine.scene import links_of
 from grasp_refine.self_collision import self_penetration, touching_pairs
-from grasp_refine.squeeze import contacts
+from grasp_refine.squeeze import grasp_forces
 from grasp_refine.validation.geometry import measure
-from grasp_refine.wrench import center_of_mass, contact_forces
 
 FARTHEST = 0.01
 """Fingers count as no farther from the object than this, in metres."""
@@ -46,12 +46,12 @@ class Metrics:
 
     def select(self, rows: np.ndarray) -> Metrics:
         """The grasps `rows`, in that order."""
-        return Metrics(*(getattr(self, field.name)[rows] for field in fields(self)))
+        return take(self, rows)
 
     @staticmethod
     def join(parts: Sequence[Metrics]) -> Metrics:
         """The grasps of all parts, in that order."""
-        return Metrics(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Metrics)))
+        return join(*parts)
 
 
 def metrics(hand: Hand, obj: Object, T_world_root: np.ndarray, q: np.ndarray) -> Metrics:
@@ -67,8 +67,7 @@ def metrics(hand: Hand, obj: Object, T_world_root: np.ndarray, q: np.ndarray) ->
     nowhere = np.full((len(q), len(links), 3), np.nan)
     found = measure(hand, obj, links, T_world_root, q, nowhere, nowhere)
     known = found.witness.valid.all(axis=1)
-    point, normal = contacts(hand, links, found.witness)
-    forces = contact_forces(point, normal, center_of_mass(obj))
+    forces = grasp_forces(hand, obj, links, found.witness)
 
     def where_known(values: np.ndarray) -> np.ndarray:
         return np.where(known, values, np.nan)

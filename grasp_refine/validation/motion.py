@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.batch import take
 from grasp_refine.errors import GraspFileError
 from grasp_refine.grasps import OTHER_STAGES, GraspSet, match_joints
 from grasp_refine.hand import Hand
@@ -34,7 +35,7 @@ class Motion:
 
     def select(self, rows: np.ndarray) -> Motion:
         """The grasps `rows`, in that order."""
-        return replace(self, T_world_root=self.T_world_root[rows], q=self.q[rows])
+        return take(self, rows)
 
 
 def closing(scene: Scene, prepared: HandObject | None = None) -> Motion:

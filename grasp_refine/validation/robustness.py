@@ -51,7 +51,7 @@ def noise_score(
         noise: The offsets.
         middle: What the object turns about (3,), metres, object frame.
         numbers: A number (N,) for each grasp: its offsets depend on this and on the seed only.
-        upright: The table's unit normal (3,), where there is one: objects are then shifted along it and turned on it.
+        upright: Unit normal (3,) of the table, where there is one: objects then stay on it, shifted and turned.
         seed: Of the offsets.
         threads: CPU threads.
         progress: Is told of N x `noise.count` trials.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from grasp_refine.se3 import exp_so3, log_so3, pose_from_transform, transform
+from grasp_refine.se3 import distances, exp_so3, log_so3, pose_from_transform, transform
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import AXES, Protocol
 from grasp_refine.validation.stepping import Conditions, Rows, Watch
@@ -228,15 +228,6 @@ def push(
         closing_rad=closed.closing_rad,
         penetration_m=closed.penetration_m,
     )
-
-
-def distances(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far (metres) and by what angle (radians) poses (N, 4, 4) differ; NaN where one is not finite."""
-    finite = np.isfinite(before).all(axis=(-2, -1)) & np.isfinite(after).all(axis=(-2, -1))
-    before, after = (np.where(finite[:, None, None], T, np.eye(4)) for T in (before, after))
-    moved = np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=-1)
-    turned = np.linalg.norm(log_so3(before[:, :3, :3].mT @ after[:, :3, :3]), axis=-1)
-    return np.where(finite, moved, np.nan), np.where(finite, turned, np.nan)
 
 
 def _lift(rows: Rows, held_at: np.ndarray, protocol: Protocol, check: int) -> float:

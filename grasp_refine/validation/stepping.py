@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from mujoco.batch import Batch, SimulationError
 
+from grasp_refine.batch import take
 from grasp_refine.se3 import transform_from_pose
 from grasp_refine.validation.messages import unlogged
 from grasp_refine.validation.world import OBJECT_GEOM, OTHER_GEOM, World
@@ -49,7 +50,7 @@ class Conditions:
 
     def select(self, rows: np.ndarray) -> Conditions:
         """Those of the simulations `rows`."""
-        return Conditions(self.T_world_object[rows], self.friction[rows])
+        return take(self, rows)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from math import degrees
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from grasp_refine.batch import take
 from grasp_refine.validation.protocol import Protocol
 
 
@@ -96,11 +97,7 @@ class Trials:
 
     def select(self, rows: np.ndarray) -> Trials:
         """The grasps `rows`, in that order."""
-        return Trials(
-            self.directions,
-            self.links,
-            *(getattr(self, field.name)[rows] for field in fields(self)[2:]),
-        )
+        return take(self, rows)
 
     @classmethod
     def join(cls, parts: list[Trials]) -> Trials:

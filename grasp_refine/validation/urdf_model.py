@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from grasp_refine.description.inertia import DENSITY, Inertia
 from grasp_refine.hand import Hand, Link
-from grasp_refine.se3 import exp_so3, quaternion_from_matrix
+from grasp_refine.se3 import quaternion_from_matrix
 from grasp_refine.self_collision import touching_pairs
 from grasp_refine.validation.geoms import add_piece
 from grasp_refine.validation.hand_model import HandModel
@@ -81,7 +81,7 @@ def urdf_model(hand: Hand) -> HandModel:
     for joint in hand.joints:
         T = joint.T_parent_child
         if joint.name in parts.still:
-            T = T @ _moved(joint.kind, joint.axis * parts.still[joint.name])
+            T = T @ joint.motion(np.array(parts.still[joint.name]))
         bodies[joint.child] = bodies[joint.parent].add_body(
             name=names[joint.child], pos=T[:3, 3], quat=quaternion_from_matrix(T[:3, :3])
         )
@@ -252,13 +252,3 @@ def _set_inertia(body: mujoco.MjsBody, inertia: Inertia) -> None:
     moments, axes = inertia.principal()
     body.mass, body.ipos, body.iquat, body.inertia = inertia.mass, inertia.centre, quaternion_from_matrix(axes), moments
     body.explicitinertial = True
-
-
-def _moved(kind: str, step: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
-    """Motion of a joint by a rotation vector or a translation (3,)."""
-    T = np.eye(4)
-    if kind == "prismatic":
-        T[:3, 3] = step
-    else:
-        T[:3, :3] = exp_so3(step)
-    return T

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from jaxtyping import Bool, Float
 
+from grasp_refine.batch import take
 from grasp_refine.hand import Hand
 from grasp_refine.plane import Plane
 from grasp_refine.scene import Scene
@@ -107,7 +108,7 @@ class Validated:
 
     def select(self, rows: np.ndarray) -> Validated:
         """The grasps `rows`, in that order."""
-        return Validated(*(_rows(getattr(self, field.name), rows) for field in fields(self)))
+        return take(self, rows)
 
     @classmethod
     def join(cls, parts: list[Validated]) -> Validated:
@@ -178,7 +179,7 @@ def _further(
     world: World, scene: Scene, motion: Motion, rows: np.ndarray, checks: Checks, tell: Tell
 ) -> dict[str, np.ndarray]:
     """The further trials that were asked for."""
-    count, found = len(motion), {}
+    found = {}
     if checks.noise.count:
         found["noise"] = noise_score(
             world,
@@ -203,18 +204,11 @@ def _further(
         found["unsqueezed"] = holds_without_squeeze(
             world, motion, threads=checks.threads, progress=lambda done: tell("without squeeze", done)
         )
-    assert all(len(value) == count for value in found.values())
     return found
 
 
 def _normal(scene: Scene) -> np.ndarray:
     return np.asarray(Plane.normal if scene.table is None else scene.table.normal)
-
-
-def _rows(value: np.ndarray | Metrics | Trials | None, rows: np.ndarray) -> np.ndarray | Metrics | Trials | None:
-    if value is None:
-        return None
-    return value[rows] if isinstance(value, np.ndarray) else value.select(rows)
 
 
 def _joined(values: list) -> np.ndarray | Metrics | Trials | None:

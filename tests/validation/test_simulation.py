@@ -12,11 +12,11 @@ from grasp_refine.geometry.pieces import Piece, box
 from grasp_refine.objects import Object
 from grasp_refine.replay.record import record
 from grasp_refine.replay.replay import Stage
-from grasp_refine.se3 import exp_so3
+from grasp_refine.se3 import distances, exp_so3
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT, TABLETOP
 from grasp_refine.validation.robustness import Noise, holds_at, holds_without_squeeze, noise_score
-from grasp_refine.validation.simulation import CHUNK, distances, simulate
+from grasp_refine.validation.simulation import CHUNK, simulate
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.world import World, build_world, volume

@@ -8,10 +8,10 @@ from zlib import crc32
 
 import numpy as np
 
+from grasp_refine.batch import choose, take
 from grasp_refine.collision.query import Pairs, Witness, query_items
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.se3 import cross, exp_so3, matvec, tangents, transform, transform_points
-from grasp_refine.solvers.batch import choose, take
 from grasp_refine.solvers.least_squares import Linear, Point
 from grasp_refine.witness.contact_kinematics import slide
 from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatures

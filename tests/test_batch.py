@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from grasp_refine.solvers.batch import choose, join, take
+from grasp_refine.batch import choose, join, take
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,3 +63,12 @@ def test_what_is_not_there_has_no_rows() -> None:
     assert take(None, np.array([0])) is None
     assert join(None, None) is None
     assert choose(np.array([True]), None, None) is None
+
+
+def test_several_are_joined_at_once_and_what_all_share_is_kept() -> None:
+    whole = rows(6, 1)
+    found = join(*(take(whole, np.array([row])) for row in range(6)))
+    for part, expected in zip(parts(found), parts(whole), strict=True):
+        np.testing.assert_array_equal(part, expected)
+    names = ("a", "b")
+    assert take(names, np.array([1])) == join(names, names) == names
