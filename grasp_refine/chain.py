@@ -83,7 +83,8 @@ class Chain:
         """Covectors on root twist and joint values (batch, R, 6 + n), from those (batch, R, 6) on the twists of links.
 
         Row r is the derivative of something that changes by covector[r] . (v, w) where (v, w) is the spatial twist
-        of link[r], less that of minus[r]: exact, by the geometric Jacobian. Root twists are those of `moved`.
+        of link[r], less that of minus[r]: exact, by the geometric Jacobian. Root twists are those of `moved`. What
+        joint i of `joints` carries has the place len(links) + i among the links.
 
         Args:
             frames: What the call gave.
@@ -99,6 +100,10 @@ class Chain:
             mask = xp.asarray(mask, dtype=covector.dtype, device=covector.device)
         pulled = (covector @ frames.axes) * mask
         return pulled if numbers.gains is None else pulled @ numbers.gains
+
+    def followed(self, link: np.ndarray) -> np.ndarray:
+        """Which of the root's six twists and of `joints` links follow (R, 6 + m), 1 or 0; places as for `pull`."""
+        return self._numbers.follows[link]
 
     def _on(self, xp: ModuleType, like: Array) -> _Numbers:
         """The constants in the library, with the number type and on the device of an array."""
@@ -172,7 +177,8 @@ class _Numbers:
     gains: Array | None
     """(6 + m, 6 + n): root twist and joint values per root twist and q; None for the identity."""
     follows: np.ndarray
-    """(links, 6 + m): 1 where the link follows the root or joint, else 0; always a NumPy array."""
+    """(links + m, 6 + m): 1 where the link, or what the joint carries, follows the root or joint, else 0; always a
+    NumPy array."""
 
     def converted(self, xp: ModuleType, dtype: Any, device: Any) -> _Numbers:
         def convert(value: Any) -> Any:
@@ -242,10 +248,9 @@ def _build(hand: Hand, links: tuple[str, ...]) -> tuple[tuple[str, ...], _Number
     turn_cos, turn_sin, shift = np.diag([1.0, 1.0, 0.0, 0.0]), np.zeros((4, 4)), np.zeros((4, 4))
     turn_sin[1, 0], turn_sin[0, 1], shift[2, 3] = 1.0, -1.0, 1.0
 
-    follows = np.zeros((len(links), 6 + m))
+    follows = np.zeros((len(links) + m, 6 + m))
     follows[:, :6] = 1.0
-    for row, link in enumerate(links):
-        name = carrier[link][0]
+    for row, name in enumerate([carrier[link][0] for link in links] + columns):
         while name is not None:
             follows[row, 6 + columns.index(name)] = 1.0
             name = parent[name]

@@ -1,10 +1,12 @@
 """All settings of a refinement in one value."""
 
 from dataclasses import dataclass, field
+from math import inf
 from typing import Literal
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.losses import Scales, Weights
+from grasp_refine.max_move import MaxMove
 from grasp_refine.solvers.adam import Adam
 from grasp_refine.solvers.descent import Descent
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -29,10 +31,16 @@ class Config:
     """How much each term of the loss counts."""
     scales: Scales = field(default_factory=Scales)
     """Which movements count the same where a grasp should stay near."""
+    max_move: MaxMove = field(default_factory=MaxMove)
+    """How far a grasp may be moved."""
+    starts: int = 6
+    """Without targets, Levenberg-Marquardt tries a grasp that may not hold from so many starts."""
     margin: float = 0.0
     """Contact margin in metres: the gap that contact links should keep."""
     tolerance: float = 1e-10
     """A grasp has converged when its loss (m^2) is below this; 1e-10 is a hundredth of a millimetre."""
+    seconds: float = inf
+    """Most CPU time for a grasp; what it has come to by then counts."""
     width: int = 256
     """Most grasps that Levenberg-Marquardt works on at once; those that are done make room for others."""
     seed: int = 0
@@ -48,9 +56,17 @@ class Config:
         Raises:
             GraspRefineError: a width below 1, or a number type or device that Levenberg-Marquardt does not have.
         """
-        if self.width < 1:
-            raise GraspRefineError(f"width must be at least 1, got {self.width}")
+        for name in ("width", "starts"):
+            if getattr(self, name) < 1:
+                raise GraspRefineError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if not self.seconds > 0.0:
+            raise GraspRefineError(f"seconds must be above 0, got {self.seconds:g}")
         if isinstance(self.solver, LevenbergMarquardt) and (self.dtype, self.device) != ("float64", "cpu"):
             raise GraspRefineError(
                 f"levenberg-marquardt runs in float64 on the cpu; {self.dtype} on {self.device} needs descent or adam"
             )
+
+    @property
+    def holds(self) -> bool:
+        """Whether grasps without targets should hold, and not just touch."""
+        return isinstance(self.solver, LevenbergMarquardt) and self.weights.wrench > 0.0

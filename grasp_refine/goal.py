@@ -29,6 +29,13 @@ class Goal:
     direction: np.ndarray | None = None
     """Wanted unit normals from link to object (N, L, 3), object frame; NaN: any. None: none is wanted."""
 
+    @staticmethod
+    def nothing(count: int, links: int) -> Goal:
+        """No link should touch anything."""
+        nowhere = np.full((count, links, 3), np.nan)
+        none = np.zeros((count, links), dtype=bool)
+        return Goal(none, nowhere, nowhere, np.zeros(count, dtype=np.int64), np.zeros(count))
+
     @property
     def aimed(self) -> np.ndarray:
         """Links (N, L) with a target."""

@@ -12,6 +12,7 @@ from grasp_refine.chain import Frames, moved
 from grasp_refine.collision.culling import motion, nothing_near, query_near
 from grasp_refine.collision.query import QueryStatus, Witness
 from grasp_refine.config import Config
+from grasp_refine.equilibrium import Equilibrium
 from grasp_refine.goal import Goal
 from grasp_refine.hand_object import HandObject
 from grasp_refine.losses import (
@@ -33,6 +34,7 @@ from grasp_refine.se3 import matvec, tangents, transform_points
 from grasp_refine.solvers.least_squares import Linear, Point
 from grasp_refine.solvers.levenberg_marquardt import bounded_step
 from grasp_refine.solvers.rows import NEAR, Rows
+from grasp_refine.wrench import ContactForces, center_of_mass
 
 ROOT_TURN, JOINT_TURN = 0.05, 0.04
 """A radian of the root, and of a joint, is as much movement as so many metres of the root."""
@@ -42,6 +44,9 @@ BOX = (0.05, 1.0, 0.5)
 
 NOISE = (0.01, 0.2, 0.1)
 """Standard deviations of new starts, in the same order."""
+
+SMOOTH = 0.008
+"""Radius in metres of the neighbourhoods in which normals of surfaces tell their curvature for the equilibrium."""
 
 REACHING, REACHING_DAMPING = 8, 1e-3
 """Steps of the position-only inverse kinematics before the first query, and their lambda."""
@@ -61,6 +66,8 @@ class Known:
     """Links and object (M, L)."""
     own: Witness
     """Pairs of links (M, S)."""
+    forces: ContactForces | None
+    """The best contact forces, where they count."""
 
 
 class GraspProblem:
@@ -80,6 +87,12 @@ class GraspProblem:
         self.gap_columns = np.flatnonzero((goal.touching & ~goal.aimed).any(axis=0))
         aims = len(self.aimed_columns) or goal.direction is not None
         self.curvatures = prepared.curvatures if aims else None
+        self.equilibrium = None
+        self.touching_columns = np.flatnonzero(goal.touching.any(axis=0))
+        if weights.wrench > 0 and not goal.aimed.any() and len(self.touching_columns):
+            self.equilibrium = Equilibrium.of(hand, self.chain, center_of_mass(scene.object))
+        if self.equilibrium is not None and self.curvatures is None:
+            self.curvatures = prepared.curvatures
         prismatic = np.array([hand.joints_by_name[name].kind == "prismatic" for name in hand.joint_names], dtype=bool)
         joints = np.where(prismatic, 1.0, JOINT_TURN**2)
         self.scales = np.concatenate([np.ones(3), np.full(3, ROOT_TURN**2), joints])
@@ -95,16 +108,21 @@ class GraspProblem:
         frames = self.chain(point.T, point.q)
         T = frames.T_world_link
         witness = self._against_object(member, T, previous)
-        loss = self._loss(member, point, T, witness)
+        loss, config = self._loss(member, point, T, witness), self.config
         # What will be rejected anyway need not be asked about the pairs of links.
         rejected = np.zeros(len(member), dtype=bool) if previous is None else loss >= previous.loss
+        forces = None
+        if self.equilibrium is not None:
+            forces = self.equilibrium.forces(self.goal.touching[member] & ~rejected[:, None], witness, frames)
+            loss = loss + config.weights.wrench * self.equilibrium.value(forces)
+            rejected = rejected if previous is None else loss >= previous.loss
         own = self._against_itself(T, previous, rejected)
         if self.own_pairs is not None:
             loss = loss + self.config.weights.self_penetration * (penetration(own) ** 2).sum(axis=1)
         asked = witness.asked.sum(axis=1) + own.asked.sum(axis=1)
         unknown = (witness.status > QueryStatus.FAR).any(axis=1) | (own.status > QueryStatus.FAR).any(axis=1)
         loss = np.where(unknown, np.nan, loss)
-        return Known(loss, asked, T, frames.axes, witness, own)
+        return Known(loss, asked, T, frames.axes, witness, own, forces)
 
     def linearize(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> Linear:
         """Residuals (M, m) and their derivatives; of what must not penetrate, only what is near has a row."""
@@ -125,6 +143,15 @@ class GraspProblem:
             points = self._lowest(known.T_link)
             rows.add_one_sided(plane_depth(points, normal, offset), plane_covectors(points, normal), weights.table)
         linear = rows.pulled(self.chain, Frames(known.T_link, known.axes))
+        if self.equilibrium is not None:
+            scale = np.sqrt(weights.wrench)
+            residual, jacobian = self._balance(member, known, width)
+            rest = None if linear.one_sided is None else np.zeros(residual.shape, dtype=bool)
+            linear = Linear(
+                np.concatenate([linear.residual, scale * residual], axis=1),
+                np.concatenate([linear.jacobian, scale * jacobian], axis=1),
+                None if rest is None else np.concatenate([linear.one_sided, rest], axis=1),
+            )
         if weights.stay_near == 0:
             return linear
         away, scale = self._away(member, point), np.sqrt(weights.stay_near)
@@ -148,21 +175,19 @@ class GraspProblem:
         return lower, upper
 
     def moved(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
-        """The grasps after steps; joints never leave their limits."""
-        hand = self.scene.hand
-        q = np.minimum(np.maximum(point.q + dx[:, 6:], hand.lower), hand.upper)
-        return Point(moved(point.T, dx[:, :6]), q)
+        """The grasps after steps; joints never leave their limits, and nothing goes farther than it may."""
+        return self.kept(member, Point(moved(point.T, dx[:, :6]), point.q + dx[:, 6:]))
+
+    def kept(self, member: np.ndarray, point: Point) -> Point:
+        """The grasps nearest to some that are within the limits and no farther from the initial ones than they may."""
+        scene = self.scene
+        T, q = self.config.max_move.kept(point.T, point.q, scene.T_world_root[member], scene.q[member])
+        return Point(T, np.minimum(np.maximum(q, scene.hand.lower), scene.hand.upper))
 
     def restarted(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
         """Noise on the best grasp and, every other time, on the present one; then inverse kinematics.
-
-        The noise depends on the initial grasp, not on its place among others.
         """
-        scene = self.scene
-        noise = np.empty((len(member), len(self.noise)))
-        for row, (m, k) in enumerate(zip(member.tolist(), start.tolist(), strict=True)):
-            key = crc32(scene.T_world_root[m].tobytes() + scene.q[m].tobytes())
-            noise[row] = self.noise * np.random.default_rng((self.config.seed, key, k)).normal(size=noise.shape[1])
+        noise = self.noise * drawn(self.scene, member, start, self.config.seed)
         return self.reached(member, self.moved(member, choose(start % 2 == 1, best, now), noise))
 
     def reached(self, member: np.ndarray, point: Point) -> Point:
@@ -272,7 +297,8 @@ class GraspProblem:
             E = tangents(np.where(w.valid[..., None], w.normal, [0.0, 0.0, 1.0]))
             miss_link = w.point_a - transform_points(T, goal.target_link[member][:, columns])
             miss_object = w.point_b - goal.target_object[member][:, columns]
-            K_link, K_object = self._curvatures(columns, T, w, E, miss_link, miss_object, width)
+            reach = np.stack([np.linalg.norm(miss, axis=-1) for miss in (miss_link, miss_object)])
+            K_link, K_object = self._curvatures(columns, T, w, E, reach, width)
             aimed = (goal.aimed[member][:, columns] & w.valid)[..., None]
             misses = [matvec(E.mT, np.where(aimed, miss, 0.0)) for miss in (miss_link, miss_object)]
             gap = np.where(aimed, w.distance[..., None] - config.margin, 0.0)
@@ -292,30 +318,54 @@ class GraspProblem:
             gap = contact_gap(w, touching, config.margin)
             rows.add(gap[..., None], covector[..., None, :], weights.contact, columns)
 
+    def _balance(self, member: np.ndarray, known: Known, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of the equilibrium."""
+        columns = self.touching_columns
+        w = known.witness.pairs(columns)
+        T = known.T_link[:, columns]
+        E = tangents(np.where(w.valid[..., None], w.normal, [0.0, 0.0, 1.0]))
+        K_link, K_object = self._curvatures(columns, T, w, E, np.full((2, *w.distance.shape), 0.5 * SMOOTH), width)
+        return self.equilibrium.rows(
+            known.forces, columns, w, Frames(known.T_link, known.axes), E, K_link, K_object
+        )
+
     def _curvatures(
         self,
         columns: np.ndarray,
         T: np.ndarray,
         w: Witness,
         E: np.ndarray,
-        miss_link: np.ndarray,
-        miss_object: np.ndarray,
+        reach: np.ndarray,
         width: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Curvatures (M, C, 2, 2) of links and object; where there are no witness points, they mean nothing."""
+        """Curvatures (M, C, 2, 2) of links and object; where there are no witness points, they mean nothing.
+
+        Where the `width` is 1, neighbourhoods have twice the radius `reach` (2, M, C), of links and object.
+        """
         shape = w.distance.shape
         item = np.flatnonzero(w.valid.reshape(-1))
         count = len(item)
-        miss = np.stack([np.linalg.norm(side.reshape(-1, 3)[item], axis=1) for side in (miss_link, miss_object)])
         K = self.curvatures.fit(
             np.tile(columns, shape[0])[item],
             T.reshape(-1, 4, 4)[item],
             np.broadcast_to(np.eye(4), (count, 4, 4)),
             w.reshape(-1).rows(item),
             E.reshape(-1, 3, 2)[item],
-            np.nan_to_num(miss),
+            np.nan_to_num(reach.reshape(2, -1)[:, item]),
             np.repeat(width, shape[1])[item],
         )
         every = np.broadcast_to(np.eye(2), (2, shape[0] * shape[1], 2, 2)).copy()
         every[0, item], every[1, item] = K
         return every[0].reshape(*shape, 2, 2), every[1].reshape(*shape, 2, 2)
+
+
+def drawn(scene: Scene, member: np.ndarray, number: np.ndarray, seed: int) -> np.ndarray:
+    """Standard normal numbers (M, 6 + n), the `number`-th (M,) of each grasp.
+
+    They depend on the initial grasp, not on its place among others.
+    """
+    noise = np.empty((len(member), 6 + scene.q.shape[1]))
+    for row, (m, k) in enumerate(zip(member.tolist(), number.tolist(), strict=True)):
+        key = crc32(scene.T_world_root[m].tobytes() + scene.q[m].tobytes())
+        noise[row] = np.random.default_rng((seed, key, k)).normal(size=noise.shape[1])
+    return noise

@@ -31,6 +31,8 @@ class Weights:
     levenberg-marquardt, limits hold exactly and this means nothing."""
     stay_near: float = 0.0
     """Of the movement from the initial grasp, whose units are those of `Scales`, in m^2."""
+    wrench: float = 1.6e-3
+    """Of what the best contact forces leave unbalanced, per unit of total pressure, in m^2; without targets only."""
     direction: float = 1e-3
     """Of contact normals that differ from wanted ones (1 - their cosine is half the square), in m^2."""
 

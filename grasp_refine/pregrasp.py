@@ -46,9 +46,7 @@ def opened(
         prepared: Of this hand and object, for their pairs of links; None: built here.
     """
     prepared = prepared or HandObject.of(scene)
-    N, L = len(scene.q), len(scene.links)
-    nowhere = np.full((N, L, 3), np.nan)
-    goal = Goal(np.zeros((N, L), dtype=bool), nowhere, nowhere, np.zeros(N, dtype=np.int64), np.zeros(N))
+    goal = Goal.nothing(len(scene.q), len(scene.links))
     scene = replace(scene, target_link=None, target_object=None, direction=None)
     config = Config(solver=SOLVER)
     problem = GraspProblem(scene, goal, config, _Padded(scene.hand, scene.object, prepared))

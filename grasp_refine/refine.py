@@ -1,7 +1,6 @@
 """Refinement: hands move until their links touch the object where they should, and penetrate nothing."""
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,18 +11,15 @@ from grasp_refine.errors import GraspRefineError
 from grasp_refine.goal import Goal, goal_of
 from grasp_refine.grasp_problem import GraspProblem
 from grasp_refine.hand_object import HandObject
+from grasp_refine.holding import hold
 from grasp_refine.objective import Objective
 from grasp_refine.scene import Scene
 from grasp_refine.solvers.first_order import descend
-from grasp_refine.solvers.least_squares import Minimum, Point, minimise
+from grasp_refine.solvers.least_squares import Minimum, Point, Progress, minimise
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.solvers.status import Status
 
 __all__ = ["Config", "Refinement", "Scene", "refine"]
-
-Progress = Callable[[int, int, float], None]
-"""Gets the number of finished grasps, the iteration, and the mean loss of the grasps still running (m^2)."""
-
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
@@ -51,6 +47,8 @@ class Refinement:
     """Share of the wall time of each grasp (N,), seconds."""
     cpu_s: np.ndarray
     """Share of the CPU time of each grasp (N,), seconds."""
+    starts: np.ndarray
+    """From how many starts each grasp was tried (N,)."""
 
 
 def refine(
@@ -82,13 +80,17 @@ def refine(
             f"what is prepared for {prepared.hand.name} and {prepared.object.name} is not for the scene's "
             f"{scene.hand.name} and {scene.object.name}"
         )
-    goal = goal_of(scene, config.touching, prepared, nearest=config.nearest)
-    status = np.full(len(scene.q), Status.RUNNING)
-    status[~goal.touching.any(axis=1)] = Status.NO_TARGET
     finite = np.isfinite(scene.T_world_root).all(axis=(1, 2)) & np.isfinite(scene.q).all(axis=1)
-    status[~finite] = Status.NOT_FINITE
-    solve = _least_squares if isinstance(config.solver, LevenbergMarquardt) else _first_order
-    found = solve(scene, prepared, goal, config, status, progress)
+    status = np.where(finite, Status.RUNNING, Status.NOT_FINITE)
+    starts = finite.astype(np.int64)
+    if config.holds and scene.target_link is None and not config.nearest:
+        held = hold(scene, prepared, config, status, progress)
+        goal, found, starts = held.goal, held.minimum, held.starts
+    else:
+        goal = goal_of(scene, config.touching, prepared, nearest=config.nearest)
+        status[finite & ~goal.touching.any(axis=1)] = Status.NO_TARGET
+        solve = _least_squares if isinstance(config.solver, LevenbergMarquardt) else _first_order
+        found = solve(scene, prepared, goal, config, status, progress)
     unreachable = np.isin(found.status, (Status.STALLED, Status.BUDGET))
     off_surface = config.weights.contact * goal.off_surface
     found.status[unreachable & (off_surface > max(config.tolerance, OFF_SURFACE))] = Status.UNREACHABLE
@@ -108,6 +110,7 @@ def refine(
         queries=goal.queries + found.queries,
         wall_s=found.wall_s + wall / count,
         cpu_s=found.cpu_s + cpu / count,
+        starts=starts,
     )
 
 
@@ -123,9 +126,10 @@ def _least_squares(
     rows = np.flatnonzero(status == Status.RUNNING)
     hand = scene.hand
     given = Point(scene.T_world_root, np.clip(scene.q, hand.lower, hand.upper))
+    limits = {"width": config.width, "seconds": config.seconds, "progress": progress}
     if not goal.aimed.any():
         solver = replace(solver, restarts=0)
-        return minimise(problem, given, solver, config.tolerance, status=status, width=config.width, progress=progress)
+        return minimise(problem, given, solver, config.tolerance, status=status, **limits)
     before, asked = np.full(len(status), np.nan), np.zeros(len(status), dtype=np.int64)
     for block in np.split(rows, range(config.width, len(rows), config.width)):
         known = problem.evaluate(block, take(given, block), None)
@@ -135,7 +139,7 @@ def _least_squares(
     start = Point(given.T.copy(), given.q.copy())
     reached = problem.reached(rows, take(given, rows))
     start.T[rows], start.q[rows] = reached.T, reached.q
-    found = minimise(problem, start, solver, config.tolerance, status=status, width=config.width, progress=progress)
+    found = minimise(problem, start, solver, config.tolerance, status=status, **limits)
     # The grasp as it came may still be the best.
     first = before <= found.loss[:, 1]
     found.status[first & (found.status == Status.NOT_FINITE)] = Status.STALLED

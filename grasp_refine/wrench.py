@@ -45,10 +45,14 @@ class ContactForces:
 
     residual: Float[np.ndarray, " N"]
     """Norm (N,) of [F, tau / `LENGTH`] of all contacts together, without unit; NaN where `solved` is not."""
+    unbalanced: Float[np.ndarray, "N R"]
+    """[F, tau / `LENGTH`] itself, with the load if there is one, then what of the extra forms is not 0 (N, 6 + E)."""
     force: Float[np.ndarray, "N K 3"]
     """Force (N, K, 3) of each link on the object, in the frame of the contacts; 0 without a contact, or unsolved."""
     pressure: Float[np.ndarray, "N K"]
     """Its part along the normal (N, K), at least 0; the pressures of a grasp sum to 1."""
+    local: Float[np.ndarray, "N K 3"]
+    """The same force along the normal and the two `se3.tangents` at it."""
     solved: Bool[np.ndarray, " N"]
     """Which grasps (N,) have forces: those with a contact, unless the solver gave up."""
 
@@ -60,6 +64,8 @@ def contact_forces(
     *,
     friction: float = PLANNING_FRICTION,
     ridge: float = RIDGE,
+    load: Float[np.ndarray, "N 6"] | Float[np.ndarray, " 6"] | None = None,
+    forms: Float[np.ndarray, "N E K 3"] | None = None,
 ) -> ContactForces:
     """The forces f_k that minimise |[F, tau / LENGTH]|^2 + ridge sum |f_k|^2, where F = sum f_k, tau = sum r_k x f_k.
 
@@ -74,25 +80,50 @@ def contact_forces(
         friction: Coefficient of friction.
         ridge: Weight of the squared forces, above 0: it makes the solution unique. What it costs is in the residual,
             about as much as itself.
+        load: What pushes at the object besides, [F, tau / `LENGTH`] per unit of total pressure; None: nothing.
+        forms: Other linear forms of the forces, sum a_ek . f_k, whose squares are minimised with the rest.
     """
     N, K = point.shape[:2]
     there = np.isfinite(point).all(axis=-1) & np.isfinite(normal).all(axis=-1)
-    n = np.where(there[..., None], normal, [0.0, 0.0, 1.0])
-    r = np.where(there[..., None], point - center, 0.0)
-    basis = np.concatenate([n[..., None], tangents(n)], axis=-1)
-    G = np.concatenate([basis, hat(r) @ basis / LENGTH], axis=-2) * there[..., None, None]
+    G, basis = grasp_map(point, normal, center, forms)
+    outer = np.zeros((N, G.shape[2]))
+    outer[:, :6] = 0.0 if load is None else load
     local, solved = np.zeros((N, K, 3)), np.zeros(N, dtype=bool)
     for count in np.unique(there.sum(axis=1)):
         # Grasps with equally many contacts share the constraints.
         rows = np.flatnonzero(there.sum(axis=1) == count)
         if count and len(rows):
             place = np.argsort(~there[rows], axis=1, kind="stable")[:, :count]
-            found, done = _balanced(G[rows[:, None], place], friction, ridge)
+            found, done = _balanced(G[rows[:, None], place], outer[rows], friction, ridge)
             local[rows[:, None], place], solved[rows] = found, done
     force = (basis @ local[..., None])[..., 0]
-    wrench = np.einsum("nkij,nkj->ni", G, local)
-    residual = np.where(solved, np.linalg.norm(wrench, axis=1), np.nan)
-    return ContactForces(residual, force, np.maximum(local[..., 0], 0.0), solved)
+    unbalanced = outer + (G @ local[..., None])[..., 0].sum(axis=1)
+    residual = np.where(solved, np.linalg.norm(unbalanced[:, :6], axis=1), np.nan)
+    return ContactForces(residual, unbalanced, force, np.maximum(local[..., 0], 0.0), local, solved)
+
+
+def grasp_map(
+    point: Float[np.ndarray, "N K 3"],
+    normal: Float[np.ndarray, "N K 3"],
+    center: Float[np.ndarray, " 3"],
+    forms: Float[np.ndarray, "N E K 3"] | None = None,
+) -> tuple[Float[np.ndarray, "N K R 3"], Float[np.ndarray, "N K 3 3"]]:
+    """What local forces come to, G (N, K, 6 + E, 3), and their directions (N, K, 3, 3) as columns.
+
+    Args:
+        point: As for `contact_forces`; what is no contact has a G of 0.
+        normal: As for `contact_forces`.
+        center: As for `contact_forces`.
+        forms: As for `contact_forces`.
+    """
+    there = np.isfinite(point).all(axis=-1) & np.isfinite(normal).all(axis=-1)
+    n = np.where(there[..., None], normal, [0.0, 0.0, 1.0])
+    r = np.where(there[..., None], point - center, 0.0)
+    basis = np.concatenate([n[..., None], tangents(n)], axis=-1)
+    parts = [basis, hat(r) @ basis / LENGTH]
+    if forms is not None:
+        parts.append(np.moveaxis(forms, 1, 2) @ basis)
+    return np.concatenate(parts, axis=-2) * there[..., None, None], basis
 
 
 def center_of_mass(obj: Object) -> Float[np.ndarray, " 3"]:
@@ -107,17 +138,17 @@ def center_of_mass(obj: Object) -> Float[np.ndarray, " 3"]:
 
 
 def _balanced(
-    G: Float[np.ndarray, "M C 6 3"], friction: float, ridge: float
+    G: Float[np.ndarray, "M C R 3"], outer: Float[np.ndarray, "M R"], friction: float, ridge: float
 ) -> tuple[Float[np.ndarray, "M C 3"], Bool[np.ndarray, " M"]]:
     """Forces (pressure and two tangents) of C contacts each, and whether they were found, one program per grasp."""
     M, C = G.shape[:2]
-    G = np.ascontiguousarray(np.moveaxis(G, 1, 2)).reshape(M, 6, 3 * C)
+    G = np.ascontiguousarray(np.moveaxis(G, 1, 2)).reshape(M, -1, 3 * C)
     H = G.mT @ G + ridge * np.eye(3 * C)
     rows, lower, upper, sense = _constraints(C, friction)
-    zero = np.zeros(3 * C)
+    g = (outer[:, None] @ G)[:, 0]
     local, solved = np.zeros((M, 3 * C)), np.zeros(M, dtype=bool)
     for m in range(M):
-        x, _, flag, _ = daqp.solve(H[m], zero, rows, upper, lower, sense)
+        x, _, flag, _ = daqp.solve(H[m], g[m], rows, upper, lower, sense)
         if flag == OPTIMAL:
             local[m], solved[m] = x, True
     return local.reshape(M, C, 3), solved

@@ -19,7 +19,7 @@ from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.shapes import EMBEDDED
 from grasp_refine.grasps import GraspSet, Targets, choose_rows, load_grasps, match_joints
 from grasp_refine.hand import Hand, list_hands, load_hand, needs_urdf
-from grasp_refine.objects import PRIMITIVE_FORMS, find_object, load_object
+from grasp_refine.objects import PRIMITIVE_FORMS, Object, find_object, load_object
 from grasp_refine.plane import Plane
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import transform_from_pose
@@ -32,6 +32,9 @@ EXAMPLE_HAND = "allegro"
 
 EXAMPLE_OBJECT = "mug"
 """The object of the example that is refined when nobody says what."""
+
+SAMPLE = "sample:"
+"""What --grasps begins with to mean so many grasps that are drawn, instead of a file."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class Sources:
     """All objects of the grasp file: a folder of meshes, or of folders of pieces, named like them, or a TOML file of
     lines name = "path"."""
     scale: float = 1.0
-    """Multiplies the scale that the grasp file gives for the mesh."""
+    """Multiplies the scale that the grasp file gives for the mesh, which is 1 for sampled grasps."""
     index: Annotated[tuple[int, ...], arg(metavar="I [I ...]", help_behavior_hint="(default: all)")] = ()
     """Which grasps of the object; 0 is its first one in the file."""
     table: Annotated[DisallowNone[float | None], arg(metavar="Z", help_behavior_hint="(default: none)")] = None
@@ -67,12 +70,7 @@ class Sources:
         Raises:
             GraspRefineError: something is missing, cannot be used, or does not fit the rest.
         """
-        if not (np.isfinite(self.scale) and self.scale > 0):
-            raise GraspRefineError(f"--scale must be positive and finite, got {self.scale:g}")
-        if self.table is not None and not np.isfinite(self.table):
-            raise GraspRefineError(f"--table must be a height in metres, got {self.table:g}")
-        table = None if self.table is None else Plane(offset=self.table)
-        decomposition = Decomposition(threshold=self.threshold)
+        self._check_numbers()
         grasps = load_grasps(path)
         names = self._names(grasps, path)
         chosen = {name: choose_rows(grasps, object_name=name, index=self.index or None) for name in names}
@@ -88,14 +86,29 @@ class Sources:
             scales = grasps.scale[rows] * self.scale
             for scale in np.unique(scales):
                 at = np.flatnonzero(scales == scale)
-                obj = load_object(
-                    sources[name], scale=float(scale), decomposition=decomposition, seed=seed, progress=say
-                )
+                obj = self._object(sources[name], float(scale), seed, say)
                 notes += [f"{name}: {note}" for note in obj.notes]
                 T = transform_from_pose(grasps.hand_pose[rows[at]])
-                scene = _aimed(Scene(hand, obj, T, q[rows[at]], table=table), targets, rows[at])
+                scene = _aimed(Scene(hand, obj, T, q[rows[at]], table=self._table()), targets, rows[at])
                 groups.append(Group(name, float(scale), scene, grasps.select(rows[at]), rows[at], index[at], place[at]))
         return Problem(hand, self._files(path), tuple(groups), tuple(dict.fromkeys(notes)))
+
+    def _check_numbers(self) -> None:
+        """Refuse a scale or a table that can mean nothing."""
+        if not (np.isfinite(self.scale) and self.scale > 0):
+            raise GraspRefineError(f"--scale must be positive and finite, got {self.scale:g}")
+        if self.table is not None and not np.isfinite(self.table):
+            raise GraspRefineError(f"--table must be a height in metres, got {self.table:g}")
+
+    def _table(self) -> Plane | None:
+        """The table, if there is one."""
+        return None if self.table is None else Plane(offset=self.table)
+
+    def _object(self, source: str | Path, scale: float, seed: int, say: Callable[[str], None]) -> Object:
+        """An object, cut as the options say."""
+        return load_object(
+            source, scale=scale, decomposition=Decomposition(threshold=self.threshold), seed=seed, progress=say
+        )
 
     def _files(self, path: Path) -> tuple[Path, ...]:
         """The files that grasps are read from."""
@@ -129,6 +142,10 @@ class Sources:
                 f"{path}: the grasps are for another hand ('{grasps.hand}'): from their base_link "
                 f"'{grasps.base_link}' on, no link of hand '{hand.name}' has collision geometry"
             )
+        return self._simulated(hand)
+
+    def _simulated(self, hand: Hand) -> Hand:
+        """The hand as it will be simulated."""
         # A file that is given is meant to be used.
         hand = hand if self.mjcf is None else replace(hand, collision="mjcf")
         if hand.collision == "mjcf" and hand.mjcf is not None:
@@ -177,8 +194,10 @@ class Sources:
 class Inputs(Sources):
     """What is refined."""
 
-    grasps: Annotated[DisallowNone[Path | None], arg(help_behavior_hint="(default: the hand's example)")] = None
-    """Grasp file (.npz)."""
+    grasps: Annotated[
+        DisallowNone[Path | None], arg(metavar="FILE|sample:N", help_behavior_hint="(default: the hand's example)")
+    ] = None
+    """Grasp file (.npz); or sample:N, as in sample:32, for N new grasps of --hand on --object, which --seed varies."""
     targets: str = AUTO
     """Where links should touch: a grasp file with targets; auto: as --grasps says, else anywhere; or nearest: where
     they are nearest to the object at first."""
@@ -189,7 +208,36 @@ class Inputs(Sources):
         Raises:
             GraspRefineError: something is missing, cannot be used, or does not fit the rest.
         """
+        if str(self.grasps).startswith(SAMPLE):
+            return self._sampled(str(self.grasps), seed, say)
         return self.load_from(self.grasps if self.grasps is not None else self._example(), seed, say)
+
+    def _sampled(self, asked: str, seed: int, say: Callable[[str], None]) -> Problem:
+        """New grasps, as many as `asked` says."""
+        from grasp_refine.grasp_sampling import sample_grasps
+
+        count = asked.removeprefix(SAMPLE)
+        if not (count.isascii() and count.isdigit() and int(count)):
+            raise GraspRefineError(f"--grasps {asked}: {SAMPLE}N needs a whole number N from 1 on, as in {SAMPLE}32")
+        if self.objects is not None or self.object_name is not None:
+            raise GraspRefineError(f"--objects and --object-name are for grasp files; --grasps {asked} needs --object")
+        if self.hand is None or self.object is None:
+            raise GraspRefineError(f"--grasps {asked} needs to know of what: give --hand and --object")
+        if self.targets not in (AUTO, NEAREST):
+            raise GraspRefineError(f"--targets {self.targets}: has no rows for the grasps of --grasps {asked}")
+        self._check_numbers()
+        hand = self._simulated(load_hand(self.hand, urdf=self.urdf, mjcf=self.mjcf))
+        obj, table = self._object(self.object, self.scale, seed, say), self._table()
+        grasps = sample_grasps(hand, obj, int(count), seed=seed, table=table)
+        notes = [*hand.notes, *(f"{obj.name}: {note}" for note in obj.notes)]
+        if len(grasps) < int(count):
+            notes.append(f"only {len(grasps)} of {count} grasps of '{hand.name}' on '{obj.name}' were found")
+        grasps = replace(grasps, scale=np.full(len(grasps), self.scale))
+        rows = choose_rows(grasps, object_name=None, index=self.index or None)
+        grasps = grasps.select(rows)
+        scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), grasps.q, table=table)
+        group = Group(obj.name, self.scale, scene, grasps, rows, rows, np.arange(len(rows)))
+        return Problem(hand, (hand.urdf,), (group,), tuple(dict.fromkeys(notes)))
 
     def _files(self, path: Path) -> tuple[Path, ...]:
         return (path,) if self.targets in (AUTO, NEAREST) else (path, Path(self.targets))

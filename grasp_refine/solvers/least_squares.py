@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -19,6 +20,9 @@ from grasp_refine.solvers.status import Status
 
 WIDTH = 2048
 """Most members that are worked on at once."""
+
+Progress = Callable[[int, int, float], None]
+"""Gets the number of finished members, the iteration, and the mean loss of the members still running."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +142,8 @@ def minimise(
     *,
     status: np.ndarray | None = None,
     width: int = WIDTH,
-    progress: Callable[[int, int, float], None] | None = None,
+    seconds: float | np.ndarray = inf,
+    progress: Progress | None = None,
 ) -> Minimum:
     """Minimise all members.
 
@@ -149,11 +154,13 @@ def minimise(
         tolerance: A member has converged when its loss is below this.
         status: Members (N,) with another status than RUNNING are left out.
         width: Most members that are worked on at once.
+        seconds: A member whose share of the CPU time is above this, a number for all or for each (N,), ends.
         progress: Called after each iteration with the number of finished members, the iteration, and the mean
             best loss of those still running.
     """
     count = len(start.T)
-    run = _Run(problem, solver, tolerance, start, np.full(count, Status.RUNNING) if status is None else status.copy())
+    status = np.full(count, Status.RUNNING) if status is None else status.copy()
+    run = _Run(problem, solver, tolerance, np.broadcast_to(seconds, count), start, status)
     waiting = np.flatnonzero(run.status == Status.RUNNING)
     slots: _Slots | None = None
     iteration = 0
@@ -188,10 +195,17 @@ class _Run:
     """The accounts of all members, and the parts of an iteration."""
 
     def __init__(
-        self, problem: Problem, solver: LevenbergMarquardt, tolerance: float, start: Point, status: np.ndarray
+        self,
+        problem: Problem,
+        solver: LevenbergMarquardt,
+        tolerance: float,
+        seconds: np.ndarray,
+        start: Point,
+        status: np.ndarray,
     ) -> None:
         count = len(start.T)
-        self.problem, self.solver, self.tolerance, self.status = problem, solver, tolerance, status
+        self.problem, self.solver, self.status = problem, solver, status
+        self.tolerance, self.seconds = tolerance, seconds
         self.best = Point(start.T.copy(), start.q.copy())
         self.best_loss, self.first_loss = np.full(count, np.inf), np.full(count, np.nan)
         self.iterations, self.queries = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
@@ -249,7 +263,7 @@ class _Run:
         best = self.best_loss[member]
         fell = best < (1.0 - solver.progress) * self.best_mark[member]
         self.best_mark[member[fell]], self.best_at[member[fell]] = best[fell], self.iterations[member[fell]]
-        spent = self.iterations[member] >= solver.iterations
+        spent = (self.iterations[member] >= solver.iterations) | (self.cpu_s[member] >= self.seconds[member])
         idle = self.iterations[member] - self.best_at[member] >= solver.last_patience
         ends = (
             (spent, Status.BUDGET),

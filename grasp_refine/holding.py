@@ -1,0 +1,235 @@
+"""Grasps that hold: contacts that touch and whose forces balance, found from one start or several.
+
+Each attempt goes through `STAGES`, which choose anew what touches. The best attempt by `quality.score` counts, without
+any simulation: first the grasp as it came with its contacts closed, then with forces that balance, and then, where it
+is still not good, from starts nearby.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from grasp_refine.batch import join, take
+from grasp_refine.collision.query import query
+from grasp_refine.config import Config
+from grasp_refine.goal import Goal, goal_of
+from grasp_refine.grasp_problem import GraspProblem, drawn
+from grasp_refine.hand_object import HandObject
+from grasp_refine.losses import Weights
+from grasp_refine.quality import quality
+from grasp_refine.scene import Scene
+from grasp_refine.se3 import exp_so3, matvec
+from grasp_refine.solvers.least_squares import Minimum, Point, Progress, minimise
+from grasp_refine.solvers.status import Status
+from grasp_refine.squeeze import CONTACTS
+from grasp_refine.targets import Touching
+
+GOOD = 0.06
+"""A grasp with at most this score is not tried from another start."""
+
+TURN, SHIFT, JOINTS = 0.25, 0.008, 0.1
+"""Standard deviations of other starts: about each axis through the contacts in radians, in metres, of joints."""
+
+TOGETHER = 16
+"""As many members as are worked on at once at least, by trying several starts of few grasps."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of the way to a grasp."""
+
+    iterations: int
+    """Most iterations."""
+    farther: tuple[float, float] = (0.0, 0.0)
+    """How much farther than in the end contact links, and other links, may be to be drawn in, in metres."""
+    soft: float = 1.0
+    """Factor of the weights of what must not penetrate: while contacts slide, it may a little."""
+    balance: bool = True
+    """Whether forces should balance."""
+
+    def touching(self, touching: Touching) -> Touching:
+        """What touches, given what does in the end."""
+        tips, others = self.farther
+        return replace(touching, reach=touching.reach + tips, reach_others=touching.reach_others + others)
+
+    def weights(self, weights: Weights) -> Weights:
+        """The weights, given those of the end."""
+        return replace(
+            weights,
+            penetration=self.soft * weights.penetration,
+            self_penetration=self.soft * weights.self_penetration,
+            wrench=weights.wrench if self.balance else 0.0,
+        )
+
+
+SLIDE = Stage(25, farther=(0.01, 0.005), soft=0.01)
+SETTLE = Stage(15)
+CLOSE = Stage(20, balance=False)
+STAGES = (SLIDE, SETTLE, CLOSE)
+"""Contacts slide to where forces balance; they settle without penetration; last, by geometry alone, gaps close."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """What came out for N grasps."""
+
+    minimum: Minimum
+    goal: Goal
+    """What touches at last."""
+    starts: np.ndarray
+    """From how many starts each grasp was tried (N,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """M grasps after all stages."""
+
+    minimum: Minimum
+    goal: Goal
+    score: np.ndarray
+    """What speaks against them (M,), infinite where nothing came out."""
+
+
+def hold(
+    scene: Scene, prepared: HandObject, config: Config, status: np.ndarray, progress: Progress | None = None
+) -> Held:
+    """Refine grasps so that they hold.
+
+    Args:
+        scene: Hand, object and grasps; without targets.
+        prepared: Of the hand and the object.
+        config: Settings, for Levenberg-Marquardt.
+        status: Grasps (N,) with another status than RUNNING are left out.
+        progress: As for `minimise`.
+    """
+    search = _Search(scene, prepared, config, status, progress)
+    rows = np.flatnonzero(status == Status.RUNNING)
+    search.take(rows, search.attempt(rows, search.given(rows), (CLOSE,)))
+    rows = search.unsatisfied(rows)
+    search.take(rows, search.attempt(rows, search.given(rows), STAGES))
+    number = np.ones(len(status), dtype=np.int64)
+    while len(rows := search.unsatisfied(rows[number[rows] < config.starts])):
+        # What one grasp comes to does not depend on how many starts are tried at once: the first good one counts.
+        each = np.minimum(config.starts - number[rows], max(1, TOGETHER // len(rows)))
+        member = np.repeat(rows, each)
+        start = np.concatenate([np.arange(first, first + count) for first, count in zip(number[rows], each, strict=True)])
+        found = search.attempt(member, search.disturbed(member, start), STAGES)
+        for k in range(int(each.max(initial=0))):
+            at = np.flatnonzero(start == number[member] + k)
+            at = at[np.isin(member[at], search.unsatisfied(rows))]
+            search.take(member[at], take(found, at))
+        number[rows] += each
+    return search.held()
+
+
+class _Search:
+    """The best attempt at each grasp so far, and what all cost."""
+
+    def __init__(
+        self, scene: Scene, prepared: HandObject, config: Config, status: np.ndarray, progress: Progress | None
+    ) -> None:
+        N, L = len(scene.q), len(scene.links)
+        self.scene, self.prepared, self.config, self.progress = scene, prepared, config, progress
+        self.q = np.clip(scene.q, scene.hand.lower, scene.hand.upper)
+        self.iterations, self.queries, self.starts = np.zeros((3, N), dtype=np.int64)
+        self.cpu, self.wall = np.zeros((2, N))
+        self.ticks = 0
+        point = Point(scene.T_world_root.copy(), self.q.copy())
+        minimum = Minimum(point, np.full((N, 2), np.nan), status.copy(), self.iterations, self.queries, self.cpu, self.wall)
+        goal = replace(Goal.nothing(N, L), direction=scene.direction)
+        self.best = _Attempt(minimum, goal, np.full(N, np.inf))
+
+    def given(self, rows: np.ndarray) -> Point:
+        """The grasps as they came."""
+        return Point(self.scene.T_world_root[rows], self.q[rows])
+
+    def disturbed(self, member: np.ndarray, number: np.ndarray) -> Point:
+        """Starts near the grasps: the hand turned about the middle of its contacts, shifted, with other joint values."""
+        noise = drawn(self.scene, member, number, self.config.seed)
+        given = self.given(member)
+        T = self.prepared.chain(given.T, given.q).T_world_link
+        touching = self.best.goal.touching[member][..., None]
+        middle = np.where(touching, T[..., :3, 3], 0.0).sum(axis=1) / np.maximum(touching.sum(axis=1), 1)
+        R = exp_so3(TURN * noise[:, 3:6])
+        T = given.T.copy()
+        T[:, :3, :3] = R @ given.T[:, :3, :3]
+        T[:, :3, 3] = middle + matvec(R, given.T[:, :3, 3] - middle) + SHIFT * noise[:, :3]
+        return Point(T, given.q + JOINTS * noise[:, 6:])
+
+    def unsatisfied(self, rows: np.ndarray) -> np.ndarray:
+        """Those of the grasps that could be better, and may still cost something."""
+        return rows[(self.best.score[rows] > GOOD) & (self.cpu[rows] < self.config.seconds)]
+
+    def take(self, rows: np.ndarray, found: _Attempt) -> None:
+        """Account for attempts at different grasps, and keep what is better than what there was."""
+        self.starts[rows] += 1
+        better = found.score < self.best.score[rows]
+        never = self.best.minimum.status[rows] == Status.RUNNING
+        kept = rows[better | never]
+        place = np.arange(len(self.starts))
+        place[kept] = len(place) + np.flatnonzero(better | never)
+        self.best = take(join(self.best, found), place)
+
+    def attempt(self, rows: np.ndarray, start: Point, stages: tuple[Stage, ...]) -> _Attempt:
+        """The grasps `rows` from some starts, through some stages."""
+        scene, prepared = self._scene(rows), self.prepared
+        nothing = Goal.nothing(len(rows), len(scene.links))
+        point = GraspProblem(scene, nothing, self.config, prepared).kept(np.arange(len(rows)), start)
+        for stage in stages:
+            found, goal = self._through(stage, scene, rows, point)
+            point = found.point
+        frames = prepared.chain(point.T, point.q)
+        T = frames.T_world_link
+        witness = query(
+            prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=CONTACTS.cutoff(scene.hand, scene.links)
+        )
+        score = quality(scene.hand, scene.object, prepared.chain, frames, witness).score
+        usable = ~np.isin(found.status, (Status.NO_TARGET, Status.NOT_FINITE))
+        return _Attempt(found, goal, np.where(usable, score, np.inf))
+
+    def _through(self, stage: Stage, scene: Scene, rows: np.ndarray, start: Point) -> tuple[Minimum, Goal]:
+        """The grasps `rows`, which are those of the scene, after a stage, and what should touch in it."""
+        config, prepared = self.config, self.prepared
+        wall, cpu = time.perf_counter(), time.process_time()
+        now = replace(scene, T_world_root=start.T, q=start.q)
+        goal = goal_of(now, stage.touching(config.touching), prepared)
+        problem = GraspProblem(scene, goal, replace(config, weights=stage.weights(config.weights)), prepared)
+        solver = replace(config.solver, restarts=0, iterations=min(config.solver.iterations, stage.iterations))
+        status = np.where(goal.touching.any(axis=1), Status.RUNNING, Status.NO_TARGET)
+        left = config.seconds - self.cpu[rows]
+        found = minimise(
+            problem, start, solver, config.tolerance, status=status, width=config.width, seconds=left, progress=self._tell
+        )
+        share = 1.0 / max(len(rows), 1)
+        np.add.at(self.iterations, rows, found.iterations)
+        np.add.at(self.queries, rows, found.queries + goal.queries)
+        np.add.at(self.cpu, rows, (time.process_time() - cpu) * share)
+        np.add.at(self.wall, rows, (time.perf_counter() - wall) * share)
+        return found, goal
+
+    def _tell(self, finished: int, iteration: int, loss: float) -> None:
+        """Which grasps are good is known after an attempt only."""
+        self.ticks += 1
+        if self.progress is not None:
+            self.progress(int((self.best.score <= GOOD).sum()), self.ticks, loss)
+
+    def _scene(self, rows: np.ndarray) -> Scene:
+        scene = self.scene
+        direction = None if scene.direction is None else scene.direction[rows]
+        return replace(scene, T_world_root=scene.T_world_root[rows], q=self.q[rows], direction=direction)
+
+    def held(self) -> Held:
+        """The best of all attempts, with the account of all; losses are by all terms, for what touches at last."""
+        found, goal = self.best.minimum, self.best.goal
+        rows = np.flatnonzero(np.isfinite(self.best.score))
+        loss = np.full((len(self.starts), 2), np.nan)
+        problem = GraspProblem(self._scene(rows), take(goal, rows), self.config, self.prepared)
+        for column, point in enumerate((self.given(rows), take(found.point, rows))):
+            loss[rows, column] = problem.evaluate(np.arange(len(rows)), point, None).loss
+        minimum = replace(
+            found, loss=loss, iterations=self.iterations, queries=self.queries, cpu_s=self.cpu, wall_s=self.wall
+        )
+        return Held(minimum, goal, self.starts)

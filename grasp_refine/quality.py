@@ -1,0 +1,73 @@
+"""Quality of grasps: a verdict on whether they will hold, from contact points and normals alone, without simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.chain import Chain, Frames
+from grasp_refine.collision.query import Witness
+from grasp_refine.equilibrium import Equilibrium
+from grasp_refine.hand import Hand
+from grasp_refine.objects import Object
+from grasp_refine.squeeze import contacts
+from grasp_refine.wrench import center_of_mass, contact_forces
+
+SLIPPERY = 0.1
+"""Friction with which the forces should still balance: less than what they are planned with."""
+
+PUSH = 0.2
+"""Outer force that the contacts should balance too, in each of six directions, per unit of total pressure."""
+
+DEEP = 0.01
+"""Penetration in metres that counts as much as forces that do not balance at all."""
+
+PUSHES = PUSH * np.concatenate([np.eye(3, 6), -np.eye(3, 6)])
+"""The outer forces (6, 6), as loads of `contact_forces`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """What speaks against each of N grasps, all without unit and 0 at best; NaN where a grasp has no forces."""
+
+    slippery: Float[np.ndarray, " N"]
+    """Wrench residual (N,) with friction `SLIPPERY`."""
+    pushed: Float[np.ndarray, " N"]
+    """Mean wrench residual (N,) under `PUSHES`, of forces that the actuators can make."""
+    deep: Float[np.ndarray, " N"]
+    """Deepest penetration of hand and object (N,), over `DEEP`."""
+
+    @property
+    def score(self) -> Float[np.ndarray, " N"]:
+        """Sum of all (N,); infinite where a grasp has no forces."""
+        total = np.sum([getattr(self, field.name) for field in fields(self)], axis=0)
+        return np.where(np.isnan(total), np.inf, total)
+
+    @property
+    def value(self) -> Float[np.ndarray, " N"]:
+        """The quality 1 / (1 + score) (N,), in [0, 1]: higher is better, 0 where a grasp has no forces."""
+        return 1.0 / (1.0 + self.score)
+
+
+def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witness) -> Quality:
+    """The quality of N grasps.
+
+    Args:
+        hand: The hand.
+        obj: The object, at the origin of the frame in which the witness points are.
+        chain: Kinematics of the L links; of a link that comes several times the first counts.
+        frames: Where the links are.
+        witness: Witness points (N, L) of links and object, at least of those that are near enough to be contacts.
+    """
+    point, normal = contacts(hand, chain.links, witness)
+    center = center_of_mass(obj)
+    forms = Equilibrium.of(hand, chain, center).torque_forms(np.nan_to_num(point), frames)
+    pushed = [contact_forces(point, normal, center, load=load, forms=forms).residual for load in PUSHES]
+    depth = np.where(witness.valid, -witness.distance, 0.0).max(axis=1, initial=0.0)
+    return Quality(
+        slippery=contact_forces(point, normal, center, friction=SLIPPERY).residual,
+        pushed=np.mean(pushed, axis=0),
+        deep=depth / DEEP,
+    )
