@@ -26,11 +26,12 @@ COMMANDS = {
     "hands": "the hands that come with the program, or what a URDF is read as",
     "bench align": "run time against error of witness derivatives: the experiments of the paper",
     "bench grasp": "how accurate and how fast grasps are refined, by solver and batch size",
+    "bench hold": "run time against success: how many grasps hold after refinement, by method",
     "doctor": "what is installed here, what is missing, and what this machine can do",
 }
 """Name of each command -> what it does."""
 
-WITH_MUJOCO = ("run", "validate", "bench align", "bench grasp")
+WITH_MUJOCO = ("run", "validate", "bench align", "bench grasp", "bench hold")
 """Commands that load MuJoCo, or pytorch-kinematics, which does: that fails with a traceback if `MUJOCO_GL` is wrong."""
 
 BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141

@@ -18,7 +18,7 @@ from grasp_refine.collision.query import Witness
 from grasp_refine.hand import Hand
 from grasp_refine.se3 import cross, hat, matvec
 from grasp_refine.witness.contact_kinematics import slide
-from grasp_refine.wrench import EDGES, LENGTH, MOST, PLANNING_FRICTION, RIDGE, ContactForces, contact_forces, grasp_map
+from grasp_refine.wrench import EDGES, LENGTH, MOST, PLANNING_FRICTION, RIDGE, basis_spin, contact_forces, grasp_map
 
 LEVER = 0.06
 """A torque that the joints of one actuator cannot share counts like the force that makes it at this lever, metres."""
@@ -26,8 +26,38 @@ LEVER = 0.06
 ACTIVE = 1e-7
 """A constraint on forces is active where it holds with equality to within this, per unit of total pressure."""
 
+PUSH = 0.2
+"""Outer force that contacts should balance too, per unit of total pressure."""
+
+LOADS = np.concatenate(
+    [PUSH / np.sqrt(3.0) * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]), np.zeros((4, 3))], 1
+)
+"""Loads (4, 6) under which forces should balance: pushes to the corners of a tetrahedron.
+
+Their mean is no load: what is balanced under all of them is balanced without any, too."""
+
 HOPELESS = 1.0
 """Value of a grasp without contacts, or whose program is not solved: that of a single contact."""
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """The best contact forces of M grasps under each of P loads, over L links; what they leave is unbalanced."""
+
+    unbalanced: np.ndarray
+    """[F, tau / `LENGTH`] with the load, then the torques that no actuator can make (M, P, 6 + E)."""
+    force: np.ndarray
+    """Force of each link on the object (M, P, L, 3), world frame."""
+    local: np.ndarray
+    """The same along the normal and its tangents."""
+    solved: np.ndarray
+    """Where there are forces (M, P)."""
+
+    @property
+    def value(self) -> Float[np.ndarray, " M"]:
+        """Mean over the loads of the squares of what is unbalanced and, times `RIDGE`, of the forces (M,)."""
+        squares = (self.unbalanced**2).sum(axis=-1) + RIDGE * (self.local**2).sum(axis=(-2, -1))
+        return np.where(self.solved, squares, HOPELESS).mean(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +72,16 @@ class Equilibrium:
     """The object's centre of mass, world frame."""
     forms: Float[np.ndarray, "E m"]
     """Combinations of torques (about the chain's joints, in N m) that the actuators cannot make, over `LEVER`."""
+    loads: Float[np.ndarray, "P 6"]
+    """What pushes at the object, as for `contact_forces`."""
     friction: float = PLANNING_FRICTION
 
     @staticmethod
     def of(hand: Hand, chain: Chain, center: np.ndarray, friction: float = PLANNING_FRICTION) -> Equilibrium:
         """That of a hand's grasps."""
-        return Equilibrium(chain, center, _impossible(hand, chain) / LEVER, friction)
+        return Equilibrium(chain, center, _impossible(hand, chain) / LEVER, LOADS, friction)
 
-    def forces(self, touching: Bool[np.ndarray, "M L"], witness: Witness, frames: Frames) -> ContactForces:
+    def forces(self, touching: Bool[np.ndarray, "M L"], witness: Witness, frames: Frames) -> Balance:
         """The best forces of the links that touch, over the columns of all links.
 
         Args:
@@ -60,17 +92,16 @@ class Equilibrium:
         there = (touching & witness.valid)[..., None]
         point, normal = (np.where(there, side, np.nan) for side in (witness.point_b, witness.normal))
         forms = self.torque_forms(np.where(there, witness.point_b, 0.0), frames)
-        return contact_forces(point, normal, self.center, friction=self.friction, forms=forms)
-
-    @staticmethod
-    def value(forces: ContactForces) -> Float[np.ndarray, " M"]:
-        """Sum of the squares of what is unbalanced and, times `RIDGE`, of the forces (M,)."""
-        squares = (forces.unbalanced**2).sum(axis=1) + RIDGE * (forces.local**2).sum(axis=(1, 2))
-        return np.where(forces.solved, squares, HOPELESS)
+        found = [
+            contact_forces(point, normal, self.center, friction=self.friction, load=load, forms=forms)
+            for load in self.loads
+        ]
+        parts = ("unbalanced", "force", "local", "solved")
+        return Balance(*(np.stack([getattr(one, part) for one in found], axis=1) for part in parts))
 
     def rows(
         self,
-        forces: ContactForces,
+        balance: Balance,
         columns: np.ndarray,
         witness: Witness,
         frames: Frames,
@@ -78,10 +109,10 @@ class Equilibrium:
         K_link: np.ndarray,
         K_object: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (M, 6 + E) and their derivative (M, 6 + E, 6 + n) in root twist and joint values.
+        """Residuals (M, P (6 + E)) and their derivative (..., 6 + n) in root twist and joint values.
 
         Args:
-            forces: What `forces` gave.
+            balance: What `forces` gave.
             columns: The links (C,) that push in any of the grasps.
             witness: Witness points of these (M, C).
             frames: Where the links are.
@@ -90,25 +121,29 @@ class Equilibrium:
             K_object: Curvatures of the object.
         """
         M, C = witness.distance.shape
-        local = forces.local[:, columns]
-        pushing = (local[..., 0] > 0)[..., None]
-        p, n = (np.where(pushing, side, fill) for side, fill in ((witness.point_b, 0.0), (witness.normal, [0, 0, 1.0])))
-        f = np.where(pushing, forces.force[:, columns], 0.0)
-        point, force = (np.where(pushing[..., None], part, 0.0) for part in _carried(witness, E, K_link, K_object, n, f))
-        # d(r x f) = dr x f + r x df
-        moment = hat(p - self.center) @ force - hat(f) @ point
-        covector = np.concatenate([force, moment / LENGTH], axis=-2).reshape(M, C * 6, 6)
-        J = self.chain.pull(frames, covector, np.repeat(columns, 6)).reshape(M, C, 6, -1).sum(axis=1)
+        P = len(self.loads)
+        local, f = balance.local[:, :, columns], balance.force[:, :, columns]
+        there = (witness.valid & (local[..., 0] > 0).any(axis=1))[..., None]
+        p, n = (np.where(there, side, fill) for side, fill in ((witness.point_b, 0.0), (witness.normal, [0, 0, 1.0])))
+        sliding = (np.where(there[..., None], part, 0.0) for part in _sliding(witness, E, K_link, K_object, n))
+        point, turn = (part[:, None] for part in sliding)
+        # df = Omega x f, d(r x f) = dr x f + r x df
+        force = -hat(f) @ turn
+        moment = hat(p - self.center)[:, None] @ force - hat(f) @ point
+        covector = np.concatenate([force, moment / LENGTH], axis=-2).reshape(M, P * C * 6, 6)
+        J = self.chain.pull(frames, covector, np.tile(np.repeat(columns, 6), P)).reshape(M, P, C, 6, -1).sum(axis=2)
         if len(self.forms):
-            J = np.concatenate([J, self._torque_rows(frames, columns, p, f, point, force)], axis=1)
-        forms = self.torque_forms(p, frames, columns)
-        place = np.where(pushing, p, np.nan)
-        G, _ = grasp_map(place, n, self.center, forms)
+            changed = np.concatenate([force, hat(p)[:, None] @ force - hat(f) @ point], axis=-2)
+            J = np.concatenate([J, self._torque_rows(frames, columns, p, f, changed)], axis=2)
+        G, _ = grasp_map(np.where(there, p, np.nan), n, self.center, self.torque_forms(p, frames, columns))
         values, vectors = np.linalg.eigh(_given_way(G, local, self.friction))
-        root = np.sqrt(1.0 + np.maximum(values, 0.0) / RIDGE)
-        stiff = (vectors / root[:, None]) @ vectors.mT
-        soft = (vectors * root[:, None]) @ vectors.mT
-        return matvec(soft, forces.unbalanced), stiff @ J
+        root = np.sqrt(1.0 + np.maximum(values, 0.0) / RIDGE)[..., None, :]
+        share = 1.0 / np.sqrt(P)
+        residual = matvec((vectors * root) @ vectors.mT, balance.unbalanced)
+        stiff = (vectors / root) @ vectors.mT @ J
+        solved = balance.solved[..., None]
+        residual, stiff = np.where(solved, residual, 0.0), np.where(solved[..., None], stiff, 0.0)
+        return share * residual.reshape(M, -1), share * stiff.reshape(M, residual.shape[1] * residual.shape[2], -1)
 
     def torque_forms(
         self, p: Float[np.ndarray, "M C 3"], frames: Frames, columns: np.ndarray | None = None
@@ -130,67 +165,66 @@ class Equilibrium:
         return np.einsum("ej,mcij->meci", self.forms, velocity)
 
     def _torque_rows(
-        self, frames: Frames, columns: np.ndarray, p: np.ndarray, f: np.ndarray, point: np.ndarray, force: np.ndarray
+        self, frames: Frames, columns: np.ndarray, p: np.ndarray, f: np.ndarray, changed: np.ndarray
     ) -> np.ndarray:
-        """Derivative (M, E, 6 + n) of the combinations of torques, S . W summed over the forces' wrenches W."""
-        chain, links = self.chain, len(self.chain.links)
-        m, C = len(chain.joints), len(columns)
+        """Derivative (M, P, E, 6 + n) of the combinations of torques, S . W summed over the forces' wrenches W.
+
+        `changed` is that of the wrenches W = (f, p x f) about the world's origin, in the twists of the links.
+        """
+        chain, m = self.chain, len(self.chain.joints)
+        M, P, C = f.shape[:3]
         S = frames.axes[..., 6:].mT
-        joint_follows = chain.followed(columns)[:, 6:]
-        W = np.concatenate([f, np.cross(p, f)], axis=-1)
-        total = np.einsum("cj,mcw->mjw", joint_follows, W)
-        force_of, moment_of, slide_of, turn = total[..., :3], total[..., 3:], S[..., :3], S[..., 3:]
-        moved = np.concatenate([np.cross(turn, force_of), np.cross(slide_of, force_of) + np.cross(turn, moment_of)], -1)
-        by_axes = chain.pull(frames, moved, links + np.arange(m))
-        changed = np.concatenate([force, hat(p) @ force - hat(f) @ point], axis=-2)
-        pulled = chain.pull(frames, changed.reshape(len(p), C * 6, 6), np.repeat(columns, 6))
-        pulled = pulled.reshape(len(p), C, 6, -1)
-        by_wrench = np.einsum("mjw,cj,mcwx->mjx", S, joint_follows, pulled)
-        return self.forms @ (by_axes + by_wrench)
+        follows = chain.followed(columns)[:, 6:]
+        W = np.concatenate([f, np.cross(p[:, None], f)], axis=-1)
+        force, moment = np.split((follows.T @ W).reshape(M, P, m, 6), 2, axis=-1)
+        slide, turn = S[:, None, :, :3], S[:, None, :, 3:]
+        # An axis moves with what carries it: d(S . W) = (turn x force) . v + (slide x force + turn x moment) . w.
+        moved = np.concatenate([np.cross(turn, force), np.cross(slide, force) + np.cross(turn, moment)], axis=-1)
+        carried = np.tile(len(chain.links) + np.arange(m), P)
+        by_axes = chain.pull(frames, moved.reshape(M, P * m, 6), carried).reshape(M, P, m, -1)
+        pulled = chain.pull(frames, changed.reshape(M, P * C * 6, 6), np.tile(np.repeat(columns, 6), P))
+        # sum over contacts c of forms S follows[c] . dW_c
+        weight = np.einsum("ej,mjw,cj->mecw", self.forms, S, follows).reshape(M, 1, len(self.forms), C * 6)
+        return self.forms @ by_axes + weight @ pulled.reshape(M, P, C * 6, -1)
 
 
-def _carried(
-    witness: Witness, E: np.ndarray, K_link: np.ndarray, K_object: np.ndarray, n: np.ndarray, f: np.ndarray
+def _sliding(
+    witness: Witness, E: np.ndarray, K_link: np.ndarray, K_object: np.ndarray, n: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives (M, C, 3, 6) of contact points and of forces f (M, C, 3), in the twist of the link.
+    """How contact points move and how the local bases at them turn, both (M, C, 3, 6), in the twists of the links.
 
-    A force keeps its local parts: it turns with the normal as `se3.tangents` do.
+    The bases are those of `basis_tangents`; they turn by n x dn and about the normal.
     """
-    U_link, U_object = slide(witness.point_b, witness.normal, witness.distance, E, K_link, K_object)
+    distance = np.where(witness.valid, witness.distance, 0.0)
+    U_link, U_object = slide(witness.point_b, witness.normal, distance, E, K_link, K_object)
     eye = np.eye(3) + np.zeros_like(n[..., None])
     turned = np.concatenate([np.zeros_like(eye), cross(n[..., None, :] + np.zeros_like(eye), eye)], axis=-1)
     normal = turned - E @ (K_link @ U_link)
-    side = np.where(n[..., 2:] < 0, -1.0, 1.0) + n[..., 2:]
-    spin = (n[..., 1:2] * normal[..., 0, :] - n[..., 0:1] * normal[..., 1, :]) / side
-    # Omega = n x dn + spin n, df = Omega x f.
-    omega = hat(n) @ normal + n[..., :, None] * spin[..., None, :]
-    return -(E @ U_object), -hat(f) @ omega
+    return -(E @ U_object), hat(n) @ normal + n[..., :, None] * basis_spin(n, normal)[..., None, :]
 
 
 def _given_way(G: np.ndarray, local: np.ndarray, friction: float) -> np.ndarray:
-    """G N G^T (M, R, R): what unit changes of the forces balance within the active constraints, N projects on these."""
-    M, C = local.shape[:2]
+    """G N G^T (M, P, R, R): what changes of the forces balance within the active constraints, N projects on these."""
     N = _free(local, friction)
-    free = G @ N
-    product = np.einsum("mcij,mckj->mik", free, free)
+    M, P, C = local.shape[:3]
+    R = G.shape[2]
+    free = np.moveaxis(G[:, None] @ N, 2, 3).reshape(M, P, R, 3 * C)
+    along = N[..., 0].reshape(M, P, 3 * C, 1)
     # The pressures sum to 1.
-    along = N[..., 0]
-    length = np.einsum("mcj,mcj->m", along, along)
-    lost = np.einsum("mcij,mcj->mi", free, along)
+    length, lost = (along * along).sum(axis=(-2, -1))[..., None, None], free @ along
     scale = np.where(length > 1e-9, 1.0 / np.where(length > 1e-9, length, 1.0), 0.0)
-    return product - scale[:, None, None] * lost[:, :, None] * lost[:, None, :]
+    return free @ free.mT - scale * (lost @ lost.mT)
 
 
 def _free(local: np.ndarray, friction: float) -> np.ndarray:
-    """Projectors (M, C, 3, 3) on the changes of each force that keep its active constraints."""
+    """Projectors (..., C, 3, 3) on the changes of each force that keep its active constraints."""
     angle = (np.arange(EDGES) + 0.5) * 2.0 * np.pi / EDGES
     rim = friction * np.cos(np.pi / EDGES)
     face = np.stack([np.full(EDGES, -rim), np.cos(angle), np.sin(angle)], axis=1)
     pressure = local[..., 0]
-    count = (pressure > ACTIVE).sum(axis=1, keepdims=True)
     held = local @ face.T > -ACTIVE
     rows = np.where(held[..., None], face, 0.0)
-    capped = pressure > np.maximum(MOST, 1.0 / np.maximum(count, 1)) - ACTIVE
+    capped = pressure > MOST - ACTIVE
     rows = np.concatenate([rows, np.where(capped[..., None], [1.0, 0.0, 0.0], 0.0)[..., None, :]], axis=-2)
     values, vectors = np.linalg.eigh(rows.mT @ rows)
     kept = (values < 1e-6) & (pressure > ACTIVE)[..., None]
@@ -198,7 +232,7 @@ def _free(local: np.ndarray, friction: float) -> np.ndarray:
 
 
 def _impossible(hand: Hand, chain: Chain) -> Float[np.ndarray, "E m"]:
-    """Unit combinations of the independent joints' torques that no actuator can make, of those of the chain's joints."""
+    """Unit combinations of torques that no actuator can make, as forms of those of the chain's joints."""
     rows = [np.zeros((0, len(hand.joint_names)))]
     for group in hand.coupled:
         # An orthonormal basis of what is perpendicular to the ratio.

@@ -12,7 +12,7 @@ from grasp_refine.chain import Frames, moved
 from grasp_refine.collision.culling import motion, nothing_near, query_near
 from grasp_refine.collision.query import QueryStatus, Witness
 from grasp_refine.config import Config
-from grasp_refine.equilibrium import Equilibrium
+from grasp_refine.equilibrium import Balance, Equilibrium
 from grasp_refine.goal import Goal
 from grasp_refine.hand_object import HandObject
 from grasp_refine.losses import (
@@ -34,7 +34,7 @@ from grasp_refine.se3 import matvec, tangents, transform_points
 from grasp_refine.solvers.least_squares import Linear, Point
 from grasp_refine.solvers.levenberg_marquardt import bounded_step
 from grasp_refine.solvers.rows import NEAR, Rows
-from grasp_refine.wrench import ContactForces, center_of_mass
+from grasp_refine.wrench import center_of_mass
 
 ROOT_TURN, JOINT_TURN = 0.05, 0.04
 """A radian of the root, and of a joint, is as much movement as so many metres of the root."""
@@ -66,7 +66,7 @@ class Known:
     """Links and object (M, L)."""
     own: Witness
     """Pairs of links (M, S)."""
-    forces: ContactForces | None
+    forces: Balance | None
     """The best contact forces, where they count."""
 
 
@@ -85,14 +85,12 @@ class GraspProblem:
         self.table = None if plane is None else (np.asarray(plane.normal), plane.offset)
         self.aimed_columns = np.flatnonzero(goal.aimed.any(axis=0))
         self.gap_columns = np.flatnonzero((goal.touching & ~goal.aimed).any(axis=0))
-        aims = len(self.aimed_columns) or goal.direction is not None
-        self.curvatures = prepared.curvatures if aims else None
-        self.equilibrium = None
         self.touching_columns = np.flatnonzero(goal.touching.any(axis=0))
+        self.equilibrium = None
         if weights.wrench > 0 and not goal.aimed.any() and len(self.touching_columns):
             self.equilibrium = Equilibrium.of(hand, self.chain, center_of_mass(scene.object))
-        if self.equilibrium is not None and self.curvatures is None:
-            self.curvatures = prepared.curvatures
+        self.aims = len(self.aimed_columns) > 0 or goal.direction is not None
+        self.curvatures = prepared.curvatures if self.aims or self.equilibrium is not None else None
         prismatic = np.array([hand.joints_by_name[name].kind == "prismatic" for name in hand.joint_names], dtype=bool)
         joints = np.where(prismatic, 1.0, JOINT_TURN**2)
         self.scales = np.concatenate([np.ones(3), np.full(3, ROOT_TURN**2), joints])
@@ -108,17 +106,17 @@ class GraspProblem:
         frames = self.chain(point.T, point.q)
         T = frames.T_world_link
         witness = self._against_object(member, T, previous)
-        loss, config = self._loss(member, point, T, witness), self.config
+        loss, weights = self._loss(member, point, T, witness), self.config.weights
         # What will be rejected anyway need not be asked about the pairs of links.
         rejected = np.zeros(len(member), dtype=bool) if previous is None else loss >= previous.loss
         forces = None
         if self.equilibrium is not None:
             forces = self.equilibrium.forces(self.goal.touching[member] & ~rejected[:, None], witness, frames)
-            loss = loss + config.weights.wrench * self.equilibrium.value(forces)
+            loss = loss + weights.wrench * np.where(rejected, 0.0, forces.value)
             rejected = rejected if previous is None else loss >= previous.loss
         own = self._against_itself(T, previous, rejected)
         if self.own_pairs is not None:
-            loss = loss + self.config.weights.self_penetration * (penetration(own) ** 2).sum(axis=1)
+            loss = loss + weights.self_penetration * (penetration(own) ** 2).sum(axis=1)
         asked = witness.asked.sum(axis=1) + own.asked.sum(axis=1)
         unknown = (witness.status > QueryStatus.FAR).any(axis=1) | (own.status > QueryStatus.FAR).any(axis=1)
         loss = np.where(unknown, np.nan, loss)
@@ -144,23 +142,11 @@ class GraspProblem:
             rows.add_one_sided(plane_depth(points, normal, offset), plane_covectors(points, normal), weights.table)
         linear = rows.pulled(self.chain, Frames(known.T_link, known.axes))
         if self.equilibrium is not None:
-            scale = np.sqrt(weights.wrench)
-            residual, jacobian = self._balance(member, known, width)
-            rest = None if linear.one_sided is None else np.zeros(residual.shape, dtype=bool)
-            linear = Linear(
-                np.concatenate([linear.residual, scale * residual], axis=1),
-                np.concatenate([linear.jacobian, scale * jacobian], axis=1),
-                None if rest is None else np.concatenate([linear.one_sided, rest], axis=1),
-            )
-        if weights.stay_near == 0:
-            return linear
-        away, scale = self._away(member, point), np.sqrt(weights.stay_near)
-        rest = None if linear.one_sided is None else np.zeros(away.shape, dtype=bool)
-        return Linear(
-            np.concatenate([linear.residual, scale * away], axis=1),
-            np.concatenate([linear.jacobian, scale * stay_near_jacobian(away, self.config.scales)], axis=1),
-            None if rest is None else np.concatenate([linear.one_sided, rest], axis=1),
-        )
+            linear = linear.also(weights.wrench, *self._balance(member, known, width))
+        if weights.stay_near > 0:
+            away = self._away(member, point)
+            linear = linear.also(weights.stay_near, away, stay_near_jacobian(away, self.config.scales))
+        return linear
 
     def metric(self, member: np.ndarray) -> np.ndarray:
         """1 for translations, `ROOT_TURN`^2 and `JOINT_TURN`^2 for rotations."""
@@ -185,8 +171,7 @@ class GraspProblem:
         return Point(T, np.minimum(np.maximum(q, scene.hand.lower), scene.hand.upper))
 
     def restarted(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
-        """Noise on the best grasp and, every other time, on the present one; then inverse kinematics.
-        """
+        """Noise on the best grasp and, every other time, on the present one; then inverse kinematics."""
         noise = self.noise * drawn(self.scene, member, start, self.config.seed)
         return self.reached(member, self.moved(member, choose(start % 2 == 1, best, now), noise))
 
@@ -288,7 +273,7 @@ class GraspProblem:
     def _add_contacts(self, rows: Rows, member: np.ndarray, known: Known, width: np.ndarray) -> None:
         """Rows of targets, gaps and directions."""
         goal, config, weights = self.goal, self.config, self.config.weights
-        if self.curvatures is not None:
+        if self.aims:
             columns = self.aimed_columns
             if goal.direction is not None:
                 columns = np.union1d(columns, np.flatnonzero(~np.isnan(goal.direction[..., 0]).all(axis=0)))
@@ -325,9 +310,7 @@ class GraspProblem:
         T = known.T_link[:, columns]
         E = tangents(np.where(w.valid[..., None], w.normal, [0.0, 0.0, 1.0]))
         K_link, K_object = self._curvatures(columns, T, w, E, np.full((2, *w.distance.shape), 0.5 * SMOOTH), width)
-        return self.equilibrium.rows(
-            known.forces, columns, w, Frames(known.T_link, known.axes), E, K_link, K_object
-        )
+        return self.equilibrium.rows(known.forces, columns, w, Frames(known.T_link, known.axes), E, K_link, K_object)
 
     def _curvatures(
         self,

@@ -27,7 +27,7 @@ from grasp_refine.solvers.status import Status
 from grasp_refine.squeeze import CONTACTS
 from grasp_refine.targets import Touching
 
-GOOD = 0.06
+GOOD = 0.05
 """A grasp with at most this score is not tried from another start."""
 
 TURN, SHIFT, JOINTS = 0.25, 0.008, 0.1
@@ -67,7 +67,7 @@ class Stage:
 
 SLIDE = Stage(25, farther=(0.01, 0.005), soft=0.01)
 SETTLE = Stage(15)
-CLOSE = Stage(20, balance=False)
+CLOSE = Stage(40, balance=False)
 STAGES = (SLIDE, SETTLE, CLOSE)
 """Contacts slide to where forces balance; they settle without penetration; last, by geometry alone, gaps close."""
 
@@ -107,15 +107,20 @@ def hold(
     """
     search = _Search(scene, prepared, config, status, progress)
     rows = np.flatnonzero(status == Status.RUNNING)
-    search.take(rows, search.attempt(rows, search.given(rows), (CLOSE,)))
+    closed = search.attempt(rows, search.given(rows), (CLOSE,))
+    search.touching[rows] = closed.goal.touching
+    search.take(rows, closed)
     rows = search.unsatisfied(rows)
     search.take(rows, search.attempt(rows, search.given(rows), STAGES))
-    number = np.ones(len(status), dtype=np.int64)
+    number = search.starts
+    number[status == Status.RUNNING] = 1
     while len(rows := search.unsatisfied(rows[number[rows] < config.starts])):
         # What one grasp comes to does not depend on how many starts are tried at once: the first good one counts.
         each = np.minimum(config.starts - number[rows], max(1, TOGETHER // len(rows)))
         member = np.repeat(rows, each)
-        start = np.concatenate([np.arange(first, first + count) for first, count in zip(number[rows], each, strict=True)])
+        start = np.concatenate(
+            [np.arange(first, first + count) for first, count in zip(number[rows], each, strict=True)]
+        )
         found = search.attempt(member, search.disturbed(member, start), STAGES)
         for k in range(int(each.max(initial=0))):
             at = np.flatnonzero(start == number[member] + k)
@@ -137,8 +142,12 @@ class _Search:
         self.iterations, self.queries, self.starts = np.zeros((3, N), dtype=np.int64)
         self.cpu, self.wall = np.zeros((2, N))
         self.ticks = 0
+        self.touching = np.zeros((N, L), dtype=bool)
+        """Which links touch in the grasps as they came."""
         point = Point(scene.T_world_root.copy(), self.q.copy())
-        minimum = Minimum(point, np.full((N, 2), np.nan), status.copy(), self.iterations, self.queries, self.cpu, self.wall)
+        minimum = Minimum(
+            point, np.full((N, 2), np.nan), status.copy(), self.iterations, self.queries, self.cpu, self.wall
+        )
         goal = replace(Goal.nothing(N, L), direction=scene.direction)
         self.best = _Attempt(minimum, goal, np.full(N, np.inf))
 
@@ -147,11 +156,11 @@ class _Search:
         return Point(self.scene.T_world_root[rows], self.q[rows])
 
     def disturbed(self, member: np.ndarray, number: np.ndarray) -> Point:
-        """Starts near the grasps: the hand turned about the middle of its contacts, shifted, with other joint values."""
+        """Starts near the grasps: hands turned about the middle of their contacts, shifted, with other joint values."""
         noise = drawn(self.scene, member, number, self.config.seed)
         given = self.given(member)
         T = self.prepared.chain(given.T, given.q).T_world_link
-        touching = self.best.goal.touching[member][..., None]
+        touching = self.touching[member][..., None]
         middle = np.where(touching, T[..., :3, 3], 0.0).sum(axis=1) / np.maximum(touching.sum(axis=1), 1)
         R = exp_so3(TURN * noise[:, 3:6])
         T = given.T.copy()
@@ -165,7 +174,6 @@ class _Search:
 
     def take(self, rows: np.ndarray, found: _Attempt) -> None:
         """Account for attempts at different grasps, and keep what is better than what there was."""
-        self.starts[rows] += 1
         better = found.score < self.best.score[rows]
         never = self.best.minimum.status[rows] == Status.RUNNING
         kept = rows[better | never]
@@ -201,7 +209,14 @@ class _Search:
         status = np.where(goal.touching.any(axis=1), Status.RUNNING, Status.NO_TARGET)
         left = config.seconds - self.cpu[rows]
         found = minimise(
-            problem, start, solver, config.tolerance, status=status, width=config.width, seconds=left, progress=self._tell
+            problem,
+            start,
+            solver,
+            config.tolerance,
+            status=status,
+            width=config.width,
+            seconds=left,
+            progress=self._tell,
         )
         share = 1.0 / max(len(rows), 1)
         np.add.at(self.iterations, rows, found.iterations)

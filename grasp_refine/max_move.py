@@ -58,4 +58,5 @@ class MaxMove:
 def _shortened(vector: Float[np.ndarray, "M 3"], most: float) -> Float[np.ndarray, "M 3"]:
     """Vectors, those that are longer than the most at that length."""
     length = np.linalg.norm(vector, axis=1, keepdims=True)
-    return np.where(length > most, vector * (most / np.where(length > 0, length, 1.0)), vector)
+    far = length > most
+    return np.where(far, most / np.where(far, length, 1.0), 1.0) * vector

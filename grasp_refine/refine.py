@@ -21,6 +21,7 @@ from grasp_refine.solvers.status import Status
 
 __all__ = ["Config", "Refinement", "Scene", "refine"]
 
+
 @dataclass(frozen=True, eq=False)
 class Refinement:
     """N refined grasps with the account of how they came about."""

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from grasp_refine.description.inertia import Inertia
-from grasp_refine.se3 import hat, tangents
+from grasp_refine.se3 import hat
 
 if TYPE_CHECKING:
     from grasp_refine.objects import Object
@@ -35,6 +35,13 @@ EDGES = 8
 OPTIMAL, EQUALITY = 1, 5
 """Daqp's numbers for a solution that is one, and for a constraint that always holds with equality."""
 
+POLE = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
+"""Rotation (3, 3) that takes the only normal at which `basis_tangents` turn abruptly to -z; no normal that things often
+have, such as an axis, comes near it."""
+
+NO_TURN = 1e-9
+"""Smallest 1 + z for which that is worked out."""
+
 RIDGE = 1.25e-6
 """Weight of the squared forces: decides between forces that balance equally well, and changes little otherwise."""
 
@@ -52,7 +59,7 @@ class ContactForces:
     pressure: Float[np.ndarray, "N K"]
     """Its part along the normal (N, K), at least 0; the pressures of a grasp sum to 1."""
     local: Float[np.ndarray, "N K 3"]
-    """The same force along the normal and the two `se3.tangents` at it."""
+    """The same force along the normal and the two `basis_tangents` at it."""
     solved: Bool[np.ndarray, " N"]
     """Which grasps (N,) have forces: those with a contact, unless the solver gave up."""
 
@@ -70,7 +77,7 @@ def contact_forces(
     """The forces f_k that minimise |[F, tau / LENGTH]|^2 + ridge sum |f_k|^2, where F = sum f_k, tau = sum r_k x f_k.
 
     The pressures n_k . f_k sum to 1 and none is above `MOST`, or, of a single contact, 1. Friction is at most that of
-    a pyramid of `EDGES` edges within the cone; its orientation about the normal is that of `se3.tangents`, so that
+    a pyramid of `EDGES` edges within the cone; its orientation about the normal is that of `basis_tangents`, so that
     turning everything changes the result as little as a friction between that and cos(pi / EDGES) times it would.
 
     Args:
@@ -119,11 +126,32 @@ def grasp_map(
     there = np.isfinite(point).all(axis=-1) & np.isfinite(normal).all(axis=-1)
     n = np.where(there[..., None], normal, [0.0, 0.0, 1.0])
     r = np.where(there[..., None], point - center, 0.0)
-    basis = np.concatenate([n[..., None], tangents(n)], axis=-1)
+    basis = np.concatenate([n[..., None], basis_tangents(n)], axis=-1)
     parts = [basis, hat(r) @ basis / LENGTH]
     if forms is not None:
         parts.append(np.moveaxis(forms, 1, 2) @ basis)
     return np.concatenate(parts, axis=-2) * there[..., None, None], basis
+
+
+def basis_tangents(normal: Float[np.ndarray, "*K 3"]) -> Float[np.ndarray, "*K 3 2"]:
+    """Two unit tangents as columns of each unit normal that turn with it smoothly, but for one direction.
+
+    As `se3.tangents`, which jump where a normal crosses a coordinate plane; there normals of upright objects are.
+    """
+    x, y, z = np.moveaxis(normal @ POLE.T, -1, 0)
+    a = -1.0 / np.maximum(1.0 + z, NO_TURN)
+    first = np.stack([1.0 + x * x * a, x * y * a, -x], axis=-1)
+    second = np.stack([x * y * a, 1.0 + y * y * a, -y], axis=-1)
+    return np.stack([first @ POLE, second @ POLE], axis=-1)
+
+
+def basis_spin(normal: Float[np.ndarray, "*K 3"], change: Float[np.ndarray, "*K 3 D"]) -> Float[np.ndarray, "*K D"]:
+    """How the `basis_tangents` turn about the normal, in radians, where the normals change by `change`."""
+    x, y, z = np.moveaxis(normal @ POLE.T, -1, 0)
+    turned = POLE @ change
+    return (y[..., None] * turned[..., 0, :] - x[..., None] * turned[..., 1, :]) / np.maximum(1.0 + z, NO_TURN)[
+        ..., None
+    ]
 
 
 def center_of_mass(obj: Object) -> Float[np.ndarray, " 3"]:

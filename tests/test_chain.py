@@ -179,6 +179,56 @@ def test_columns_of_axes_are_the_twists_of_root_and_joints(gripper: Hand) -> Non
     np.testing.assert_allclose(axes[8], [-2.0, 1.05, 0.0, 0.0, 0.0, -1.0], atol=1e-15)
 
 
+def test_joints_are_pulled_as_what_they_carry(hand: Hand) -> None:
+    """Places after those of the links: a joint's own point, which a link that hangs from it carries too."""
+    chain = Chain(hand, all_links(hand))
+    T, q = configurations(hand, 2, seed=10)
+    frames, links = chain(T, q), len(chain.links)
+    child = [chain.links.index(hand.joints_by_name[name].child) for name in chain.joints]
+    covector = np.random.default_rng(11).normal(size=(2, len(child), 6))
+    by_joints = chain.pull(frames, covector, links + np.arange(len(child)))
+    np.testing.assert_array_equal(by_joints, chain.pull(frames, covector, np.array(child)))
+    # The twist of one relative to the other is none.
+    relative = chain.pull(frames, covector, links + np.arange(len(child)), np.array(child))
+    assert not relative.any()
+
+
+def test_axes_move_as_what_their_joints_carry(hand: Hand) -> None:
+    """An axis (v, w) of a joint that moves by the spatial twist V changes by V x (v, w), the Lie bracket."""
+    chain = Chain(hand, all_links(hand))
+    T, q = configurations(hand, 1, seed=12)
+    frames, links, m = chain(T, q), len(chain.links), len(chain.joints)
+    eye = np.tile(np.eye(6), (m, 1))[None]
+    twist = chain.pull(frames, eye, links + np.repeat(np.arange(m), 6)).reshape(m, 6, -1)
+    v, w = frames.axes[0, :3, 6:].T, frames.axes[0, 3:, 6:].T
+    V, W = twist[:, :3], twist[:, 3:]
+    bracket = [
+        np.cross(W, v[..., None], axis=1) + np.cross(V, w[..., None], axis=1),
+        np.cross(W, w[..., None], axis=1),
+    ]
+    expected, h = np.concatenate(bracket, axis=1), 1e-6
+    for k in range(6 + chain.dof):
+        dx = h * np.eye(6 + chain.dof)[k]
+        ahead, behind = (chain(moved(T, s * dx[None, :6]), q + s * dx[6:]).axes[0, :, 6:].T for s in (1, -1))
+        np.testing.assert_allclose((ahead - behind) / (2 * h), expected[..., k], atol=1e-8)
+
+
+def test_what_follows_what(gripper: Hand) -> None:
+    """Root always, joints on the way from it; places of joints after those of links."""
+    chain = Chain(gripper, ["hook", "tip", "arm"])
+    assert set(chain.joints) == {"lift", "left_slide", "tip_turn", "spin", "catch"}
+
+    def followed(place: int) -> set[str]:
+        row = chain.followed(np.array([place]))[0]
+        assert row[:6].all() and set(row) <= {0.0, 1.0}
+        return {name for name, follows in zip(chain.joints, row[6:], strict=True) if follows}
+
+    assert followed(0) == {"spin", "catch"} and followed(2) == {"lift"}
+    assert followed(1) == {"lift", "left_slide", "tip_turn"}
+    assert followed(3 + chain.joints.index("left_slide")) == {"lift", "left_slide"}
+    assert followed(3 + chain.joints.index("spin")) == {"spin"}
+
+
 # libraries
 
 

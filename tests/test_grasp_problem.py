@@ -116,7 +116,8 @@ def partly(goal: Goal, extra: int) -> Goal:
     return replace(goal, touching=touching)
 
 
-ALL = Weights(1.0, 50.0, 30.0, table=20.0, stay_near=1e-4, direction=1e-3)
+ALL = Weights(1.0, 50.0, 30.0, table=20.0, stay_near=1e-4, direction=1e-3, wrench=0.0)
+NO_FORCES = Weights(wrench=0.0)
 
 
 def point_of(scene: Scene) -> Point:
@@ -156,11 +157,11 @@ def every(scene: Scene) -> np.ndarray:
 
 
 @pytest.mark.parametrize("weights", [
-    Weights(penetration=0.0, self_penetration=0.0),
-    Weights(contact=0.0, penetration=70.0, self_penetration=0.0),
-    Weights(contact=0.0, penetration=0.0, self_penetration=40.0),
-    Weights(contact=0.0, penetration=0.0, self_penetration=0.0, table=30.0),
-    Weights(contact=0.0, penetration=0.0, self_penetration=0.0, table=0.0, stay_near=1e-3),
+    Weights(penetration=0.0, self_penetration=0.0, wrench=0.0),
+    Weights(contact=0.0, penetration=70.0, self_penetration=0.0, wrench=0.0),
+    Weights(contact=0.0, penetration=0.0, self_penetration=40.0, wrench=0.0),
+    Weights(contact=0.0, penetration=0.0, self_penetration=0.0, table=30.0, wrench=0.0),
+    Weights(contact=0.0, penetration=0.0, self_penetration=0.0, table=0.0, stay_near=1e-3, wrench=0.0),
     ALL,
 ], ids=["gap", "penetration", "self-penetration", "table", "stay near", "all"])  # fmt: skip
 @pytest.mark.parametrize("which", ["allegro", "gripper"])
@@ -210,7 +211,7 @@ def test_rows_of_targets_are_the_slopes_of_the_misses(gripper: Hand, width: floa
     """On balls: those of round features are exact, fitted ones as good as the curvatures."""
     scene = aimed_at(around_ball(gripper, 6, 2), 4, 3)
     problem = GraspProblem(
-        scene, goal_of(scene, Touching()), Config(weights=Weights(penetration=0.0, self_penetration=0.0))
+        scene, goal_of(scene, Touching()), Config(weights=Weights(penetration=0.0, self_penetration=0.0, wrench=0.0))
     )
     rows, at = every(scene), point_of(scene)
     known = problem.evaluate(rows, at, None)
@@ -237,7 +238,7 @@ def test_rows_of_targets_are_the_slopes_of_the_misses(gripper: Hand, width: floa
 
 def test_rows_of_directions_are_the_slopes_of_the_normals(gripper: Hand) -> None:
     scene = with_directions(around_ball(gripper, 6, 4), 3, 5)
-    weights = Weights(contact=0.0, penetration=0.0, self_penetration=0.0, direction=4e-3)
+    weights = Weights(contact=0.0, penetration=0.0, self_penetration=0.0, direction=4e-3, wrench=0.0)
     goal = goal_of(scene, Touching(links=scene.links))
     problem = GraspProblem(scene, goal, Config(weights=weights))
     rows, at = every(scene), point_of(scene)
@@ -276,7 +277,7 @@ def test_the_squares_of_the_rows_are_the_loss_less_the_misses_along_the_normals(
 def test_the_prediction_of_a_small_step_comes_true(examples: Scene) -> None:
     """Where derivatives are exact, the loss falls by what the linear problem says, to second order."""
     goal = goal_of(examples, Touching(links=examples.links[:4]))
-    problem = GraspProblem(examples, goal, Config(weights=Weights(self_penetration=0.0)))
+    problem = GraspProblem(examples, goal, Config(weights=Weights(self_penetration=0.0, wrench=0.0)))
     rows, at = every(examples), point_of(examples)
     known = problem.evaluate(rows, at, None)
     residual, J = linearized(problem, at, known, 1.0)
@@ -290,6 +291,42 @@ def test_the_prediction_of_a_small_step_comes_true(examples: Scene) -> None:
         np.testing.assert_allclose(now - known.loss, linear - known.loss, rtol=100 * h)
 
 
+def with_forces(weight: float) -> Weights:
+    """All terms whose derivatives are exact on balls."""
+    return Weights(1.0, 50.0, 30.0, table=20.0, stay_near=1e-4, direction=0.0, wrench=weight)
+
+
+def test_forces_that_balance_are_one_term_among_the_others(gripper: Hand) -> None:
+    """The gradient of the whole sum is that of the loss, whatever the weight, and the rows are its square root long."""
+    scene = replace(around_ball(gripper, 8, 23), table=Plane((0.0, 0.6, 0.8), -0.03))
+    goal = goal_of(scene, Touching(links=scene.links[:3]))
+    rows, at, gradients = every(scene), point_of(scene), []
+    for weight in (0.0, 1e-3, 4e-3):
+        problem = GraspProblem(scene, goal, Config(weights=with_forces(weight)))
+        known = problem.evaluate(rows, at, None)
+        shallow = (known.witness.distance[:, :3] > -0.005).all(axis=1)
+        residual, J = linearized(problem, at, known, 0.0)
+        found = 2.0 * np.einsum("brk,br->bk", J, residual)
+        expected = slopes(lambda p, problem=problem: problem.evaluate(rows, p, None).loss, at, 1e-7)
+        cosine = (found * expected).sum(axis=1) / np.linalg.norm(found, axis=1) / np.linalg.norm(expected, axis=1)
+        assert shallow.sum() >= 3 and (np.sort(cosine[shallow])[1:] >= 0.999).all()
+        gradients.append(found)
+    np.testing.assert_allclose(gradients[2] - gradients[0], 4.0 * (gradients[1] - gradients[0]), atol=1e-9)
+    assert np.abs(gradients[1] - gradients[0]).max() > 1e-5
+
+
+def test_with_given_targets_forces_need_not_balance(examples: Scene) -> None:
+    """Targets say where contacts are."""
+    scene = aimed_at(examples, 3, 24)
+    found = [
+        GraspProblem(scene, goal_of(scene, Touching()), Config(weights=weights)).evaluate(
+            every(scene), point_of(scene), None
+        )
+        for weights in (Weights(), NO_FORCES)
+    ]
+    np.testing.assert_array_equal(found[0].loss, found[1].loss)
+
+
 # the loss
 
 
@@ -298,7 +335,7 @@ def test_the_loss_is_that_of_the_other_solvers(examples: Scene, kind: str) -> No
     scene = examples if kind in ("gaps", "nearest") else aimed_at(examples, 4, 8)
     if kind == "all":
         scene = with_directions(replace(scene, table=Plane(offset=-0.02)), 6, 9)
-    weights = ALL if kind == "all" else Weights()
+    weights = ALL if kind == "all" else NO_FORCES
     goal = goal_of(scene, Touching(), nearest=kind == "nearest")
     if kind == "all":
         goal = partly(goal, 5)
@@ -317,11 +354,12 @@ def test_the_loss_is_that_of_the_other_solvers(examples: Scene, kind: str) -> No
 
 
 @pytest.mark.parametrize("size", [1e-4, 2e-3, 0.03], ids=["small", "middling", "large"])
-@pytest.mark.parametrize("kind", ["targets", "gaps"])
+@pytest.mark.parametrize("kind", ["targets", "gaps", "forces"])
 def test_what_is_culled_by_what_was_known_changes_no_loss(examples: Scene, kind: str, size: float) -> None:
     """Walks of random steps, each told what was found at the last one, and that any loss will do."""
-    scene = examples if kind == "gaps" else aimed_at(examples, 2, 11)
-    problem = GraspProblem(scene, goal_of(scene, Touching()), Config())
+    scene = aimed_at(examples, 2, 11) if kind == "targets" else examples
+    weights = Weights() if kind == "forces" else NO_FORCES
+    problem = GraspProblem(scene, goal_of(scene, Touching()), Config(weights=weights))
     rng = np.random.default_rng(12)
     rows, at = every(scene), point_of(scene)
     known = problem.evaluate(rows, at, None)
@@ -487,7 +525,7 @@ def test_without_targets_there_is_nothing_to_reach(examples: Scene) -> None:
 def test_a_gripper_of_slides_and_a_mimic_joint_comes_to_a_ball(gripper: Hand, kind: str) -> None:
     scene = around_ball(gripper, 6, 20)
     goal = goal_of(scene, Touching(links=("left", "right", "thumb")), nearest=kind == "targets")
-    problem = GraspProblem(scene, goal, Config())
+    problem = GraspProblem(scene, goal, Config(weights=NO_FORCES))
     found = minimise(problem, point_of(scene), LevenbergMarquardt(restarts=0), 1e-10)
     assert (found.loss[:, 1] < 0.5 * found.loss[:, 0]).all()
     if kind == "gaps":

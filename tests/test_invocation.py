@@ -8,6 +8,7 @@ import pytest
 
 from grasp_refine.commands.bench_align import BenchAlign
 from grasp_refine.commands.bench_grasp import BenchGrasp
+from grasp_refine.commands.bench_hold import BenchHold
 from grasp_refine.commands.invocation import invocation
 from grasp_refine.commands.options import parse
 
@@ -21,9 +22,11 @@ from grasp_refine.commands.options import parse
         (BenchGrasp, ""),
         (BenchGrasp, "--object sphere:0.03 --solvers adam descent --shift 0.0"),
         (BenchGrasp, "--hand 'my hand.urdf' --batches 1 2"),
+        (BenchHold, ""),
+        (BenchHold, "--index 0 3 --grasps mine.npz --starts 1 24 --settings strict"),
     ],
 )
-def test_the_same_is_asked_for_again(command: type[BenchAlign] | type[BenchGrasp], options: str):
+def test_the_same_is_asked_for_again(command: type[BenchAlign] | type[BenchGrasp] | type[BenchHold], options: str):
     asked = parse(command, "bench", [*shlex.split(options), "--json", "a.json", "--html", "a.html"])
     program, *words = shlex.split(invocation("bench mine", asked))
     assert (program, words[:2]) == ("refine-grasp", ["bench", "mine"])

@@ -13,6 +13,7 @@ import pytest
 
 from grasp_refine.grasps import OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
 from grasp_refine.hand import HAND_TOML, load_hand
+from grasp_refine.report.verdict import HOLDS
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -84,7 +85,7 @@ def test_the_links_and_places_exist():
 
 def test_the_options_are_those_of_the_commands():
     known = set()
-    for command in ("run", "validate", "bench align", "bench grasp"):
+    for command in ("run", "validate", "bench align", "bench grasp", "bench hold"):
         code = f"from grasp_refine.cli import main; main([*{command.split()}, '--help'])"
         result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
         known |= set(re.findall(r"--[a-z][\w.-]*", result.stdout))
@@ -92,6 +93,11 @@ def test_the_options_are_those_of_the_commands():
     elsewhere = {"--help"}
     assert {"--hand", "--transport", "--distance.coupling", "--preset"} <= named
     assert named - elsewhere <= known
+
+
+def test_the_quality_from_which_on_grasps_should_hold_is_told():
+    told = re.findall(r"(?:quality|from|\() ?(0\.\d{3}) (?:or more|on)", TEXT)
+    assert len(told) >= 3 and set(told) == {f"{HOLDS:.3f}"}
 
 
 @pytest.mark.parametrize(("heading", "bench"), [("Benchmarks", "align"), ("Benchmark of grasps", "grasp")])

@@ -14,6 +14,8 @@ from rich.console import Console
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand import load_hand
+from grasp_refine.losses import Weights
+from grasp_refine.max_move import MaxMove
 from grasp_refine.objects import load_object
 from grasp_refine.refine import Config, Scene, refine
 from grasp_refine.report.document import run_document, settings
@@ -22,8 +24,10 @@ from grasp_refine.report.progress import Reporter
 from grasp_refine.report.results import result_paths
 from grasp_refine.report.screen import screen
 from grasp_refine.report.table import grasp_table
+from grasp_refine.report.verdict import BAR, HOLDS, foretold_line, should_hold, status_advice
 from grasp_refine.report.writing import check_writable, dumps, save_json
 from grasp_refine.solvers.descent import Descent
+from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.solvers.status import Status
 from grasp_refine.targets import Touching
 from grasp_refine.validation.metrics import metrics
@@ -32,12 +36,15 @@ from grasp_refine.versions import Requirement, requirements, versions
 
 
 def made_up(count: int, objects: tuple[str, ...] = ("mug",)) -> Outcome:
-    """Grasp i has a contact error of i mm after and 10 i mm before, and converged; all else is the same for all."""
+    """Grasp i has a contact error of i mm after and 10 i mm before, and converged; all else is the same for all.
+
+    There are no targets, and with so much quality all should hold.
+    """
     links = 3
     error = np.full((count, 2, links), np.nan)
     error[:, 0, 0], error[:, 1, 0] = 1e-2 * np.arange(count), 1e-3 * np.arange(count)
     error[:, :, 1] = 0.0
-    points, ones = np.zeros((count, links, 3)), np.ones(count)
+    points, nowhere, ones = np.zeros((count, links, 3)), np.full((count, links, 3), np.nan), np.ones(count)
     return Outcome(
         object=np.resize(np.array(objects), count),
         scale=ones,
@@ -51,17 +58,19 @@ def made_up(count: int, objects: tuple[str, ...] = ("mug",)) -> Outcome:
         queries=np.full(count, 456),
         wall_s=0.25 * ones,
         cpu_s=0.5 * ones,
+        starts=np.full(count, 2),
         contact_error=error,
         penetration=np.tile([2e-3, 1e-4], (count, 1)),
         self_penetration=np.tile([1e-3, 0.0], (count, 1)),
         wrench_residual=np.tile([0.2, 0.05], (count, 1)),
+        quality=np.tile([0.4, 0.97], (count, 1)),
         limits_violated=np.zeros(count, dtype=int),
         palm_m=4e-3 * ones,
         palm_rad=np.radians(5.0) * ones,
         joints_rad=np.radians(6.0) * ones,
         touching=np.ones((count, links), dtype=bool),
-        target_link=points,
-        target_object=points,
+        target_link=nowhere,
+        target_object=nowhere,
         contact_link=points,
         contact_object=points,
         contact_normal=points,
@@ -79,9 +88,26 @@ def with_status(outcome: Outcome, **grasps: Status) -> Outcome:
     return replace(outcome, status=status)
 
 
-def text(outcome: Outcome, *, width: int = 80, verbose: bool = False) -> list[str]:
+def with_quality(outcome: Outcome, **grasps: float) -> Outcome:
+    """The outcome with the quality of refined grasps changed, such as g3=0.5."""
+    quality = outcome.quality.copy()
+    for name, value in grasps.items():
+        quality[int(name[1:]), 1] = value
+    return replace(outcome, quality=quality)
+
+
+def aimed(outcome: Outcome) -> Outcome:
+    """The outcome, as if there had been targets."""
+    return replace(outcome, target_link=np.zeros_like(outcome.target_link), starts=np.ones_like(outcome.starts))
+
+
+GEOMETRY = Config(weights=Weights(wrench=0.0))
+
+
+def text(outcome: Outcome, config: Config | None = None, *, width: int = 80, verbose: bool = False) -> list[str]:
     stream = io.StringIO()
-    Console(file=stream, width=width, emoji=False).print(grasp_table(outcome, "claw", verbose=verbose))
+    table = grasp_table(outcome, "claw", config or Config(), verbose=verbose)
+    Console(file=stream, width=width, emoji=False).print(table)
     return stream.getvalue().splitlines()
 
 
@@ -92,15 +118,73 @@ def test_the_table_speaks_millimetres_and_degrees():
     lines = text(made_up(3))
     assert lines[0].startswith("claw on mug: 3 grasps")
     (row,) = [line for line in lines if line.split()[:1] == ["2"]]
-    assert " ".join(row.split()) == "2 20.00 → 2.00 2.00 → 0.10 4.0 5.0 6.0 123 0.25 s converged"
-    (median,) = [line for line in lines if "median" in line]
-    assert " ".join(median.split()) == "median 10.00 → 1.00 2.00 → 0.10 4.0 5.0 6.0 123 0.25 s"
-    assert lines[-4:] == [
+    assert " ".join(row.split()) == "2 20.00 → 2.00 2.00 → 0.10 4.0 5.0 6.0 0.400 → 0.970 should hold"
+    (median,) = [line for line in lines if line.startswith("median")]
+    assert " ".join(median.split()) == "median 10.00 → 1.00 2.00 → 0.10 4.0 5.0 6.0 0.400 → 0.970"
+    assert lines[-7:] == [
+        f"3 of 3 grasps should hold (quality {BAR}), 0 as they came",
         "3 of 3 grasps converged",
+        "less wrench residual in 3 of 3 with any; mean 0.200 → 0.050",
         "less contact error in 2 of 2 with any; mean 10.000 → 1.000 mm",
         "less penetration in 3 of 3 with any; mean 2.000 → 0.100 mm",
         "less self-penetration in 3 of 3 with any; mean 1.000 → 0.000 mm",
+        "a grasp took 2 / 2 starts, 123 / 123 iterations, 0.25 s / 0.25 s (median / most)",
     ]
+
+
+def test_what_the_verdict_is_depends_on_what_was_wanted():
+    """Where grasps should hold it is by quality; elsewhere it is how the refinement ended, and quality is told."""
+    outcome = with_status(with_quality(made_up(3), g1=0.9), g1=Status.STALLED, g2=Status.STALLED)
+    last = {
+        name: [" ".join(line.split()[-2:]) for line in lines if "→" in line and line.split()[0] in "012"]
+        for name, lines in (
+            ("holds", text(outcome)),
+            ("geometry", text(outcome, GEOMETRY)),
+            ("targets", text(aimed(outcome))),
+        )
+    }
+    assert last["holds"] == ["should hold", "may slip", "should hold"]
+    assert last["geometry"] == last["targets"] == ["0.970 converged", "0.900 stalled", "0.970 stalled"]
+    assert f"2 of 3 grasps should hold (quality {BAR}), 0 as they came" in text(aimed(outcome))
+    assert "a grasp took 123 / 123 iterations, 0.25 s / 0.25 s (median / most)" in text(aimed(outcome))
+
+
+def test_what_can_be_done_about_grasps_that_may_slip():
+    def said(config: Config, outcome: Outcome = with_quality(made_up(3), g2=0.9)) -> str:  # noqa: B008
+        (line,) = [line for line in text(outcome, config, width=200) if "may slip (2)" in line]
+        return line.partition(": ")[2]
+
+    assert said(Config()) == "try more --starts, or other grasps"
+    bounded = Config(max_move=MaxMove(joints=0.1), seconds=2.0)
+    assert said(bounded) == "try more --starts, a wider --max-move, more --seconds, or other grasps"
+    assert said(GEOMETRY).startswith("only their geometry was refined")
+    assert said(Config(solver=Descent())).endswith("with --solver levenberg-marquardt only, descent cannot")
+    assert said(Config(), aimed(with_quality(made_up(3), g2=0.9))).startswith("links touch where the targets say")
+
+
+def test_the_iterations_of_a_stage_are_not_the_users():
+    """They end a start; raising --iterations would do nothing."""
+    outcome = with_status(made_up(2), g1=Status.BUDGET)
+    assert status_advice(Status.BUDGET, outcome, Config()).endswith("refine the result again")
+    assert "--seconds" in status_advice(Status.BUDGET, outcome, Config(seconds=1.0))
+    bounded = Config(max_move=MaxMove(translation=0.0))
+    assert status_advice(Status.STALLED, outcome, bounded).startswith(Status.STALLED.advice)
+    assert status_advice(Status.STALLED, outcome, bounded).endswith("it may be --max-move that stops it")
+    for few in (Config(solver=LevenbergMarquardt(iterations=5)), GEOMETRY):
+        assert status_advice(Status.BUDGET, outcome, few) == Status.BUDGET.advice
+
+
+def test_a_quality_that_is_not_known_is_not_good():
+    good = should_hold(np.array([np.nan, 0.0, HOLDS, 1.0, HOLDS - 1e-9]))
+    assert good.tolist() == [False, False, True, True, False]
+
+
+def test_what_quality_foretold_is_compared_with_what_held():
+    quality, held = np.array([1.0, 1.0, 0.5, np.nan]), np.array([True, False, True, False])
+    assert foretold_line(quality, held).plain == (
+        f"2 of 4 should hold by their quality ({BAR}): 1 of these did, and 1 of the 2 others"
+    )
+    assert foretold_line(quality[:2], held[:2]).plain.endswith("1 of these did")
 
 
 @pytest.mark.parametrize("width", [80, 100])
@@ -116,14 +200,22 @@ def test_the_table_loses_nothing_at_80_columns(width: int):
 def test_each_status_comes_with_its_advice():
     lines = text(with_status(made_up(4), g1=Status.BUDGET, g2=Status.BUDGET, g3=Status.NO_TARGET), width=100)
     assert "1 of 4 grasps converged" in lines
-    assert f"2 budget: {Status.BUDGET.advice}" in lines
-    assert f"1 no target: {Status.NO_TARGET.advice}" in lines
+    assert f"1 no target (3): {Status.NO_TARGET.advice}" in lines
+    many = with_status(made_up(20), **{f"g{i}": Status.BUDGET for i in range(13)})
+    assert f"13 budget: {Status.BUDGET.advice}" in text(many, GEOMETRY, width=100)
 
 
 def test_of_many_grasps_the_worst_are_listed():
     outcome = with_status(made_up(41), g7=Status.NO_TARGET)
-    indices = [line.split()[0] for line in text(outcome) if line.split() and line.split()[0].isdigit()]
-    assert indices[:10] == ["7", *(str(i) for i in range(40, 31, -1))]
+
+    def listed(outcome: Outcome, config: Config) -> list[str]:
+        words = [line.split() for line in text(outcome, config) if "→" in line]
+        return [first for first, *_ in words if first.isdigit()]
+
+    assert listed(outcome, GEOMETRY) == ["7", *(str(i) for i in range(40, 31, -1))]
+    # Made to hold, the worst are those that are likeliest to slip.
+    outcome = with_quality(outcome, **{f"g{i}": 0.5 + 0.01 * i for i in range(10, 25)})
+    assert listed(outcome, Config()) == ["7", *(str(i) for i in range(10, 19))]
     assert "41 grasps, the worst 10 (--verbose: all)" in text(outcome)[0]
     shown = [line for line in text(outcome, verbose=True) if "→" in line and "less" not in line]
     assert len(shown) == 41 + 2
@@ -134,7 +226,8 @@ def test_each_object_has_its_table_and_all_have_one():
     lines = text(made_up(5, ("mug", "[bold]can")))
     titles = [line.strip() for line in lines if "grasps" in line]
     assert titles == [
-        "claw on mug: 3 grasps", "claw on [bold]can: 2 grasps", "all 2 objects: 5 grasps", "5 of 5 grasps converged"
+        "claw on mug: 3 grasps", "claw on [bold]can: 2 grasps", "all 2 objects: 5 grasps",
+        f"5 of 5 grasps should hold (quality {BAR}), 0 as they came", "5 of 5 grasps converged",
     ]  # fmt: skip
 
 
@@ -186,19 +279,21 @@ def test_the_outcome_measures_a_refinement():
     np.testing.assert_array_equal(outcome.stage_q[:, 1], refinement.q)
     measured = metrics(hand, ball, refinement.T_world_root, refinement.q)
     np.testing.assert_allclose(outcome.wrench_residual[:, 1], measured.wrench_residual, rtol=1e-9)
+    np.testing.assert_allclose(outcome.quality[:, 1], measured.quality, rtol=1e-6)
+    assert outcome.starts.tolist() == [1] and outcome.aimed.all()
     assert outcome.usable.all()
     assert (outcome.object[0], outcome.scale[0], outcome.row[0], outcome.index[0]) == ("ball", 2.0, 5, 1)
-    aimed = ~np.isnan(outcome.target_link[0, :, 0])
+    with_target = ~np.isnan(outcome.target_link[0, :, 0])
     # Witness points on a ball lie on it, along the normal that looks into it.
-    on_ball = outcome.contact_object[0, aimed]
+    on_ball = outcome.contact_object[0, with_target]
     np.testing.assert_allclose(np.linalg.norm(on_ball, axis=1), 0.04)
-    np.testing.assert_allclose(outcome.contact_normal[0, aimed], -on_ball / 0.04, atol=1e-9)
-    assert np.isnan(outcome.contact_object[0, ~aimed]).all()
+    np.testing.assert_allclose(outcome.contact_normal[0, with_target], -on_ball / 0.04, atol=1e-9)
+    assert np.isnan(outcome.contact_object[0, ~with_target]).all()
     np.testing.assert_allclose(
         outcome.palm_m[0], np.linalg.norm(refinement.T_world_root[0, :3, 3] - T[:3, 3]), rtol=1e-12
     )
-    miss = np.linalg.norm(outcome.contact_link - outcome.target_link, axis=-1)[0, aimed]
-    assert (miss <= outcome.contact_error[0, 1, aimed] + 1e-12).all()
+    miss = np.linalg.norm(outcome.contact_link - outcome.target_link, axis=-1)[0, with_target]
+    assert (miss <= outcome.contact_error[0, 1, with_target] + 1e-12).all()
     assert outcome.worst_error[0, 1] < outcome.worst_error[0, 0]
 
 
@@ -207,15 +302,19 @@ def test_the_outcome_measures_a_refinement():
 
 def test_a_document_has_si_units_and_null_for_nan():
     outcome = with_status(made_up(2), g1=Status.NO_TARGET)
-    outcome = replace(outcome, palm_m=np.array([0.004, np.nan]))
-    document = run_document(outcome, config={"a": Path("b")}, seed=3, wall_s=1.5, cpu_s=2.0)
+    outcome = replace(outcome, palm_m=np.array([0.004, np.nan]), quality=np.array([[0.4, 0.9], [0.97, np.nan]]))
+    document = run_document(outcome, Config(seed=3), config={"a": Path("b")}, wall_s=1.5, cpu_s=2.0)
     read = json.loads(dumps(document), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
     assert read["config"] == {"a": "b"}
     assert read["totals"] == {
-        "n": 2, "converged": 1, "success_before": None, "success_after": None, "wall_s": 1.5, "cpu_s": 2.0
+        "n": 2, "converged": 1, "good_before": 1, "good_after": 0, "success_before": None, "success_after": None,
+        "wall_s": 1.5, "cpu_s": 2.0,
     }  # fmt: skip
     first, second = read["grasps"]
-    assert (first["index"], first["row"], first["status"], first["advice"]) == (0, 100, "converged", "")
+    assert (first["index"], first["row"], first["status"], first["starts"]) == (0, 100, "converged", 2)
+    assert first["advice"] == "may slip: try more --starts, or other grasps"
+    assert second["advice"] == Status.NO_TARGET.advice
+    assert first["quality"] == {"before": 0.4, "after": 0.9} and second["quality"] == {"before": 0.97, "after": None}
     assert second["contact_error_m"] == {
         "before": {"max": 0.01, "mean": 0.005}, "after": {"max": 0.001, "mean": 0.0005}
     }  # fmt: skip
@@ -295,6 +394,11 @@ def test_progress_is_single_lines_without_a_terminal():
         "note: a line that is longer than the console is wide, kept in one piece",
         "refining 3 grasps with claw, at most 100 iterations",
     ]
+    stream.truncate(0)
+    with Reporter(Console(file=stream, width=40)) as reporter:
+        reporter.wait("sampling")
+        reporter.start("claw", 1, 100, starts=1)
+    assert stream.getvalue().strip("\0") == "refining 1 grasp with claw, at most 1 start\n"
 
 
 def test_progress_is_a_bar_in_a_terminal():
@@ -306,6 +410,22 @@ def test_progress_is_a_bar_in_a_terminal():
         reporter._bar.refresh()
     assert "refining can" in stream.getvalue()
     assert "3/4 done, iteration 20, mean loss 2.5e-05 m²" in stream.getvalue()
+
+
+def test_the_bar_counts_good_grasps_where_they_are_made_to_hold():
+    stream = io.StringIO()
+    with Reporter(Console(file=stream, width=100, force_terminal=True)) as reporter:
+        reporter.wait("sampling grasps of claw")
+        reporter._bar.refresh()
+        reporter.start("claw", 4, 100, starts=6)
+        progress, done = reporter.group("mug", 4), []
+        for finished, iteration in ((0, 10), (1, 20), (1, 250), (3, 260)):
+            progress(finished, iteration, 1e-4)
+            done.append(reporter._bar.tasks[0].completed)
+        reporter._bar.refresh()
+    # The bar never goes back, and is never full before all are.
+    assert done == sorted(done) and done[0] > 0 and done[-1] <= 4
+    assert "sampling grasps of claw" in stream.getvalue() and "3/4 good, iteration 260" in stream.getvalue()
 
 
 def test_requirements_are_those_of_the_project():

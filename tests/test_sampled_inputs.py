@@ -1,5 +1,6 @@
 """`--grasps sample:N`: what it needs, what it does not go with, and that what it gives is refined."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from grasp_refine import grasp_sampling
 from grasp_refine.cli import main
 from grasp_refine.commands.inputs import Inputs
 from grasp_refine.commands.problem import Problem
-from grasp_refine.errors import GraspFileError
+from grasp_refine.errors import GraspFileError, GraspRefineError
 
 BOX = "box:0.5,0.6,0.7"
 HELD = ("--hand", "HAND", "--object", BOX)
@@ -41,6 +42,18 @@ def test_sampled_grasps_are_a_problem_like_any_other(gripper: str):
     assert group.scene.target_link is None
     assert problem.files == (problem.hand.urdf,)
     assert problem.closing() == {"pregrasp": "own", "squeeze": "own"}
+    assert problem.sampled == "sample:4"
+    (note,) = [note for note in problem.notes if "sampled" in note]
+    assert note.startswith("4 grasps were sampled in ") and note.endswith(" s")
+
+
+def test_what_takes_a_while_is_told_after_what_was_asked_is_known_to_be_sound(gripper: str):
+    heard: list[str] = []
+    with pytest.raises(GraspRefineError, match="--scale"):
+        Inputs(hand=gripper, object=BOX, scale=0.0, grasps=Path("sample:4")).load(0, heard.append, heard.append)
+    assert heard == []
+    Inputs(hand=gripper, object=BOX, scale=0.1, grasps=Path("sample:4")).load(0, heard.append, heard.append)
+    assert heard == [f"sampling grasps of gripper on {BOX}"]
 
 
 def test_the_index_is_that_of_sampled_grasps_and_the_seed_varies_them(gripper: str):
@@ -104,3 +117,7 @@ def test_sampled_grasps_are_refined_and_written(gripper: str, workplace: Path, c
     with np.load(path) as arrays:
         assert arrays["hand_pose"].shape == (3, 7)
         np.testing.assert_array_equal(arrays["scale"], 0.1)
+        provenance = json.loads(str(arrays["provenance"]))
+    # Drawn, not read: the hand, the object and the seed say which they are.
+    assert provenance["source"]["sampled"] == "sample:3" and provenance["source"]["hand"]["path"] == gripper
+    assert provenance["seed"] == 0 and provenance["config"]["inputs"]["object"] == BOX

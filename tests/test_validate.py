@@ -12,6 +12,7 @@ from command_line import refused
 from grasp_refine.assets import resource_dir
 from grasp_refine.cli import main
 from grasp_refine.grasps import load_grasps, save_npz
+from grasp_refine.report.verdict import HOLDS
 from grasp_refine.validation.protocol import AXES
 
 EXAMPLE = resource_dir("robots") / "allegro" / "example_rounded_box.npz"
@@ -48,7 +49,8 @@ def test_a_validation_has_the_keys_of_the_contract(workplace: Path, capfd: pytes
             "contact_error_m", "penetration_m", "self_penetration_m", "wrench_residual", "limits_violated", "moved",
             "simulation",
         }  # fmt: skip
-        assert grasp["status"] is None and grasp["moved"] is None and grasp["quality"] is None
+        assert grasp["status"] is None and grasp["moved"] is None
+        assert grasp["quality"]["before"] is None and 0 < grasp["quality"]["after"] <= 1
         assert set(after["flags"]) == {"barely", "by_squeeze"}
         assert grasp["penetration_m"]["after"] > 0
         assert isinstance(grasp["contact_number"]["after"], int)
@@ -63,6 +65,10 @@ def test_a_validation_has_the_keys_of_the_contract(workplace: Path, capfd: pytes
         rows = list(csv.DictReader(stream))
     assert [row["index"] for row in rows] == ["0", "2"]
     assert float(rows[1]["penetration_m"]) == document["grasps"][1]["penetration_m"]["after"]
+    assert float(rows[1]["quality"]) == document["grasps"][1]["quality"]["after"]
+    good = sum(grasp["quality"]["after"] >= HOLDS for grasp in document["grasps"])
+    assert document["totals"]["good_before"] is None and document["totals"]["good_after"] == good
+    assert f"{good} of 2 should hold by their quality" in out
     assert rows[0]["success"] == str(document["grasps"][0]["simulation"]["after"]["success"])
 
 
@@ -71,6 +77,7 @@ def test_the_same_as_parquet(workplace: Path) -> None:
 
     document = validate(EXAMPLE, "--index", "1", "--no-simulate", "--rows", "rows.parquet")
     (row,) = pyarrow.parquet.read_table("rows.parquet").to_pylist()
+    assert row["quality"] == document["grasps"][0]["quality"]["after"]
     assert row["wrench_residual"] == document["grasps"][0]["wrench_residual"]["after"]
     assert document["grasps"][0]["simulation"] == {"before": None, "after": None}
 
@@ -109,6 +116,8 @@ def test_before_and_after_are_compared(workplace: Path, capfd: pytest.CaptureFix
     assert "allegro: 2 grasps, before → after" in out
     (line,) = [line for line in out.splitlines() if line.startswith("penetration, mean mm")]
     assert line.split()[3:] == [line.split()[3], "0.000", "2", "0"]
+    (line,) = [line for line in out.splitlines() if line.startswith("quality, mean")]
+    assert line.split()[4:] == ["2", "0"]
 
 
 def test_a_run_can_prove_what_it_did(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -119,7 +128,8 @@ def test_a_run_can_prove_what_it_did(workplace: Path, capfd: pytest.CaptureFixtu
     before, after = (grasp["simulation"][when] for when in ("before", "after"))
     assert document["totals"]["success_before"] == before["success"]
     assert document["totals"]["success_after"] == after["success"] == 1
-    assert "held in simulation: 1 → 1 of 1" in capfd.readouterr().out
+    out = capfd.readouterr().out
+    assert "held in simulation: 1 → 1 of 1" in out and "1 of 1 should hold by their quality" in out
     # The file holds the pregrasp and the squeeze that were simulated.
     again = validate("grasp-refine-results/allegro_rounded_box.npz", "--closing", "file")
     found = again["grasps"][0]["simulation"]["after"]
@@ -215,7 +225,7 @@ def test_published_outcomes_are_reproduced(workplace: Path, bodex: tuple[str, ..
         assert shares[name] == pytest.approx(published, abs=4), name
 
 
-@pytest.mark.parametrize("command", ["run", "validate", "bench grasp"])
+@pytest.mark.parametrize("command", ["run", "validate", "bench grasp", "bench hold"])
 def test_a_wrong_setting_of_opengl_is_one_line(
     command: str, workplace: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,8 +10,19 @@ from scipy.optimize import minimize
 
 from grasp_refine import wrench
 from grasp_refine.objects import load_object
-from grasp_refine.se3 import exp_so3, tangents
-from grasp_refine.wrench import EDGES, LENGTH, MOST, RIDGE, ContactForces, center_of_mass, contact_forces
+from grasp_refine.se3 import exp_so3
+from grasp_refine.wrench import (
+    EDGES,
+    LENGTH,
+    MOST,
+    RIDGE,
+    ContactForces,
+    basis_spin,
+    basis_tangents,
+    center_of_mass,
+    contact_forces,
+    grasp_map,
+)
 
 INNER = np.cos(np.pi / EDGES)
 """The pyramid lies between the cone of the friction itself and that of this times it."""
@@ -27,7 +38,7 @@ def random_contacts(count: int, contacts: int, seed: int) -> tuple[np.ndarray, n
     return -0.04 * normal + 0.01 * rng.normal(size=normal.shape), normal
 
 
-def of(normal: list, point: list, **settings: float) -> ContactForces:
+def of(normal: list, point: list, **settings: float | np.ndarray) -> ContactForces:
     """The forces of a single grasp about the origin."""
     return contact_forces(np.array(point, dtype=float)[None], np.array(normal, dtype=float)[None], ORIGIN, **settings)
 
@@ -78,10 +89,11 @@ def test_a_single_contact_pushes_alone() -> None:
 def test_a_wedge_slips_when_its_slope_is_above_the_friction(friction: float, beyond: float) -> None:
     """Faces that lean by a: forces along x balance and need tan a; with less, sin a - mu cos a of each is left."""
     a = np.arctan(friction + beyond)
-    # These tangents are edges of the pyramid, so that it has the friction of the cone here.
     normal = [[np.cos(a), 0, np.sin(a)], [-np.cos(a), 0, np.sin(a)]]
     found = of(normal, [[-0.03, 0, 0], [0.03, 0, 0]], friction=friction)
-    assert found.residual[0] == pytest.approx(max(0.0, np.cos(a) * beyond), abs=1e-6)
+    # Within the cone, the pyramid has at least the inner friction in any direction.
+    least, most = (max(0.0, np.sin(a) - f * np.cos(a)) for f in (friction, friction * INNER))
+    assert least - 1e-6 <= found.residual[0] <= most + 1e-6
 
 
 def test_torques_count_by_the_length_and_about_the_centre() -> None:
@@ -125,7 +137,7 @@ def test_no_other_solver_finds_better_forces(contacts: int, ridge: float) -> Non
     angle = 2.0 * np.pi * np.arange(EDGES) / EDGES
     circle = np.stack([np.cos(angle), np.sin(angle)])
     for m in range(len(point)):
-        edges = normal[m][:, :, None] + 0.15 * tangents(normal[m]) @ circle  # (contacts, 3, EDGES)
+        edges = normal[m][:, :, None] + 0.15 * basis_tangents(normal[m]) @ circle  # (contacts, 3, EDGES)
 
         def forces(c: np.ndarray, edges: np.ndarray = edges) -> np.ndarray:
             return (edges @ c.reshape(contacts, EDGES, 1))[..., 0]
@@ -179,6 +191,130 @@ def test_a_large_ridge_spreads_the_load() -> None:
     assert (much.residual >= little.residual - 1e-9).all()
 
 
+@pytest.mark.parametrize("loaded", [False, True])
+def test_the_order_of_contacts_means_nothing(loaded: bool) -> None:
+    point, normal = random_contacts(20, 5, seed=9)
+    load = np.array([0.1, -0.2, 0.05, 0.0, 0.1, 0.0]) if loaded else None
+    forms = np.random.default_rng(0).normal(size=(20, 2, 5, 3))
+    order = [3, 0, 4, 1, 2]
+    found = contact_forces(point, normal, ORIGIN, load=load, forms=forms)
+    other = contact_forces(point[:, order], normal[:, order], ORIGIN, load=load, forms=forms[:, :, order])
+    np.testing.assert_allclose(other.unbalanced, found.unbalanced, atol=1e-7)
+    np.testing.assert_allclose(other.force, found.force[:, order], atol=1e-4)
+
+
+def test_a_contact_that_comes_twice_may_carry_more_and_never_harms() -> None:
+    """Two opposing contacts are as good as ever; a lopsided grasp gains, since each of two may carry half."""
+    point, normal = random_contacts(20, 3, seed=10)
+    once = contact_forces(point, normal, ORIGIN, ridge=1e-9)
+    twice = contact_forces(
+        np.concatenate([point, point], axis=1), np.concatenate([normal, normal], axis=1), ORIGIN, ridge=1e-9
+    )
+    assert (twice.residual <= once.residual + 1e-6).all() and (twice.residual < once.residual - 1e-3).any()
+    pair = of([[-1, 0, 0], [1, 0, 0]] * 2, [[0.03, 0, 0], [-0.05, 0, 0]] * 2)
+    assert pair.residual[0] == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(pair.pressure, 0.25, atol=1e-6)
+
+
+@pytest.mark.parametrize("azimuth", [0.1, 0.5, 1.2, 2.0])
+def test_level_normals_turn_no_pyramid(azimuth: float) -> None:
+    """Those of upright objects are level but for rounding; the basis once turned over where they are, and the residual
+    jumped."""
+    point, normal = random_contacts(30, 3, seed=11)
+    normal[:, 0] = [np.cos(azimuth), np.sin(azimuth), 0.0]
+    below, above = normal.copy(), normal.copy()
+    below[:, 0, 2], above[:, 0, 2] = -1e-12, 1e-12
+    residuals = [contact_forces(point, n, ORIGIN).residual for n in (below, above)]
+    np.testing.assert_allclose(residuals[0], residuals[1], atol=1e-9)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_normals_along_axes_turn_no_pyramid(axis: int, sign: float) -> None:
+    """Faces of boxes."""
+    point, normal = random_contacts(30, 3, seed=12)
+    normal[:, 0] = sign * np.eye(3)[axis]
+    residuals = []
+    for tilt in (np.roll([0.0, 1e-12, 0.0], axis), np.roll([0.0, -1e-12, 1e-12], axis)):
+        tilted = normal.copy()
+        tilted[:, 0] += tilt
+        residuals.append(contact_forces(point, tilted, ORIGIN).residual)
+    np.testing.assert_allclose(residuals[0], residuals[1], atol=1e-9)
+
+
+# loads and other forms
+
+
+def test_two_contacts_push_back_along_their_line() -> None:
+    """A load of 0.4 on the object along x: what bears on it from the other side takes more, up to its half."""
+    point, normal = [[0.03, 0, 0], [-0.03, 0, 0]], [[-1, 0, 0], [1, 0, 0]]
+    for push in (0.0, 0.1, 0.4):
+        found = of(normal * 2, point * 2, load=np.array([push, 0, 0, 0, 0, 0]))
+        assert found.residual[0] == pytest.approx(0.0, abs=1e-4)
+        np.testing.assert_allclose(found.force[0, ::2].sum(axis=0) * 2, [-0.5 * (1 + push) * 2, 0, 0], atol=1e-3)
+    # Of two contacts none may carry more than half, and the whole load is left.
+    found = of(normal, point, load=np.array([0.4, 0, 0, 0, 0, 0]))
+    assert found.residual[0] == pytest.approx(0.4, abs=1e-6)
+
+
+def test_a_load_across_is_taken_by_friction_up_to_its_limit() -> None:
+    """Of 0.2 along a tangent, both contacts together take the friction, the pyramid's along its edges."""
+    point, normal = [[0.03, 0, 0], [-0.03, 0, 0]], [[-1, 0, 0], [1, 0, 0]]
+    for push in (0.05, 0.2):
+        found = of(normal, point, load=np.array([0, push, 0, 0, 0, 0]), ridge=1e-9)
+        low, high = (max(0.0, push - 0.15 * share) for share in (1.0, INNER))
+        assert low - 1e-6 <= found.residual[0] <= high + 1e-6
+
+
+def test_a_load_that_turns_counts_by_the_length() -> None:
+    """Frictionless contacts on the line through the centre turn nothing."""
+    point, normal = [[0.03, 0, 0], [-0.03, 0, 0]], [[-1, 0, 0], [1, 0, 0]]
+    found = of(normal, point, load=np.array([0, 0, 0, 0, 0, 0.3]), friction=0.0)
+    assert found.residual[0] == pytest.approx(0.3) and found.unbalanced[0, 5] == pytest.approx(0.3)
+
+
+def test_each_grasp_may_have_a_load_of_its_own() -> None:
+    point, normal = random_contacts(5, 4, seed=13)
+    load = 0.2 * np.random.default_rng(1).normal(size=(5, 6))
+    together = contact_forces(point, normal, ORIGIN, load=load)
+    for m in range(5):
+        alone = contact_forces(point[[m]], normal[[m]], ORIGIN, load=load[m])
+        np.testing.assert_array_equal(alone.force[0], together.force[m])
+        np.testing.assert_array_equal(alone.unbalanced[0], together.unbalanced[m])
+
+
+def test_other_forms_count_with_the_rest_but_are_no_residual() -> None:
+    """A form that weighs heavily is kept at 0 where contacts can do without; here the third contact's pressure."""
+    angle = 2.0 * np.pi * np.arange(4) / 4
+    normal = -np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)[None]
+    forms = np.zeros((1, 1, 4, 3))
+    forms[0, 0, 2] = 100.0 * normal[0, 2]
+    free = contact_forces(-0.04 * normal, normal, ORIGIN)
+    found = contact_forces(-0.04 * normal, normal, ORIGIN, forms=forms)
+    np.testing.assert_allclose(free.pressure, 0.25, atol=1e-4)
+    # Without the third, the first has no opponent but friction of the other two.
+    assert found.pressure[0, 2] < 1e-3 and found.pressure[0, [1, 3]].min() > 0.4
+    assert found.unbalanced.shape == (1, 7) and found.unbalanced[0, 6] == pytest.approx(100.0 * found.pressure[0, 2])
+    assert found.residual[0] == pytest.approx(np.linalg.norm(found.unbalanced[0, :6]))
+
+
+def test_the_grasp_map_gives_what_forces_come_to() -> None:
+    point, normal = random_contacts(6, 4, seed=14)
+    point[1, 2] = np.nan
+    center, forms = np.array([0.01, 0.0, -0.02]), np.random.default_rng(2).normal(size=(6, 3, 4, 3))
+    G, basis = grasp_map(point, normal, center, forms)
+    found = contact_forces(point, normal, center, forms=forms)
+    np.testing.assert_allclose(np.einsum("mcij,mcj->mi", G, found.local), found.unbalanced, atol=1e-12)
+    np.testing.assert_allclose((basis @ found.local[..., None])[..., 0], found.force, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(basis), 1.0)
+    there = np.isfinite(point[..., 0])
+    np.testing.assert_allclose(basis[there][..., 0], normal[there], atol=1e-15)
+    assert not G[1, 2].any()
+    torque = np.cross(np.nan_to_num(point) - center, found.force).sum(axis=1) / LENGTH
+    total = np.concatenate([found.force.sum(axis=1), torque, np.einsum("meci,mci->me", forms, found.force)], axis=1)
+    np.testing.assert_allclose(found.unbalanced, total, atol=1e-9)
+
+
 # what is no contact
 
 
@@ -221,6 +357,35 @@ def test_a_solver_that_gives_up_is_no_result(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(wrench, "daqp", gave_up)
     found = of([[-1, 0, 0], [1, 0, 0]], [[0.03, 0, 0], [-0.03, 0, 0]])
     assert not found.solved[0] and np.isnan(found.residual[0]) and not found.force.any()
+
+
+# the basis of local forces
+
+
+def unit(count: int, seed: int) -> np.ndarray:
+    normal = np.random.default_rng(seed).normal(size=(count, 3))
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def test_the_basis_is_a_rotation_wherever_the_normal_points() -> None:
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    normal = np.concatenate([unit(50, 0), axes])
+    basis = np.concatenate([normal[..., None], basis_tangents(normal)], axis=-1)
+    np.testing.assert_allclose(basis.mT @ basis, np.broadcast_to(np.eye(3), basis.shape), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(basis), 1.0)
+
+
+def test_the_basis_turns_by_its_spin_and_with_its_normal() -> None:
+    """Against differences along all tangents."""
+    normal, h = unit(50, 1), 1e-6
+    E = basis_tangents(normal)
+    spin = basis_spin(normal, E)
+    for k in range(2):
+        ahead, behind = (normal + step * E[..., k] for step in (h, -h))
+        ahead, behind = (n / np.linalg.norm(n, axis=1, keepdims=True) for n in (ahead, behind))
+        turned = (basis_tangents(ahead) - basis_tangents(behind)) / (2 * h)
+        omega = np.cross(normal, E[..., k]) + spin[:, k, None] * normal
+        np.testing.assert_allclose(turned, np.cross(omega[..., None], E, axis=1), atol=1e-4)
 
 
 # centre of mass

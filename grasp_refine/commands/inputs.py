@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -202,17 +203,17 @@ class Inputs(Sources):
     """Where links should touch: a grasp file with targets; auto: as --grasps says, else anywhere; or nearest: where
     they are nearest to the object at first."""
 
-    def load(self, seed: int, say: Callable[[str], None]) -> Problem:
-        """The grasps that the options mean, as `load_from`.
+    def load(self, seed: int, say: Callable[[str], None], wait: Callable[[str], None] = lambda what: None) -> Problem:
+        """The grasps that the options mean, as `load_from`; `wait` hears what takes a while.
 
         Raises:
             GraspRefineError: something is missing, cannot be used, or does not fit the rest.
         """
         if str(self.grasps).startswith(SAMPLE):
-            return self._sampled(str(self.grasps), seed, say)
+            return self._sampled(str(self.grasps), seed, say, wait)
         return self.load_from(self.grasps if self.grasps is not None else self._example(), seed, say)
 
-    def _sampled(self, asked: str, seed: int, say: Callable[[str], None]) -> Problem:
+    def _sampled(self, asked: str, seed: int, say: Callable[[str], None], wait: Callable[[str], None]) -> Problem:
         """New grasps, as many as `asked` says."""
         from grasp_refine.grasp_sampling import sample_grasps
 
@@ -228,8 +229,11 @@ class Inputs(Sources):
         self._check_numbers()
         hand = self._simulated(load_hand(self.hand, urdf=self.urdf, mjcf=self.mjcf))
         obj, table = self._object(self.object, self.scale, seed, say), self._table()
+        began = time.perf_counter()
+        wait(f"sampling grasps of {hand.name} on {obj.name}")
         grasps = sample_grasps(hand, obj, int(count), seed=seed, table=table)
         notes = [*hand.notes, *(f"{obj.name}: {note}" for note in obj.notes)]
+        notes.append(f"{len(grasps)} grasps were sampled in {time.perf_counter() - began:.1f} s")
         if len(grasps) < int(count):
             notes.append(f"only {len(grasps)} of {count} grasps of '{hand.name}' on '{obj.name}' were found")
         grasps = replace(grasps, scale=np.full(len(grasps), self.scale))
@@ -237,7 +241,7 @@ class Inputs(Sources):
         grasps = grasps.select(rows)
         scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), grasps.q, table=table)
         group = Group(obj.name, self.scale, scene, grasps, rows, rows, np.arange(len(rows)))
-        return Problem(hand, (hand.urdf,), (group,), tuple(dict.fromkeys(notes)))
+        return Problem(hand, (hand.urdf,), (group,), tuple(dict.fromkeys(notes)), asked)
 
     def _files(self, path: Path) -> tuple[Path, ...]:
         return (path,) if self.targets in (AUTO, NEAREST) else (path, Path(self.targets))

@@ -22,6 +22,9 @@ LARGEST_SEED = 2**32 - 1
 MAY_BE_ZERO = ("seed", "restarts", "noise")
 """Whole numbers that may be 0."""
 
+MAY_BE_INFINITE = ("max_move",)
+"""Limits, of which there may be none."""
+
 _FRAME, _RULE = "│| \n", "│╭╮╰╯─|+- "
 """What tyro draws its boxes with, also where it has only ASCII."""
 _ANSI = re.compile(r"\x1b\[[0-9;]*m")
@@ -89,8 +92,11 @@ def check_numbers(options: Any, prefix: str = "--") -> None:
             check_numbers(value, f"{option}.")
             continue
         for number in value if isinstance(value, tuple) else (value,):
-            if isinstance(number, float) and not (isfinite(number) and number >= 0):
-                raise GraspRefineError(f"{option} must be finite and not negative, got {number:g}")
+            if isinstance(number, float):
+                limit = field.name in MAY_BE_INFINITE
+                if not (number >= 0 and (limit or isfinite(number))):
+                    words = "at least 0" if limit else "finite and not negative"
+                    raise GraspRefineError(f"{option} must be {words}, got {number:g}")
             if type(number) is not int:
                 continue
             if field.name == "seed" and not 0 <= number <= LARGEST_SEED:

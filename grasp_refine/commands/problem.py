@@ -64,6 +64,8 @@ class Problem:
     """The grasps, by object and scale."""
     notes: tuple[str, ...]
     """What a user should know about how hand, objects and grasps were read."""
+    sampled: str = ""
+    """What was asked for where the grasps were drawn and not read, such as sample:32."""
 
     def __len__(self) -> int:
         """Return the number of grasps."""

@@ -21,6 +21,7 @@ from grasp_refine.commands.settings import Settings
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand_object import HandObject
+from grasp_refine.holding import CLOSE, STAGES
 from grasp_refine.losses import Weights
 from grasp_refine.refine import refine
 from grasp_refine.report.document import run_document, settings
@@ -95,12 +96,13 @@ class Run:
         with Reporter(screen(stderr=True)) as reporter:
             if self.output.json is not None:
                 check_writable(self.output.json)
-            problem = self.inputs.load(config.seed, reporter.say)
+            problem = self.inputs.load(config.seed, reporter.say, reporter.wait)
             self._check_used(problem, config)
             paths = self._paths(problem)
             for note in problem.notes:
                 reporter.say(f"note: {note}")
-            reporter.start(problem.hand.name, len(problem), config.solver.iterations)
+            starts = config.starts if config.holds and not _aimed(problem, config) else 0
+            reporter.start(problem.hand.name, len(problem), _iterations(config, starts), starts)
             parts = [_refined(group, config, reporter) for group in problem.groups]
             proof = None if protocol is None else _proved(problem, parts, protocol, reporter)
             outcome = Outcome.join(parts).select(problem.order)
@@ -116,12 +118,12 @@ class Run:
         if self.output.json is not None:
             save_json(
                 self.output.json,
-                run_document(outcome, proof, config=described, seed=config.seed, wall_s=wall, cpu_s=cpu),
+                run_document(outcome, config, proof, config=described, wall_s=wall, cpu_s=cpu),
             )
         console = screen()
-        console.print(grasp_table(outcome, problem.hand.name, verbose=self.output.verbose))
+        console.print(grasp_table(outcome, problem.hand.name, config, verbose=self.output.verbose))
         if proof is not None:
-            for line in proof_lines(proof):
+            for line in proof_lines(proof, outcome.quality[:, 1]):
                 console.print(line)
         if not outcome.usable.any():
             console.print("nothing usable came out; no grasps were written")
@@ -143,6 +145,8 @@ class Run:
             raise GraspRefineError(
                 "--contacts, --reach and --reach-others are for grasps without targets: the targets say what touches"
             )
+        if _aimed(problem, config):
+            self.settings.check_aimed()
 
     def _paths(self, problem: Problem) -> dict[str, Path]:
         """Object name -> result file; nothing that is written takes the place of an input."""
@@ -155,11 +159,28 @@ class Run:
         return paths
 
     def _save(self, problem: Problem, outcome: Outcome, paths: dict[str, Path], provenance: dict[str, object]) -> None:
-        provenance = {"versions": versions(), **provenance, "source": fingerprint(problem.files[0])}
+        source = fingerprint(problem.files[0])
+        # Which grasps were drawn depends on the hand, the object and the seed.
+        source = {"sampled": problem.sampled, "hand": source} if problem.sampled else source
+        provenance = {"versions": versions(), **provenance, "source": source}
         links = problem.groups[0].scene.links
         for name, path in paths.items():
             rows = np.flatnonzero(outcome.object == name)
             save_results(path, problem.hand, links, outcome.select(rows), provenance)
+
+
+def _aimed(problem: Problem, config: Config) -> bool:
+    """Whether links have targets."""
+    return config.nearest or any(group.scene.target_link is not None for group in problem.groups)
+
+
+def _iterations(config: Config, starts: int) -> int:
+    """Most iterations of a grasp that is made to hold from so many starts; 0: that is refined once."""
+    most = config.solver.iterations
+    if not starts:
+        return most
+    each = sum(min(stage.iterations, most) for stage in STAGES)
+    return min(CLOSE.iterations, most) + starts * each
 
 
 def _refined(group: Group, config: Config, reporter: Reporter) -> Outcome:

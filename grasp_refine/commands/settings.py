@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
+from math import inf
 from typing import Annotated, Literal, TypeVar, get_args, get_type_hints
 
 from tyro.conf import DisallowNone, Suppress, arg
+from tyro.constructors import PrimitiveConstructorSpec
 
 from grasp_refine.commands.options import check_device, check_numbers
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.losses import Scales, Weights
+from grasp_refine.max_move import MaxMove
 from grasp_refine.solvers.adam import Adam
 from grasp_refine.solvers.descent import Descent
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -29,6 +32,28 @@ Method = TypeVar("Method")
 
 FIRST_ORDER_TOLERANCE = 1e-7
 """Default of --tolerance with descent and adam, which slow down on the way to smaller losses."""
+
+
+def _three(words: list[str]) -> tuple[float, ...]:
+    """Three numbers, with commas or spaces between them.
+
+    Raises:
+        ValueError: they are others.
+    """
+    numbers = [word for word in ",".join(words).split(",") if word]
+    if len(numbers) != 3:
+        raise ValueError(f"needs 3 numbers, as in 0.01,0.1,0.2, got {len(numbers)}")
+    return tuple(float(number) for number in numbers)
+
+
+THREE = PrimitiveConstructorSpec(
+    nargs="*",
+    metavar="M,RAD,RAD",
+    instance_from_str=_three,
+    is_instance=lambda value: value is None or isinstance(value, tuple),
+    str_from_instance=lambda value: [",".join(f"{number:g}" for number in value or ())],
+)
+"""How three numbers are written as one option."""
 
 
 # What has an option of its own, without a prefix, is left out of the options of a method.
@@ -126,7 +151,20 @@ class Settings:
         DisallowNone[int | None],
         arg(help_behavior_hint=f"(default: {LevenbergMarquardt.iterations}; descent, adam: {Descent.iterations})"),
     ] = None
-    """Most iterations per grasp."""
+    """Most iterations per grasp or, where grasps should hold, of each stage of a start, which has 15 to 25 anyway."""
+    starts: int = Config.starts
+    """Without targets, a grasp that may still slip is tried again from starts nearby, until it should hold or was tried
+    from so many; the best one counts. More find more grasps that hold, farther from those that were given."""
+    max_move: Annotated[
+        DisallowNone[tuple[float, ...] | None], THREE, arg(help_behavior_hint="(default: no limit)")
+    ] = None
+    """How far a refined grasp may be from the given one, as in 0.01,0.1,0.2: the hand by so many metres and radians,
+    each joint by so many radians; inf: no limit."""
+    seconds: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: no limit)")] = None
+    """CPU time after which levenberg-marquardt tries no more at a grasp; the best until then counts."""
+    geometry_only: bool = False
+    """Links should touch and nothing should penetrate, as near as possible; whether the grasp holds is only told. Much
+    faster, and grasps move less."""
     tolerance: Annotated[
         DisallowNone[float | None],
         arg(help_behavior_hint=f"(default: {Config.tolerance:g}; descent, adam: {FIRST_ORDER_TOLERANCE:g})"),
@@ -200,8 +238,11 @@ class Settings:
             raise GraspRefineError(f"--derivative {self.derivative} has no use for --neighborhood {self.neighborhood}")
         if self.solver == "levenberg-marquardt":
             self._check_least_squares()
-        elif self.width != Settings.width:
-            raise GraspRefineError(f"--width is for --solver levenberg-marquardt; it is {self.solver}")
+            self._check_holding()
+            if nearest:
+                self.check_aimed()
+        else:
+            self._check_first_order()
         if self.scales != Scales() and self.weights.stay_near == 0:
             raise GraspRefineError("--scales.* say what --weights.stay-near means, which is 0")
         solver, derivative, neighborhood = (
@@ -216,15 +257,56 @@ class Settings:
             derivative=_method(derivative, neighborhood=neighborhood, seed=self.seed),
             touching=Touching(self.reach, self.reach_others, max(self.reach, Touching.farthest), self.contacts),
             nearest=nearest,
-            weights=_method(self.weights),
+            weights=_method(replace(self.weights, wrench=0.0) if self.geometry_only else self.weights),
             scales=self.scales,
+            max_move=MaxMove() if self.max_move is None else MaxMove(*self.max_move),
+            starts=self.starts,
             margin=self.margin,
             tolerance=tolerance,
+            seconds=inf if self.seconds is None else self.seconds,
             width=self.width,
             seed=self.seed,
             dtype=self.dtype,
             device=self.device,
         )
+
+    def check_aimed(self) -> None:
+        """Refuse what means nothing where links have targets.
+
+        Raises:
+            GraspRefineError: names it.
+        """
+        for option in self._of_holding():
+            raise GraspRefineError(f"{option} is for grasps without targets: here the targets say where links touch")
+
+    def _of_holding(self) -> list[str]:
+        """The options that say how grasps are made to hold, of those that were given."""
+        given = {
+            "--starts": self.starts != Settings.starts,
+            "--geometry-only": self.geometry_only,
+            "--weights.wrench": self.weights.wrench != Weights.wrench,
+        }
+        return [option for option, is_given in given.items() if is_given]
+
+    def _check_first_order(self) -> None:
+        """Refuse what descent and Adam would ignore."""
+        given = {
+            "--width": self.width != Settings.width,
+            "--max-move": self.max_move is not None,
+            "--seconds": self.seconds is not None,
+        }
+        for option in (*(option for option, is_given in given.items() if is_given), *self._of_holding()):
+            raise GraspRefineError(f"{option} is for --solver levenberg-marquardt; it is {self.solver}")
+
+    def _check_holding(self) -> None:
+        """Refuse what cannot be, or would mean nothing, where grasps should hold or should not."""
+        if self.seconds == 0:
+            raise GraspRefineError("--seconds must be above 0, got 0")
+        others = [option for option in self._of_holding() if option != "--geometry-only"]
+        if self.geometry_only and others:
+            raise GraspRefineError(f"with --geometry-only, {others[0]} means nothing: leave one of them out")
+        if self.weights.wrench == 0 and self.starts != Settings.starts:
+            raise GraspRefineError("--starts is for grasps that should hold: with --weights.wrench 0 it means nothing")
 
     def _check_least_squares(self) -> None:
         """Refuse what Levenberg-Marquardt would ignore."""

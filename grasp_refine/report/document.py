@@ -6,23 +6,31 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
+from grasp_refine.config import Config
 from grasp_refine.report.outcome import Outcome
 from grasp_refine.report.proof import Proof, simulation_entry
+from grasp_refine.report.verdict import advice, should_hold
 from grasp_refine.report.writing import SCHEMA
 from grasp_refine.solvers.status import Status
 from grasp_refine.versions import versions
 
 
 def run_document(
-    outcome: Outcome, proof: Proof | None = None, *, config: Mapping[str, Any], seed: int, wall_s: float, cpu_s: float
+    outcome: Outcome,
+    refined: Config,
+    proof: Proof | None = None,
+    *,
+    config: Mapping[str, Any],
+    wall_s: float,
+    cpu_s: float,
 ) -> dict[str, Any]:
     """The document of `run`: totals, and one entry per grasp.
 
     Args:
         outcome: All grasps.
+        refined: How they were refined.
         proof: What simulation says of them, where it was asked.
-        config: All settings.
-        seed: Seed of everything that was drawn.
+        config: All settings of the command.
         wall_s: Wall time of the whole command, loading and decomposition included.
         cpu_s: Its CPU time.
     """
@@ -31,33 +39,35 @@ def run_document(
         "command": "run",
         "versions": versions(),
         "config": config,
-        "seed": seed,
+        "seed": refined.seed,
         "totals": {
             "n": len(outcome),
             "converged": int((outcome.status == Status.CONVERGED).sum()),
+            "good_before": int(should_hold(outcome.quality[:, 0]).sum()),
+            "good_after": int(should_hold(outcome.quality[:, 1]).sum()),
             "success_before": None if proof is None else int(proof.before.success.sum()),
             "success_after": None if proof is None else int(proof.after.success.sum()),
             "wall_s": wall_s,
             "cpu_s": cpu_s,
         },
-        "grasps": [_grasp(outcome, proof, i) for i in range(len(outcome))],
+        "grasps": [_grasp(outcome, proof, i, said) for i, said in enumerate(advice(outcome, refined))],
     }
 
 
-def _grasp(outcome: Outcome, proof: Proof | None, i: int) -> dict[str, Any]:
-    status = Status(outcome.status[i])
+def _grasp(outcome: Outcome, proof: Proof | None, i: int, advice: str) -> dict[str, Any]:
     worst, mean = outcome.worst_error[i], outcome.mean_error[i]
     return {
         "index": outcome.index[i],
         "row": outcome.row[i],
         "object": outcome.object[i],
-        "status": status.label,
-        "advice": status.advice,
+        "status": Status(outcome.status[i]).label,
+        "advice": advice,
+        "starts": outcome.starts[i],
         "iterations": outcome.iterations[i],
         "queries": outcome.queries[i],
         "wall_s": outcome.wall_s[i],
         "cpu_s": outcome.cpu_s[i],
-        "quality": None,
+        "quality": {"before": outcome.quality[i, 0], "after": outcome.quality[i, 1]},
         "contact_error_m": {
             "before": {"max": worst[0], "mean": mean[0]},
             "after": {"max": worst[1], "mean": mean[1]},

@@ -15,6 +15,7 @@ from grasp_refine.self_collision import self_penetration, touching_pairs
 from grasp_refine.solvers.status import Status
 from grasp_refine.squeeze import grasp_forces
 from grasp_refine.validation.geometry import measure, movement
+from grasp_refine.validation.metrics import quality_values
 from grasp_refine.validation.motion import Motion
 
 
@@ -39,13 +40,15 @@ class Outcome:
     loss: np.ndarray
     """Loss in m^2 before and after (N, 2)."""
     iterations: np.ndarray
-    """Iterations (N,)."""
+    """Iterations (N,), of all starts together."""
     queries: np.ndarray
     """Narrow-phase queries (N,)."""
     wall_s: np.ndarray
     """Share of the wall time of the refinement (N,), seconds."""
     cpu_s: np.ndarray
     """Share of its CPU time (N,), seconds."""
+    starts: np.ndarray
+    """From how many starts each grasp was tried (N,)."""
     contact_error: np.ndarray
     """Largest of gap and target misses, before and after (N, 2, L), metres; NaN for links that should not touch."""
     penetration: np.ndarray
@@ -54,6 +57,8 @@ class Outcome:
     """Deepest penetration of links in each other, before and after (N, 2), metres."""
     wrench_residual: np.ndarray
     """What contact forces leave unbalanced at best, before and after (N, 2), as in `ContactForces.residual`."""
+    quality: np.ndarray
+    """`Quality.value` before and after (N, 2), from 0 to 1; NaN where a grasp is not finite."""
     limits_violated: np.ndarray
     """Number of refined joint values beyond their limits (N,)."""
     palm_m: np.ndarray
@@ -89,6 +94,11 @@ class Outcome:
     def usable(self) -> np.ndarray:
         """Which grasps (N,) were refined at all: they had something to touch and their queries were answered."""
         return ~np.isin(self.status, (Status.NO_TARGET, Status.NOT_FINITE))
+
+    @property
+    def aimed(self) -> np.ndarray:
+        """Which grasps (N,) had targets."""
+        return ~np.isnan(self.target_link).all(axis=(1, 2))
 
     @property
     def worst_error(self) -> np.ndarray:
@@ -142,20 +152,22 @@ def compare(
     """
     count = len(scene.q)
     T_before, T_after = scene.T_world_root, refinement.T_world_root
+    T, q = np.concatenate([T_before, T_after]), np.concatenate([scene.q, refinement.q])
     geometry = measure(
         scene.hand,
         scene.object,
         scene.links,
-        np.concatenate([T_before, T_after]),
-        np.concatenate([scene.q, refinement.q]),
+        T,
+        q,
         np.concatenate([refinement.target_link, refinement.target_link]),
         np.concatenate([refinement.target_object, refinement.target_object]),
         margin,
         np.concatenate([refinement.touching, refinement.touching]),
     )
     pairs = touching_pairs(scene.hand)
-    own = self_penetration(scene.hand, pairs, np.concatenate([scene.q, refinement.q]))
+    own = self_penetration(scene.hand, pairs, q)
     forces = grasp_forces(scene.hand, scene.object, scene.links, geometry.witness)
+    quality = quality_values(scene.hand, scene.object, scene.links, T, q, geometry.witness)
     witness = geometry.witness.rows(slice(count, None))
     touching = refinement.touching & witness.valid
     T_link = geometry.T_world_link[count:]
@@ -180,10 +192,12 @@ def compare(
         queries=refinement.queries,
         wall_s=refinement.wall_s,
         cpu_s=refinement.cpu_s,
+        starts=refinement.starts,
         contact_error=before_after(geometry.contact_error),
         penetration=before_after(geometry.penetration),
         self_penetration=before_after(own),
         wrench_residual=before_after(forces.residual),
+        quality=before_after(quality),
         limits_violated=geometry.limits_violated[count:],
         palm_m=moved.palm_m,
         palm_rad=moved.palm_rad,

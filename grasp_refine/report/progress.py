@@ -26,6 +26,7 @@ class Reporter:
             disable=not console.is_terminal,
         )
         self._finished = self._total = self._iterations = 0
+        self._done = "done"
         self._task = self._bar.add_task("", total=None, visible=False, said="")
 
     def __enter__(self) -> Reporter:
@@ -43,12 +44,24 @@ class Reporter:
         """Print a line above the bar."""
         self.console.print(escape(line), style="dim", soft_wrap=not self.console.is_terminal)
 
-    def start(self, hand: str, total: int, iterations: int) -> None:
-        """Announce the refinement of `total` grasps, each of at most so many `iterations`."""
+    def start(self, hand: str, total: int, iterations: int, starts: int = 0) -> None:
+        """Announce the refinement of `total` grasps, each of at most so many `iterations`.
+
+        Args:
+            hand: Name of the hand.
+            total: Number of grasps.
+            iterations: Most iterations of a grasp.
+            starts: From how many starts grasps are made to hold; 0: they are not.
+        """
         if not self.console.is_terminal:
-            self.say(f"refining {total} grasp{'' if total == 1 else 's'} with {hand}, at most {iterations} iterations")
-        self._iterations, self._total = iterations, total
+            most = f"{starts} start{'' if starts == 1 else 's'}" if starts else f"{iterations} iterations"
+            self.say(f"refining {total} grasp{'' if total == 1 else 's'} with {hand}, at most {most}")
+        self._iterations, self._total, self._done = iterations, total, "good" if starts else "done"
         self._bar.update(self._task, description="refining", total=total, visible=True)
+
+    def wait(self, what: str) -> None:
+        """Show, in a terminal only, what takes a while."""
+        self._bar.update(self._task, description=escape(what), total=None, visible=True)
 
     def telling(self, name: str, total: int) -> Callable[[str, float], None]:
         """The `tell` of `validate` for `total` grasps on the object `name`."""
@@ -66,17 +79,21 @@ class Reporter:
         return tell
 
     def group(self, name: str, count: int) -> Callable[[int, int, float], None]:
-        """The `progress` of `refine` for a group of `count` grasps on the object `name`."""
+        """The `progress` of `refine` for a group of `count` grasps on the object `name`.
+
+        Where grasps are made to hold, those that are finished are good, and others may yet become so.
+        """
         before, self._finished = self._finished, self._finished + count
 
         def progress(finished: int, iteration: int, mean_loss: float) -> None:
             # Most grasps finish late: those that run count by how far they are.
             running = (count - finished) * min(iteration / self._iterations, 1.0)
+            done = f"{before + finished}/{self._total} {self._done}"
             self._bar.update(
                 self._task,
                 completed=before + finished + running,
                 description=f"refining {escape(name)}",
-                said=f"{before + finished}/{self._total} done, iteration {iteration}, mean loss {mean_loss:.1e} m²",
+                said=f"{done}, iteration {iteration}, mean loss {mean_loss:.1e} m²",
             )
 
         return progress

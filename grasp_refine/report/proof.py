@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from rich.text import Text
 
+from grasp_refine.report.verdict import foretold_line
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Reason, Trials
 
@@ -45,8 +46,8 @@ def closing_line(owners: Mapping[str, str]) -> Text:
     return Text(f"pregrasps are {words[owners['pregrasp']]}, squeezes {words[owners['squeeze']]}")
 
 
-def proof_lines(proof: Proof) -> list[Text]:
-    """How many grasps held before and after, and why the others did not."""
+def proof_lines(proof: Proof, quality: np.ndarray) -> list[Text]:
+    """How many grasps held before and after, why the others did not, and what their quality (N,) had said."""
     before, after = proof.before.success, proof.after.success
     color = "green" if after.sum() >= before.sum() else "red"
     lines = [
@@ -56,6 +57,7 @@ def proof_lines(proof: Proof) -> list[Text]:
         )
     ]
     lines += reason_lines(proof.after, proof.protocol)
+    lines.append(foretold_line(quality, after))
     lines.append(Text("before, ").append(closing_line(proof.closing)).append("; after, they are our own"))
     return lines
 

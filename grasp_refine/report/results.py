@@ -43,6 +43,8 @@ def save_results(
         penetration_before, _after          (N,)       deepest of all links, metres
         self_penetration_before, _after     (N,)       deepest of links in each other, metres
         wrench_residual_before, _after      (N,)       what contact forces leave unbalanced, without unit
+        quality_before, _after              (N,)       `Quality.value`, from 0 to 1
+        starts                              (N,)       from how many starts the grasp was tried
         status                              (N,)       how the refinement ended
         iterations                          (N,)
         loss                                (N,)       after refinement, m^2
@@ -90,6 +92,9 @@ def save_results(
             "self_penetration_after": outcome.self_penetration[:, 1],
             "wrench_residual_before": outcome.wrench_residual[:, 0],
             "wrench_residual_after": outcome.wrench_residual[:, 1],
+            "quality_before": outcome.quality[:, 0],
+            "quality_after": outcome.quality[:, 1],
+            "starts": outcome.starts,
             "status": np.array([Status(status).label for status in outcome.status]),
             "iterations": outcome.iterations,
             "loss": np.where(np.isfinite(outcome.loss[:, 1]), outcome.loss[:, 1], np.nan),

@@ -12,6 +12,7 @@ import numpy as np
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.report.proof import simulation_entry
+from grasp_refine.report.verdict import should_hold
 from grasp_refine.report.writing import SCHEMA, save_bytes, save_text
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.validate import Validated
@@ -20,7 +21,7 @@ from grasp_refine.versions import versions
 QUANTILES = {0.5: "median", 0.9: "90 %", 1.0: "worst"}
 """Which quantiles of displacements are told, and what they are called."""
 
-ABSENT = ("status", "advice", "iterations", "queries", "contact_error_m", "moved", "quality")
+ABSENT = ("status", "advice", "iterations", "queries", "contact_error_m", "moved", "starts")
 """Keys of the entries of `run` that validation has nothing to say about."""
 
 TABLES = (".csv", ".parquet")
@@ -59,6 +60,8 @@ def validate_document(
         "totals": {
             "n": len(validated),
             "converged": None,
+            "good_before": None,
+            "good_after": int(should_hold(validated.metrics.quality).sum()),
             "success_before": None,
             "success_after": int(validated.success.sum()) if simulated else None,
             "by_friction": None
@@ -98,6 +101,7 @@ def _grasp(validated: Validated, i: int, protocol: Protocol | None, frictions: S
         "penetration_m": after(metrics.penetration_m[i]),
         "self_penetration_m": after(metrics.self_penetration_m[i]),
         "wrench_residual": after(metrics.wrench_residual[i]),
+        "quality": after(metrics.quality[i]),
         "limits_violated": _whole(metrics.limits_violated[i]),
         "simulation": after(_simulation(validated, i, protocol, frictions)),
     }

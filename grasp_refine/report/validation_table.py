@@ -11,18 +11,16 @@ from rich.table import Table
 from rich.text import Text
 
 from grasp_refine.report.proof import reason_lines
-from grasp_refine.report.table import LONGEST, WORST, count_text, number_text, plain_table
+from grasp_refine.report.table import LONGEST, WORST, count_text, number_text, numbers_text, plain_table
 from grasp_refine.report.validation_document import QUANTILES
-from grasp_refine.validation.metrics import NEAR
+from grasp_refine.report.verdict import BAR, foretold_line, should_hold
+from grasp_refine.validation.metrics import NEAR, Metrics
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import BARELY, ENOUGH, Validated
 
 _FEW = 3
 """Most directions that are named in a cell."""
-
-_MANY = 12
-"""Most grasps of an object that are listed by number in a line."""
 
 
 def validation_table(
@@ -51,6 +49,7 @@ def comparison_table(before: Validated, after: Validated, hand: str, protocol: P
         ("contact distance, mean mm", "contact_distance_m", 1e3, -1),
         ("links in contact, mean", "contact_number", 1.0, 1),
         ("wrench residual, mean", "wrench_residual", 1.0, -1),
+        ("quality, mean", "quality", 1.0, 1),
     )
     for label, field, factor, sign in measures:
         old, new = (np.asarray(getattr(v.metrics, field), dtype=float) * factor for v in (before, after))
@@ -95,65 +94,54 @@ def _object_table(validated: Validated, what: str, protocol: Protocol | None, ve
         shown = np.argsort(-_badness(validated), kind="stable")[:WORST]
         title += f", the worst {WORST} (--verbose: all)"
     table = plain_table(title, between=0)
-    for head, align in (
-        ("\n grasp", "right"),
-        ("penetr.\nmm", "right"),
-        (" self\nmm", "right"),
-        ("  gap\nmm", "right"),
-        ("\nlinks", "right"),
-        ("wrench\nresid.", "right"),
-    ):
-        table.add_column(head, justify=align, no_wrap=True)
+    columns = _measures(validated.metrics, simulated=protocol is not None)
+    for head in ("\n grasp", *(head for head, *_ in columns)):
+        table.add_column(head, justify="right", no_wrap=True)
     if protocol is not None:
         table.add_column("   moved\nmm   deg", justify="right", no_wrap=True)
         table.add_column("\n verdict")
     for i in shown:
-        table.add_row(*_row(validated, int(i), protocol))
+        measures = (number_text(values[i] * factor, digits) for _, values, factor, digits in columns)
+        table.add_row(str(validated.index[i]), *measures, *_simulated(validated, int(i), protocol))
     if len(validated) > 1:
         table.add_section()
-        metrics = validated.metrics
-        medians = [
-            number_text(_median(values) * factor, digits)
-            for values, factor, digits in (
-                (metrics.penetration_m, 1e3, 2),
-                (metrics.self_penetration_m, 1e3, 2),
-                (metrics.contact_distance_m, 1e3, 2),
-                (metrics.contact_number, 1, 0),
-                (metrics.wrench_residual, 1, 3),
-            )
-        ]
+        medians = (number_text(_median(values) * factor, digits) for _, values, factor, digits in columns)
         last = [] if protocol is None else ["", f" {_held(validated)}"]
         table.add_row("median", *medians, *last, style="bold")
     return table
 
 
 def _badness(validated: Validated) -> np.ndarray:
-    """Failures first, then by how far the object moved or, without simulation, by depth."""
+    """Failures first, then by how far the object moved; without simulation by quality."""
     if validated.trials is None:
-        return np.nan_to_num(validated.metrics.penetration_m, nan=np.inf)
+        return -np.nan_to_num(validated.metrics.quality, nan=-1.0)
     moved = np.nan_to_num(validated.trials.displacement_m.max(axis=1), nan=1e3)
     return np.where(validated.success, 0.0, 1e6) + moved
 
 
-def _row(validated: Validated, i: int, protocol: Protocol | None) -> list[RenderableType]:
-    metrics = validated.metrics
-    cells: list[RenderableType] = [
-        str(validated.index[i]),
-        number_text(metrics.penetration_m[i] * 1e3, 2),
-        number_text(metrics.self_penetration_m[i] * 1e3, 2),
-        number_text(metrics.contact_distance_m[i] * 1e3, 2),
-        number_text(metrics.contact_number[i], 0),
-        number_text(metrics.wrench_residual[i], 3),
+def _measures(metrics: Metrics, *, simulated: bool) -> list[tuple[str, np.ndarray, float, int]]:
+    """Columns of measures: head, values, factor and digits; beside a simulation there is no room for all."""
+    return [
+        ("penetr.\nmm", metrics.penetration_m, 1e3, 2),
+        (" self\nmm", metrics.self_penetration_m, 1e3, 2),
+        ("  gap\nmm", metrics.contact_distance_m, 1e3, 2),
+        ("\nlinks", metrics.contact_number, 1.0, 0),
+        *([] if simulated else [("wrench\nresid.", metrics.wrench_residual, 1.0, 3)]),
+        ("\nqual.", metrics.quality, 1.0, 3),
     ]
-    if protocol is not None and validated.trials is not None:
-        trials = validated.trials
-        worst = trials.worst[i]
-        cells.append(
-            f"{number_text(trials.displacement_m[i, worst] * 1e3, 1):>5} "
-            f"{number_text(np.degrees(trials.angle_rad[i, worst]), 1):>5}"
-        )
-        cells.append(_reason(validated, i, protocol))
-    return cells
+
+
+def _simulated(validated: Validated, i: int, protocol: Protocol | None) -> list[RenderableType]:
+    """Cells on what simulation says of a grasp; none without one."""
+    trials = validated.trials
+    if protocol is None or trials is None:
+        return []
+    worst = trials.worst[i]
+    moved = (
+        f"{number_text(trials.displacement_m[i, worst] * 1e3, 1):>5} "
+        f"{number_text(np.degrees(trials.angle_rad[i, worst]), 1):>5}"
+    )
+    return [moved, _reason(validated, i, protocol)]
 
 
 def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
@@ -200,15 +188,20 @@ def _by_object(validated: Validated, names: Sequence[str]) -> Table:
 
 
 def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequence[float]) -> list[Text]:
-    trials = validated.trials
+    trials, quality = validated.trials, validated.metrics.quality
     if trials is None or protocol is None:
-        return []
+        good = should_hold(quality)
+        color = "green" if good.all() else "yellow"
+        return [
+            Text.assemble((f"{good.sum()} of {count_text(len(good), 'grasp')} should hold", color), f" (quality {BAR})")
+        ]
     success = validated.success
     color = "green" if success.all() else "yellow"
     how = f"in all of {', '.join(trials.directions)}" if len(trials.directions) > 1 else f"the {trials.directions[0]}"
     held = f"{success.sum()} of {count_text(len(success), 'grasp')} held"
     lines = [Text.assemble((held, color), f" ({_percent(success)}) {how}")]
     lines += reason_lines(trials, protocol)
+    lines.append(foretold_line(quality, success))
     if success.any():
         parts = []
         for values, factor, unit in ((trials.peak_m, 1e3, "mm"), (np.degrees(trials.peak_rad), 1, "deg")):
@@ -255,15 +248,7 @@ def _held(validated: Validated) -> str:
 
 
 def _numbers(validated: Validated, which: np.ndarray) -> str:
-    """Which grasps: their numbers, by object where there are several."""
-    names = list(dict.fromkeys(validated.object.tolist()))
-    parts = []
-    for name in names:
-        numbers = [str(number) for number in validated.index[which & (validated.object == name)]]
-        if numbers:
-            more = f" and {len(numbers) - _MANY} more" if len(numbers) > _MANY else ""
-            parts.append((f"{name} " if len(names) > 1 else "") + ", ".join(numbers[:_MANY]) + more)
-    return "; ".join(parts)
+    return numbers_text(validated.object, validated.index, which)
 
 
 def _median(values: np.ndarray) -> float:

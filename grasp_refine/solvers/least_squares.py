@@ -46,6 +46,18 @@ class Linear:
     one_sided: np.ndarray | None = None
     """Rows (batch, m) that count only where they are positive; None: none."""
 
+    def also(self, weight: float, residual: np.ndarray, jacobian: np.ndarray) -> Linear:
+        """The same with further residuals (batch, k), whose squares count so much."""
+        scale = np.sqrt(weight)
+        one_sided = self.one_sided
+        if one_sided is not None:
+            one_sided = np.concatenate([one_sided, np.zeros(residual.shape, dtype=bool)], axis=1)
+        return Linear(
+            np.concatenate([self.residual, scale * residual], axis=1),
+            np.concatenate([self.jacobian, scale * jacobian], axis=1),
+            one_sided,
+        )
+
 
 @runtime_checkable
 class Evaluated(Protocol):

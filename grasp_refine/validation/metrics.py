@@ -9,8 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.batch import join, take
+from grasp_refine.chain import Chain
+from grasp_refine.collision.query import Witness
 from grasp_refine.hand import Hand
 from grasp_refine.objects import Object
+from grasp_refine.quality import quality
 from grasp_refine.scene import links_of
 from grasp_refine.self_collision import self_penetration, touching_pairs
 from grasp_refine.squeeze import grasp_forces
@@ -39,6 +42,8 @@ class Metrics:
     wrench_residual: Float[np.ndarray, " N"]
     """What is left of forces and torques when the contacts balance them best (`ContactForces.residual`), (N,); NaN
     without contacts, too."""
+    quality: Float[np.ndarray, " N"]
+    """`Quality.value` (N,), from 0 to 1."""
 
     def __len__(self) -> int:
         """Return the number of grasps."""
@@ -79,7 +84,27 @@ def metrics(hand: Hand, obj: Object, T_world_root: np.ndarray, q: np.ndarray) ->
         self_penetration_m=where_known(self_penetration(hand, touching_pairs(hand), q)),
         limits_violated=where_known(found.limits_violated),
         wrench_residual=where_known(forces.residual),
+        quality=quality_values(hand, obj, links, T_world_root, q, found.witness),
     )
+
+
+def quality_values(
+    hand: Hand, obj: Object, links: tuple[str, ...], T_world_root: np.ndarray, q: np.ndarray, witness: Witness
+) -> Float[np.ndarray, " N"]:
+    """`Quality.value` of grasps (N,); NaN where one is not finite, or a query could not be answered.
+
+    Args:
+        hand: The hand.
+        obj: The object.
+        links: Its links with collision geometry.
+        T_world_root: Poses (N, 4, 4) of the base link in the object's frame.
+        q: Joint values (N, n).
+        witness: Witness points (N, L) of the links and the object.
+    """
+    known = witness.valid.all(axis=1)
+    T, q = np.where(known[:, None, None], T_world_root, np.eye(4)), np.where(known[:, None], q, 0.0)
+    chain = Chain(hand, links)
+    return np.where(known, quality(hand, obj, chain, chain(T, q), witness).value, np.nan)
 
 
 def _contact_distance(

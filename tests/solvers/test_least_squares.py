@@ -131,6 +131,19 @@ def test_the_budget_is_kept_to_the_iteration() -> None:
     assert (exact.status == Status.CONVERGED).all()
 
 
+def test_a_budget_of_time_ends_members_with_the_best_they_had() -> None:
+    """Each has its own; of those that have none left only the start is evaluated, and their best counts."""
+    problem, start = Valley(np.linspace(-1, 1, 5)), start_of(5)
+    seconds = np.array([np.inf, 0.0, np.inf, 0.0, 1e3])
+    found, free = (minimise(problem, start, SOLVER, 1e-20, seconds=most) for most in (seconds, np.inf))
+    done = np.isposinf(seconds) | (seconds > 1.0)
+    equal(found, free, done, done)
+    assert (found.status[~done] == Status.BUDGET).all() and (found.iterations[~done] <= 2).all()
+    assert (found.loss[:, 1] <= found.loss[:, 0]).all() and np.isfinite(found.loss).all()
+    none = minimise(problem, start, SOLVER, 1e-20, seconds=0.0)
+    assert (none.status == Status.BUDGET).all()
+
+
 def test_who_is_there_already_stays_there() -> None:
     q = np.array([[0.5, 0.25]])
     found = minimise(Valley(np.array([0.5])), Point(np.eye(4)[None], q), SOLVER, 1e-20)

@@ -121,7 +121,7 @@ def true_grasps(group: Group) -> Tasks:
         solver=LevenbergMarquardt(patience=12, progress=0.1),
         touching=Touching(links=tips),
         # No compromise: what penetrates is no true grasp.
-        weights=Weights(penetration=100.0, self_penetration=100.0),
+        weights=Weights(penetration=100.0, self_penetration=100.0, wrench=0.0),
         tolerance=SOLVED,
     )
     found = refine(tried.scene, config)

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from grasp_refine.config import Config
+from grasp_refine.losses import Weights
 from grasp_refine.solvers.adam import Adam
 from grasp_refine.solvers.descent import Descent
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -63,6 +64,8 @@ class Variant:
         return Config(
             solver=SOLVERS[self.solver](iterations=self.iterations),
             derivative=DERIVATIVES[self.derivative](seed),
+            # Solvers are compared by geometry; `bench hold` measures whether grasps hold.
+            weights=Weights(wrench=0.0),
             tolerance=tolerance,
             width=self.batch,
             seed=seed,

@@ -1,0 +1,1 @@
+"""How many grasps hold after refinement, against what it costs, by method and number of starts."""

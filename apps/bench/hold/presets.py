@@ -1,0 +1,28 @@
+"""The experiments that have a name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+STARTS = (1, 6)
+"""Numbers of starts that are compared where nobody says which."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """An experiment."""
+
+    what: str
+    """One line on what it shows."""
+    starts: tuple[int, ...] = STARTS
+    """Numbers of starts."""
+    count: int | None = None
+    """Most grasps on each object at each scale; None: all."""
+
+
+PRESETS: Mapping[str, Preset] = MappingProxyType(
+    {"smoke": Preset("every method on two grasps, in seconds", starts=(1, 2), count=2)}
+)
+"""Name -> experiment."""

@@ -1,0 +1,156 @@
+"""Rows: numbers that can be counted by hand, and what is shown of them."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from apps.bench.hold.chart import success_chart
+from apps.bench.hold.measures import Measures
+from apps.bench.hold.methods import AS_CAME, GEOMETRY_ONLY, OWN_STAGES, Method
+from apps.bench.hold.page import page
+from apps.bench.hold.rows import auc, rows
+from apps.bench.hold.runner import Part
+from apps.bench.hold.table import bench_tables
+from grasp_refine.report.writing import dumps
+from grasp_refine.validation.geometry import Movement
+from grasp_refine.validation.trials import Reason
+
+SETTINGS = ("force-closure", "strict")
+NAN = np.nan
+H, M, T = Reason.HELD, Reason.MOVED, Reason.TURNED
+
+
+def part(
+    method: Method, name: str, easy: list[Reason], hard: list[Reason], cpu_s: float = NAN, quality: float = 0.5
+) -> Part:
+    n = len(easy)
+    ramp = np.arange(n, dtype=float)
+    return Part(
+        method=method,
+        object=name,
+        measures=Measures(1e-3 * ramp, 1e-4 * ramp, 1e-5 * ramp, 1e-2 * ramp, quality + 0.01 * ramp),
+        moved=Movement(0.01 + 0 * ramp, 0.1 + 0 * ramp, 0.2 + 0 * ramp),
+        cpu_s=cpu_s * (1.0 + ramp),
+        wall_s=2.0 * cpu_s * (1.0 + ramp),
+        stages_cpu_s=np.full(n, NAN if method is AS_CAME else 0.03),
+        starts=np.full(n, NAN if method.starts is None else float(method.starts)),
+        reason={"force-closure": np.array(easy), "strict": np.array(hard)},
+    )
+
+
+@pytest.fixture
+def parts() -> list[Part]:
+    """Four grasps on a cup and one on a can, by three methods; of the cup three hold at first."""
+    found = []
+    for name, came, after, twice in (
+        ("cup", [H, H, H, M], [H, T, H, H], [H, H, H, H]),
+        ("can", [M], [M], [H]),
+    ):
+        bad = [M] * len(came)
+        found += [
+            part(AS_CAME, name, came, bad),
+            part(OWN_STAGES, name, came, bad),
+            part(GEOMETRY_ONLY, name, after, bad, 0.01),
+            part(Method("forces", 6), name, twice, after, 0.1),
+        ]
+    return found
+
+
+def test_what_holds_is_counted_pooled_and_by_object(parts: list[Part]):
+    found = rows(parts, SETTINGS)
+    assert [row["object"] for row in found] == ["all", "cup", "can"] * 4
+    came, own, geometry, forces = (row for row in found if row["object"] == "all")
+    assert [row["success_force_closure"] for row in (came, own, geometry, forces)] == [0.6, 0.6, 0.6, 1.0]
+    assert [row["success_strict"] for row in (came, geometry, forces)] == [0.0, 0.0, 0.6]
+    # Of the three that held, the second one is lost.
+    assert [row["lost_force_closure"] for row in (came, geometry, forces)] == [0.0, 1 / 3, 0.0]
+    assert forces["lost_strict"] is None, "none held before"
+    assert geometry["reasons_force_closure"] == {"moved": 1, "turned": 1} and forces["reasons_force_closure"] == {}
+    can = next(row for row in found if row["object"] == "can")
+    assert (can["grasps"], can["success_force_closure"], can["lost_force_closure"]) == (1, 0.0, None)
+
+
+def test_costs_are_those_of_all_grasps(parts: list[Part]):
+    came, own, geometry, forces = (row for row in rows(parts, SETTINGS) if row["object"] == "all")
+    assert (came["method"], came["starts"], forces["method"], forces["starts"]) == ("as-came", None, "forces", 6)
+    for name in ("cpu_ms_mean", "wall_ms_median", "moved_palm_median_m", "starts_mean"):
+        assert came[name] is None and own[name] is None
+    assert came["stages_cpu_ms"] is None and own["stages_cpu_ms"] == pytest.approx(30.0)
+    # 10, 20, 30, 40 and 10 ms.
+    assert (geometry["cpu_ms_mean"], geometry["cpu_ms_median"]) == pytest.approx((22.0, 20.0))
+    assert geometry["wall_ms_mean"] == pytest.approx(44.0) and forces["starts_mean"] == 6.0
+    assert geometry["moved_palm_median_m"] == 0.01 and geometry["moved_joints_median_rad"] == 0.2
+
+
+def test_measures_are_pooled(parts: list[Part]):
+    row = rows(parts, SETTINGS)[0]
+    # 0, 1, 2, 3 and 0 mm.
+    assert row["penetration_mean_m"] == pytest.approx(1.2e-3) and row["penetration_q95_m"] == 3e-3
+    assert row["self_penetration_max_m"] == pytest.approx(3e-4) and row["contact_gap_median_m"] == pytest.approx(1e-5)
+    assert (row["wrench_residual_median"], row["wrench_residual_q75"]) == pytest.approx((0.01, 0.02))
+    assert row["quality_median"] == pytest.approx(0.51)
+
+
+def test_what_cannot_be_measured_counts_as_the_worst():
+    bad = part(AS_CAME, "cup", [H, H], [H, H])
+    bad.measures.penetration_m[:], bad.measures.wrench_residual[:] = NAN, NAN
+    (row,) = rows([bad], SETTINGS)
+    assert row["penetration_mean_m"] == row["wrench_residual_median"] == np.inf
+    assert json.loads(dumps(row))["penetration_mean_m"] is None
+
+
+def test_auc_counts_pairs_in_the_right_order():
+    score = np.array([0.9, 0.5, 0.5, 0.1])
+    assert auc(score, np.array([True, True, False, False])) == (2 + 1.5) / 4
+    assert auc(score, np.array([False, False, True, True])) == 0.5 / 4
+    assert auc(score, np.array([True, False, False, False])) == 1.0
+    assert auc(score, np.ones(4, dtype=bool)) is None and auc(score, np.zeros(4, dtype=bool)) is None
+
+
+def test_auc_is_that_of_all_pairs():
+    random = np.random.default_rng(0)
+    score, success = random.integers(0, 9, 60) / 9.0, random.random(60) < 0.4
+    pairs = np.subtract.outer(score[success], score[~success])
+    assert auc(score, success) == pytest.approx(((pairs > 0) + 0.5 * (pairs == 0)).mean())
+
+
+def printed(found: list[dict[str, Any]]) -> str:
+    console = Console(width=200, record=True, file=None, quiet=False, force_terminal=False)
+    with console.capture() as capture:
+        for table in bench_tables(found, SETTINGS):
+            console.print(table)
+    return capture.get()
+
+
+def test_tables_fit_into_a_terminal(parts: list[Part]):
+    longest = [
+        part(one.method, f"core_{one.object}_523cddb320608c09a37f3fc191551700", [H] * 2, [H] * 2, 1.0) for one in parts
+    ]
+    text = printed(rows(longest, SETTINGS))
+    assert max(map(len, map(str.rstrip, text.splitlines()))) <= 80
+    assert "100/100" in text and "6 starts" in text
+
+
+def test_the_page_is_whole_and_repeats_itself(parts: list[Part]):
+    for module in ("matplotlib", "jinja2"):
+        pytest.importorskip(module, reason="the report needs it")
+    found = rows(parts, SETTINGS)
+    chart = success_chart(found, SETTINGS)
+    assert chart.count("grasps that hold") == 3 and "geometry only" in chart and "6 starts" in chart
+    document = {
+        "preset": None,
+        "seed": 0,
+        "rows": found,
+        "invocation": "refine-grasp bench hold",
+        "cpu_s": 1.0,
+        "machine": {"cpus": 2, "cpu": "a <cpu>", "system": "here"},
+        "versions": {"python": "3"},
+    }
+    text = page(document, SETTINGS)
+    assert text == page(document, SETTINGS)
+    assert "<svg" in text and "a &lt;cpu&gt;" in text and "1 moved, 1 turned" in text and "cup, 6 starts" in text
