@@ -112,21 +112,19 @@ def hold(
     search.take(rows, closed)
     rows = search.unsatisfied(rows)
     search.take(rows, search.attempt(rows, search.given(rows), STAGES))
-    number = search.starts
-    number[status == Status.RUNNING] = 1
-    while len(rows := search.unsatisfied(rows[number[rows] < config.starts])):
+    search.starts[status == Status.RUNNING] = 1
+    while len(rows := search.unsatisfied(rows[search.starts[rows] < config.starts])):
         # What one grasp comes to does not depend on how many starts are tried at once: the first good one counts.
-        each = np.minimum(config.starts - number[rows], max(1, TOGETHER // len(rows)))
+        first = search.starts[rows]
+        each = np.minimum(config.starts - first, max(1, TOGETHER // len(rows)))
         member = np.repeat(rows, each)
-        start = np.concatenate(
-            [np.arange(first, first + count) for first, count in zip(number[rows], each, strict=True)]
-        )
-        found = search.attempt(member, search.disturbed(member, start), STAGES)
-        for k in range(int(each.max(initial=0))):
-            at = np.flatnonzero(start == number[member] + k)
+        place = np.arange(len(member)) - np.repeat(np.cumsum(each) - each, each)
+        found = search.attempt(member, search.disturbed(member, np.repeat(first, each) + place), STAGES)
+        for k in range(int(each.max())):
+            at = np.flatnonzero(place == k)
             at = at[np.isin(member[at], search.unsatisfied(rows))]
             search.take(member[at], take(found, at))
-        number[rows] += each
+            search.starts[member[at]] += 1
     return search.held()
 
 
