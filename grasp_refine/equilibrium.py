@@ -177,11 +177,12 @@ class Equilibrium:
         follows = chain.followed(columns)[:, 6:]
         W = np.concatenate([f, np.cross(p[:, None], f)], axis=-1)
         force, moment = np.split((follows.T @ W).reshape(M, P, m, 6), 2, axis=-1)
-        slide, turn = S[:, None, :, :3], S[:, None, :, 3:]
-        # An axis moves with what carries it: d(S . W) = (turn x force) . v + (slide x force + turn x moment) . w.
-        moved = np.concatenate([np.cross(turn, force), np.cross(slide, force) + np.cross(turn, moment)], axis=-1)
+        linear, angular = S[:, None, :, :3], S[:, None, :, 3:]
+        # An axis moves with what carries it: d(S . W) = (angular x f) . v + (linear x f + angular x m) . w.
+        turned = np.cross(linear, force) + np.cross(angular, moment)
+        by_axis = np.concatenate([np.cross(angular, force), turned], axis=-1)
         carried = np.tile(len(chain.links) + np.arange(m), P)
-        by_axes = chain.pull(frames, moved.reshape(M, P * m, 6), carried).reshape(M, P, m, -1)
+        by_axes = chain.pull(frames, by_axis.reshape(M, P * m, 6), carried).reshape(M, P, m, -1)
         pulled = chain.pull(frames, changed.reshape(M, P * C * 6, 6), np.tile(np.repeat(columns, 6), P))
         # sum over contacts c of forms S follows[c] . dW_c
         weight = np.einsum("ej,mjw,cj->mecw", self.forms, S, follows).reshape(M, 1, len(self.forms), C * 6)

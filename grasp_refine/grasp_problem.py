@@ -198,6 +198,13 @@ class GraspProblem:
             point = self.moved(member, point, dx)
         return point
 
+    def other_depth(self, known: Known) -> np.ndarray:
+        """How deep links are in each other, or below the table, at most (M,), in metres."""
+        depth = penetration(known.own).max(axis=1, initial=0.0)
+        if self.table is not None:
+            depth = np.maximum(depth, below_plane(self._lowest(known.T_link), *self.table).max(axis=1))
+        return depth
+
     # queries
 
     def _against_object(self, member: np.ndarray, T: np.ndarray, previous: Known | None) -> Witness:

@@ -19,7 +19,7 @@ from grasp_refine.goal import Goal, goal_of
 from grasp_refine.grasp_problem import GraspProblem, drawn
 from grasp_refine.hand_object import HandObject
 from grasp_refine.losses import Weights
-from grasp_refine.quality import quality
+from grasp_refine.quality import DEEP, quality
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import exp_so3, matvec
 from grasp_refine.solvers.least_squares import Minimum, Point, Progress, minimise
@@ -34,7 +34,7 @@ TURN, SHIFT, JOINTS = 0.25, 0.008, 0.1
 """Standard deviations of other starts: about each axis through the contacts in radians, in metres, of joints."""
 
 TOGETHER = 16
-"""As many members as are worked on at once at least, by trying several starts of few grasps."""
+"""Several starts of few grasps are tried at once, for so many members in all."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def hold(
         found = search.attempt(member, search.disturbed(member, np.repeat(first, each) + place), STAGES)
         for k in range(int(each.max())):
             at = np.flatnonzero(place == k)
-            at = at[np.isin(member[at], search.unsatisfied(rows))]
+            at = at[search.best.score[member[at]] > GOOD]
             search.take(member[at], take(found, at))
             search.starts[member[at]] += 1
     return search.held()
@@ -182,8 +182,9 @@ class _Search:
     def attempt(self, rows: np.ndarray, start: Point, stages: tuple[Stage, ...]) -> _Attempt:
         """The grasps `rows` from some starts, through some stages."""
         scene, prepared = self._scene(rows), self.prepared
-        nothing = Goal.nothing(len(rows), len(scene.links))
-        point = GraspProblem(scene, nothing, self.config, prepared).kept(np.arange(len(rows)), start)
+        everyone = np.arange(len(rows))
+        free = GraspProblem(scene, Goal.nothing(len(rows), len(scene.links)), self.config, prepared)
+        point = free.kept(everyone, start)
         for stage in stages:
             found, goal = self._through(stage, scene, rows, point)
             point = found.point
@@ -193,6 +194,7 @@ class _Search:
             prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=CONTACTS.cutoff(scene.hand, scene.links)
         )
         score = quality(scene.hand, scene.object, prepared.chain, frames, witness).score
+        score += free.other_depth(free.evaluate(everyone, point, None)) / DEEP
         usable = ~np.isin(found.status, (Status.NO_TARGET, Status.NOT_FINITE))
         return _Attempt(found, goal, np.where(usable, score, np.inf))
 
@@ -205,7 +207,8 @@ class _Search:
         problem = GraspProblem(scene, goal, replace(config, weights=stage.weights(config.weights)), prepared)
         solver = replace(config.solver, restarts=0, iterations=min(config.solver.iterations, stage.iterations))
         status = np.where(goal.touching.any(axis=1), Status.RUNNING, Status.NO_TARGET)
-        left = config.seconds - self.cpu[rows]
+        # Several starts of a grasp share what it has left.
+        left = (config.seconds - self.cpu[rows]) / np.bincount(rows, minlength=len(self.cpu))[rows]
         found = minimise(
             problem,
             start,
@@ -235,11 +238,12 @@ class _Search:
         return replace(scene, T_world_root=scene.T_world_root[rows], q=self.q[rows], direction=direction)
 
     def held(self) -> Held:
-        """The best of all attempts, with the account of all; losses are by all terms, for what touches at last."""
+        """The best of all attempts, with the account of all; losses are those of the last stage."""
         found, goal = self.best.minimum, self.best.goal
         rows = np.flatnonzero(np.isfinite(self.best.score))
         loss = np.full((len(self.starts), 2), np.nan)
-        problem = GraspProblem(self._scene(rows), take(goal, rows), self.config, self.prepared)
+        config = replace(self.config, weights=STAGES[-1].weights(self.config.weights))
+        problem = GraspProblem(self._scene(rows), take(goal, rows), config, self.prepared)
         for column, point in enumerate((self.given(rows), take(found.point, rows))):
             loss[rows, column] = problem.evaluate(np.arange(len(rows)), point, None).loss
         minimum = replace(

@@ -1,5 +1,7 @@
 """What a grasp should satisfy: one pure function per term that returns residuals, and one their derivatives.
 
+Whether the forces of its contacts can balance is a term too, that of `equilibrium`.
+
 A loss is the sum of squared residuals times weights, without a factor of one half, in square metres. Residuals are
 written against the array API: on torch tensors they keep their graph, which descent follows; least squares takes
 the derivatives, which are *covectors*: rows g with dr = g . (v, w), (v, w) the spatial twist of a link at the world's
@@ -32,7 +34,8 @@ class Weights:
     stay_near: float = 0.0
     """Of the movement from the initial grasp, whose units are those of `Scales`, in m^2."""
     wrench: float = 1.6e-3
-    """Of what the best contact forces leave unbalanced, per unit of total pressure, in m^2; without targets only."""
+    """Of what the best contact forces leave unbalanced, per unit of total pressure, in m^2; with
+    levenberg-marquardt and without targets only."""
     direction: float = 1e-3
     """Of contact normals that differ from wanted ones (1 - their cosine is half the square), in m^2."""
 

@@ -21,7 +21,7 @@ class MaxMove:
     rotation: float = inf
     """Of the root, in radians."""
     joints: float = inf
-    """Of each joint, in radians (metres for prismatic joints)."""
+    """Of each joint, in radians; of prismatic joints, in metres."""
 
     def __post_init__(self) -> None:
         """Refuse what is no distance.

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from grasp_refine.chain import Chain, Frames
 from grasp_refine.collision.query import Witness
-from grasp_refine.equilibrium import Equilibrium
+from grasp_refine.equilibrium import PUSH, Equilibrium
 from grasp_refine.hand import Hand
 from grasp_refine.objects import Object
 from grasp_refine.squeeze import contacts
@@ -18,14 +18,11 @@ from grasp_refine.wrench import center_of_mass, contact_forces
 SLIPPERY = 0.1
 """Friction with which the forces should still balance: less than what they are planned with."""
 
-PUSH = 0.2
-"""Outer force that the contacts should balance too, in each of six directions, per unit of total pressure."""
-
 DEEP = 0.01
-"""Penetration in metres that counts as much as forces that do not balance at all."""
+"""Penetration, or gaps of contacts, in metres that count as much as forces that do not balance at all."""
 
 PUSHES = PUSH * np.concatenate([np.eye(3, 6), -np.eye(3, 6)])
-"""The outer forces (6, 6), as loads of `contact_forces`."""
+"""Outer forces (6, 6) that the contacts should balance too, as loads of `contact_forces`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +32,12 @@ class Quality:
     slippery: Float[np.ndarray, " N"]
     """Wrench residual (N,) with friction `SLIPPERY`."""
     pushed: Float[np.ndarray, " N"]
-    """Mean wrench residual (N,) under `PUSHES`, of forces that the actuators can make."""
+    """Mean wrench residual (N,) under `PUSHES`, with `PLANNING_FRICTION`; joints that share an actuator make torques in
+    its ratio, as nearly as that goes with balance."""
     deep: Float[np.ndarray, " N"]
     """Deepest penetration of hand and object (N,), over `DEEP`."""
+    open: Float[np.ndarray, " N"]
+    """Mean gap of the contacts (N,), each counted by its pressure, over `DEEP`."""
 
     @property
     def score(self) -> Float[np.ndarray, " N"]:
@@ -47,8 +47,8 @@ class Quality:
 
     @property
     def value(self) -> Float[np.ndarray, " N"]:
-        """The quality 1 / (1 + score) (N,), in [0, 1]: higher is better, 0 where a grasp has no forces."""
-        return 1.0 / (1.0 + self.score)
+        """The quality 1 / (1 + score) (N,), in (0, 1]: higher is better, NaN where a grasp has no forces."""
+        return np.where(np.isfinite(self.score), 1.0 / (1.0 + self.score), np.nan)
 
 
 def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witness) -> Quality:
@@ -65,9 +65,11 @@ def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witn
     center = center_of_mass(obj)
     forms = Equilibrium.of(hand, chain, center).torque_forms(np.nan_to_num(point), frames)
     pushed = [contact_forces(point, normal, center, load=load, forms=forms).residual for load in PUSHES]
-    depth = np.where(witness.valid, -witness.distance, 0.0).max(axis=1, initial=0.0)
+    slippery = contact_forces(point, normal, center, friction=SLIPPERY)
+    distance = np.where(witness.valid, witness.distance, 0.0)
     return Quality(
-        slippery=contact_forces(point, normal, center, friction=SLIPPERY).residual,
+        slippery=slippery.residual,
         pushed=np.mean(pushed, axis=0),
-        deep=depth / DEEP,
+        deep=np.maximum(-distance, 0.0).max(axis=1, initial=0.0) / DEEP,
+        open=(slippery.pressure * np.maximum(distance, 0.0)).sum(axis=1) / DEEP,
     )

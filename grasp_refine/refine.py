@@ -1,4 +1,4 @@
-"""Refinement: hands move until their links touch the object where they should, and penetrate nothing."""
+"""Refinement: hands move until their links touch the object where they should, penetrate nothing, and hold it."""
 
 import time
 from dataclasses import dataclass, replace
@@ -27,7 +27,8 @@ class Refinement:
     """N refined grasps with the account of how they came about."""
 
     T_world_root: np.ndarray
-    """Poses (N, 4, 4) of the base link: the best iterate of each grasp by true loss."""
+    """Poses (N, 4, 4) of the base link: the best iterate of each grasp by true loss; of several attempts to make it
+    hold (`holding`), that of the one with the best quality."""
     q: np.ndarray
     """Joint values (N, n)."""
     touching: np.ndarray
@@ -39,9 +40,9 @@ class Refinement:
     status: np.ndarray
     """A `Status` for each grasp (N,)."""
     loss: np.ndarray
-    """Loss in m^2 before and after (N, 2); NaN where it is not known."""
+    """Loss in m^2 before and after (N, 2), NaN where it is not known; that of forces is left out."""
     iterations: np.ndarray
-    """Iterations of each grasp (N,)."""
+    """Iterations of each grasp (N,), those of all attempts."""
     queries: np.ndarray
     """Narrow-phase queries of each grasp (N,)."""
     wall_s: np.ndarray

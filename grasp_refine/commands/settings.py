@@ -151,7 +151,7 @@ class Settings:
         DisallowNone[int | None],
         arg(help_behavior_hint=f"(default: {LevenbergMarquardt.iterations}; descent, adam: {Descent.iterations})"),
     ] = None
-    """Most iterations per grasp or, where grasps should hold, of each stage of a start, which has 15 to 25 anyway."""
+    """Most iterations per grasp or, where grasps should hold, of each stage of a start, which has 15 to 40 anyway."""
     starts: int = Config.starts
     """Without targets, a grasp that may still slip is tried again from starts nearby, until it should hold or was tried
     from so many; the best one counts. More find more grasps that hold, farther from those that were given."""
@@ -159,7 +159,7 @@ class Settings:
         DisallowNone[tuple[float, ...] | None], THREE, arg(help_behavior_hint="(default: no limit)")
     ] = None
     """How far a refined grasp may be from the given one, as in 0.01,0.1,0.2: the hand by so many metres and radians,
-    each joint by so many radians; inf: no limit."""
+    each joint by so many radians (a prismatic one: metres); inf: no limit."""
     seconds: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: no limit)")] = None
     """CPU time after which levenberg-marquardt tries no more at a grasp; the best until then counts."""
     geometry_only: bool = False

@@ -58,7 +58,8 @@ class Outcome:
     wrench_residual: np.ndarray
     """What contact forces leave unbalanced at best, before and after (N, 2), as in `ContactForces.residual`."""
     quality: np.ndarray
-    """`Quality.value` before and after (N, 2), from 0 to 1; NaN where a grasp is not finite."""
+    """`Quality.value` before and after (N, 2), from 0 to 1; NaN where a grasp is not finite, or
+    has no contacts."""
     limits_violated: np.ndarray
     """Number of refined joint values beyond their limits (N,)."""
     palm_m: np.ndarray

@@ -43,7 +43,7 @@ class Metrics:
     """What is left of forces and torques when the contacts balance them best (`ContactForces.residual`), (N,); NaN
     without contacts, too."""
     quality: Float[np.ndarray, " N"]
-    """`Quality.value` (N,), from 0 to 1."""
+    """`Quality.value` (N,), from 0 to 1; NaN without contacts, too."""
 
     def __len__(self) -> int:
         """Return the number of grasps."""

@@ -28,7 +28,7 @@ class Measures:
     wrench_residual: Float[np.ndarray, " N"]
     """What is left of forces and torques when the contacts balance them best (N,); NaN without contacts."""
     quality: Float[np.ndarray, " N"]
-    """The verdict (N,) in [0, 1], `quality.Quality.value`."""
+    """The verdict (N,), `quality.Quality.value`; 0 where there are no forces."""
 
 
 def measured(
@@ -63,5 +63,5 @@ def measured(
         self_penetration_m=where_known(self_penetration(hand, touching_pairs(hand), q)),
         contact_gap_m=where_known(np.where(np.isfinite(gap), gap, np.nan)),
         wrench_residual=where_known(forces.residual),
-        quality=quality(hand, obj, chain, frames, witness).value,
+        quality=np.nan_to_num(quality(hand, obj, chain, frames, witness).value),
     )
