@@ -18,7 +18,16 @@ from grasp_refine.collision.query import Witness
 from grasp_refine.hand import Hand
 from grasp_refine.se3 import cross, hat, matvec
 from grasp_refine.witness.contact_kinematics import slide
-from grasp_refine.wrench import EDGES, LENGTH, MOST, PLANNING_FRICTION, RIDGE, basis_spin, contact_forces, grasp_map
+from grasp_refine.wrench import (
+    EDGES,
+    LENGTH,
+    MOST,
+    PLANNING_FRICTION,
+    RIDGE,
+    basis_spin,
+    contact_forces_under,
+    grasp_map,
+)
 
 LEVER = 0.06
 """A torque that the joints of one actuator cannot share counts like the force that makes it at this lever, metres."""
@@ -92,10 +101,7 @@ class Equilibrium:
         there = (touching & witness.valid)[..., None]
         point, normal = (np.where(there, side, np.nan) for side in (witness.point_b, witness.normal))
         forms = self.torque_forms(np.where(there, witness.point_b, 0.0), frames)
-        found = [
-            contact_forces(point, normal, self.center, friction=self.friction, load=load, forms=forms)
-            for load in self.loads
-        ]
+        found = contact_forces_under(self.loads, point, normal, self.center, friction=self.friction, forms=forms)
         parts = ("unbalanced", "force", "local", "solved")
         return Balance(*(np.stack([getattr(one, part) for one in found], axis=1) for part in parts))
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from grasp_refine.batch import join, take
+from grasp_refine.chain import Frames
 from grasp_refine.collision.query import query
 from grasp_refine.config import Config
 from grasp_refine.goal import Goal, goal_of
@@ -91,6 +92,13 @@ class _Attempt:
     goal: Goal
     score: np.ndarray
     """What speaks against them (M,), infinite where nothing came out."""
+
+
+def most_iterations(config: Config) -> int:
+    """Most iterations of a grasp, over all its starts."""
+    most = config.solver.iterations
+    each = sum(min(stage.iterations, most) for stage in STAGES)
+    return min(CLOSE.iterations, most) + config.starts * each
 
 
 def hold(
@@ -188,13 +196,13 @@ class _Search:
         for stage in stages:
             found, goal = self._through(stage, scene, rows, point)
             point = found.point
-        frames = prepared.chain(point.T, point.q)
-        T = frames.T_world_link
+        known = free.evaluate(everyone, point, None)
+        frames, T = Frames(known.T_link, known.axes), known.T_link
         witness = query(
             prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=CONTACTS.cutoff(scene.hand, scene.links)
         )
         score = quality(scene.hand, scene.object, prepared.chain, frames, witness).score
-        score += free.other_depth(free.evaluate(everyone, point, None)) / DEEP
+        score += free.other_depth(known) / DEEP
         usable = ~np.isin(found.status, (Status.NO_TARGET, Status.NOT_FINITE))
         return _Attempt(found, goal, np.where(usable, score, np.inf))
 

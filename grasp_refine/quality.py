@@ -13,7 +13,7 @@ from grasp_refine.equilibrium import PUSH, Equilibrium
 from grasp_refine.hand import Hand
 from grasp_refine.objects import Object
 from grasp_refine.squeeze import contacts
-from grasp_refine.wrench import center_of_mass, contact_forces
+from grasp_refine.wrench import center_of_mass, contact_forces, contact_forces_under
 
 SLIPPERY = 0.1
 """Friction with which the forces should still balance: less than what they are planned with."""
@@ -64,7 +64,7 @@ def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witn
     point, normal = contacts(hand, chain.links, witness)
     center = center_of_mass(obj)
     forms = Equilibrium.of(hand, chain, center).torque_forms(np.nan_to_num(point), frames)
-    pushed = [contact_forces(point, normal, center, load=load, forms=forms).residual for load in PUSHES]
+    pushed = [found.residual for found in contact_forces_under(PUSHES, point, normal, center, forms=forms)]
     slippery = contact_forces(point, normal, center, friction=SLIPPERY)
     distance = np.where(witness.valid, witness.distance, 0.0)
     return Quality(

@@ -7,6 +7,7 @@ What is left is the wrench residual: 0 where the hand can squeeze the object wit
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -90,23 +91,50 @@ def contact_forces(
         load: What pushes at the object besides, [F, tau / `LENGTH`] per unit of total pressure; None: nothing.
         forms: Other linear forms of the forces, sum a_ek . f_k, whose squares are minimised with the rest.
     """
+    loads = [np.zeros(6) if load is None else load]
+    return contact_forces_under(loads, point, normal, center, friction=friction, ridge=ridge, forms=forms)[0]
+
+
+def contact_forces_under(
+    loads: Sequence[np.ndarray] | Float[np.ndarray, "P 6"],
+    point: Float[np.ndarray, "N K 3"],
+    normal: Float[np.ndarray, "N K 3"],
+    center: Float[np.ndarray, " 3"],
+    *,
+    friction: float = PLANNING_FRICTION,
+    ridge: float = RIDGE,
+    forms: Float[np.ndarray, "N E K 3"] | None = None,
+) -> list[ContactForces]:
+    """`contact_forces` under each of several loads, which costs less than one after another.
+
+    Args:
+        loads: Loads (6,) or (N, 6).
+        point: As for `contact_forces`.
+        normal: As for `contact_forces`.
+        center: As for `contact_forces`.
+        friction: As for `contact_forces`.
+        ridge: As for `contact_forces`.
+        forms: As for `contact_forces`.
+    """
     N, K = point.shape[:2]
     there = np.isfinite(point).all(axis=-1) & np.isfinite(normal).all(axis=-1)
     G, basis = grasp_map(point, normal, center, forms)
-    outer = np.zeros((N, G.shape[2]))
-    outer[:, :6] = 0.0 if load is None else load
-    local, solved = np.zeros((N, K, 3)), np.zeros(N, dtype=bool)
+    outer = np.zeros((len(loads), N, G.shape[2]))
+    for number, load in enumerate(loads):
+        outer[number, :, :6] = load
+    local, solved = np.zeros((len(loads), N, K, 3)), np.zeros((len(loads), N), dtype=bool)
     for count in np.unique(there.sum(axis=1)):
         # Grasps with equally many contacts share the constraints.
         rows = np.flatnonzero(there.sum(axis=1) == count)
         if count and len(rows):
             place = np.argsort(~there[rows], axis=1, kind="stable")[:, :count]
-            found, done = _balanced(G[rows[:, None], place], outer[rows], friction, ridge)
-            local[rows[:, None], place], solved[rows] = found, done
+            found, done = _balanced(G[rows[:, None], place], outer[:, rows], friction, ridge)
+            local[:, rows[:, None], place], solved[:, rows] = found, done
     force = (basis @ local[..., None])[..., 0]
-    unbalanced = outer + (G @ local[..., None])[..., 0].sum(axis=1)
-    residual = np.where(solved, np.linalg.norm(unbalanced[:, :6], axis=1), np.nan)
-    return ContactForces(residual, unbalanced, force, np.maximum(local[..., 0], 0.0), local, solved)
+    unbalanced = outer + (G @ local[..., None])[..., 0].sum(axis=2)
+    residual = np.where(solved, np.linalg.norm(unbalanced[..., :6], axis=-1), np.nan)
+    pressure = np.maximum(local[..., 0], 0.0)
+    return [ContactForces(*parts) for parts in zip(residual, unbalanced, force, pressure, local, solved, strict=True)]
 
 
 def grasp_map(
@@ -166,20 +194,20 @@ def center_of_mass(obj: Object) -> Float[np.ndarray, " 3"]:
 
 
 def _balanced(
-    G: Float[np.ndarray, "M C R 3"], outer: Float[np.ndarray, "M R"], friction: float, ridge: float
-) -> tuple[Float[np.ndarray, "M C 3"], Bool[np.ndarray, " M"]]:
-    """Forces (pressure and two tangents) of C contacts each, and whether they were found, one program per grasp."""
-    M, C = G.shape[:2]
+    G: Float[np.ndarray, "M C R 3"], outer: Float[np.ndarray, "P M R"], friction: float, ridge: float
+) -> tuple[Float[np.ndarray, "P M C 3"], Bool[np.ndarray, "P M"]]:
+    """Forces (pressure and two tangents) of C contacts each, and whether they were found, one program per load."""
+    (P, M), C = outer.shape[:2], G.shape[1]
     G = np.ascontiguousarray(np.moveaxis(G, 1, 2)).reshape(M, -1, 3 * C)
     H = G.mT @ G + ridge * np.eye(3 * C)
     rows, lower, upper, sense = _constraints(C, friction)
-    g = (outer[:, None] @ G)[:, 0]
-    local, solved = np.zeros((M, 3 * C)), np.zeros(M, dtype=bool)
-    for m in range(M):
-        x, _, flag, _ = daqp.solve(H[m], g[m], rows, upper, lower, sense)
+    g = (outer[:, :, None] @ G)[:, :, 0]
+    local, solved = np.zeros((P, M, 3 * C)), np.zeros((P, M), dtype=bool)
+    for p, m in np.ndindex(P, M):
+        x, _, flag, _ = daqp.solve(H[m], g[p, m], rows, upper, lower, sense)
         if flag == OPTIMAL:
-            local[m], solved[m] = x, True
-    return local.reshape(M, C, 3), solved
+            local[p, m], solved[p, m] = x, True
+    return local.reshape(P, M, C, 3), solved
 
 
 def _constraints(C: int, friction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

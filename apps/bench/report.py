@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
 from .panels import stylesheet
 
 TEMPLATE = "page.html.jinja"
+
+
+@dataclass(frozen=True)
+class Column:
+    """Something of each row of a table."""
+
+    name: str
+    """Its head."""
+    hint: str
+    """What it is, in words."""
+    words: Callable[[dict[str, Any]], str]
+    """How it is shown."""
 
 
 def rendered(package: str, **values: Any) -> str:

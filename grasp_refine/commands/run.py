@@ -21,7 +21,7 @@ from grasp_refine.commands.settings import Settings
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand_object import HandObject
-from grasp_refine.holding import CLOSE, STAGES
+from grasp_refine.holding import most_iterations
 from grasp_refine.losses import Weights
 from grasp_refine.refine import refine
 from grasp_refine.report.document import run_document, settings
@@ -101,8 +101,9 @@ class Run:
             paths = self._paths(problem)
             for note in problem.notes:
                 reporter.say(f"note: {note}")
-            starts = config.starts if config.holds and not _aimed(problem, config) else 0
-            reporter.start(problem.hand.name, len(problem), _iterations(config, starts), starts)
+            held = config.holds and not _aimed(problem, config)
+            most = most_iterations(config) if held else config.solver.iterations
+            reporter.start(problem.hand.name, len(problem), most, config.starts if held else 0)
             parts = [_refined(group, config, reporter) for group in problem.groups]
             proof = None if protocol is None else _proved(problem, parts, protocol, reporter)
             outcome = Outcome.join(parts).select(problem.order)
@@ -172,15 +173,6 @@ class Run:
 def _aimed(problem: Problem, config: Config) -> bool:
     """Whether links have targets."""
     return config.nearest or any(group.scene.target_link is not None for group in problem.groups)
-
-
-def _iterations(config: Config, starts: int) -> int:
-    """Most iterations of a grasp that is made to hold from so many starts; 0: that is refined once."""
-    most = config.solver.iterations
-    if not starts:
-        return most
-    each = sum(min(stage.iterations, most) for stage in STAGES)
-    return min(CLOSE.iterations, most) + starts * each
 
 
 def _refined(group: Group, config: Config, reporter: Reporter) -> Outcome:

@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import degrees
 from typing import Any
 
 from grasp_refine.solvers.status import Status
 
-from ..report import rendered
+from ..report import Column, rendered
 from .chart import time_chart
 from .labels import batch, deep, label, pooled, sets_of
 from .rows import Row
-
-
-@dataclass(frozen=True)
-class Column:
-    """A number of each row."""
-
-    name: str
-    """Its head."""
-    hint: str
-    """What it is, in words."""
-    words: Callable[[Row], str]
-    """The number of a row as it is shown."""
 
 
 def _number(key: str, factor: float = 1.0, form: str = ".3g") -> Callable[[Row], str]:

@@ -3,26 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import degrees
 from typing import Any
 
-from ..report import rendered
+from ..report import Column, rendered
 from .chart import success_chart
 from .rows import Row, column
 from .table import number
-
-
-@dataclass(frozen=True)
-class Column:
-    """Something of each row."""
-
-    name: str
-    """Its head."""
-    hint: str
-    """What it is, in words."""
-    words: Callable[[Row], str]
-    """How it is shown."""
 
 
 def page(document: dict[str, Any], settings: Sequence[str]) -> str:
