@@ -12,7 +12,8 @@ import trimesh
 from grasp_refine.errors import AssetError, MeshError
 from grasp_refine.geometry.pieces import Decomposition
 from grasp_refine.geometry.shapes import EMBEDDED
-from grasp_refine.objects import find_object, load_object
+from grasp_refine.object_folders import find_object
+from grasp_refine.objects import load_object
 
 
 @pytest.fixture
@@ -129,6 +130,54 @@ def test_an_embedded_name_wins_over_a_file_only_without_a_suffix(tmp_path: Path,
     assert load_object("bowl.obj", candidates=64, cache=cache).convex
 
 
+@pytest.mark.parametrize("source", ["box:90,60,40", "file"])
+def test_a_file_in_millimetres_is_asked_about_and_read_when_told(source: str, tmp_path: Path, cache: Path):
+    trimesh.creation.box(extents=(90, 60, 40)).export(tmp_path / "brick.stl")
+    source = tmp_path / "brick.stl" if source == "file" else source
+    with pytest.raises(MeshError, match=r"90 x 60 x 40 m if its .* --unit mm if it is 90 x 60 x 40 mm"):
+        load_object(source, unit=None, candidates=64, cache=cache)
+    thing = load_object(source, unit="mm", candidates=64, cache=cache)
+    np.testing.assert_allclose(thing.mesh.extents, [0.09, 0.06, 0.04])
+    np.testing.assert_allclose(thing.body.pieces[0].bounds[1], [0.045, 0.03, 0.02])
+    # Whoever says metres, or a scale, is believed.
+    assert load_object(source, unit="m", candidates=64, cache=cache).body.diagonal > 100
+    assert load_object(source, scale=0.002, unit=None, candidates=64, cache=cache).body.diagonal < 0.3
+
+
+def test_convex_bodies_in_one_file_are_the_pieces(tmp_path: Path, cache: Path):
+    bars = [trimesh.creation.box(bounds=bounds) for bounds in ([[0, 0, 0], [3, 1, 1]], [[0, 0.5, 0.5], [1, 3, 1.5]])]
+    for suffix in ("obj", "glb"):
+        trimesh.Scene(bars).export(tmp_path / f"cross.{suffix}")
+        thing = load_object(tmp_path / f"cross.{suffix}", candidates=64, cache=cache)
+        assert sorted(piece.mesh().volume for piece in thing.body.pieces) == pytest.approx([2.5, 3])
+        assert not thing.convex
+    assert not cache.exists()
+
+
+def test_a_cavity_is_no_piece(tmp_path: Path, cache: Path):
+    shell = trimesh.creation.box(extents=(2, 2, 2))
+    cavity = trimesh.creation.box(extents=(1, 1, 1))
+    cavity.invert()
+    trimesh.util.concatenate([shell, cavity]).export(tmp_path / "hollow.obj")
+    pieces = load_object(tmp_path / "hollow.obj", candidates=64, cache=cache).body.pieces
+    assert len(pieces) > 1
+
+
+def test_holes_are_closed_as_asked(tmp_path: Path, cache: Path):
+    mesh = trimesh.creation.cylinder(0.03, 0.1, sections=24)
+    mesh.update_faces(mesh.face_normals[:, 2] < 0.9)
+    mesh.export(tmp_path / "pot.stl")
+    with pytest.raises(
+        MeshError, match=r"pot: not watertight, 24 edges stay open .* \(--holes cap\).* \(--holes hull\)"
+    ):
+        load_object(tmp_path / "pot.stl", candidates=64, cache=cache)
+    volume = trimesh.creation.cylinder(0.03, 0.1, sections=24).volume
+    for holes, words in (("cap", "pot: a flat hole, up to 84.9 mm across"), ("hull", "pot: not watertight, 24 edges")):
+        thing = load_object(tmp_path / "pot.stl", holes=holes, candidates=64, cache=cache)
+        assert thing.notes[-1].startswith(words)
+        assert thing.mesh.is_volume and thing.mesh.volume == pytest.approx(volume)
+
+
 @pytest.mark.parametrize(
     ("source", "scale", "error", "message"),
     [
@@ -223,7 +272,22 @@ def corners(pieces) -> list[list[list[float]]]:
     return [piece.bounds.tolist() for piece in pieces]
 
 
-@pytest.mark.parametrize("layout", ["parts", "bodex"])
+@pytest.fixture
+def dexgraspnet(tmp_path: Path) -> Path:
+    """An L as DexGraspNet lays out an object: both pieces, which touch, in one file."""
+    folder = tmp_path / "core-el-0"
+    groups, count = [], 1
+    for name, bounds in (("convex_10", LEG), ("convex_9", ARM)):
+        mesh = block(bounds)
+        groups += [f"o {name}", *(f"v {x} {y} {z}" for x, y, z in mesh.vertices)]
+        groups += [f"f {a} {b} {c}" for a, b, c in mesh.faces + count]
+        count += len(mesh.vertices)
+    (folder / "coacd").mkdir(parents=True)
+    (folder / "coacd" / "decomposed.obj").write_text("\n".join(groups))
+    return folder
+
+
+@pytest.mark.parametrize("layout", ["parts", "bodex", "dexgraspnet"])
 def test_the_meshes_of_a_folder_are_the_pieces(layout: str, request: pytest.FixtureRequest, cache: Path):
     folder = request.getfixturevalue(layout)
     lines: list[str] = []
@@ -369,6 +433,7 @@ def test_a_folder_without_a_usable_piece_is_refused(tmp_path: Path):
 
 def test_a_folder_without_meshes_is_refused(tmp_path: Path):
     message = f"{tmp_path}: has no meshes of convex pieces, nor has its urdf/meshes (.obj, .stl, .ply, .glb, .off)"
+    message += ", nor is there a coacd/decomposed.obj"
     with pytest.raises(MeshError, match=f"^{re.escape(message)}$"):
         load_object(tmp_path)
 

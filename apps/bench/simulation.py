@@ -21,7 +21,8 @@ from rich.table import Table
 
 from grasp_refine.grasps import load_grasps, match_joints
 from grasp_refine.hand import Hand, load_hand
-from grasp_refine.objects import find_object, load_object
+from grasp_refine.object_folders import find_object
+from grasp_refine.objects import load_object
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import distances, exp_so3, log_so3, pose_from_transform, transform_from_pose
 from grasp_refine.validation.messages import unlogged

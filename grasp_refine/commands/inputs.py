@@ -20,7 +20,8 @@ from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.shapes import EMBEDDED
 from grasp_refine.grasps import GraspSet, Targets, choose_rows, load_grasps, match_joints
 from grasp_refine.hand import Hand, list_hands, load_hand, needs_urdf
-from grasp_refine.objects import PRIMITIVE_FORMS, Object, find_object, load_object
+from grasp_refine.object_folders import find_object
+from grasp_refine.objects import PRIMITIVE_FORMS, Object, load_object
 from grasp_refine.plane import Plane
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import transform_from_pose

@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 
 from grasp_refine.errors import MeshError
+from grasp_refine.geometry.holes import capped
 
 if TYPE_CHECKING:
     import trimesh
 
+T = TypeVar("T")
+
 SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".off")
 """File formats that are read."""
 
+Holes = Literal["refuse", "cap", "hull"]
+"""What becomes of a mesh with holes: an error, flat caps on flat holes, or its convex hull."""
+
 THINNEST = 1e-6
 """Smallest extent along the principal axes, as a fraction of the diagonal, that does not count as flat."""
+
+
+MOST_BODIES = 64
+"""Beyond so many bodies a mesh is cut into fewer pieces even where all are convex."""
 
 
 class FlatMeshError(MeshError):
@@ -30,24 +42,54 @@ def load_mesh(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
         MeshError: the file is missing, unreadable, or of another format; `scale` is not positive and finite;
             or the mesh fails `check_mesh`.
     """
+    path = Path(path)
+    return _merged(_read(path, scale, lambda scene: scene.to_mesh()), scale, str(path))
+
+
+def load_groups(path: Path, scale: float = 1.0) -> tuple[tuple[str, trimesh.Trimesh | None], ...]:
+    """Name and mesh of each object in an OBJ file, in the order of their names, each as `load_mesh`; None if flat.
+
+    Raises:
+        MeshError: as `load_mesh`.
+    """
+
+    def groups(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh]]:
+        return sorted(scene.geometry.items(), key=lambda item: ([*map(int, re.findall(r"\d+", item[0]))], item[0]))
+
+    found: list[tuple[str, trimesh.Trimesh | None]] = []
+    for name, group in _read(path, scale, groups, split_objects=True):
+        try:
+            found.append((name, _merged(group, scale, f"{path}: {name}")))
+        except FlatMeshError:
+            found.append((name, None))
+    return tuple(found)
+
+
+def _read(path: Path, scale: float, take: Callable[[trimesh.Scene], T], **options: bool) -> T:
+    """What `take` makes of the scene in a file that is to be multiplied by `scale`."""
     import trimesh
 
-    path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise MeshError(f"{path}: unknown mesh type '{path.suffix}', use one of {', '.join(SUFFIXES)}")
     if not path.is_file():
         raise MeshError(f"{path}: no such mesh file")
     if not (np.isfinite(scale) and scale > 0):
         raise MeshError(f"{path}: the scale must be positive and finite, got {scale:g}")
-    options = {"skip_materials": True} if path.suffix.lower() in (".obj", ".glb") else {}
+    if path.suffix.lower() in (".obj", ".glb"):
+        options["skip_materials"] = True
     try:
-        scene = trimesh.load_scene(path, process=False, **options)
-        loaded = scene.to_mesh()
+        return take(trimesh.load_scene(path, process=False, **options))
     # The readers raise whatever a broken file makes them trip over.
     except Exception as error:
         raise MeshError(f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})") from error
+
+
+def _merged(loaded: trimesh.Trimesh, scale: float, name: str) -> trimesh.Trimesh:
+    """The checked mesh in metres, its equal vertices merged."""
+    import trimesh
+
     mesh = trimesh.Trimesh(np.asarray(loaded.vertices) * scale, loaded.faces, process=False)
-    check_mesh(mesh, str(path))
+    check_mesh(mesh, name)
     # The merge distance is 1e-8 of the mesh's own size: an absolute one would eat a mesh of 0.1 mm.
     mesh.merge_vertices(digits_vertex=int(np.ceil(8 - np.log10(_diagonal(mesh.vertices[mesh.faces])))))
     a, b, c = mesh.faces.T
@@ -95,11 +137,12 @@ def check_solid(points: np.ndarray, name: str) -> None:
         raise FlatMeshError(f"{name}: flat, {thickness:.1e} of its diagonal thick ({THINNEST:g} is needed)")
 
 
-def watertight(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, tuple[str, ...]]:
+def watertight(mesh: trimesh.Trimesh, name: str, holes: Holes = "refuse") -> tuple[trimesh.Trimesh, tuple[str, ...]]:
     """`mesh` with a closed surface whose normals point outward, and a note on each change that this took.
 
     A closed mesh comes back as it is; otherwise duplicate faces are dropped, single triangles and quads that
-    are missing are filled, and the faces are turned consistently. An inverted mesh is turned inside out.
+    are missing are filled, and the faces are turned consistently. What is still open is closed only if `holes` says
+    how: a cup of paper and a solid one without its top look the same. An inverted mesh is turned inside out.
 
     Raises:
         MeshError: the surface is still open, or encloses nothing.
@@ -111,13 +154,13 @@ def watertight(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, tuple
         mesh.update_faces(mesh.unique_faces())
         mesh.fill_holes()
         mesh.fix_normals()
-        if not _closed(mesh):
-            open_edges = int((np.bincount(mesh.edges_unique_inverse) % 2).sum())
-            raise MeshError(
-                f"{name}: not watertight, {open_edges} edges stay open after repair; close its holes in a "
-                "mesh editor (Blender: Select Non Manifold, then Fill; MeshLab: Close Holes), or use its hull"
-            )
-        notes.append(f"{name}: repaired to be watertight ({before} faces before, {len(mesh.faces)} after)")
+        closed = _closed(mesh)
+        if closed or len(mesh.faces) != before:
+            what = "repaired to be watertight" if closed else "repaired in part"
+            notes.append(f"{name}: {what} ({before} faces before, {len(mesh.faces)} after)")
+        if not closed:
+            mesh, note = _without_holes(mesh, name, holes)
+            notes.append(note)
     volume = _volume(mesh)
     if volume < 0:
         mesh = mesh.copy()
@@ -128,11 +171,58 @@ def watertight(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, tuple
     return mesh, tuple(notes)
 
 
+def _without_holes(mesh: trimesh.Trimesh, name: str, holes: Holes) -> tuple[trimesh.Trimesh, str]:
+    """A closed mesh in place of the open `mesh`, and what was done.
+
+    Raises:
+        MeshError: nothing is to be done, or the holes cannot be capped.
+    """
+    open_edges = int((np.bincount(mesh.edges_unique_inverse) % 2).sum())
+    if holes == "hull":
+        return mesh.convex_hull, f"{name}: not watertight, {open_edges} edges are open; its convex hull is used"
+    reason = ""
+    if holes == "cap":
+        try:
+            closed, what = capped(mesh)
+            if _closed(closed):
+                return closed, f"{name}: {what}"
+            reason = ", also with flat caps"
+        except MeshError as error:
+            reason = f": {error}"
+    raise MeshError(
+        f"{name}: not watertight, {open_edges} edges stay open after repair{reason}; close its holes in a mesh editor "
+        "(Blender: Select Non Manifold, then Fill; MeshLab: Close Holes), or have them closed flat (--holes cap), or "
+        "use its convex hull (--holes hull)"
+    )
+
+
 def is_convex(mesh: trimesh.Trimesh, tolerance: float = 1e-3) -> bool:
     """Whether the closed `mesh` is one connected body that fills more than `1 - tolerance` of its hull."""
     from scipy.spatial import ConvexHull
 
     return bool(mesh.body_count == 1 and _volume(mesh) > (1 - tolerance) * ConvexHull(mesh.vertices).volume)
+
+
+def convex_bodies(mesh: trimesh.Trimesh, tolerance: float = 1e-3) -> tuple[np.ndarray, ...]:
+    """The points (V, 3) of each connected body of the closed `mesh`, if all are convex as in `is_convex`; else none.
+
+    Bodies may overlap. A cavity is a body that is inside out, so that a hollow mesh has none.
+    """
+    from scipy.spatial import ConvexHull
+
+    if mesh.body_count > MOST_BODIES:
+        return ()
+    bodies = []
+    for body in mesh.split(only_watertight=False):
+        points = body.vertices[np.unique(body.faces)]
+        try:
+            check_solid(points, "body")
+        except MeshError:
+            return ()
+        if not _closed(body) or _volume(body) <= (1 - tolerance) * ConvexHull(points).volume:
+            return ()
+        bodies.append(points)
+    return tuple(bodies)
 
 
 def _closed(mesh: trimesh.Trimesh) -> bool:

@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull, QhullError
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry.decomposition import Decomposition, decompose
-from grasp_refine.geometry.mesh import check_solid, is_convex
+from grasp_refine.geometry.mesh import check_solid, convex_bodies
 from grasp_refine.geometry.rings import Rings
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ def convex_pieces(
     progress: Callable[[str], None] | None = None,
     name: str = "mesh",
 ) -> tuple[Piece, ...]:
-    """The convex pieces of a closed `mesh`: its hull when it is convex, else what CoACD cuts it into.
+    """The convex pieces of a closed `mesh`: its bodies when all are convex, else what CoACD cuts it into.
 
     What CoACD sees is the mesh divided by its diagonal and rounded to 1e-9, so that an entry of the folder
     `cache` (none: nothing is read or kept) serves the same mesh at every scale. `progress` gets a line before
@@ -194,8 +194,9 @@ def convex_pieces(
     """
     config = config or Decomposition()
     report = progress or (lambda line: None)
-    if is_convex(mesh):
-        return (hull(mesh.vertices[np.unique(mesh.faces)], name=name),)
+    bodies = convex_bodies(mesh)
+    if bodies:
+        return tuple(hull(points, name=name) for points in bodies)
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     # Adding 0 turns -0 into 0, which has other bytes.
     vertices = np.round(np.asarray(mesh.vertices, dtype=np.float64) / diagonal, 9) + 0.0
