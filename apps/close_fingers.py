@@ -1,9 +1,10 @@
-"""Make the example grasps of robots/allegro: put the hand before an object, close its fingers, disturb the result.
+"""Make the example grasps of robots/: put a hand around an object, close its fingers, disturb the result.
 
-Run `python -m grasp_refine.apps.close_fingers`. Each grasp starts from a pose given here by hand, the palm facing
-the object. The fingers close joint by joint until their tips almost touch. A small seeded disturbance then makes
-the grasp only *almost* right, with some tips a centimetre away and some inside the object: what a grasp from a
-generator or a demonstration looks like, and what refinement is for.
+Run `python -m grasp_refine.apps.close_fingers`. Each grasp of the Allegro hand starts from a pose given here by hand,
+the palm facing the object, and its fingers close joint by joint until their tips almost touch. Those of the other hands
+are sampled: the best that touch with all fingertips. A small seeded disturbance then makes a grasp only *almost* right,
+with some tips a centimetre away and some links inside the object: what a grasp from a generator or a demonstration
+looks like, and what refinement is for.
 """
 
 from __future__ import annotations
@@ -18,14 +19,23 @@ from jaxtyping import Float
 
 from grasp_refine.assets import resource_dir
 from grasp_refine.collision.query import Pairs, query
+from grasp_refine.grasp_sampling import sample_grasps
 from grasp_refine.grasps import GraspSet, save_npz
 from grasp_refine.hand import Hand, load_hand
 from grasp_refine.kinematics import Kinematics
 from grasp_refine.objects import Object, load_object
-from grasp_refine.se3 import exp_se3, exp_so3, pose_from_transform, transform
+from grasp_refine.refine import refine
+from grasp_refine.scene import Scene
+from grasp_refine.se3 import exp_se3, exp_so3, pose_from_transform, transform, transform_from_pose
+from grasp_refine.solvers.status import Status
+
+HANDS = ("allegro", "leap", "shadow", "shadow_palm")
+"""The hands of robots/ that come with example grasps."""
+SAMPLES, KEPT = 16, 4
+"""Grasps sampled of a hand and an object whose poses are not given here, and how many of them become examples."""
 
 GRASP_CENTER = (0.085, 0.005, 0.028)
-"""Where the object should be, between thumb and fingers: base_link's frame, metres."""
+"""Where the object should be, between thumb and fingers of the Allegro hand: base_link's frame, metres."""
 OPEN = {
     "joint_0.0": -0.15, "joint_1.0": 0.25, "joint_2.0": 0.3, "joint_3.0": 0.9,
     "joint_4.0": 0.0, "joint_5.0": 0.25, "joint_6.0": 0.3, "joint_7.0": 0.9,
@@ -55,7 +65,7 @@ DRAWS = 512
 
 @dataclass(frozen=True)
 class Approach:
-    """From where a hand takes hold of an object."""
+    """From where the Allegro hand takes hold of an object."""
 
     point: tuple[float, float, float]
     """Where the grasp's centre goes, object frame, metres."""
@@ -100,7 +110,7 @@ EXAMPLES = {
         Approach((0, 0, 0.02), azimuth=0, elevation=90),
     ),
 }
-"""Embedded object -> how the hand comes to each of its grasps."""
+"""Embedded object -> how the Allegro hand comes to each of its grasps."""
 
 
 class HandAround:
@@ -124,7 +134,7 @@ class HandAround:
 def close(
     hand: Hand, around: HandAround, T_object_root: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]
 ) -> Float[np.ndarray, "N n"]:
-    """The joint values (N, n) after closing: a joint stops when a link that it moves comes within CLEARANCE."""
+    """Joint values (N, n) of closed Allegro hands: a joint stops when a link that it moves comes within CLEARANCE."""
     names = [joint for joints in CLOSING.values() for joint in joints]
     columns = [hand.joint_names.index(name) for name in names]
     moves = np.array([[link in _below(hand, name) for link in around.links] for name in names])
@@ -151,7 +161,7 @@ def disturb(
     T = T_object_root @ exp_se3(twist)
     angles = np.clip(q + rng.uniform(-BEND, BEND, (DRAWS, len(q))), hand.lower, hand.upper)
     distance = around.distances(T, angles)
-    gap = distance[:, [around.links.index(link) for link in CLOSING]].max(axis=1)
+    gap = distance[:, [around.links.index(contact.link) for contact in hand.contacts]].max(axis=1)
     depth = -distance.min(axis=1)
     wanted = (GAP[0] <= gap) & (gap <= GAP[1]) & (DEPTH[0] <= depth) & (depth <= DEPTH[1])
     if not wanted.any():
@@ -160,23 +170,45 @@ def disturb(
     return T[first], angles[first]
 
 
-def example_grasps(hand: Hand, obj: Object, approaches: tuple[Approach, ...], seed: int = 0) -> GraspSet:
-    """Grasps of `obj` that are almost right, one for each approach."""
-    around = HandAround(hand, obj)
+def approached(
+    hand: Hand, around: HandAround, approaches: tuple[Approach, ...]
+) -> tuple[Float[np.ndarray, "N 4 4"], Float[np.ndarray, "N n"]]:
+    """Poses (N, 4, 4) and joint values (N, n) of an Allegro hand that comes as told and closes its fingers."""
     T = np.stack([approach.pose() for approach in approaches])
     opened = np.array([OPEN[name] for name in hand.joint_names])
-    q = close(hand, around, T, np.tile(opened, (len(T), 1)))
+    return T, close(hand, around, T, np.tile(opened, (len(T), 1)))
+
+
+def sampled(
+    hand: Hand, obj: Object, around: HandAround, seed: int
+) -> tuple[Float[np.ndarray, "N 4 4"], Float[np.ndarray, "N n"]]:
+    """Poses (N, 4, 4) and joint values (N, n) of sampled grasps that touch with all fingertips, best first."""
+    grasps = sample_grasps(hand, obj, SAMPLES, seed=seed)
+    T = transform_from_pose(grasps.hand_pose)
+    tips = [around.links.index(contact.link) for contact in hand.contacts]
+    touching = (around.distances(T, grasps.q)[:, tips] < CLEARANCE).all(axis=1)
+    return T[touching], grasps.q[touching]
+
+
+def example_grasps(hand: Hand, obj: Object, seed: int = 0) -> GraspSet:
+    """Grasps of `obj` that are almost right; those that are not given here are good starts of a refinement, too."""
+    around = HandAround(hand, obj)
+    given = hand.name == "allegro"
+    T, q = approached(hand, around, EXAMPLES[obj.name]) if given else sampled(hand, obj, around, seed)
     # The object's name is part of the seed: objects do not depend on which others there are.
     rng = np.random.default_rng([seed, *obj.name.encode()])
-    rows = [disturb(hand, around, *grasp, rng) for grasp in zip(T, q, strict=True)]
+    T, q = map(np.stack, zip(*(disturb(hand, around, *grasp, rng) for grasp in zip(T, q, strict=True)), strict=True))
+    if not given:
+        good = np.flatnonzero(refine(Scene(hand, obj, T, q)).status == Status.CONVERGED)[:KEPT]
+        T, q = T[good], q[good]
     return GraspSet(
         hand=hand.name,
         base_link=hand.base_link,
         joint_names=hand.joint_names,
-        object=np.full(len(rows), obj.name),
-        scale=np.ones(len(rows)),
-        hand_pose=pose_from_transform(np.stack([T for T, _ in rows])),
-        q=np.stack([q for _, q in rows]),
+        object=np.full(len(q), obj.name),
+        scale=np.ones(len(q)),
+        hand_pose=pose_from_transform(T),
+        q=q,
     )
 
 
@@ -190,18 +222,20 @@ def _below(hand: Hand, joint: str) -> set[str]:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Write example_<object>.npz for each embedded example."""
+    """Write HAND/example_OBJECT.npz for each hand and each embedded example."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=None, help="folder to write to [robots/allegro]")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the disturbances [0]")
+    parser.add_argument("hands", nargs="*", metavar="HAND", help=f"of which hands: {', '.join(HANDS)} [all]")
+    parser.add_argument("--out", type=Path, default=None, help="folder of hands to write to [robots]")
+    parser.add_argument("--seed", type=int, default=0, help="seed of samples and disturbances [0]")
     options = parser.parse_args(arguments)
-    folder = options.out or resource_dir("robots") / "allegro"
-    hand = load_hand("allegro")
-    for name, approaches in EXAMPLES.items():
-        grasps = example_grasps(hand, load_object(name), approaches, options.seed)
-        path = folder / f"example_{name}.npz"
-        save_npz(path, grasps.arrays())
-        print(f"{path}: {len(grasps)} grasps")
+    for hand in map(load_hand, options.hands or HANDS):
+        folder = (options.out or resource_dir("robots")) / hand.name
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in EXAMPLES:
+            grasps = example_grasps(hand, load_object(name), options.seed)
+            path = folder / f"example_{name}.npz"
+            save_npz(path, grasps.arrays())
+            print(f"{path}: {len(grasps)} grasps")
 
 
 if __name__ == "__main__":

@@ -23,7 +23,11 @@ PROGRAM = "refine-grasp"
 COMMANDS = {
     "run": "refine grasps of a hand on an object; without options, an embedded example",
     "validate": "test grasps of any file: geometry, and whether they hold in simulation",
+    "convert": "grasp files of other programs into ours and back, checked by fingertip positions",
     "hands": "the hands that come with the program, or what a URDF is read as",
+    "assets list": "the hands, objects and grasps of others that can be fetched by name",
+    "assets fetch": "fetch some of them, each file checked; shows licence and citation",
+    "assets verify": "whether what was fetched is still whole",
     "bench align": "run time against error of witness derivatives: the experiments of the paper",
     "bench grasp": "how accurate and how fast grasps are refined, by solver and batch size",
     "bench hold": "run time against success: how many grasps hold after refinement, by method",
@@ -31,7 +35,7 @@ COMMANDS = {
 }
 """Name of each command -> what it does."""
 
-WITH_MUJOCO = ("run", "validate", "bench align", "bench grasp", "bench hold")
+WITH_MUJOCO = ("run", "validate", "convert", "bench align", "bench grasp", "bench hold")
 """Commands that load MuJoCo, or pytorch-kinematics, which does: that fails with a traceback if `MUJOCO_GL` is wrong."""
 
 BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -11,24 +11,23 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.assets import resource_dir
+from grasp_refine.description.base_link import guess_base
 from grasp_refine.description.defaults import Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
-from grasp_refine.description.hand_toml import Contact, Coupled, HandToml, only_urdf, read_hand_toml
+from grasp_refine.description.hand_toml import Contact, Coupled
 from grasp_refine.description.inertia import Inertia
-from grasp_refine.description.link_geometry import link_pieces
+from grasp_refine.description.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
+from grasp_refine.description.mimics import followed, within_followers
 from grasp_refine.description.tree import Joint, Mimic, read_tree
-from grasp_refine.errors import AssetError, HandError, MeshError
+from grasp_refine.errors import HandError, MeshError
 from grasp_refine.geometry.body import Body, build_body
-from grasp_refine.geometry.pieces import Piece
+from grasp_refine.geometry.cache import default_cache
+from grasp_refine.hand_source import HAND_TOML, hand_files, list_hands, needs_urdf
 
 if TYPE_CHECKING:
     import yourdfpy
 
 __all__ = ["Actuator", "Contact", "Coupled", "Hand", "Inertia", "Joint", "Link", "Mimic"]
 __all__ += ["list_hands", "load_hand", "needs_urdf"]
-
-HAND_TOML = "hand.toml"
-"""Name of the file beside a URDF that says what the URDF does not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +80,10 @@ class Hand:
     """Joint -> its name in that file, where hand.toml says it."""
     collision: Literal["urdf", "mjcf"] = "urdf"
     """Which of the two files is simulated when a grasp is validated."""
+    toml: Path | None = None
+    """The hand.toml that was read; None where there was none."""
+    base_why: str = ""
+    """Why the hand begins at its base link, for people."""
 
     @cached_property
     def links_by_name(self) -> dict[str, Link]:
@@ -100,23 +103,10 @@ class Hand:
         movable = [joint for joint in self.joints if joint.movable]
         matrix, offset = np.zeros((len(movable), len(self.joint_names))), np.zeros(len(movable))
         for row, joint in enumerate(movable):
-            gain = 1.0
-            while joint.mimic is not None:
-                offset[row] += gain * joint.mimic.offset
-                gain *= joint.mimic.multiplier
-                joint = self.joints_by_name[joint.mimic.joint]
-            matrix[row, self.joint_names.index(joint.name)] = gain
+            leads = followed(joint, self.joints_by_name)
+            offset[row] = leads.offset
+            matrix[row, self.joint_names.index(leads.joint)] = leads.multiplier
         return matrix, offset, tuple(joint.name for joint in movable)
-
-
-def list_hands() -> tuple[str, ...]:
-    """Names of the hands that come with the program, each a folder of robots/ with a hand.toml."""
-    return tuple(sorted(file.parent.name for file in resource_dir("robots").glob(f"*/{HAND_TOML}")))
-
-
-def needs_urdf(name: str) -> bool:
-    """Whether the hand `name` of `list_hands()` comes without a URDF, so that the user has to give one."""
-    return read_hand_toml(resource_dir("robots") / name / HAND_TOML).urdf is None
 
 
 def load_hand(
@@ -126,49 +116,65 @@ def load_hand(
     urdf: str | Path | None = None,
     mjcf: str | Path | None = None,
     candidates: int = 1024,
+    hull_limit: float = HULL_LIMIT,
+    progress: Callable[[str], None] | None = None,
 ) -> Hand:
-    """The hand that `source` names: one of `list_hands()`, a folder, a .urdf file, or a hand.toml.
+    """The hand that `source` names: one of `list_hands()`, a folder, a .urdf file, a hand.toml, or an asset.
 
     A folder holds a hand.toml or exactly one .urdf file. The hand.toml beside a .urdf file is used if it
     names that file.
 
     Args:
         source: Name or path; a hand of ours wins over a folder of the same name, which is ./NAME.
-        base_link: The hand is what hangs from this link; by default hand.toml's base_link, or else the root.
-        urdf: Taken instead of the URDF that hand.toml names; hands of others come without one.
-        mjcf: Taken instead of the MJCF that hand.toml names.
+        base_link: The hand is what hangs from this link; by default hand.toml's base_link, or else `guess_base`'s: the
+            palm of a hand on an arm, otherwise the root.
+        urdf: Taken instead of the URDF that hand.toml names; hands of others come without one, theirs is fetched.
+        mjcf: Taken instead of the MJCF that hand.toml names; a file, or an asset.
         candidates: Surface points per link.
+        hull_limit: Where the hull of a mesh stands out of it by more, in metres, more pieces are used, which the user's
+            cache folder keeps; infinite: only hulls.
+        progress: Gets one line when something is fetched, and when a mesh is cut.
 
     Raises:
-        AssetError: no such name.
+        AssetError: no such name, or an asset that cannot be fetched.
         HandError: a file is missing or malformed, or names something that is not there.
     """
-    name, toml = _locate(source, None if urdf is None else Path(urdf).expanduser())
-    if toml.urdf is None:
-        raise HandError(f"hand '{name}' comes without a URDF: give yours with --urdf FILE")
-    if mjcf is not None:
-        toml = replace(toml, mjcf=Path(mjcf).expanduser())
-        if not toml.mjcf.is_file():
-            raise HandError(f"{mjcf}: no such MJCF file")
+    name, toml = hand_files(
+        source,
+        None if urdf is None else Path(urdf).expanduser(),
+        None if mjcf is None else Path(mjcf),
+        progress or (lambda line: None),
+    )
     if toml.collision == "mjcf" and toml.mjcf is None:
         raise HandError(f"{toml.path}: collision = 'mjcf' needs mjcf = \"FILE\", or --mjcf FILE")
     tree = read_tree(toml.urdf)
-    base = base_link or toml.base_link or tree.root
+    notes: list[str] = []
+    base, why = (base_link, "--base-link says so") if base_link else (toml.base_link, f"{HAND_TOML} says so")
+    if base is None:
+        guess = guess_base(tree)
+        base, why = guess.link, guess.why
+        if guess.above:
+            notes.append(
+                f"the hand begins at its palm, link '{base}': the joints above it do not move "
+                f"({', '.join(guess.above)}); --base-link {tree.root} moves them too"
+            )
     raw_links, joints = tree.below(base)
-    hulls: dict[Path, Piece] = {}
-    links = tuple(_link(raw, tree.path, hulls, candidates) for raw in raw_links)
+    joints, narrowed = within_followers(joints, tree.path)
+    meshes = LinkMeshes(tree.path, hull_limit, default_cache(), progress or (lambda line: None))
+    links = tuple(_link(raw, meshes, candidates) for raw in raw_links)
     moving = {joint.name: joint for joint in joints if joint.movable and joint.mimic is None}
     independent = [moving[joint] for joint in tree.joints if joint in moving]
     outside = tree.joints.keys() - {joint.name for joint in joints}
-    touching, notes = contacts(
+    touching, about_contacts = contacts(
         toml,
         [link.name for link in links if link.body is not None],
         joints,
         tree.links.keys() - {link.name for link in links},
     )
+    notes += [*about_contacts, *narrowed, *meshes.notes()]
     notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
     return Hand(
-        name=name,
+        name=toml.name or name,
         urdf=tree.path,
         base_link=base,
         links=links,
@@ -184,43 +190,22 @@ def load_hand(
         mjcf=toml.mjcf,
         mjcf_joints=mjcf_joints(toml, [joint.name for joint in joints if joint.movable], outside),
         collision=toml.collision,
+        toml=None if toml.path == toml.urdf else toml.path,
+        base_why=why,
     )
 
 
-def _locate(source: str | Path, urdf: Path | None) -> tuple[str, HandToml]:
-    """The hand's name, and its hand.toml or, without one, an empty one that names its URDF."""
-    if isinstance(source, str) and source in list_hands():
-        source = resource_dir("robots") / source
-    path = Path(source).expanduser()
-    if not path.exists():
-        choices = f"the hands here are {', '.join(list_hands())}; or give a folder, a .urdf file or a {HAND_TOML}"
-        if isinstance(source, str) and path.name == source and not path.suffix:
-            raise AssetError(f"no hand is called '{source}'; {choices}")
-        raise HandError(f"{path}: no such file or folder; {choices}")
-    folder = path if path.is_dir() else path.parent
-    beside = folder / HAND_TOML
-    if beside.is_file():
-        toml = read_hand_toml(beside)
-        named = path.is_dir() or path.samefile(beside)
-        if named or (toml.urdf is not None and path.samefile(toml.urdf)):
-            return folder.resolve().name, toml if urdf is None else replace(toml, urdf=urdf)
-    if urdf is not None:
-        raise HandError(f"--urdf {urdf}: goes with a hand that has a {HAND_TOML}, '{source}' has none")
-    urdf = only_urdf(path) if path.is_dir() else path
-    return (folder.resolve().name if path.is_dir() else path.stem), HandToml(urdf, urdf)
-
-
-def _link(raw: yourdfpy.Link, urdf: Path, hulls: dict[Path, Piece], candidates: int) -> Link:
-    pieces = link_pieces(raw, urdf, hulls)
+def _link(raw: yourdfpy.Link, meshes: LinkMeshes, candidates: int) -> Link:
+    pieces = link_pieces(raw, meshes)
     inertial = raw.inertial
     mass = inertial.mass if inertial is not None else None
     if mass is not None and mass < 0:
-        raise HandError(f"{urdf}: link '{raw.name}' has the mass {mass:g} kg")
+        raise HandError(f"{meshes.urdf}: link '{raw.name}' has the mass {mass:g} kg")
     inertia = None
     if mass is not None and inertial.inertia is not None:
         inertia = Inertia.about(mass, np.eye(4) if inertial.origin is None else inertial.origin, inertial.inertia)
     try:
         body = build_body(raw.name, pieces, candidates=candidates) if pieces else None
     except MeshError as error:
-        raise HandError(f"{urdf}: link {error}") from None
+        raise HandError(f"{meshes.urdf}: link {error}") from None
     return Link(raw.name, body, mass, inertia)

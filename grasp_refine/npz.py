@@ -1,11 +1,17 @@
-"""Arrays in `.npz` files without pickle: read with a named error for every defect, written whole or not."""
+"""Arrays in `.npz` files without pickle: read with a named error for every defect, written whole or not.
+
+What an archive says of its sizes is looked at before anything is unpacked, so that a small file cannot fill the memory.
+"""
 
 from __future__ import annotations
 
+import io
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +26,15 @@ if TYPE_CHECKING:
 DAMAGED = (OSError, EOFError, MemoryError, NotImplementedError, RuntimeError)
 """How a damaged archive shows, besides the errors of zipfile: an absurd array size is MemoryError, an unknown
 compression NotImplementedError, an encrypted entry RuntimeError."""
+
+LARGEST = 2**31
+"""How many bytes the arrays of a file may have together: 2 GiB, or eight million grasps of 32 numbers."""
+MAGIC = b"\x93NUMPY"
+"""What array files begin with."""
+BAD_HEADER = (ValueError, SyntaxError, TypeError, RecursionError, MemoryError, tokenize.TokenError)
+"""What reading a damaged header ends in; a deep one is a RecursionError or MemoryError of Python's parser."""
+LONGEST_HEADER = 2**16
+"""How many bytes are unpacked to read what shape an array has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +97,7 @@ def load_npz(path: str | Path) -> NpzFile:
     """Return the arrays of an `.npz` file, none of them unpickled.
 
     Raises GraspFileError when the file is missing, not an `.npz`, damaged, or holds a pickle or anything else
-    that is no plain array.
+    that is no plain array, or would unpack to more than `LARGEST` bytes or to other sizes than it says.
     """
     path = Path(path)
     if not path.is_file():
@@ -92,6 +107,7 @@ def load_npz(path: str | Path) -> NpzFile:
     entries = {}
     key = ""
     try:
+        _check_sizes(path)
         with np.load(path, allow_pickle=False) as npz:
             for key in npz.files:
                 entries[key] = npz[key]
@@ -107,6 +123,51 @@ def load_npz(path: str | Path) -> NpzFile:
     if foreign:
         raise GraspFileError(f"{path}: not an .npz grasp file, it holds {', '.join(foreign)}")
     return NpzFile(path, entries)
+
+
+def _check_sizes(path: Path) -> None:
+    """Nothing, when an archive unpacks to what memory has room for, and each array to what its shape needs."""
+    with zipfile.ZipFile(path) as archive:
+        total = sum(entry.file_size for entry in archive.infolist())
+        if total > LARGEST:
+            raise GraspFileError(
+                f"{path}: would unpack to {total / 2**20:.0f} MiB, as an archive bomb does; at most "
+                f"{LARGEST // 2**20} MiB are read"
+            )
+        for entry in archive.infolist():
+            with archive.open(entry) as stream:
+                head = stream.read(LONGEST_HEADER)
+            if not head.startswith(MAGIC):
+                continue
+            key = entry.filename.removesuffix(".npy")
+            try:
+                shape, dtype, start = array_header(head)
+            except ValueError:
+                raise GraspFileError(f"{path}: entry '{key}' is damaged") from None
+            needed = prod(shape) * dtype.itemsize + start
+            if not dtype.hasobject and needed > entry.file_size:
+                raise GraspFileError(
+                    f"{path}: entry '{key}' is damaged: shape {shape} of {dtype} needs {needed} bytes, it has "
+                    f"{entry.file_size}"
+                )
+
+
+def array_header(data: bytes) -> tuple[tuple[int, ...], np.dtype, int]:
+    """Shape, type and where the numbers begin, of what an array file begins with; nothing is allocated for it.
+
+    Raises:
+        ValueError: the header is damaged.
+    """
+    stream = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(stream)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(stream)
+    except BAD_HEADER as error:
+        raise ValueError(" ".join(str(error).split())[:80]) from None
+    if min(shape, default=0) < 0:
+        raise ValueError(f"its shape is {shape}")
+    return shape, dtype, stream.tell()
 
 
 def save_npz(path: str | Path, arrays: Mapping[str, ArrayLike]) -> None:

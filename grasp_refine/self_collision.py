@@ -93,7 +93,7 @@ def touching_pairs(
         cache: Folder of answers found before; "user" is the user's cache folder, None keeps none. An entry is named
             by all that the answer depends on: pieces, joints, limits, rest pose and settings.
     """
-    candidates = _candidates(hand)
+    candidates, _ = _candidates(hand)
     if not candidates:
         return ()
     folder = disk.default_cache("touching") if cache == "user" else cache
@@ -105,6 +105,39 @@ def touching_pairs(
             with suppress(OSError):  # it takes about a second the next time, too
                 disk.save_arrays(entry, touching=touching)
     return tuple(pair for pair, kept in zip(candidates, touching.tolist(), strict=True) if kept)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What became of the pairs of solid links that are not moved alike."""
+
+    neighbours: int
+    """How many are connected by one joint, or by several that turn about one point: never looked at."""
+    watched: tuple[LinkPair, ...]
+    """Those that can touch: what `touching_pairs` returns."""
+    at_rest: tuple[LinkPair, ...]
+    """Those that overlap at the rest pose: taken for hulls that cover more than the link, and ignored."""
+    nearly_always: tuple[LinkPair, ...]
+    """Others that overlap in most configurations: ignored for the same reason."""
+    never: int
+    """How many others come nowhere near each other."""
+
+
+def judged_pairs(
+    hand: Hand, sampling: Sampling = Sampling(), *, cache: Path | Literal["user"] | None = "user"
+) -> Judged:
+    """What `touching_pairs` found, and why it left out the other pairs."""
+    (candidates, neighbours), watched = _candidates(hand), touching_pairs(hand, sampling, cache=cache)
+    lower, upper = _limits(hand)
+    uniform = np.random.default_rng(sampling.seed).uniform(lower, upper, (sampling.uniform, len(lower)))
+    overlap = _distances(hand, candidates, np.concatenate([hand.rest[None], uniform]), 0.0) < 0
+    at_rest, always = overlap[0], overlap[1:].mean(axis=0) > sampling.always
+    named = [
+        tuple(pair for pair, chosen in zip(candidates, which, strict=True) if chosen)
+        for which in (at_rest, always & ~at_rest)
+    ]
+    never = len(candidates) - len(watched) - sum(map(len, named))
+    return Judged(neighbours, watched, *named, never)
 
 
 def self_penetration(
@@ -126,8 +159,8 @@ def self_penetration(
     return np.where(np.isfinite(q).all(axis=1), depth, np.nan)
 
 
-def _candidates(hand: Hand) -> list[LinkPair]:
-    """All pairs of solid links that neither are rigidly connected nor neighbours."""
+def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
+    """All pairs of solid links that neither are rigidly connected nor neighbours, and the number of neighbours."""
     matrix, _, movable = hand.mimic_map()
     lower, upper = _limits(hand)
     moving = {name for name, travel in zip(movable, np.abs(matrix) @ (upper - lower), strict=True) if travel > 0}
@@ -156,7 +189,9 @@ def _candidates(hand: Hand) -> list[LinkPair]:
         while inner in meeting:
             inner = carrier[inner]
             left_out |= {(own, carrier[inner]), (carrier[inner], own)}
-    return [(a, b) for a, b in combinations(names, 2) if (part[a], part[b]) not in left_out]
+    apart = [(a, b) for a, b in combinations(names, 2) if part[a] != part[b]]
+    pairs = [(a, b) for a, b in apart if (part[a], part[b]) not in left_out]
+    return pairs, len(apart) - len(pairs)
 
 
 def _touching(hand: Hand, candidates: list[LinkPair], sampling: Sampling) -> Bool[np.ndarray, " pairs"]:

@@ -86,7 +86,7 @@ def test_without_a_command_the_commands_are_shown(capsys: pytest.CaptureFixture[
     assert "commands:" in capsys.readouterr().out
 
 
-NAMED = "the commands are run, validate, hands, bench align, bench grasp, bench hold, doctor"
+NAMED = f"the commands are {', '.join(COMMANDS)}"
 
 
 @pytest.mark.parametrize(

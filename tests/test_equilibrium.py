@@ -8,7 +8,7 @@ import pytest
 from claw import TIPS, around, claw, objects
 
 from grasp_refine.chain import Frames, moved
-from grasp_refine.commands.inputs import Sources
+from grasp_refine.commands.sources import Sources
 from grasp_refine.config import Config
 from grasp_refine.equilibrium import HOPELESS, LEVER
 from grasp_refine.goal import Goal, goal_of

@@ -44,10 +44,10 @@ CLAW = (
 an axis turned round at its far joint, and one is spread as well."""
 
 
-def write(folder: Path, body: str) -> Hand:
+def write(folder: Path, body: str, base_link: str | None = None) -> Hand:
     path = folder / "hand.urdf"
     path.write_text(f'<robot name="hand">{body}</robot>')
-    return load_hand(path, candidates=64)
+    return load_hand(path, base_link=base_link, candidates=64)
 
 
 def jaws(folder: Path, *, mimic: bool = False) -> Hand:
@@ -65,7 +65,7 @@ def closing(hand: Hand) -> dict[str, float]:
 
 
 def test_fingers_curl_towards_each_other_whatever_the_sign_of_their_axes(tmp_path: Path):
-    hand = write(tmp_path, CLAW)
+    hand = write(tmp_path, CLAW, "base")
     assert closing(hand) == {"wrist": 0, "spread": 0, "a_near": 1, "a_far": 1, "b_near": 1, "b_far": -1}
     grip = grip_of(hand)
     assert dict(zip(hand.joint_names, grip.spreading, strict=True))["spread"]

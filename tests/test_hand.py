@@ -23,7 +23,14 @@ FINGERTIPS = {
 """Contact links of the hands in the shared assets, as its README lists them."""
 
 JOINTS = {"allegro": 16, "leap": 16, "shadow": 24, "barrett": 8, "robotiq3f": 11}
-"""Independent joints of each."""
+"""Independent joints of each; Shadow's bare URDF begins at the palm, without the two of the wrist."""
+
+FINGERS = {
+    "leap": ["fingertip", "fingertip_2", "fingertip_3", "thumb"],
+    "shadow": ["index", "middle", "ring", "little", "thumb"],
+    "robotiq3f": ["finger_1_link_3", "finger_2_link_3", "middle"],
+}
+"""Groups of the contact links where names tell the finger."""
 
 WHOLE = [name for name in list_hands() if not needs_urdf(name)]
 """Hands that come with a URDF."""
@@ -238,9 +245,9 @@ def test_the_command_hands_shows_them_with_the_users_files(
 @pytest.mark.parametrize("name", FINGERTIPS)
 def test_bare_urdfs_load_with_their_fingertips_guessed(name: str, shared_assets: Path) -> None:
     hand = load_hand(shared_assets / "hands" / name)
-    assert hand.name == name and len(hand.joint_names) == JOINTS[name]
+    assert hand.name == name and len(hand.joint_names) == JOINTS[name] - 2 * (name == "shadow")
     assert [contact.link for contact in hand.contacts] == FINGERTIPS[name]
-    assert [contact.group for contact in hand.contacts] == FINGERTIPS[name]
+    assert [contact.group for contact in hand.contacts] == FINGERS.get(name, FINGERTIPS[name])
     assert any("contact links guessed" in note and FINGERTIPS[name][-1] in note for note in hand.notes)
     np.testing.assert_array_equal(hand.rest, (hand.lower + hand.upper) / 2)
     known = {hand.base_link}
@@ -252,7 +259,7 @@ def test_bare_urdfs_load_with_their_fingertips_guessed(name: str, shared_assets:
 
 def test_facts_of_other_hands_agree_too(shared_assets: Path) -> None:
     for name in ("leap", "shadow"):
-        hand = load_hand(shared_assets / "hands" / name)
+        hand = load_hand(shared_assets / "hands" / name, base_link="world" if name == "shadow" else None)
         for fact in json.loads((shared_assets / f"facts/{name}.json").read_text())["urdf"]["joints"]:
             ours = hand.joints_by_name[fact["name"]]
             np.testing.assert_allclose(ours.T_parent_child[:3, :3], rpy_matrix(*fact["rpy"]), atol=1e-9)
@@ -260,8 +267,12 @@ def test_facts_of_other_hands_agree_too(shared_assets: Path) -> None:
 
 
 def test_shadow_without_its_forearm_and_wrist(shared_assets: Path) -> None:
-    whole = load_hand(shared_assets / "hands/shadow/shadow_right.urdf")
-    hand = load_hand(shared_assets / "hands/shadow/shadow_right.urdf", base_link="palm")
+    whole = load_hand(shared_assets / "hands/shadow/shadow_right.urdf", base_link="world")
+    hand = load_hand(shared_assets / "hands/shadow/shadow_right.urdf")
+    assert hand.notes[0] == (
+        "the hand begins at its palm, link 'palm': the joints above it do not move (WRJ2, WRJ1); "
+        "--base-link world moves them too"
+    )
     assert hand.base_link == hand.links[0].name == "palm" and hand.name == "shadow_right"
     assert hand.joint_names == tuple(n for n in whole.joint_names if not n.startswith("WR"))
     assert len(hand.joint_names) == 22
@@ -303,7 +314,10 @@ def test_chains_of_mimic_joints_are_resolved(tmp_path: Path) -> None:
     np.testing.assert_array_equal(matrix, [[-6], [-2], [1], [1]])
     np.testing.assert_array_equal(offset, [1.25, 0.25, 0, 0])
     assert [j.lower for j in hand.joints if j.mimic] == [-1, -1, -np.inf]
-    np.testing.assert_array_equal((hand.lower, hand.upper, hand.rest), [[-1], [2], [0.5]])
+    np.testing.assert_allclose((hand.lower, hand.upper, hand.rest), [[-0.125], [0.375], [0.125]], atol=1e-15)
+    assert hand.notes[-1] == (
+        "joint 'a' moves from -0.125 to 0.375 rad, its own limits are -1 to 2: beyond, c would leave its limits"
+    )
 
 
 def test_mimic_joints_that_follow_each_other_are_refused(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ def allegro() -> Hand:
 
 @pytest.fixture(scope="module")
 def shadow(shared_assets: Path) -> Hand:
-    return load_hand(shared_assets / "hands/shadow/shadow_right.urdf", candidates=64)
+    return load_hand(shared_assets / "hands/shadow/shadow_right.urdf", base_link="forearm", candidates=64)
 
 
 HANDS = ("allegro", "shadow")

@@ -15,6 +15,8 @@ from grasp_refine.grasps import OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
 from grasp_refine.hand import HAND_TOML, load_hand
 from grasp_refine.report.verdict import HOLDS
 
+BENCHES = ("bench align", "bench grasp", "bench hold")
+
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -85,7 +87,7 @@ def test_the_links_and_places_exist():
 
 def test_the_options_are_those_of_the_commands():
     known = set()
-    for command in ("run", "validate", "bench align", "bench grasp", "bench hold"):
+    for command in ("run", "validate", "hands", "convert", "assets fetch", *BENCHES):
         code = f"from grasp_refine.cli import main; main([*{command.split()}, '--help'])"
         result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
         known |= set(re.findall(r"--[a-z][\w.-]*", result.stdout))

@@ -218,7 +218,7 @@ def test_whatever_the_answer_depends_on_has_an_entry_of_its_own(tmp_path: Path) 
         (a, slide("base", "b", 0.1, 0.2, z=0.001)),
         (a, slide("base", "b", 0.1, 0.2, radius=0.011)),
         (a, slide("a", "b", 0.1, 0.2)),
-        (a, slide("base", "b", 0.1, 0.2, mimic="a_slide")),
+        (a, slide("base", "b", 0.05, 0.2, mimic="a_slide")),
         (a, b.replace("1 0 0", "0 1 0")),
         (a, b, fixed("b", "c", 0.01)),
     ]

@@ -16,6 +16,9 @@ from rich.table import Table
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine import __version__
+from grasp_refine.asset_library.cache import LAYOUTS, seems_here
+from grasp_refine.asset_library.names import all_assets
+from grasp_refine.asset_library.origin import VARIABLE, shown
 from grasp_refine.errors import AssetError, GraspRefineError
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hand import list_hands
@@ -74,6 +77,7 @@ def examine() -> dict[str, Any]:
         "devices": devices,
         "gpu": any(device["name"] != "cpu" for device in devices),
         "cache": _cache(),
+        "assets": _assets(),
         "hands": hands,
         "pictures": _pictures(),
         "browser": next(filter(None, map(shutil.which, BROWSERS)), None),
@@ -121,6 +125,18 @@ def _cache() -> dict[str, Any]:
     return {"folder": folder, "entries": len(sizes), "bytes": sum(sizes)}
 
 
+def _assets() -> dict[str, Any]:
+    """Where assets of others are kept, how many of those that are known are here, and the mirror, if there is one."""
+    here = sum(any(seems_here(asset, layout) for layout in LAYOUTS) for asset in all_assets())
+    mirror = os.environ.get(VARIABLE)
+    return {
+        "folder": default_cache("assets"),
+        "here": here,
+        "known": len(all_assets()),
+        "mirror": shown(mirror) if mirror else None,
+    }
+
+
 def _show(found: dict[str, Any], console: Console) -> None:
     python = f"Python {platform.python_version()}"
     console.print(f"[bold]{NAME} {__version__}[/]  {python}, {found['platform']}, {found['cpu_count']} CPUs\n")
@@ -151,13 +167,15 @@ def _show(found: dict[str, Any], console: Console) -> None:
 
 
 def _lines(found: dict[str, Any]) -> list[str]:
-    cache = found["cache"]
+    cache, assets = found["cache"], found["assets"]
     devices = [f"{device['name']} ({device['what']})" for device in found["devices"]]
     lacking = sorted({p["extra"] for p in found["packages"] if p["extra"] and p["state"] == "missing"})
     browser = found["browser"] or "none; the viewer's tests need chromium, apt install chromium"
     lines = [
         f"devices: {', '.join(devices) or 'none'}" + ("" if found["gpu"] else "; no GPU, none is needed"),
         f"cache:   {cache['folder']}, {cache['entries']} decompositions, {cache['bytes'] / 1e6:.1f} MB",
+        f"assets:  {assets['folder']}, {assets['here']} of {assets['known']} are here"
+        + (f"; mirror: {assets['mirror']}" if assets["mirror"] else ""),
         f"hands:   {', '.join(found['hands']) or 'none'}",
         f"films:   {found['pictures'] or 'none, no OpenGL without a screen; apt install libegl1 libgl1-mesa-dri'}",
         f"browser: {browser}",

@@ -2,37 +2,34 @@
 
 from __future__ import annotations
 
-import re
-from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from rich import box
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 from tyro.conf import DisallowNone, Positional, arg
 
+from grasp_refine.commands.ending import NOTHING_USABLE
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.geometry.pieces import Piece
-from grasp_refine.hand import HAND_TOML, Contact, Hand, list_hands, load_hand, needs_urdf
+from grasp_refine.hand import HAND_TOML, Hand, list_hands, load_hand, needs_urdf
+from grasp_refine.report.hand_facts import examples, facts_without_urdf, guessed, hand_facts
+from grasp_refine.report.hand_table import bullets, list_table, show_hand
 from grasp_refine.report.screen import screen
-from grasp_refine.report.writing import SCHEMA, check_writable, save_json
+from grasp_refine.report.writing import SCHEMA, check_writable, save_json, save_text
 from grasp_refine.versions import versions
+
+if TYPE_CHECKING:
+    from grasp_refine.report.hand_check import HandCheck
 
 CANDIDATES = 16
 """Surface points per link; nothing here looks at them."""
 
-_LICENCE = re.compile(r"\b(Apache-2\.0|BSD-[23]-Clause|MIT|GPL-[23]\.0|CC-BY[-A-Z0-9.]*)\b")
-_COMMENT = re.compile(r"<!--(.*?)-->", re.DOTALL)
+ASK_FOR_ONE = "need the name of a hand or a URDF: refine-grasp hands HAND"
 
 
 @dataclass(frozen=True)
 class Hands:
-    """List the hands that come with the program, or show what is read of one hand."""
+    """List the hands that come with the program, show what is read of one, or check a URDF that you bring."""
 
     hand: Annotated[
         Positional[DisallowNone[str | None]], arg(metavar="[HAND]", help_behavior_hint="(default: list all)")
@@ -42,6 +39,14 @@ class Hands:
     """The hand's URDF, where it comes without one."""
     mjcf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: as named)")] = None
     """The same hand as an MJCF file, to see whether they match."""
+    base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: the palm)")] = None
+    """Link that the hand begins at; the root of the URDF moves all joints, also those of an arm."""
+    check: Annotated[bool, arg(help_behavior_hint="")] = False
+    """Say what was understood and why, what looks wrong, and write a hand.toml to start from beside the URDF."""
+    write: Annotated[
+        DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: beside the URDF)")
+    ] = None
+    """With --check: the hand.toml to write, or a folder for it; what exists is never overwritten."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write what is known about the hands to this file."""
 
@@ -49,222 +54,146 @@ class Hands:
         """Do it; returns the exit code.
 
         Raises:
-            GraspRefineError: no such hand, or one that cannot be read.
+            GraspRefineError: no such hand, one that cannot be read, or files that cannot be written.
         """
         if self.json is not None:
             check_writable(self.json)
-        if self.hand is None and (self.urdf is not None or self.mjcf is not None):
-            raise GraspRefineError("--urdf and --mjcf need the name of a hand: refine-grasp hands NAME --urdf FILE")
         if self.hand is None:
-            waiting = [name for name in list_hands() if needs_urdf(name)]
-            hands = [load_hand(name, candidates=CANDIDATES) for name in list_hands() if name not in waiting]
-        else:
-            waiting = []
-            hands = [load_hand(self.hand, urdf=self.urdf, mjcf=self.mjcf, candidates=CANDIDATES)]
-        simulated = () if self.hand is None else _simulated(hands[0])
-        if self.json is not None:
-            facts = [hand_facts(hand) | ({"simulation": simulated} if simulated else {}) for hand in hands]
-            facts += [_facts_without_urdf(name) for name in waiting]
-            save_json(self.json, {"schema": SCHEMA, "command": "hands", "versions": versions(), "hands": facts})
+            return self._list()
+        place = None if self.write is None else _checked_place(self.write)
+        if place is not None and not self.check:
+            raise GraspRefineError("--write goes with --check")
+        hand = load_hand(self.hand, base_link=self.base_link, urdf=self.urdf, mjcf=self.mjcf, candidates=CANDIDATES)
+        return self._check(hand, place) if self.check else self._show(hand)
+
+    def _list(self) -> int:
+        given = {"--urdf": self.urdf, "--mjcf": self.mjcf, "--base-link": self.base_link, "--write": self.write}
+        asked = [option for option, value in given.items() if value is not None] + ["--check"] * self.check
+        if asked:
+            raise GraspRefineError(f"{' and '.join(asked)} {ASK_FOR_ONE} {asked[0]}")
+        waiting = [name for name in list_hands() if needs_urdf(name)]
+        hands = [load_hand(name, candidates=CANDIDATES) for name in list_hands() if name not in waiting]
+        self._save([hand_facts(hand) for hand in hands] + [facts_without_urdf(name) for name in waiting])
         console = screen()
-        if self.hand is None:
-            _list(hands, waiting, console)
-        else:
-            _details(hands[0], simulated, console)
+        console.print(list_table(hands, waiting), "")
+        for hand in hands:
+            for note in hand.notes:
+                console.print(f"{hand.name}: {note}", markup=False)
+        if waiting:
+            console.print(
+                f"{', '.join(waiting)}: {HAND_TOML} is here, the URDF is not: give yours with --urdf FILE",
+                markup=False,
+            )
+        console.print(
+            "refine-grasp hands HAND shows the joints, links and contact links of one; a URDF file will do.\n"
+            "refine-grasp hands --check my_hand.urdf says what looks wrong in yours, and writes a hand.toml."
+        )
         return 0
 
+    def _show(self, hand: Hand) -> int:
+        # This loads torch and MuJoCo, which a list of hands does not need.
+        from grasp_refine.report.hand_check import simulation_notes
 
-def _simulated(hand: Hand) -> tuple[str, ...]:
-    """What there is to know of how the hand is simulated.
+        notes = simulation_notes(hand)
+        self._save([hand_facts(hand) | ({"simulation": notes} if notes else {})])
+        console = screen()
+        show_hand(hand, console)
+        if not guessed(hand):
+            console.print("contact links are those that hand.toml names")
+        for note in hand.notes:
+            console.print(f"note: {note}", markup=False)
+        for note in notes:
+            console.print(f"in simulation: {note}", markup=False)
+        _show_examples(hand, console)
+        return 0
+
+    def _check(self, hand: Hand, place: Path | None) -> int:
+        from grasp_refine.report.hand_check import check_hand
+
+        found = check_hand(hand)
+        written, told = _write_toml(hand, place)
+        self._save([hand_facts(hand) | {"check": found.document(), "written": written}])
+        console = screen()
+        show_hand(hand, console)
+        _show_check(hand, found, console)
+        _show_examples(hand, console)
+        console.print(f"\n{told}", markup=False, soft_wrap=True)
+        return NOTHING_USABLE if found.refused else 0
+
+    def _save(self, facts: list[dict[str, Any]]) -> None:
+        if self.json is not None:
+            save_json(self.json, {"schema": SCHEMA, "command": "hands", "versions": versions(), "hands": facts})
+
+
+def _checked_place(path: Path) -> Path:
+    """The hand.toml that --write names.
 
     Raises:
-        HandError: its MJCF cannot be used.
+        GraspRefineError: it exists, has another name, or cannot be written.
     """
-    # These load torch and MuJoCo, which a list of hands does not need.
-    from grasp_refine.validation.mjcf_model import mjcf_model
-    from grasp_refine.validation.urdf_model import urdf_model
+    place = path / HAND_TOML if path.is_dir() else path
+    if place.name != HAND_TOML:
+        raise GraspRefineError(
+            f"--write {path}: the file must be called {HAND_TOML}, so that its folder is a hand; or name a folder"
+        )
+    if place.exists() or place.is_symlink():
+        raise GraspRefineError(f"--write {place}: exists already and is not overwritten; name another folder")
+    check_writable(place)
+    return place
 
-    if hand.mjcf is None:
-        return urdf_model(hand).notes
-    model = mjcf_model(hand, hand.mjcf)
-    matched = f"{hand.mjcf.name} moves like the URDF: {len(model.joints)} joints matched by name and place"
-    return (matched, *model.notes)
+
+def _write_toml(hand: Hand, place: Path | None) -> tuple[Path | None, str]:
+    """The hand.toml that was written, if any, and what to tell of it.
+
+    Raises:
+        GraspRefineError: the place that was named cannot be written.
+    """
+    from grasp_refine.report.hand_toml_text import hand_toml_text
+
+    beside = hand.urdf.parent / HAND_TOML
+    if place is None and hand.toml is not None:
+        return None, f"{hand.toml} was used, and nothing is written; --write FOLDER/{HAND_TOML} writes all of it anew"
+    if place is None and (beside.exists() or beside.is_symlink()):
+        return None, f"nothing is written: {beside} is of another URDF; name a place with --write FOLDER/{HAND_TOML}"
+    target = place or beside
+    try:
+        save_text(target, hand_toml_text(hand, target.parent))
+    except GraspRefineError as error:
+        if place is not None:
+            raise
+        return None, f"no {HAND_TOML} is written: {error}; name a place with --write FOLDER/{HAND_TOML}"
+    used = "its folder, or this URDF," if place is None else "its folder"
+    return target, f"wrote {target}: edit it; it is read when you name {used} as the hand"
 
 
-def hand_facts(hand: Hand) -> dict[str, Any]:
-    """What is known about a hand, for JSON; SI units."""
-    row = {name: i for i, name in enumerate(hand.joint_names)}
-    return {
-        "name": hand.name,
-        "urdf": hand.urdf,
-        "base_link": hand.base_link,
-        "licence": licence(hand.urdf),
-        "joints": [
-            {
-                "name": joint.name,
-                "kind": joint.kind,
-                "parent": joint.parent,
-                "child": joint.child,
-                "lower": joint.lower,
-                "upper": joint.upper,
-                "rest": hand.rest[row[joint.name]] if joint.name in row else None,
-                "mimics": joint.mimic.joint if joint.mimic else None,
-            }
-            for joint in hand.joints
-            if joint.movable
+def _show_check(hand: Hand, found: HandCheck, console: Console) -> None:
+    # Sections of their own say these.
+    begins = [note for note in hand.notes if note.startswith("the hand begins")]
+    notes = [note for note in hand.notes if note not in begins and not note.startswith("contact links guessed")]
+    pairs = found.pairs
+    ignored = [f"ignored: {a} and {b}, which overlap at the rest pose" for a, b in pairs.at_rest]
+    ignored += [f"ignored: {a} and {b}, which overlap nearly always" for a, b in pairs.nearly_always]
+    if ignored:
+        ignored.append("if they should be watched, say a rest_pose in which they do not overlap")
+    refused = [f"MuJoCo does not take the hand: {found.refused}"] if found.refused else []
+    sections = {
+        "begins at": [f"link '{hand.base_link}': {hand.base_why}", *begins],
+        "meant to touch the object": found.contacts,
+        "links that must not run into each other": [
+            f"pairs that are watched: {len(pairs.watched)}; neighbours: {pairs.neighbours}; never meet: {pairs.never}",
+            *ignored,
         ],
-        "links": [
-            {"name": link.name, "pieces": len(link.body.pieces) if link.body else 0, "mass_kg": link.mass}
-            for link in hand.links
-        ],
-        "contacts": [
-            {"link": contact.link, "group": contact.group, "point": contact.point, "guessed": _guessed(hand)}
-            for contact in hand.contacts
-        ],
-        "examples": [path.name for path in _examples(hand)],
-        "notes": hand.notes,
+        "in simulation": [*refused, *found.simulation],
+        "to look at": [*notes, *found.suspicious],
     }
+    for title, lines in sections.items():
+        console.print(f"[bold]{title}[/]")
+        console.print(bullets(lines or ["nothing"]))
+    if found.size:
+        console.print("size at rest: {:.0f} x {:.0f} x {:.0f} mm".format(*(side * 1e3 for side in found.size)))
 
 
-def _facts_without_urdf(name: str) -> dict[str, Any]:
-    """The same of a hand of ours that needs the user's URDF: little."""
-    note = f"needs a URDF: --urdf FILE; {HAND_TOML} says the rest"
-    nothing = dict.fromkeys(("urdf", "base_link", "licence"))
-    lists: dict[str, list[str]] = {"joints": [], "links": [], "contacts": [], "examples": []}
-    return {"name": name, **nothing, **lists, "notes": [note]}
-
-
-def licence(urdf: Path) -> str:
-    """The licence that a comment in the URDF names, else the licence file beside it, else ""."""
-    comments = " ".join(_COMMENT.findall(urdf.read_text(encoding="utf-8", errors="replace")))
-    named = _LICENCE.search(comments)
-    if named:
-        return named[1]
-    beside = sorted(path.name for path in urdf.parent.glob("LICEN[CS]E*"))
-    return f"see {beside[0]}" if beside else ""
-
-
-def _guessed(hand: Hand) -> bool:
-    """Whether the contact links are the program's choice: then a note of the hand says so."""
-    return any(note.startswith("contact links guessed") for note in hand.notes)
-
-
-def _examples(hand: Hand) -> list[Path]:
-    """Grasp files beside the URDF."""
-    return sorted(hand.urdf.parent.glob("*.npz"))
-
-
-def _list(hands: list[Hand], waiting: list[str], console: Console) -> None:
-    table = _table("hand", "joints", "range, deg", "links", "solid", "contacts", "licence", "examples")
-    for hand in hands:
-        table.add_row(
-            escape(hand.name),
-            str(len(hand.joint_names)),
-            _range(hand),
-            str(len(hand.links)),
-            str(_solid(hand)),
-            f"{len(hand.contacts)}{' (guessed)' if _guessed(hand) else ''}",
-            escape(licence(hand.urdf)),
-            str(len(_examples(hand))),
-        )
-    for name in waiting:
-        table.add_row(escape(name), *["-"] * 5, "needs --urdf", "-")
-    console.print(table)
-    for hand in hands:
-        for note in hand.notes:
-            console.print(f"{hand.name}: {note}", markup=False)
-    console.print("\nrefine-grasp hands NAME shows its joints, links and contact links; a URDF file works too.")
-
-
-def _details(hand: Hand, simulated: tuple[str, ...], console: Console) -> None:
-    console.print(f"[bold]{escape(hand.name)}[/]  {escape(str(hand.urdf))}", soft_wrap=True)
-    console.print(
-        f"{len(hand.joint_names)} joints, {len(hand.links)} links ({_solid(hand)} with geometry) from "
-        f"{hand.base_link} on, licence: {licence(hand.urdf) or 'not named'}\n",
-        markup=False,
-    )
-    row = {name: i for i, name in enumerate(hand.joint_names)}
-    joints = _table("joint", "kind", "lower", "upper", "rest", "moves link")
-    for joint in hand.joints:
-        if not joint.movable:
-            continue
-        show = _millimetres if joint.kind == "prismatic" else _degrees
-        if joint.mimic is None:
-            rest = show(hand.rest[row[joint.name]])
-        else:
-            mimic = joint.mimic
-            rest = f"{mimic.multiplier:g} x {mimic.joint}" + (f" + {show(mimic.offset)}" if mimic.offset else "")
-        cells = (joint.name, joint.kind, show(joint.lower), show(joint.upper), rest, joint.child)
-        joints.add_row(*map(escape, cells))
-    console.print(joints, "")
-    touching = {contact.link for contact in hand.contacts}
-    links = _table("link", "convex pieces", "mass, g", "touches")
-    for link in hand.links:
-        links.add_row(
-            escape(link.name),
-            _shapes(link.body.pieces) if link.body else "none",
-            "-" if link.mass is None else f"{link.mass * 1e3:.1f}",
-            "; ".join(_where(contact) for contact in hand.contacts if contact.link == link.name),
-            style="bold" if link.name in touching else "",
-        )
-    console.print(links, "")
-    if not _guessed(hand):
-        console.print("contact links are those that hand.toml names")
-    for note in hand.notes:
-        console.print(f"note: {note}", markup=False)
-    for note in simulated:
-        console.print(f"in simulation: {note}", markup=False)
-    if _examples(hand):
-        names = ", ".join(path.name for path in _examples(hand))
+def _show_examples(hand: Hand, console: Console) -> None:
+    if examples(hand):
+        names = ", ".join(path.name for path in examples(hand))
         console.print(f"example grasps: {names}", markup=False)
-
-
-def _table(*columns: str) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0), header_style="dim")
-    for column in columns:
-        left = column in (
-            "hand",
-            "joint",
-            "link",
-            "kind",
-            "rest",
-            "moves link",
-            "convex pieces",
-            "touches",
-            "licence",
-        )
-        whole = column in ("hand", "range, deg", "licence")
-        table.add_column(column, justify="left" if left else "right", overflow="fold", no_wrap=whole)
-    return table
-
-
-def _range(hand: Hand) -> str:
-    """Smallest and largest limit of the turning joints."""
-    turning = [joint for joint in hand.joints if joint.name in hand.joint_names and joint.kind != "prismatic"]
-    if not turning:
-        return "-"
-    return f"{_degrees(min(j.lower for j in turning))} to {_degrees(max(j.upper for j in turning))}"
-
-
-def _solid(hand: Hand) -> int:
-    return sum(link.body is not None for link in hand.links)
-
-
-def _shapes(pieces: Sequence[Piece]) -> str:
-    """What convex pieces are, such as "3 x hull of 8, ball"."""
-    counts = Counter(len(piece.vertices) for piece in pieces)
-    names = {corners: {1: "ball", 2: "capsule"}.get(corners, f"hull of {corners}") for corners in counts}
-    return ", ".join(f"{n} x {names[c]}" if n > 1 else names[c] for c, n in counts.items())
-
-
-def _where(contact: Contact) -> str:
-    point = "" if contact.point is None else " at {:.1f} {:.1f} {:.1f} mm".format(*np.multiply(contact.point, 1e3))
-    return escape(("contact" if contact.group == contact.link else contact.group) + point)
-
-
-def _degrees(radians: float) -> str:
-    return f"{np.degrees(radians):.1f}" if np.isfinite(radians) else "free"
-
-
-def _millimetres(metres: float) -> str:
-    return f"{metres * 1e3:.1f} mm" if np.isfinite(metres) else "free"

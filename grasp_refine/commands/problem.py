@@ -59,7 +59,8 @@ class Problem:
     hand: Hand
     """The hand, below the base link that the grasp file names."""
     files: tuple[Path, ...]
-    """The grasp file, and that of the targets if it is another; of sampled grasps, the hand's."""
+    """The grasp file, or the folder and its files, and the file of the targets if it is another; of sampled grasps, the
+    hand's."""
     groups: tuple[Group, ...]
     """The grasps, by object and scale."""
     notes: tuple[str, ...]

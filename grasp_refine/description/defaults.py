@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.description.finger_names import finger_names
 from grasp_refine.description.hand_toml import ACTUATOR, Contact, Coupled, HandToml
 from grasp_refine.description.tree import Joint
 from grasp_refine.errors import HandError
@@ -53,14 +54,18 @@ def _guess_contacts(solid: Collection[str], joints: Sequence[Joint]) -> list[Con
     """The last solid link of each branch, each its own group; what is fixed to the base is no branch."""
     above = {joint.child: joint for joint in joints}
     moving, inner = set(), set()
+    way: dict[str, list[str]] = {name: [] for name in solid}  # the names from the link to the base
     for name in solid:
         ancestor = name
         while ancestor in above:
+            way[name] += ancestor, above[ancestor].name
             if above[ancestor].movable:
                 moving.add(name)
             ancestor = above[ancestor].parent
             inner.add(ancestor)
-    return [Contact(name, name) for name in solid if name in moving - inner]
+    last = [name for name in solid if name in moving - inner]
+    fingers = finger_names([way[name] for name in last])
+    return [Contact(name, finger or name) for name, finger in zip(last, fingers, strict=True)]
 
 
 def rest_pose(toml: HandToml, independent: Sequence[Joint], outside: Collection[str]) -> Float[np.ndarray, " n"]:

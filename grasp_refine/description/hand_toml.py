@@ -17,7 +17,7 @@ T = TypeVar("T")
 KINDS = {dict: "table", list: "list", str: "text"}
 """What TOML calls the types that are asked for."""
 
-KEYS = ("urdf", "base_link", "mjcf", "mjcf_joints", "collision", "rest_pose", "contact", "coupled", "actuator")
+KEYS = ("name", "urdf", "base_link", "mjcf", "mjcf_joints", "collision", "rest_pose", "contact", "coupled", "actuator")
 """What a hand.toml can hold."""
 
 ACTUATOR = {"kp": 5.0, "force_limit": None, "damping": 0.1, "armature": 2e-4, "frictionloss": 0.01}
@@ -57,7 +57,9 @@ class HandToml:
     urdf: Path | None
     """The URDF that it describes; None where there is none beside it, and the user has to give it."""
     base_link: str | None = None
-    """Link that the hand starts at; None: the URDF's root."""
+    """Link that the hand starts at; None: it is guessed."""
+    name: str | None = None
+    """Name of the hand in results and in grasp files; None: that of the folder."""
     mjcf: Path | None = None
     """The same hand as an MJCF file, for simulation."""
     mjcf_joints: dict[str, str] = field(default_factory=dict)
@@ -88,7 +90,7 @@ def read_hand_toml(path: Path) -> HandToml:
     collision = raw.get("collision", "urdf")
     if collision not in ("urdf", "mjcf"):
         raise HandError(f"{path}: collision = {collision!r}; valid: 'urdf', 'mjcf'")
-    base_link = raw.get("base_link")
+    base_link, name = raw.get("base_link"), raw.get("name")
     joints = _typed(raw.get("mjcf_joints", {}), dict, f"{path}: [mjcf_joints]")
     rest_pose = _typed(raw.get("rest_pose", {}), dict, f"{path}: [rest_pose]")
     actuator = _typed(raw.get("actuator", {}), dict, f"{path}: [actuator]")
@@ -96,6 +98,7 @@ def read_hand_toml(path: Path) -> HandToml:
         path=path,
         urdf=_urdf(raw, path),
         base_link=None if base_link is None else _typed(base_link, str, f"{path}: base_link"),
+        name=None if name is None else _typed(name, str, f"{path}: name"),
         mjcf=_file(raw["mjcf"], path, "mjcf") if "mjcf" in raw else None,
         mjcf_joints={name: _typed(value, str, f"{path}: [mjcf_joints] {name}") for name, value in joints.items()},
         collision=collision,

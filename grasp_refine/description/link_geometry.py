@@ -1,27 +1,89 @@
-"""The collision geometry of a link as convex pieces: primitives as they are, meshes as their convex hulls."""
+"""The collision geometry of links as convex pieces: primitives as they are, meshes as their hulls or finer."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import unquote
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.description.mesh_files import read_mesh, resolve_mesh
 from grasp_refine.errors import HandError, MeshError
-from grasp_refine.geometry.mesh import load_mesh
-from grasp_refine.geometry.pieces import Piece, box, cylinder, hull, sphere
+from grasp_refine.geometry.covering import Covering, covering
+from grasp_refine.geometry.pieces import Piece, box, cylinder, sphere
 
 if TYPE_CHECKING:
+    import trimesh
     import yourdfpy
 
+HULL_LIMIT = 5e-3
+"""How far the hull of a link's mesh may stand out of it before more pieces are used, in metres."""
 
-def link_pieces(link: yourdfpy.Link, urdf: Path, hulls: dict[Path, Piece]) -> tuple[Piece, ...]:
-    """The convex pieces of `link` in its frame, one per <collision> element; a repeated element counts once.
+Scale = tuple[float, float, float]
+"""Factors along x, y and z; negative ones mirror."""
 
-    `hulls` maps mesh files to their hulls, unscaled; it is filled here, so that a file that several links
-    share is read once.
+
+@dataclass(eq=False)
+class LinkMeshes:
+    """The meshes of the links of one URDF as convex pieces, each file read once and each size of it cut once."""
+
+    urdf: Path
+    """The file that names the meshes."""
+    limit: float = HULL_LIMIT
+    """How far a hull may stand out of its mesh before more pieces are used, in metres; infinite: only hulls."""
+    cache: Path | None = None
+    """Folder of what was cut and measured before; None keeps nothing."""
+    progress: Callable[[str], None] = lambda line: None
+    """Gets a line before and one after a mesh is cut by CoACD."""
+    _read: dict[Path, trimesh.Trimesh] = field(default_factory=dict)
+    _cut: dict[tuple[Path, Scale], Covering] = field(default_factory=dict)
+    _users: dict[tuple[Path, Scale], list[str]] = field(default_factory=dict)
+
+    def pieces(self, filename: str, scale: Iterable[float], link: str) -> tuple[Piece, ...]:
+        """The pieces of the mesh that the URDF calls `filename`, times `scale`, for `link`.
+
+        Raises:
+            HandError: there is no such file.
+            MeshError: it cannot be used.
+        """
+        x, y, z = map(float, scale)
+        path = resolve_mesh(filename, self.urdf)
+        key = (path, (x, y, z))
+        if key not in self._cut:
+            if path not in self._read:
+                self._read[path] = read_mesh(path)
+            name = path.name if key[1] == (1.0, 1.0, 1.0) else f"{path.name} x {np.array(key[1])}"
+            self._cut[key] = covering(
+                _scaled(self._read[path], key[1]), self.limit, cache=self.cache, progress=self.progress, name=name
+            )
+        users = self._users.setdefault(key, [])
+        if link not in users:
+            users.append(link)
+        return self._cut[key].pieces
+
+    def notes(self) -> list[str]:
+        """A line on each mesh whose hull stands out by more than the limit: of which links, and what is used."""
+        notes = []
+        for key, cut in self._cut.items():
+            if cut.hull_stands_out == 0:
+                continue
+            said = f"{', '.join(self._users[key])}: the hull of {key[0].name} stands out of it by up to"
+            said += f" {_millimetres(cut.hull_stands_out)}"
+            if len(cut.pieces) == 1:
+                notes.append(f"{said}; it is used, for want of better ({cut.trouble})")
+                continue
+            left = _millimetres(cut.stands_out or self.limit)
+            said += (
+                f"; {len(cut.pieces)} pieces are used, which do by {'up to' if cut.stands_out else 'at most'} {left}"
+            )
+            notes.append(said + (f" ({cut.trouble})" if cut.trouble else ""))
+        return notes
+
+
+def link_pieces(link: yourdfpy.Link, meshes: LinkMeshes) -> tuple[Piece, ...]:
+    """The convex pieces of `link` in its frame, of all its <collision> elements; a repeated element counts once.
 
     Raises:
         HandError: a mesh file is missing or cannot be used, or a piece has no thickness; names the link.
@@ -29,68 +91,36 @@ def link_pieces(link: yourdfpy.Link, urdf: Path, hulls: dict[Path, Piece]) -> tu
     pieces: list[Piece] = []
     for collision in link.collisions:
         try:
-            piece = _piece(collision.geometry, urdf, hulls)
+            found = _pieces(collision.geometry, meshes, link.name)
+        except (HandError, MeshError) as error:
+            raise HandError(f"{meshes.urdf}: link '{link.name}': {error}") from None
+        for piece in found:
             if collision.origin is not None:
                 piece = piece.transformed(collision.origin)
-        except (HandError, MeshError) as error:
-            raise HandError(f"{urdf}: link '{link.name}': {error}") from None
-        # Two pieces in one place would each hide the other's surface.
-        if not any(np.array_equal(piece.vertices, p.vertices) and piece.radius == p.radius for p in pieces):
-            pieces.append(piece)
+            # Two pieces in one place would each hide the other's surface.
+            if not any(np.array_equal(piece.vertices, p.vertices) and piece.radius == p.radius for p in pieces):
+                pieces.append(piece)
     return tuple(pieces)
 
 
-def _piece(geometry: yourdfpy.Geometry, urdf: Path, hulls: dict[Path, Piece]) -> Piece:
+def _pieces(geometry: yourdfpy.Geometry, meshes: LinkMeshes, link: str) -> tuple[Piece, ...]:
     if geometry.box is not None:
-        return box(geometry.box.size)
+        return (box(geometry.box.size),)
     if geometry.cylinder is not None:
-        return cylinder(geometry.cylinder.radius, geometry.cylinder.length)
+        return (cylinder(geometry.cylinder.radius, geometry.cylinder.length),)
     if geometry.sphere is not None:
-        return sphere(geometry.sphere.radius)
-    path = resolve_mesh(geometry.mesh.filename, urdf)
-    if path not in hulls:
-        hulls[path] = hull(_mesh_points(path), name=path.name)
-    if geometry.mesh.scale is None:
-        return hulls[path]
-    # The hull is taken again: a mirrored or unevenly scaled one has other face orientations.
-    return hull(hulls[path].vertices * geometry.mesh.scale, name=f"{path.name} x {geometry.mesh.scale}")
+        return (sphere(geometry.sphere.radius),)
+    scale = np.ones(3) if geometry.mesh.scale is None else np.broadcast_to(geometry.mesh.scale, 3)
+    return meshes.pieces(geometry.mesh.filename, scale, link)
 
 
-def _mesh_points(path: Path) -> Float[np.ndarray, "N 3"]:
-    if path.suffix.lower() != ".dae":
-        return load_mesh(path).vertices
+def _scaled(mesh: trimesh.Trimesh, scale: Scale) -> trimesh.Trimesh:
+    """A mesh stretched and mirrored, its faces still looking outward."""
     import trimesh
 
-    try:
-        scene = trimesh.load_scene(path, process=False)
-        # As in ROS: the file's unit counts, its "up axis" does not.
-        return scene.to_mesh().vertices * trimesh.units.unit_conversion(scene.units or "meters", "meters")
-    # The reader raises whatever a broken file makes it trip over.
-    except Exception as error:
-        raise MeshError(f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})") from error
+    faces = np.asarray(mesh.faces)
+    return trimesh.Trimesh(mesh.vertices * scale, faces[:, ::-1] if np.prod(scale) < 0 else faces, process=False)
 
 
-def resolve_mesh(filename: str, urdf: Path) -> Path:
-    """The file that a mesh's `filename` in the URDF file `urdf` means; nothing is fetched from a network.
-
-    A plain path is relative to the URDF. `package://NAME/REST` is looked for as NAME/REST and as REST in
-    the URDF's folder and in every folder above it, nearest first. `file://PATH` is PATH.
-
-    Raises:
-        HandError: there is no such file (lists what was tried), or the address is of another kind.
-    """
-    scheme, _, rest = filename.rpartition("://")
-    folder = urdf.absolute().parent
-    if scheme == "package":
-        name, _, inside = rest.partition("/")
-        tried = [place / path for place in (folder, *folder.parents) for path in (rest, inside)]
-        where = f"{rest} and {inside} in {folder} and the folders above it (the package is '{name}')"
-    elif scheme in ("", "file"):
-        tried = [folder / (unquote(rest) if scheme else rest)]
-        where = str(tried[0])
-    else:
-        raise HandError(f"mesh '{filename}': only paths, file:// and package:// are read")
-    found = next((path for path in tried if path.is_file()), None)
-    if found is None:
-        raise HandError(f"mesh '{filename}' not found: tried {where}")
-    return found
+def _millimetres(metres: float) -> str:
+    return f"{metres * 1e3:.1f} mm"

@@ -47,9 +47,9 @@ class Joint:
     axis: Float[np.ndarray, " 3"]
     """Unit axis (3,) in the child frame; zeros for a fixed joint."""
     lower: float
-    """Least value in rad or m; -inf if continuous, 0 if fixed. For a mimic joint it is only information."""
+    """Least value in rad or m; -inf if continuous, 0 if fixed."""
     upper: float
-    """Greatest value in rad or m; inf if continuous, 0 if fixed. For a mimic joint it is only information."""
+    """Greatest value in rad or m; inf if continuous, 0 if fixed."""
     mimic: Mimic | None
     """What the joint follows; None if it moves on its own, or is fixed."""
     effort: float | None

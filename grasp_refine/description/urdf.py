@@ -141,3 +141,13 @@ def _numbers(element: _Element, name: str, counts: tuple[int, ...], where: str) 
         wanted = "a finite number" if counts == (1,) else f"{' or '.join(map(str, counts))} finite numbers"
         raise HandError(f'{where}: <{element.tag} {name}="{text}"> must be {wanted}')
     return " ".join(map(repr, values))
+
+
+def links_with_visuals(path: Path) -> frozenset[str]:
+    """Names of the links in the URDF file `path` that hold a <visual>, which `read_urdf` leaves out.
+
+    Raises:
+        HandError: the file is missing, or not a URDF.
+    """
+    links = _read_xml(path).iterfind("link")
+    return frozenset(link.get("name", "") for link in links if link.find("visual") is not None)

@@ -104,5 +104,13 @@ def save_results(
 
 
 def fingerprint(path: Path) -> dict[str, str]:
-    """Path and sha256 of a file, for provenance."""
-    return {"path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    """Path and sha256 of a file, for provenance; of a folder, that of the names and hashes of all files in it."""
+    if path.is_dir():
+        files = sorted(file for file in path.rglob("*") if file.is_file())
+        listing = [f"{file.relative_to(path).as_posix()} {_sha256(file.read_bytes())}\n" for file in files]
+        return {"path": str(path), "sha256": _sha256("".join(listing).encode())}
+    return {"path": str(path), "sha256": _sha256(path.read_bytes())}
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()

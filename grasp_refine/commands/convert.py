@@ -1,0 +1,168 @@
+"""`refine-grasp convert`: grasps of one program as files of another."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from rich.progress import Progress
+from tyro.conf import DisallowNone, Positional, arg
+
+from grasp_refine.commands.ending import NOTHING_USABLE
+from grasp_refine.errors import GraspFileError, GraspRefineError
+from grasp_refine.formats.agreement import fingertip_distances
+from grasp_refine.formats.format import Format, Load
+from grasp_refine.formats.listing import FormatName, format_named
+from grasp_refine.formats.reading import Reading, reading
+from grasp_refine.formats.writing import check_output, written
+from grasp_refine.grasps import GraspSet
+from grasp_refine.hand import Hand, list_hands, load_hand
+from grasp_refine.report.screen import screen
+from grasp_refine.report.writing import SCHEMA, check_no_input, check_writable, save_json
+from grasp_refine.versions import versions
+
+LIMIT = 1e-6
+"""How far apart fingertips may be, in metres, when a written file is read again."""
+
+
+@dataclass(frozen=True)
+class Convert:
+    """Write the grasps of one program as files of another: joints by name, frames and scales as each format has them.
+
+    ours: one .npz file with everything. dexgraspbench, dexonomy: folders with one .npy file per grasp. bodex,
+    dexgraspnet: folders with one .npy file per object. leap_cache: one .npy file of the LEAP hand with a cube.
+
+    What was written is read again before it takes its place: fingertips must be where they were to 1e-6 m. Pickles are
+    read without running them.
+    """
+
+    source: Annotated[Positional[Path], arg(metavar="IN")]
+    """A grasp file, or a folder of them."""
+    output: Annotated[Positional[Path], arg(metavar="OUT")]
+    """The new file, or a new folder."""
+    to: FormatName
+    """The format to write."""
+    format: Annotated[DisallowNone[FormatName | None], arg(help_behavior_hint="(default: as IN looks)")] = None
+    """The format of IN."""
+    hand: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: as IN says)")] = None
+    """The hand that the grasps are for: a name that `refine-grasp hands` lists, a folder or a .urdf file. Needed where
+    IN names neither hand nor joints and fits several."""
+    urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
+    """The hand's URDF, where it comes without one."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write what was done to this file."""
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            GraspRefineError: an input that cannot be used; then nothing is written.
+        """
+        began = time.perf_counter()
+        if self.json is not None:
+            check_writable(self.json)
+            check_no_input(self.json, (self.source, self.output), "is to be read or written as grasps")
+        check_no_input(self.output, (self.source,), "is the input; give another name")
+        said, console = screen(stderr=True), screen()
+        known = None if self.hand is None else load_hand(self.hand, urdf=self.urdf)
+        with Progress(console=said, transient=True, disable=not said.is_terminal) as bar:
+            task = bar.add_task("reading", total=None)
+            read = reading(
+                self.source,
+                format=self.format,
+                hand=known,
+                tell=lambda done, total: bar.update(task, completed=done, total=total),
+            )
+            to, load = format_named(self.to), self._load(read.grasps)
+            parts, lost = to.write(read.grasps, load)
+            check_output(self.output, to, parts)
+            bar.update(task, description="writing and checking", total=None)
+            try:
+                with written(self.output, to, parts) as (place, rows):
+                    again = reading(place, format=self.to, hand=load(read.grasps.base_link))
+                    difference, changed = _checked(read.grasps.select(rows), again.grasps, load)
+            except _Disagreement as found:
+                said.print(f"{self.output}: not written: {found}", soft_wrap=True, markup=False)
+                return NOTHING_USABLE
+        notes = tuple(dict.fromkeys([*read.notes, *lost, *changed]))
+        for note in notes:
+            said.print(f"note: {note}", style="dim", soft_wrap=True, markup=False)
+        if self.json is not None:
+            document = {
+                "schema": SCHEMA,
+                "command": "convert",
+                "versions": versions(),
+                "input": {"path": self.source, "format": read.format.name, "files": len(read.files)},
+                "output": {"path": self.output, "format": self.to, "files": len(parts)},
+                "hand": read.grasps.hand,
+                "grasps": len(read.grasps),
+                "objects": Counter(read.grasps.object.tolist()),
+                "largest_difference_m": difference,
+                "limit_m": LIMIT,
+                "notes": notes,
+                "wall_s": time.perf_counter() - began,
+            }
+            save_json(self.json, document)
+        for line in _summary(read, self.source, self.output, to, len(parts), difference):
+            console.print(line, soft_wrap=True, markup=False)
+        return 0
+
+    def _load(self, grasps: GraspSet) -> Load:
+        """What gives the hand of the grasps."""
+        source = self.hand or grasps.hand
+        if self.hand is None and source not in list_hands():
+            raise GraspFileError(
+                f"{self.source}: its hand '{source}' is none of ours ({', '.join(list_hands())}); give it with --hand"
+            )
+
+        def load(base_link: str) -> Hand:
+            return load_hand(source, base_link=base_link, urdf=self.urdf)
+
+        return load
+
+
+class _Disagreement(GraspRefineError):
+    """What was written is read as something else."""
+
+
+def _checked(before: GraspSet, after: GraspSet, load: Load) -> tuple[float, list[str]]:
+    """The largest distance of fingertips in metres, and what else is not as it was, in words.
+
+    Raises:
+        _Disagreement: the distance is too large.
+    """
+    if len(before) != len(after):
+        raise _Disagreement(f"{len(before)} grasps were written, {len(after)} are read")
+    distances = fingertip_distances(before, after, load)
+    worst = int(np.argmax(np.nan_to_num(distances, nan=np.inf)))
+    if not distances[worst] <= LIMIT:
+        raise _Disagreement(
+            f"read again, the fingertips of grasp {worst} ('{before.object[worst]}') are {distances[worst]:.3g} m from "
+            f"where they were, more than {LIMIT:g} m"
+        )
+    pairs = zip(*(_named(grasps) for grasps in (before, after)), strict=True)
+    other = [f"{one} will be read as {two}" for one, two in dict.fromkeys(pairs) if one != two]
+    return float(distances[worst]), other
+
+
+def _named(grasps: GraspSet) -> Sequence[str]:
+    return [f"object '{n}' of scale {s:g}" for n, s in zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)]
+
+
+def _summary(read: Reading, source: Path, output: Path, to: Format, files: int, difference: float) -> list[str]:
+    objects = len(np.unique(read.grasps.object))
+    return [
+        f"read   {source}: {read.format.name}, {_count(len(read.files), 'file')}",
+        f"       {_count(len(read.grasps), 'grasp')} of hand {read.grasps.hand} on {_count(objects, 'object')}",
+        f"wrote  {output}: {to.name}, {_count(files, 'file')}",
+        f"check  read again, fingertips are at most {difference:.2g} m from where they were (limit {LIMIT:g} m)",
+    ]
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"

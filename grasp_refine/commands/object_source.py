@@ -1,0 +1,86 @@
+"""What an object's name means: an embedded object, a primitive, a mesh or folder of the user's, or an asset."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from grasp_refine.asset_library.locating import fetched
+from grasp_refine.asset_library.manifest import Asset
+from grasp_refine.asset_library.names import find_asset
+from grasp_refine.errors import AssetError
+from grasp_refine.geometry.mesh import SUFFIXES
+from grasp_refine.geometry.shapes import EMBEDDED
+from grasp_refine.object_folders import find_object
+from grasp_refine.objects import PRIMITIVE_FORMS
+
+
+@dataclass(frozen=True)
+class ObjectSource:
+    """What `load_object` should load."""
+
+    source: str | Path
+    """Name or path."""
+    asset: Asset | None = None
+    """Which asset it is; its `scale` makes it fit a hand."""
+
+
+def chosen_object(name: str, say: Callable[[str], None]) -> ObjectSource:
+    """What a user means by `name`; an asset that is not here is fetched, and `say` hears of it.
+
+    Raises:
+        AssetError: the name could be several assets, or the one that it is cannot be fetched.
+    """
+    if name in EMBEDDED or ":" in name or Path(name).suffix.lower() in SUFFIXES or Path(name).exists():
+        return ObjectSource(name)
+    asset = find_asset(name, "objects")
+    # What nobody knows is for `load_object` to complain about.
+    return ObjectSource(name) if asset is None else ObjectSource(fetched(asset, say), asset)
+
+
+def named_object(name: str, objects: Path | None, file: Path, say: Callable[[str], None]) -> ObjectSource:
+    """What the grasps in `file` mean by the object `name`, which is never taken as a path.
+
+    Args:
+        name: The object's name in the file.
+        objects: A folder of meshes or folders of pieces, or a TOML file that names them; None: it is one of ours, a
+            primitive, or an asset of exactly this name.
+        file: The grasp file, for messages.
+        say: Hears of what is fetched.
+
+    Raises:
+        AssetError: there is no such object, or it cannot be fetched.
+    """
+    if objects is not None:
+        if objects.is_dir():
+            return ObjectSource(find_object(name, objects))
+        listed = _read_objects(objects)
+        if name not in listed:
+            raise AssetError(f"{objects}: no object '{name}'; it names {', '.join(listed) or 'nothing'}")
+        return ObjectSource(listed[name])
+    if name in EMBEDDED or ":" in name:
+        return ObjectSource(name)
+    asset = find_asset(name, "objects")
+    if asset is not None and asset.name == name:
+        return ObjectSource(fetched(asset, say), asset)
+    also = f"; it may be the asset {asset.name}: --object {asset.name}" if asset is not None else ""
+    raise AssetError(
+        f"{file}: its object '{name}' is none of the embedded ones ({', '.join(EMBEDDED)}); give its mesh "
+        f"with --object, a folder of meshes with --objects, or a primitive ({PRIMITIVE_FORMS}){also}"
+    )
+
+
+def _read_objects(path: Path) -> Mapping[str, str | Path]:
+    """Object name -> what to load, from a TOML file; paths are relative to it."""
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise AssetError(f"{path}: no such file or folder of objects") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise AssetError(f'{path}: cannot be read as TOML lines name = "path" ({error})') from None
+    for name, value in raw.items():
+        if not isinstance(value, str) or not value:
+            raise AssetError(f"{path}: {name} must be a path in quotes, got {value!r}")
+    return {name: value if value in EMBEDDED or ":" in value else path.parent / value for name, value in raw.items()}

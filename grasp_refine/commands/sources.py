@@ -1,0 +1,222 @@
+"""The options that say where hand, object and grasps are, and the scenes that they mean."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import DisallowNone, arg
+
+from grasp_refine.commands.object_source import ObjectSource, chosen_object, named_object
+from grasp_refine.commands.problem import Group, Problem
+from grasp_refine.description.tree import read_tree
+from grasp_refine.errors import GraspFileError, GraspRefineError, HandError
+from grasp_refine.formats.listing import FormatName
+from grasp_refine.formats.reading import Reading, reading
+from grasp_refine.geometry.decomposition import Decomposition
+from grasp_refine.geometry.mesh import Holes
+from grasp_refine.geometry.units import UNITS, Unit
+from grasp_refine.grasps import GraspSet, Targets, choose_rows, match_joints
+from grasp_refine.hand import Hand, list_hands, load_hand
+from grasp_refine.objects import Object, load_object
+from grasp_refine.plane import Plane
+from grasp_refine.rebase import rebased
+from grasp_refine.scene import Scene
+from grasp_refine.se3 import transform_from_pose
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Where hand, objects and grasps are."""
+
+    hand: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of the grasp file)")] = None
+    """A name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF, or a .urdf file."""
+    urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
+    """Another URDF for the hand, with the same names of joints and links; needed where a hand comes without one."""
+    mjcf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
+    """The hand as an MJCF file, which is then what is simulated."""
+    base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: the palm)")] = None
+    """The link that the hand begins at; joints above it do not move. By default what the grasp file or the hand.toml
+    says, else the palm."""
+    object: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of the grasp file)")] = None
+    """An embedded object (mug, bottle, bowl, rounded_box), box:x,y,z, sphere:r, cylinder:r,h, a mesh file, a folder of
+    convex pieces, or an asset such as ycb/011_banana."""
+    object_name: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: the only one)")] = None
+    """Which object of the grasp file; needed when it holds several."""
+    objects: Annotated[DisallowNone[Path | None], arg(help_behavior_hint="(default: none)")] = None
+    """All objects of the grasp file: a folder of meshes, or of folders of pieces, named like them, or a TOML file of
+    lines name = "path"."""
+    scale: float = 1.0
+    """Multiplies the scale that the grasp file gives for the mesh, which is 1 for sampled grasps."""
+    unit: Annotated[DisallowNone[Unit | None], arg(help_behavior_hint="(default: m, asked about if unlikely)")] = None
+    """Unit of the object's mesh after scaling."""
+    holes: Holes = "refuse"
+    """What becomes of an object's mesh with holes: an error, flat caps on flat holes, or its convex hull."""
+    format: Annotated[DisallowNone[FormatName | None], arg(help_behavior_hint="(default: as its content says)")] = None
+    """Format of the grasp file, or of the files in the folder; `refine-grasp convert --help` describes them."""
+    index: Annotated[tuple[int, ...], arg(metavar="I [I ...]", help_behavior_hint="(default: all)")] = ()
+    """Which grasps of the object; 0 is its first one in the file."""
+    table: Annotated[DisallowNone[float | None], arg(metavar="Z", help_behavior_hint="(default: none)")] = None
+    """A table at this height (metres) of the object's frame, z up, that no link may go through."""
+    threshold: float = Decomposition.threshold
+    """Largest concavity, 0.01 to 1, of the pieces that CoACD cuts a concave object into; lower is finer."""
+
+    def load_from(self, path: Path, seed: int, say: Callable[[str], None]) -> Problem:
+        """The grasps of a file, with the targets that it gives; `say` hears when a decomposition starts and ends.
+
+        Raises:
+            GraspRefineError: something is missing, cannot be used, or does not fit the rest.
+        """
+        self._check_numbers()
+        read = self._read(path, say)
+        grasps = read.grasps
+        names = self._names(grasps, path)
+        chosen = {name: choose_rows(grasps, object_name=name, index=self.index or None) for name in names}
+        sources = {name: self._source(name, path, say) for name in names}
+        targets = self._targets(grasps, path)
+        hand, grasps = self._hand(grasps, path, say)
+        q, notes = match_joints(grasps, hand)
+        notes = [*read.notes, *hand.notes, *notes]
+        groups, count = [], 0
+        for name, rows in chosen.items():
+            index = np.asarray(self.index) if self.index else np.arange(len(rows))
+            place, count = np.arange(count, count + len(rows)), count + len(rows)
+            scales = grasps.scale[rows] * self._scale
+            for scale in np.unique(scales):
+                at = np.flatnonzero(scales == scale)
+                obj = self._object(sources[name], float(scale), seed, say)
+                notes += [f"{name}: {note}" for note in obj.notes]
+                T = transform_from_pose(grasps.hand_pose[rows[at]])
+                scene = _aimed(Scene(hand, obj, T, q[rows[at]], table=self._table()), targets, rows[at])
+                groups.append(Group(name, float(scale), scene, grasps.select(rows[at]), rows[at], index[at], place[at]))
+        return Problem(hand, self._files(path, read), tuple(groups), tuple(dict.fromkeys(notes)))
+
+    def _check_numbers(self) -> None:
+        """Refuse a scale or a table that can mean nothing."""
+        if not (np.isfinite(self.scale) and self.scale > 0):
+            raise GraspRefineError(f"--scale must be positive and finite, got {self.scale:g}")
+        if self.table is not None and not np.isfinite(self.table):
+            raise GraspRefineError(f"--table must be a height in metres, got {self.table:g}")
+
+    @property
+    def _scale(self) -> float:
+        """What the options multiply the scale of the mesh with."""
+        return self.scale * UNITS[self.unit or "m"]
+
+    def _table(self) -> Plane | None:
+        """The table, if there is one."""
+        return None if self.table is None else Plane(offset=self.table)
+
+    def _object(self, source: ObjectSource, scale: float, seed: int, say: Callable[[str], None]) -> Object:
+        """An object, of the size and cut as the options say."""
+        found = load_object(
+            source.source,
+            scale=scale,
+            # The unit is in the scale, as it will be in files of results.
+            unit=None if self.unit is None else "m",
+            holes=self.holes,
+            decomposition=Decomposition(threshold=self.threshold),
+            seed=seed,
+            progress=say,
+        )
+        return found if source.asset is None else replace(found, name=source.asset.name)
+
+    def _read(self, path: Path, say: Callable[[str], None]) -> Reading:
+        """The grasps of a file, or of a folder, of any format."""
+        # Ours name their joints; for others the hand may have to say what their columns are.
+        known = self.hand is None or path.suffix == ".npz"
+        return reading(path, format=self.format, hand=None if known else self._load_hand(self.hand, None, say))
+
+    def _load_hand(self, source: str, base_link: str | None, say: Callable[[str], None]) -> Hand:
+        """A hand, of the files that the options name."""
+        return load_hand(source, base_link=base_link, urdf=self.urdf, mjcf=self.mjcf, progress=say)
+
+    def _files(self, path: Path, read: Reading) -> tuple[Path, ...]:
+        """What grasps are read from: the path that was given, and the files in it if it is a folder."""
+        return tuple(dict.fromkeys((path, *read.files)))
+
+    def _targets(self, grasps: GraspSet, path: Path) -> Targets | None:
+        """The targets of all rows of the grasp file; None: they are to be found."""
+        return grasps.targets
+
+    def _hand(self, grasps: GraspSet, path: Path, say: Callable[[str], None]) -> tuple[Hand, GraspSet]:
+        """The hand below the base link that the options say or else the grasp file, and the grasps told from there."""
+        source = self.hand or grasps.hand
+        if self.hand is None and source not in list_hands():
+            raise GraspFileError(
+                f"{path}: its hand '{source}' is none of ours ({', '.join(list_hands())}); give it with --hand"
+            )
+        load = partial(self._load_hand, source, say=say)
+        try:
+            hand = load(grasps.base_link)
+        except HandError:
+            whole = load(None)
+            links = read_tree(whole.urdf).links
+            if grasps.base_link in links:
+                raise
+            raise GraspFileError(
+                f"{path}: the grasps are for another hand ('{grasps.hand}'): their base_link '{grasps.base_link}' "
+                f"is no link of hand '{whole.name}'; its links are {', '.join(links)}"
+            ) from None
+        if self.base_link is not None:
+            grasps = rebased(grasps, self.base_link, load)
+            hand = load(self.base_link)
+        if not any(link.body is not None for link in hand.links):
+            raise GraspFileError(
+                f"{path}: the grasps are for another hand ('{grasps.hand}'): from their base_link "
+                f"'{grasps.base_link}' on, no link of hand '{hand.name}' has collision geometry"
+            )
+        return self._simulated(hand), grasps
+
+    def _simulated(self, hand: Hand) -> Hand:
+        """The hand as it will be simulated."""
+        # A file that is given is meant to be used.
+        hand = hand if self.mjcf is None else replace(hand, collision="mjcf")
+        if hand.collision == "mjcf" and hand.mjcf is not None:
+            from grasp_refine.validation.mjcf_model import mjcf_model
+
+            # Squeezes are for the actuators that will press.
+            hand = replace(hand, actuator=mjcf_model(hand, hand.mjcf).actuator)
+        return hand
+
+    def _names(self, grasps: GraspSet, path: Path) -> list[str]:
+        """Names of the objects whose grasps are meant, in the order of the file."""
+        if self.object is not None and self.objects is not None:
+            raise GraspRefineError("--object and --objects exclude each other: give one of them")
+        if self.object_name is not None:
+            return [self.object_name]
+        names = list(dict.fromkeys(grasps.object.tolist()))
+        if len(names) > 1 and self.objects is None:
+            listing = ", ".join(f"{name} ({np.count_nonzero(grasps.object == name)})" for name in names)
+            raise GraspFileError(
+                f"{path}: has grasps of {len(names)} objects; choose one with --object-name, or give all their "
+                f"meshes with --objects: {listing}"
+            )
+        return names
+
+    def _source(self, name: str, path: Path, say: Callable[[str], None]) -> ObjectSource:
+        """What `load_object` should load for the object `name` of the grasp file."""
+        return named_object(name, self.objects, path, say) if self.object is None else chosen_object(self.object, say)
+
+
+def _aimed(scene: Scene, targets: Targets | None, rows: np.ndarray) -> Scene:
+    """The scene with the targets of some rows of a grasp file, one column per link of the scene."""
+    if targets is None:
+        return scene
+    columns = list(scene.links)
+    points = np.full((2, len(rows), len(columns), 3), np.nan)
+    for k, link in enumerate(targets.links):
+        if link not in columns:
+            raise GraspFileError(
+                f"target link '{link}' is no link with collision geometry of hand '{scene.hand.name}', or comes more "
+                f"often than its contact points; there are {', '.join(scene.links)}"
+            )
+        at = columns.index(link)
+        # A link with several contact points has as many columns.
+        columns[at] = ""
+        points[0, :, at], points[1, :, at] = targets.point_link[rows, k], targets.point_object[rows, k]
+    return replace(scene, target_link=points[0], target_object=points[1])

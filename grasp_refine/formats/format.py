@@ -1,0 +1,73 @@
+"""What a format of grasp files is: it knows its own, reads it, and writes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from jaxtyping import Int
+
+from grasp_refine.formats.source import Source
+from grasp_refine.grasps import GraspSet
+from grasp_refine.hand import Hand
+
+Load = Callable[[str], Hand]
+"""Gives the hand below one of its links."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One file to be written."""
+
+    path: str
+    """Where it lies in the folder, with / between folders; a part that may be a file of its own has no other beside."""
+    rows: Int[np.ndarray, " rows"]
+    """The grasps in it, in its order."""
+    content: Any
+    """What it holds: a GraspSet for our own format, else what an array file can hold."""
+
+
+class Format(Protocol):
+    """One format."""
+
+    name: str
+    """What the command line calls it."""
+    what: str
+    """What it is, in one line."""
+    named_by_path: bool
+    """Whether the name of a file says something, so that it is always one in a folder."""
+
+    def lacks(self, content: Any) -> str:
+        """What keeps a content from being of this format, in words; "" if nothing does."""
+        ...
+
+    def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
+        """The grasps of one file, and notes for the user.
+
+        Raises:
+            GraspFileError: the file is of this format, but something in it cannot be.
+        """
+        ...
+
+    def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
+        """The files that hold some grasps, and what they cannot hold, in words; `load` gives the hand below a link.
+
+        Raises:
+            GraspFileError: grasps that this format cannot hold at all.
+        """
+        ...
+
+
+def without_targets(grasps: GraspSet) -> list[str]:
+    """What to say where a format has no place for the targets of grasps."""
+    return [] if grasps.targets is None else ["targets have no place in this format and are left out"]
+
+
+def grouped(grasps: GraspSet) -> dict[tuple[str, float], np.ndarray]:
+    """Object and scale -> rows, in the order of the first of each."""
+    groups: dict[tuple[str, float], list[int]] = {}
+    for row, (name, scale) in enumerate(zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)):
+        groups.setdefault((name, scale), []).append(row)
+    return {key: np.array(rows) for key, rows in groups.items()}

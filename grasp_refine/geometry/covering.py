@@ -1,0 +1,192 @@
+"""Convex pieces for a mesh that was not made for collision queries: as few as stand out of it by no more than a limit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from grasp_refine.errors import MeshError
+from grasp_refine.geometry import cache as disk
+from grasp_refine.geometry.mesh import FlatMeshError
+from grasp_refine.geometry.nearest_triangle import Triangles
+from grasp_refine.geometry.over_cover import PRECISION, over_cover
+from grasp_refine.geometry.pieces import Decomposition, Piece, convex_pieces, hull
+
+if TYPE_CHECKING:
+    import trimesh
+
+MOST = 16
+"""Most pieces of a mesh; beyond that the smallest are joined with those near them."""
+
+MOST_CUTS = 8
+"""Most pieces that CoACD cuts one connected body into."""
+
+SIMPLER = 0.05
+"""How far what CoACD cuts may lie from the mesh, as a share of the limit; CoACD's time grows with the triangles."""
+
+OUTSIDE = 1e-5
+"""No vertex of the mesh is farther outside all pieces than this, in metres."""
+
+_SCHEMA = 1
+"""Of what is measured; a new one leaves all old cache entries unused."""
+
+
+@dataclass(frozen=True, eq=False)
+class Covering:
+    """Convex pieces that cover a mesh, and how far they stand out of it."""
+
+    pieces: tuple[Piece, ...]
+    """The hull of the mesh, or several pieces that do better."""
+    hull_stands_out: float
+    """How far the hull of the whole mesh stands out of it, in metres; 0 where that is within the limit."""
+    stands_out: float
+    """How far the pieces do; 0 where that is within the limit."""
+    trouble: str = ""
+    """Why a part of the mesh was not cut, if that was meant."""
+
+
+def covering(
+    mesh: trimesh.Trimesh,
+    limit: float,
+    *,
+    cache: Path | None = None,
+    progress: Callable[[str], None] | None = None,
+    name: str = "mesh",
+) -> Covering:
+    """The hull of `mesh` if it stands out of it by no more than `limit` metres, else several pieces.
+
+    These are the hulls of its connected bodies and, where such a hull stands out by more than the limit, what CoACD
+    cuts the body into. Pieces inside another one are dropped. Where all this gains less than `PRECISION`, the hull stays.
+
+    Args:
+        mesh: Closed or open, one body or several.
+        limit: In metres; infinite: always the hull.
+        cache: Folder of what was cut and measured before; None keeps nothing.
+        progress: Gets a line before and one after CoACD cuts.
+        name: For messages.
+
+    Raises:
+        MeshError: the mesh has no thickness.
+    """
+    whole = hull(mesh.vertices[np.unique(mesh.faces)], name=name)
+    triangles = Triangles(np.asarray(mesh.vertices, dtype=np.float64)[mesh.faces])
+    before = _measured([whole], triangles, limit, cache)
+    if before == 0.0:
+        return Covering((whole,), 0.0, 0.0)
+    found, troubles = [], []
+    for body in mesh.split(only_watertight=False, repair=False):
+        try:
+            found += _body_pieces(body, limit, cache, progress, name)
+        except FlatMeshError:
+            # A sheet, which a body around it or beside it stands for.
+            continue
+        except MeshError as error:
+            found.append(hull(body.vertices, name=name))
+            troubles.append(str(error))
+    pieces = _joined(_outermost(found))
+    pieces = _reaching(pieces, np.asarray(mesh.vertices)) if pieces else [whole]
+    after = _measured(pieces, triangles, limit, cache)
+    if after > (1 - PRECISION) * before:
+        return Covering((whole,), before, before, "; ".join(troubles) or "several pieces stand out as far")
+    return Covering(tuple(pieces), before, after, "; ".join(troubles))
+
+
+def _body_pieces(
+    body: trimesh.Trimesh, limit: float, cache: Path | None, progress: Callable[[str], None] | None, name: str
+) -> list[Piece]:
+    """The hull of a connected mesh, or what CoACD cuts it into.
+
+    Raises:
+        MeshError: CoACD fails.
+        FlatMeshError: the body has no thickness.
+    """
+    whole = hull(body.vertices, name=name)
+    if _measured([whole], Triangles(np.asarray(body.vertices)[body.faces]), limit, cache) == 0.0:
+        return [whole]
+    # CoACD's threshold is about how far its pieces stand out, the mesh being 2 long.
+    threshold = float(np.clip(limit / (np.ptp(body.vertices, axis=0).max() / 2), 0.01, 1.0))
+    settings = Decomposition(threshold, MOST_CUTS, mcts_nodes=10, mcts_iterations=60, mcts_max_depth=2)
+    return list(convex_pieces(_simplified(body, SIMPLER * limit), settings, cache=cache, progress=progress, name=name))
+
+
+def _simplified(mesh: trimesh.Trimesh, tolerance: float) -> trimesh.Trimesh:
+    """A mesh with fewer triangles, no farther from `mesh` than `tolerance`; itself if it is not a closed manifold."""
+    import manifold3d
+    import trimesh
+
+    solid = manifold3d.Manifold(
+        manifold3d.Mesh64(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.uint64))
+    )
+    simpler = solid.simplify(tolerance).to_mesh64()
+    if solid.status() != manifold3d.Error.NoError or len(simpler.tri_verts) < 4:
+        return mesh
+    return trimesh.Trimesh(simpler.vert_properties[:, :3], simpler.tri_verts.astype(np.int64), process=False)
+
+
+def _measured(pieces: Sequence[Piece], mesh: Triangles, limit: float, cache: Path | None) -> float:
+    """How far pieces stand out of a mesh, 0 if within `limit`; looked up where it was measured before."""
+    if not np.isfinite(limit):
+        return 0.0
+    corners = np.concatenate([piece.vertices for piece in pieces])
+    settings = f"over-cover {_SCHEMA} {limit!r} {[len(piece.vertices) for piece in pieces]}"
+    faces = np.concatenate([piece.faces for piece in pieces])
+    entry = cache and cache / disk.entry_name(np.concatenate([corners, mesh.corners.reshape(-1, 3)]), faces, settings)
+    known = disk.load_arrays(entry, "over_cover") if entry else None
+    if known and known[0].shape == () and known[0].dtype == np.float64:
+        return float(known[0])
+    found = over_cover(pieces, mesh, least=limit)
+    if entry:
+        with suppress(OSError):  # it is measured again the next time
+            disk.save_arrays(entry, over_cover=np.array(found))
+    return found
+
+
+def _outermost(pieces: Sequence[Piece]) -> list[Piece]:
+    """The pieces that do not lie inside another one; of two that are the same, the first."""
+    kept: list[Piece] = []
+    for piece in sorted(pieces, key=lambda piece: -_box_volume([piece])):
+        if not any((_beyond(piece.vertices, other) <= OUTSIDE).all() for other in kept):
+            kept.append(piece)
+    return kept
+
+
+def _joined(pieces: Sequence[Piece]) -> list[Piece]:
+    """At most `MOST` pieces: the smallest is joined with that one with which it fills the smallest box, and so on."""
+    pieces = list(pieces)
+    while len(pieces) > MOST:
+        small = min(range(len(pieces)), key=lambda index: _box_volume([pieces[index]]))
+        piece = pieces.pop(small)
+        near = min(
+            range(len(pieces)),
+            key=lambda index: _box_volume([piece, pieces[index]]) - _box_volume([pieces[index]]),
+        )
+        pieces[near] = hull(np.concatenate([piece.vertices, pieces[near].vertices]))
+    return _outermost(pieces)
+
+
+def _reaching(pieces: Sequence[Piece], points: np.ndarray) -> list[Piece]:
+    """The pieces, each grown to those `points` that are more than `OUTSIDE` out of all of them and nearest to it."""
+    beyond = np.stack([_beyond(points, piece) for piece in pieces])
+    nearest, lost = beyond.argmin(axis=0), beyond.min(axis=0) > OUTSIDE
+    grown = []
+    for index, piece in enumerate(pieces):
+        own = points[lost & (nearest == index)]
+        grown.append(hull(np.concatenate([piece.vertices, own])) if len(own) else piece)
+    return grown
+
+
+def _beyond(points: np.ndarray, piece: Piece) -> np.ndarray:
+    """How far each of `points` (N, 3) is beyond the worst of the planes of a piece, in metres."""
+    normals, offsets = piece.planes
+    return (points @ normals.T - offsets).max(axis=1)
+
+
+def _box_volume(pieces: Sequence[Piece]) -> float:
+    """Volume of the box around some pieces."""
+    bounds = np.stack([piece.bounds for piece in pieces])
+    return float(np.prod(bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)))

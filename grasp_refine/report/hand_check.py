@@ -1,0 +1,156 @@
+"""What was understood of a hand's files, why, and what in them deserves a second look."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+
+from grasp_refine.description.urdf import links_with_visuals
+from grasp_refine.hand import Hand
+from grasp_refine.kinematics import Kinematics
+from grasp_refine.report.hand_facts import guessed
+from grasp_refine.se3 import transform_points
+from grasp_refine.self_collision import Judged, judged_pairs
+from grasp_refine.validation.messages import complaint, unlogged
+from grasp_refine.validation.mjcf_model import mjcf_model
+from grasp_refine.validation.urdf_model import urdf_model
+
+TURN, SLIDE = 4 * np.pi, 1.0
+"""Limits beyond these, in rad and m, look like degrees or millimetres."""
+
+SIZES = (0.02, 1.0)
+"""Hands are of a size between these, in metres."""
+
+HEAVY = 20.0
+"""Mass in kg above which a hand is not one."""
+
+
+@dataclass(frozen=True)
+class HandCheck:
+    """What there is to say of a hand beyond its joints and links."""
+
+    contacts: tuple[str, ...]
+    """Each contact link, and why it is one."""
+    pairs: Judged
+    """Which links are watched for touching each other."""
+    simulation: tuple[str, ...]
+    """What is different in simulation."""
+    refused: str
+    """Why MuJoCo does not take the hand; "" where it does."""
+    suspicious: tuple[str, ...]
+    """What is missing or looks wrong."""
+    size: tuple[float, ...]
+    """Extent (3,) in metres along the axes of the base link, at the rest pose; empty where nothing is solid."""
+
+    def document(self) -> dict[str, Any]:
+        """The same for JSON."""
+        return asdict(self)
+
+
+def check_hand(hand: Hand) -> HandCheck:
+    """Look at a hand.
+
+    Raises:
+        HandError: it has an MJCF that cannot be used.
+    """
+    notes, refused = _simulated(hand)
+    size = _size(hand)
+    return HandCheck(_contacts(hand), judged_pairs(hand), notes, refused, tuple(_suspicious(hand, size)), size)
+
+
+def _simulated(hand: Hand) -> tuple[tuple[str, ...], str]:
+    notes = simulation_notes(hand)
+    try:
+        with unlogged():
+            model = urdf_model(hand).spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        return notes, complaint(error)
+    sizes = {"joints": model.njnt, "followers": model.neq, "convex geoms": model.ngeom, "actuators": model.nu}
+    listed = ", ".join(f"{what} {number}" for what, number in sizes.items())
+    return (f"MuJoCo takes the hand: {listed}", *notes), ""
+
+
+def simulation_notes(hand: Hand) -> tuple[str, ...]:
+    """What there is to know of how the hand is simulated.
+
+    Raises:
+        HandError: its MJCF cannot be used.
+    """
+    if hand.mjcf is None:
+        return urdf_model(hand).notes
+    model = mjcf_model(hand, hand.mjcf)
+    matched = f"{hand.mjcf.name} moves like the URDF: {len(model.joints)} joints matched by name and place"
+    return (matched, *model.notes)
+
+
+def _contacts(hand: Hand) -> tuple[str, ...]:
+    above = {joint.child: joint for joint in hand.joints}
+    lines = []
+    for contact in hand.contacts:
+        link, branch = contact.link, ""
+        while link in above:
+            branch = above[link].name if above[link].movable else branch
+            link = above[link].parent
+        why = f"the last solid link of the branch that joint '{branch}' moves" if guessed(hand) else "hand.toml says so"
+        finger = "" if contact.group == contact.link else f", finger '{contact.group}'"
+        lines.append(f"{contact.link}{finger}: {why}")
+    return tuple(lines)
+
+
+def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
+    """What is missing or looks wrong; each entry says what follows from it."""
+    independent = [hand.joints_by_name[name] for name in hand.joint_names]
+    unlimited = [hand.joint_names[i] for i in np.flatnonzero(np.isinf(hand.actuator.force_limit))]
+    turning = [j.name for j in independent if j.kind != "prismatic" and max(abs(j.lower), j.upper) > TURN]
+    far = [j.name for j in hand.joints if j.kind == "prismatic" and max(abs(j.lower), j.upper) > SLIDE]
+    visible = links_with_visuals(hand.urdf)
+    unseen = [link.name for link in hand.links if link.body is None and link.name in visible]
+    endless = [j.name for j in independent if j.kind == "continuous"]
+    mass = sum(link.mass or 0.0 for link in hand.links)
+    found = {
+        "no joint moves: there is nothing to refine but the pose of the palm": [""] * (not independent),
+        "no effort limit for {}: they push as hard as their error times kp; say force_limit in hand.toml": unlimited,
+        "{} can turn more than twice round: are the limits degrees? They must be radians": [
+            name for name in turning if name not in endless
+        ],
+        "{} can slide more than a metre: are the limits millimetres? They must be metres": far,
+        "{} turn without end and rest at 0": endless,
+        "{} can be seen but have no collision geometry: nothing keeps them out of the object": unseen,
+        "{} move nothing that is solid": _idle(hand),
+        f"the hand is {max(size, default=0):.3g} m large: are the meshes millimetres? URDF is in metres, a mesh has a "
+        "scale": [""] * bool(size and max(size) > SIZES[1]),
+        f"the hand is only {max(size, default=0) * 1e3:.3g} mm large: is a mesh's scale wrong?": [""]
+        * bool(size and max(size) < SIZES[0]),
+        f"the hand weighs {mass:.3g} kg": [""] * (mass > HEAVY),
+        "nothing that moves is solid: there is no link that could touch an object": [""] * (not hand.contacts),
+    }
+    return [text.format(", ".join(names)) for text, names in found.items() if names]
+
+
+def _idle(hand: Hand) -> list[str]:
+    """Independent joints that move no link with collision geometry, not even by followers."""
+    carries = {link.name for link in hand.links if link.body is not None}
+    for joint in reversed(hand.joints):  # children before parents
+        if joint.child in carries:
+            carries.add(joint.parent)
+    matrix, _, names = hand.mimic_map()
+    useful = np.array([hand.joints_by_name[name].child in carries for name in names], dtype=bool)
+    return [name for name, column in zip(hand.joint_names, matrix.T, strict=True) if not column[useful].any()]
+
+
+def _size(hand: Hand) -> tuple[float, ...]:
+    solid = [link for link in hand.links if link.body is not None]
+    if not solid:
+        return ()
+    kinematics = Kinematics(hand, [link.name for link in solid])
+    poses = kinematics(torch.eye(4, dtype=torch.float64)[None], torch.tensor(hand.rest[None]))[0].numpy()
+    ends = []
+    for link, T in zip(solid, poses, strict=True):
+        for piece in link.body.pieces:
+            points = transform_points(T, piece.vertices)
+            ends += [points.min(axis=0) - piece.radius, points.max(axis=0) + piece.radius]
+    return tuple(np.ptp(ends, axis=0).tolist())

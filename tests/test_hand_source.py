@@ -1,0 +1,70 @@
+"""Which files a hand's name means: ours, the user's, or an asset's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from grasp_refine.assets import resource_dir
+from grasp_refine.errors import AssetError, HandError
+from grasp_refine.hand import load_hand
+from grasp_refine.hand_source import HAND_TOML, hand_files, list_hands, needs_urdf
+
+
+@pytest.fixture
+def mirror(shared_assets: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The shared folder as a mirror of the assets, and an empty cache."""
+    monkeypatch.setenv("GRASP_REFINE_ASSETS", str(shared_assets))
+    return shared_assets
+
+
+def silent(line: str) -> None:
+    raise AssertionError(f"nothing should be fetched: {line}")
+
+
+def test_our_own_hands_need_nothing_from_elsewhere() -> None:
+    for name in list_hands():
+        if not needs_urdf(name):
+            assert hand_files(name, None, None, silent)[1].urdf.is_file()
+    assert {"barrett", "robotiq3f"} == {name for name in list_hands() if needs_urdf(name)}
+
+
+@pytest.mark.parametrize("name", ["barrett", "robotiq3f"])
+def test_the_urdf_of_a_hand_without_one_is_fetched(name: str, mirror: Path) -> None:
+    said: list[str] = []
+    found, toml = hand_files(name, None, None, said.append)
+    assert found == name and toml.path == resource_dir("robots") / name / HAND_TOML
+    assert toml.urdf.read_bytes() == (mirror / f"hands/{name}/{name}.urdf").read_bytes()
+    assert len(said) == 1 and said[0].startswith(f"fetching hands/{name} (licence: BSD")
+    hand_files(name, None, None, silent)
+
+
+def test_an_asset_has_what_our_hand_toml_says_of_it(mirror: Path) -> None:
+    said: list[str] = []
+    hand = load_hand("hands/leap", candidates=16, progress=said.append)
+    assert said and said[0].startswith("fetching hands/leap (licence: MIT")
+    assert hand.name == "leap" and hand.urdf.name == "leap_right.urdf"
+    ours = load_hand("leap", candidates=16)
+    assert ours.urdf != hand.urdf
+    assert set(hand.joint_names) == set(ours.joint_names) and hand.contacts == ours.contacts
+
+
+def test_a_path_wins_over_an_asset(mirror: Path, workplace: Path) -> None:
+    folder = workplace / "hands" / "leap"
+    folder.mkdir(parents=True)
+    (folder / "mine.urdf").write_text("<robot/>")
+    assert hand_files("hands/leap", None, None, silent)[1].urdf == Path("hands/leap/mine.urdf")
+
+
+def test_an_mjcf_may_be_an_asset(mirror: Path) -> None:
+    toml = hand_files("shadow", None, Path("shadow_mjcf"), lambda line: None)[1]
+    assert toml.mjcf.read_bytes() == (mirror / "hands/shadow_mjcf/right_hand.xml").read_bytes()
+    with pytest.raises(HandError, match="nothing.xml: no such MJCF file"):
+        hand_files("shadow", None, Path("nothing.xml"), silent)
+
+
+def test_without_a_network_both_ways_out_are_named(workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GRASP_REFINE_ASSETS", "http://127.0.0.1:9")
+    with pytest.raises(AssetError, match="hand 'barrett' comes without a URDF: give yours with --urdf FILE, or: "):
+        hand_files("barrett", None, None, lambda line: None)

@@ -1,0 +1,80 @@
+"""What an object's name means on the command line, and in a grasp file."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from grasp_refine.commands.object_source import chosen_object, named_object
+from grasp_refine.errors import AssetError
+
+FILE = Path("grasps.npz")
+
+
+@pytest.fixture
+def mirror(shared_assets: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The shared folder as a mirror of the assets, and an empty cache."""
+    monkeypatch.setenv("GRASP_REFINE_ASSETS", str(shared_assets))
+    return shared_assets
+
+
+def silent(line: str) -> None:
+    raise AssertionError(f"nothing should be fetched: {line}")
+
+
+@pytest.mark.parametrize("name", ["mug", "box:1,2,3", "some/mesh.obj", "Mesh.STL", "nobody_knows"])
+def test_what_is_no_asset_is_left_to_load_object(name: str, workplace: Path) -> None:
+    assert chosen_object(name, silent).source == name
+
+
+def test_a_file_or_folder_wins_over_an_asset(workplace: Path) -> None:
+    (workplace / "banana").mkdir()
+    chosen = chosen_object("banana", silent)
+    assert chosen.source == "banana" and chosen.asset is None
+
+
+@pytest.mark.parametrize("name", ["ycb/011_banana", "ycb_011_banana", "011_banana", "objects/ycb_011_banana"])
+def test_an_asset_is_fetched_and_said_once(name: str, mirror: Path) -> None:
+    said: list[str] = []
+    chosen = chosen_object(name, said.append)
+    assert chosen.asset is not None and chosen.asset.name == "ycb_011_banana" and chosen.asset.scale > 0
+    assert Path(chosen.source).read_bytes() == (mirror / "objects/ycb_011_banana.obj").read_bytes()
+    assert len(said) == 1 and said[0].startswith("fetching objects/ycb_011_banana (licence: YCB")
+    assert chosen_object(name, silent) == chosen
+
+
+def test_a_licence_that_restricts_is_not_passed_over(mirror: Path) -> None:
+    with pytest.raises(AssetError, match="--accept-license"):
+        chosen_object("acronym_mug_10f6e090", lambda line: None)
+
+
+def test_a_grasp_file_names_embedded_objects_and_primitives() -> None:
+    assert named_object("mug", None, FILE, silent).source == "mug"
+    assert named_object("sphere:0.04", None, FILE, silent).source == "sphere:0.04"
+
+
+def test_a_grasp_file_names_assets_in_full_only(mirror: Path) -> None:
+    assert named_object("ycb_011_banana", None, FILE, lambda line: None).asset is not None
+    message = (
+        "grasps.npz: its object '011_banana' is none of the embedded ones (mug, bottle, rounded_box, bowl); give its"
+    )
+    with pytest.raises(AssetError, match=re.escape(message)) as caught:
+        named_object("011_banana", None, FILE, silent)
+    assert str(caught.value).endswith("; it may be the asset ycb_011_banana: --object ycb_011_banana")
+
+
+def test_a_grasp_file_never_names_a_path(workplace: Path) -> None:
+    (workplace / "secret.obj").write_text("")
+    with pytest.raises(AssetError, match="its object 'secret.obj' is none of the embedded ones"):
+        named_object("secret.obj", None, FILE, silent)
+
+
+def test_a_toml_file_names_meshes_beside_it(tmp_path: Path) -> None:
+    listing = tmp_path / "objects.toml"
+    listing.write_text('cup = "meshes/cup.obj"\npot = "mug"\n')
+    assert named_object("cup", listing, FILE, silent).source == tmp_path / "meshes/cup.obj"
+    assert named_object("pot", listing, FILE, silent).source == "mug"
+    with pytest.raises(AssetError, match="objects.toml: no object 'pan'; it names cup, pot"):
+        named_object("pan", listing, FILE, silent)
