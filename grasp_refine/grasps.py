@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
+from grasp_refine.description.mimics import followed
 from grasp_refine.errors import GraspFileError
 from grasp_refine.npz import NpzFile, load_npz, save_npz
 
@@ -47,6 +48,9 @@ OTHER_STAGES = ("pregrasp", "squeeze")
 """Stages beside the grasp itself: attributes of a set, and what their entries in a file begin with."""
 QUATERNION_TOLERANCE = 1e-3
 """How far from 1 the norm of a quaternion in a file may be: rounding to float32 passes, a mix-up does not."""
+
+MIMIC_TOLERANCE = 1e-3
+"""How far a mimic joint in a file may be from where the joint that it follows puts it, in rad or m, without a note."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,11 +220,13 @@ def load_grasps(path: str | Path) -> GraspSet:
 def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"], tuple[str, ...]]:
     """Return `q` (N, n_hand) in the order of `hand.joint_names`, and notes for the user.
 
-    Columns are matched by name. Joints of the hand that the file lacks stay at the rest pose, and mimic
-    joints in the file are ignored because the joint they follow says where they are; a note tells of each.
+    Columns are matched by name. Mimic joints in the file are ignored because the joint they follow says where they
+    are; where the file lacks that one, the first mimic joint that it names says where it is. Other joints that the
+    file lacks stay at the rest pose. A note tells of each, and of mimic joints that are not where they should be.
     Raises GraspFileError when the file names joints that this hand cannot move.
     """
-    mimics = {joint.name for joint in hand.joints if joint.mimic is not None}
+    joints = {joint.name: joint for joint in hand.joints}
+    mimics = {name: followed(joint, joints) for name, joint in joints.items() if joint.mimic is not None}
     unknown = [name for name in grasps.joint_names if name not in mimics and name not in hand.joint_names]
     if unknown:
         raise GraspFileError(
@@ -232,13 +238,28 @@ def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"]
     for i, name in enumerate(hand.joint_names):
         if name in column:
             q[:, i] = grasps.q[:, column[name]]
-    notes = []
-    lacking = [name for name in hand.joint_names if name not in column]
+    notes, told = [], {}
+    for follower in grasps.joint_names:
+        leads = mimics.get(follower)
+        if leads is not None and leads.joint not in column and leads.joint not in told and leads.multiplier:
+            told[leads.joint] = follower
+            values = (grasps.q[:, column[follower]] - leads.offset) / leads.multiplier
+            q[:, hand.joint_names.index(leads.joint)] = values
+    if told:
+        pairs = ", ".join(f"{name} from {follower}" for name, follower in told.items())
+        notes.append(f"joints that the grasp file lacks are found by their mimic joints: {pairs}")
+    lacking = [name for name in hand.joint_names if name not in column and name not in told]
     if lacking:
         notes.append(f"joints that the grasp file lacks stay at their rest pose: {', '.join(lacking)}")
-    ignored = [name for name in grasps.joint_names if name in mimics]
+    ignored = [name for name in grasps.joint_names if name in mimics and name not in told.values()]
     if ignored:
         notes.append(f"mimic joints follow their joint, not the grasp file: {', '.join(ignored)}")
+    for name in ignored:
+        leads = mimics[name]
+        expected = leads.multiplier * q[:, hand.joint_names.index(leads.joint)] + leads.offset
+        off = np.abs(grasps.q[:, column[name]] - expected).max(initial=0.0)
+        if off > MIMIC_TOLERANCE:
+            notes.append(f"in the file, mimic joint {name} is up to {off:.3g} away from where {leads.joint} puts it")
     return q, tuple(notes)
 
 

@@ -39,7 +39,9 @@ def spread_gripper(folder: Path, *, arm: bool = False) -> Hand:
             _joint("screw", "fixed", "flange", "palm", (0, 0, 0.02), (0, 0, 1), (0, 0)),
             _joint("mount", "fixed", "flange", "camera", (0.06, 0, 0), (0, 0, 1), (0, 0)),
         ]
-    parts.append('<link name="palm">' + _collision('<cylinder radius="0.045" length="0.02"/>', (0, 0, -0.01)) + "</link>")
+    parts.append(
+        '<link name="palm">' + _collision('<cylinder radius="0.045" length="0.02"/>', (0, 0, -0.01)) + "</link>"
+    )
     for number, (x, y) in enumerate(((0.03, 0.025), (0.03, -0.025), (-0.034, 0.0)), 1):
         carrier, place = "palm", (x, y, 0.0)
         if number < 3:

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from grasp_refine.description.tree import Joint, Mimic
 from grasp_refine.errors import GraspFileError
 from grasp_refine.grasps import GraspSet, Stage, choose_rows, load_grasps, match_joints, save_npz
 from grasp_refine.hand import load_hand
@@ -362,15 +363,21 @@ def test_object_arrays_are_not_written(tmp_path: Path):
 # -- joints ----------------------------------------------------------------------------------------------
 
 
-def joint(name: str, mimic: str | None = None) -> SimpleNamespace:
-    return SimpleNamespace(name=name, kind="revolute", mimic=mimic)
+def joint(name: str, mimic: Mimic | None = None) -> Joint:
+    return Joint(name, "revolute", "palm", f"{name}_link", np.eye(4), np.array([0.0, 0.0, 1.0]), -9, 9, mimic, None)
 
 
 CLAW = SimpleNamespace(
     name="claw",
     joint_names=("b", "c", "a"),
     rest=np.array([0.1, 0.2, 0.3]),
-    joints=(joint("b"), joint("c"), joint("follower", mimic="a"), joint("a")),
+    joints=(
+        joint("b"),
+        joint("c"),
+        joint("follower", Mimic("a", -2.0, 0.5)),
+        joint("last", Mimic("follower", 3.0, 0.0)),
+        joint("a"),
+    ),
 )
 
 
@@ -403,9 +410,26 @@ def test_joints_that_the_file_lacks_stay_at_rest_which_is_said():
 
 
 def test_mimic_joints_in_the_file_are_ignored_which_is_said():
-    q, notes = match_joints(grasp_set(("a", "follower", "b", "c"), np.array([[1.0, 9, 2, 3]])), CLAW)
+    q, notes = match_joints(grasp_set(("a", "follower", "b", "c"), np.array([[1.0, -1.5, 2, 3]])), CLAW)
     assert q.tolist() == [[2, 3, 1]]
     assert notes == ("mimic joints follow their joint, not the grasp file: follower",)
+
+
+def test_mimic_joints_that_are_elsewhere_in_the_file_are_told():
+    values = np.array([[1.0, -1.5, -4.5, 2, 3], [0.0, 0.5, 1.7, 2, 3]])
+    q, notes = match_joints(grasp_set(("a", "follower", "last", "b", "c"), values), CLAW)
+    assert q.tolist() == [[2, 3, 1], [2, 3, 0]]
+    assert notes == (
+        "mimic joints follow their joint, not the grasp file: follower, last",
+        "in the file, mimic joint last is up to 0.2 away from where a puts it",
+    )
+
+
+def test_a_mimic_joint_says_where_the_joint_is_that_the_file_lacks():
+    values = np.array([[1.5, 2, 3], [-4.5, 2, 3]])
+    q, notes = match_joints(grasp_set(("last", "b", "c"), values), CLAW)
+    assert q.tolist() == [[2, 3, 0], [2, 3, 1]], "last = 3 (-2 a + 0.5)"
+    assert notes == ("joints that the grasp file lacks are found by their mimic joints: a from last",)
 
 
 def test_joints_that_the_hand_lacks_are_refused():

@@ -35,6 +35,7 @@ CLAMP = f"""<robot name="clamp">
 def clamp(tmp_path_factory: pytest.TempPathFactory) -> Hand:
     path: Path = tmp_path_factory.mktemp("clamp") / "clamp.urdf"
     path.write_text(CLAMP)
+    path.with_name("hand.toml").write_text("actuator = { kp = 5.0 }")
     return load_hand(path, candidates=16)
 
 

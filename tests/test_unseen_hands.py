@@ -159,7 +159,8 @@ def test_forces_at_the_fingertips_do_the_work_of_the_independent_joints(hand: Ha
     h = 1e-6
     steps = h * np.eye(6 + len(hand.joint_names))
     slopes = [
-        (work(moved(T, np.tile(s[:6], (4, 1))), q + s[6:]) - work(moved(T, np.tile(-s[:6], (4, 1))), q - s[6:])) / (2 * h)
+        (work(moved(T, np.tile(s[:6], (4, 1))), q + s[6:]) - work(moved(T, np.tile(-s[:6], (4, 1))), q - s[6:]))
+        / (2 * h)
         for s in steps
     ]
     covector = np.concatenate([force, np.cross(point, force)], axis=-1)

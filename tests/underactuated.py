@@ -86,12 +86,7 @@ def _bone(direction: tuple[int, int, int], length: float, last: bool) -> str:
 def _wedge() -> tuple[np.ndarray, np.ndarray]:
     """A palm that is thicker at the side of the thumb, so that its mirror image is another."""
     corners = np.array(
-        [
-            [x, y, z]
-            for x, thick in ((0.042, 0.012), (-0.042, 0.007))
-            for y in (-thick, thick)
-            for z in (-0.045, 0.04)
-        ]
+        [[x, y, z] for x, thick in ((0.042, 0.012), (-0.042, 0.007)) for y in (-thick, thick) for z in (-0.045, 0.04)]
     )
     hull = trimesh.convex.convex_hull(corners)
     return hull.vertices, hull.faces

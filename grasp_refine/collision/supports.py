@@ -20,6 +20,9 @@ from grasp_refine.geometry.pieces import Piece
 CELLS = 16
 """Cells along an edge of the cube: the reach is too long by at most 4 % of a piece's diameter, 0.2 % on average."""
 
+_BLOCK = 128
+"""Vertices that are looked at together."""
+
 
 @dataclass(frozen=True, eq=False)
 class Supports:
@@ -37,7 +40,7 @@ class Supports:
         for b, pieces in enumerate(bodies):
             for k, piece in enumerate(pieces):
                 if "support" not in piece.derived:
-                    piece.derived["support"] = (piece.vertices @ directions.T).max(axis=0) + piece.radius * lengths
+                    piece.derived["support"] = _reach(piece.vertices, directions) + piece.radius * lengths
                 table[b, :, k] = piece.derived["support"]
         return Supports(table)
 
@@ -55,6 +58,14 @@ class Supports:
         first = ((2 * side + (length < 0.0)) * (CELLS + 1) + i) * (CELLS + 1) + j
         cell = first[:, None] + np.array([0, 1, CELLS + 1, CELLS + 2])
         return (weights.T[:, None] @ self.table[body[:, None], cell])[:, 0]
+
+
+def _reach(vertices: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Largest u . x over the vertices (V, 3), for directions (D, 3); few vertices at a time stay in the cache."""
+    reach = np.full(len(directions), -np.inf)
+    for start in range(0, len(vertices), _BLOCK):
+        reach = np.maximum(reach, (vertices[start : start + _BLOCK] @ directions.T).max(axis=0))
+    return reach
 
 
 def _corners() -> np.ndarray:

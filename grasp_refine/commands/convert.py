@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated
 
@@ -28,6 +29,9 @@ from grasp_refine.versions import versions
 
 LIMIT = 1e-6
 """How far apart fingertips may be, in metres, when a written file is read again."""
+
+CANDIDATES = 16
+"""Surface points per link; nothing here looks at them."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +69,13 @@ class Convert:
         """
         began = time.perf_counter()
         if self.json is not None:
+            if self.json.absolute() == self.output.absolute():
+                raise GraspRefineError(f"{self.json}: is OUT, too; give --json another name")
             check_writable(self.json)
             check_no_input(self.json, (self.source, self.output), "is to be read or written as grasps")
         check_no_input(self.output, (self.source,), "is the input; give another name")
         said, console = screen(stderr=True), screen()
-        known = None if self.hand is None else load_hand(self.hand, urdf=self.urdf)
+        known = None if self.hand is None else load_hand(self.hand, urdf=self.urdf, candidates=CANDIDATES)
         with Progress(console=said, transient=True, disable=not said.is_terminal) as bar:
             task = bar.add_task("reading", total=None)
             read = reading(
@@ -120,8 +126,9 @@ class Convert:
                 f"{self.source}: its hand '{source}' is none of ours ({', '.join(list_hands())}); give it with --hand"
             )
 
+        @cache
         def load(base_link: str) -> Hand:
-            return load_hand(source, base_link=base_link, urdf=self.urdf)
+            return load_hand(source, base_link=base_link, urdf=self.urdf, candidates=CANDIDATES)
 
         return load
 

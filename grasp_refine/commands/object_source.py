@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from grasp_refine.asset_library.locating import fetched
-from grasp_refine.asset_library.manifest import Asset
+from grasp_refine.asset_library.manifest import Asset, read_manifest
 from grasp_refine.asset_library.names import find_asset
 from grasp_refine.errors import AssetError
 from grasp_refine.geometry.mesh import SUFFIXES
@@ -62,14 +62,22 @@ def named_object(name: str, objects: Path | None, file: Path, say: Callable[[str
         return ObjectSource(listed[name])
     if name in EMBEDDED or ":" in name:
         return ObjectSource(name)
-    asset = find_asset(name, "objects")
-    if asset is not None and asset.name == name:
+    asset = read_manifest("objects").get(name)
+    if asset is not None:
         return ObjectSource(fetched(asset, say), asset)
-    also = f"; it may be the asset {asset.name}: --object {asset.name}" if asset is not None else ""
     raise AssetError(
-        f"{file}: its object '{name}' is none of the embedded ones ({', '.join(EMBEDDED)}); give its mesh "
-        f"with --object, a folder of meshes with --objects, or a primitive ({PRIMITIVE_FORMS}){also}"
+        f"{file}: its object '{name}' is none of the embedded ones ({', '.join(EMBEDDED)}); give its mesh with "
+        f"--object, a folder of meshes with --objects, or a primitive ({PRIMITIVE_FORMS}){_perhaps(name)}"
     )
+
+
+def _perhaps(name: str) -> str:
+    """Which asset a name in a grasp file may mean; it is not taken for it unasked."""
+    try:
+        asset = find_asset(name, "objects")
+    except AssetError:
+        return ""
+    return "" if asset is None else f"; it may be the asset {asset.name}: --object {asset.name}"
 
 
 def _read_objects(path: Path) -> Mapping[str, str | Path]:

@@ -13,6 +13,7 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.commands.object_source import ObjectSource, chosen_object, named_object
 from grasp_refine.commands.problem import Group, Problem
+from grasp_refine.description.link_geometry import HULL_LIMIT
 from grasp_refine.description.tree import read_tree
 from grasp_refine.errors import GraspFileError, GraspRefineError, HandError
 from grasp_refine.formats.listing import FormatName
@@ -62,6 +63,9 @@ class Sources:
     """Which grasps of the object; 0 is its first one in the file."""
     table: Annotated[DisallowNone[float | None], arg(metavar="Z", help_behavior_hint="(default: none)")] = None
     """A table at this height (metres) of the object's frame, z up, that no link may go through."""
+    hull_limit: float = HULL_LIMIT
+    """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it; beyond it the mesh is
+    split into its bodies, or cut. inf: hulls only."""
     threshold: float = Decomposition.threshold
     """Largest concavity, 0.01 to 1, of the pieces that CoACD cuts a concave object into; lower is finer."""
 
@@ -101,6 +105,8 @@ class Sources:
             raise GraspRefineError(f"--scale must be positive and finite, got {self.scale:g}")
         if self.table is not None and not np.isfinite(self.table):
             raise GraspRefineError(f"--table must be a height in metres, got {self.table:g}")
+        if not self.hull_limit > 0:
+            raise GraspRefineError(f"--hull-limit must be above 0 metres, or inf, got {self.hull_limit:g}")
 
     @property
     def _scale(self) -> float:
@@ -133,7 +139,9 @@ class Sources:
 
     def _load_hand(self, source: str, base_link: str | None, say: Callable[[str], None]) -> Hand:
         """A hand, of the files that the options name."""
-        return load_hand(source, base_link=base_link, urdf=self.urdf, mjcf=self.mjcf, progress=say)
+        return load_hand(
+            source, base_link=base_link, urdf=self.urdf, mjcf=self.mjcf, hull_limit=self.hull_limit, progress=say
+        )
 
     def _files(self, path: Path, read: Reading) -> tuple[Path, ...]:
         """What grasps are read from: the path that was given, and the files in it if it is a folder."""

@@ -13,6 +13,12 @@ from grasp_refine.description.hand_toml import ACTUATOR, Contact, Coupled, HandT
 from grasp_refine.description.tree import Joint
 from grasp_refine.errors import HandError
 
+LEVER = 0.1
+"""A slide is driven like a joint that turns a lever of this length, in metres, where hand.toml does not say it."""
+
+SLIDE_UNITS = {"kp": 2, "damping": 2, "armature": 2, "frictionloss": 1}
+"""How often the unit of a slide has one more metre below the line: 5 Nm/rad at the lever are 500 N/m."""
+
 
 @dataclass(frozen=True, eq=False)
 class Actuator:
@@ -94,6 +100,8 @@ def actuator(toml: HandToml, independent: Sequence[Joint], outside: Collection[s
         for name in given:
             _has(name, "independent joint", names, outside, f"{toml.path}: [actuator] {key}")
         fallback = efforts if default is None else dict.fromkeys(names, default)
+        if key in SLIDE_UNITS and "default" not in toml.actuator.get(key, {}):
+            fallback |= {j.name: default / LEVER ** SLIDE_UNITS[key] for j in independent if j.kind == "prismatic"}
         columns[key] = np.array([given.get(name, fallback[name]) for name in names])
     return Actuator(**columns)
 

@@ -21,7 +21,8 @@ KEYS = ("name", "urdf", "base_link", "mjcf", "mjcf_joints", "collision", "rest_p
 """What a hand.toml can hold."""
 
 ACTUATOR = {"kp": 5.0, "force_limit": None, "damping": 0.1, "armature": 2e-4, "frictionloss": 0.01}
-"""Keys of [actuator], and what holds where a key is left out; the force limit is then the URDF's effort."""
+"""Keys of [actuator], and what holds for turning joints where a key is left out; a slide is then driven as hard as a
+lever of 0.1 m on such a joint. The force limit is the URDF's effort."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,12 @@ if TYPE_CHECKING:
     import yourdfpy
 
 HULL_LIMIT = 5e-3
-"""How far the hull of a link's mesh may stand out of it before more pieces are used, in metres."""
+"""How far the hull of a link's mesh may stand out of it before more pieces are used, in metres.
+
+Meshes made for collision queries keep within 0.3 mm, on five hands. Detailed ones of fingertips and knuckles stand out
+by 1 to 4 mm, but in sockets and behind nails: by less than 0.05 mm where objects touch, so that cutting them changes no
+contact. Palms and forearms of several bodies stand out by 6 to 30 mm.
+"""
 
 Scale = tuple[float, float, float]
 """Factors along x, y and z; negative ones mirror."""
@@ -64,21 +69,23 @@ class LinkMeshes:
         return self._cut[key].pieces
 
     def notes(self) -> list[str]:
-        """A line on each mesh whose hull stands out by more than the limit: of which links, and what is used."""
+        """A line on each mesh whose hull stands out of it noticeably: by how much, of which links, what is used."""
         notes = []
-        for key, cut in self._cut.items():
+        for (path, scale), cut in self._cut.items():
             if cut.hull_stands_out == 0:
                 continue
-            said = f"{', '.join(self._users[key])}: the hull of {key[0].name} stands out of it by up to"
-            said += f" {_millimetres(cut.hull_stands_out)}"
-            if len(cut.pieces) == 1:
-                notes.append(f"{said}; it is used, for want of better ({cut.trouble})")
-                continue
-            left = _millimetres(cut.stands_out or self.limit)
-            said += (
-                f"; {len(cut.pieces)} pieces are used, which do by {'up to' if cut.stands_out else 'at most'} {left}"
-            )
-            notes.append(said + (f" ({cut.trouble})" if cut.trouble else ""))
+            links = ", ".join(self._users[path, scale])
+            said = f"{links}: the hull of {path.name} stands out of it by up to {_millimetres(cut.hull_stands_out)}"
+            if len(cut.pieces) > 1:
+                by = f"up to {_millimetres(cut.stands_out)}"
+                if cut.stands_out == 0:
+                    by = f"less than {_millimetres(cut.least)}"
+                said += f"; instead, {len(cut.pieces)} convex pieces stand out by {by}"
+            elif cut.hull_stands_out <= self.limit:
+                said += f", within the limit of {_millimetres(self.limit)}"
+            else:
+                said += f"; it is used all the same ({cut.trouble})"
+            notes.append(said + (f" ({cut.trouble})" if cut.trouble and len(cut.pieces) > 1 else ""))
         return notes
 
 

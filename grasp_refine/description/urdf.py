@@ -151,3 +151,13 @@ def links_with_visuals(path: Path) -> frozenset[str]:
     """
     links = _read_xml(path).iterfind("link")
     return frozenset(link.get("name", "") for link in links if link.find("visual") is not None)
+
+
+def joints_fixed_and_mimicking(path: Path) -> tuple[str, ...]:
+    """Names of the fixed joints in the URDF file `path` that hold a <mimic>, which means nothing there.
+
+    Raises:
+        HandError: the file is missing, or not a URDF.
+    """
+    joints = _read_xml(path).iterfind("joint")
+    return tuple(j.get("name", "") for j in joints if j.get("type") == "fixed" and j.find("mimic") is not None)

@@ -15,6 +15,7 @@ from grasp_refine.formats.layout import MUJOCO, layout_of
 from grasp_refine.formats.source import Source, keys_lacking
 from grasp_refine.formats.stages import (
     AT_ORIGIN,
+    GRASP,
     STAGES,
     fitted,
     grasps_of_stages,
@@ -41,7 +42,7 @@ class DexGraspBench:
     def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
         """The grasp of a file."""
         held = source.content
-        keys = [f"{name}_qpos" for name in STAGES if held.get(f"{name}_qpos") is not None]
+        keys = [f"{name}_qpos" for name in STAGES if name == GRASP or held.get(f"{name}_qpos") is not None]
         rows = {key: source.numbers(held[key], key, (None,))[None] for key in keys}
         count = joint_count(source, rows["grasp_qpos"], "grasp_qpos")
         names = source.names(held["joint_names"], "joint_names") if held.get("joint_names") is not None else ()

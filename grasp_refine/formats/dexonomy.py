@@ -16,6 +16,7 @@ from grasp_refine.formats.scene import object_in_scene
 from grasp_refine.formats.source import Source, keys_lacking
 from grasp_refine.formats.stages import (
     AT_ORIGIN,
+    GRASP,
     STAGES,
     fitted,
     grasps_of_stages,
@@ -55,11 +56,11 @@ class Dexonomy:
         rows = {}
         for name in STAGES:
             value = held.get(f"{name}_qpos")
-            if value is None:
+            if value is None and name != GRASP:
                 continue
             value = source.numbers(value, f"{name}_qpos")
             value = value[None] if value.ndim == 1 else value
-            if name == STAGES[0] and len(value) > 1:
+            if name == STAGES[0] and value.ndim == 2 and len(value) > 1:
                 notes.append("of several pregrasps of a grasp the first, with the hand open the most, is taken")
                 value = value[:1]
             if value.ndim != 2 or len(value) != 1:

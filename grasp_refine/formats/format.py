@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Int
@@ -29,6 +29,7 @@ class Part:
     """What it holds: a GraspSet for our own format, else what an array file can hold."""
 
 
+@runtime_checkable
 class Format(Protocol):
     """One format."""
 

@@ -21,7 +21,9 @@ DEPTH = 32
 """Containers may lie in each other this deep; grasp files need 5."""
 SPREAD = 16
 """How much larger than a pickle its values may be, where it names one part several times."""
-ALLOWANCE = 2**24
+SMALLEST = 8
+"""What any value counts, in bytes."""
+ALLOWANCE = 2**20
 """Values that may be there whatever the pickle's size, in bytes."""
 KINDS = "biufUS"
 """Kinds of NumPy types that are read: truth values, numbers and text."""
@@ -165,6 +167,7 @@ CALLS: dict[str, Callable[..., Any]] = {
     "numpy.dtype": _dtype,
     "_codecs.encode": _encoded,
     "collections.OrderedDict": _ordered,
+    **{f"{module}.bytes": lambda: b"" for module in ("builtins", "__builtin__")},
     **{f"{module}.{name}": _listed for module in ("builtins", "__builtin__") for name in ("set", "frozenset", "list")},
 }
 """What a pickle may call, and what is done instead."""
@@ -310,7 +313,7 @@ def unpickled(data: bytes) -> Any:
 
 def _plain(value: Any, budget: list[int], depth: int = 0) -> Any:
     """The value with arrays in place; what is named several times is counted as often."""
-    size = value.nbytes if isinstance(value, np.ndarray) else 1
+    size = value.nbytes if isinstance(value, np.ndarray) else SMALLEST
     budget[0] -= size + (len(value) if isinstance(value, str | bytes | bytearray) else 0)
     if budget[0] < 0:
         raise Refused(BOMB)

@@ -107,7 +107,8 @@ def _files(path: Path) -> list[Path]:
 
 def _content(file: Path) -> Any:
     """What a file holds; None is an .npz, which our own format reads."""
-    return None if file.is_file() and zipfile.is_zipfile(file) else load_content(file)
+    ours = file.suffix.lower() == ".npz" or (file.is_file() and zipfile.is_zipfile(file))
+    return None if ours else load_content(file)
 
 
 def _recognised(file: Path, content: Any) -> Format:

@@ -61,7 +61,7 @@ def _described(source: Source, scene: Any) -> dict[str, Any]:
         raise source.error("scene_cfg must be a dict with a dict 'scene' of objects")
     objects, task = scene["scene"], scene.get("task")
     name = task.get("obj_name") if isinstance(task, Mapping) else scene.get("interest_obj_name")
-    if name not in objects or not isinstance(objects[name], Mapping):
+    if not isinstance(name, str) or not isinstance(objects.get(name), Mapping):
         raise source.error(f"its scene has no object {name!r}; it has {', '.join(map(str, objects)) or 'none'}")
     found = objects[name]
     lacking = [key for key in ("pose", "scale") if found.get(key) is None]

@@ -94,7 +94,9 @@ class Source:
         """Return the name of the object whose folder or mesh a path names."""
         path = PurePosixPath(self.text(value, what).replace("\\", "/"))
         parts = [part for part in path.parts if part not in ("/", "..", ".")]
-        while len(parts) > 1 and (parts[-1] in MESH_FOLDERS or _is_mesh(parts[-1])):
+        if len(parts) > 2 and _is_mesh(parts[-1]) and parts[-2] in MESH_FOLDERS:
+            parts.pop()
+        while len(parts) > 1 and parts[-1] in MESH_FOLDERS:
             parts.pop()
         if not parts:
             raise self.error(f"{what} names no object: {str(value)[:80]!r}")

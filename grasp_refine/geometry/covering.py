@@ -1,4 +1,4 @@
-"""Convex pieces for a mesh that was not made for collision queries: as few as stand out of it by no more than a limit."""
+"""Convex pieces that cover a mesh and stand out of it by little more than a limit: its hull where that will do."""
 
 from __future__ import annotations
 
@@ -29,6 +29,9 @@ MOST_CUTS = 8
 SIMPLER = 0.05
 """How far what CoACD cuts may lie from the mesh, as a share of the limit; CoACD's time grows with the triangles."""
 
+NOTICED = 2e-3
+"""Pieces that stand out by less than this, in metres, or 1 % of the diagonal of the mesh, do so unnoticed."""
+
 OUTSIDE = 1e-5
 """No vertex of the mesh is farther outside all pieces than this, in metres."""
 
@@ -43,9 +46,11 @@ class Covering:
     pieces: tuple[Piece, ...]
     """The hull of the mesh, or several pieces that do better."""
     hull_stands_out: float
-    """How far the hull of the whole mesh stands out of it, in metres; 0 where that is within the limit."""
+    """How far the hull of the whole mesh stands out of it, in metres; 0 where that is no more than `least`."""
     stands_out: float
-    """How far the pieces do; 0 where that is within the limit."""
+    """How far the pieces do, likewise."""
+    least: float
+    """What was looked for, in metres; infinite: nothing was measured."""
     trouble: str = ""
     """Why a part of the mesh was not cut, if that was meant."""
 
@@ -61,39 +66,54 @@ def covering(
     """The hull of `mesh` if it stands out of it by no more than `limit` metres, else several pieces.
 
     These are the hulls of its connected bodies and, where such a hull stands out by more than the limit, what CoACD
-    cuts the body into. Pieces inside another one are dropped. Where all this gains less than `PRECISION`, the hull stays.
+    cuts the body into: at most `MOST_CUTS` pieces a body, `MOST` in all, even if they stand out by more. Pieces inside
+    another one are dropped. Each vertex of the mesh is in a piece, and no piece goes beyond the hull, to within
+    `OUTSIDE`. Where all this gains nothing that can be measured, the hull stays.
 
     Args:
         mesh: Closed or open, one body or several.
-        limit: In metres; infinite: always the hull.
+        limit: In metres; infinite: always the hull, and nothing is measured.
         cache: Folder of what was cut and measured before; None keeps nothing.
         progress: Gets a line before and one after CoACD cuts.
         name: For messages.
 
     Raises:
-        MeshError: the mesh has no thickness.
+        MeshError: the mesh has no thickness, or the limit is not positive.
     """
-    whole = hull(mesh.vertices[np.unique(mesh.faces)], name=name)
-    triangles = Triangles(np.asarray(mesh.vertices, dtype=np.float64)[mesh.faces])
-    before = _measured([whole], triangles, limit, cache)
-    if before == 0.0:
-        return Covering((whole,), 0.0, 0.0)
+    if not limit > 0:
+        raise MeshError(f"the hull of a mesh can stand out of it by a limit above 0 m only, got {limit:g} m")
+    if not mesh.is_watertight:
+        # What a small hole lets in is no place where the hull stands out.
+        mesh = mesh.copy()
+        mesh.fill_holes()
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    whole = hull(vertices[np.unique(mesh.faces)], name=name)
+    if np.isinf(limit):
+        return Covering((whole,), 0.0, 0.0, least=np.inf)
+    # To look for 2 mm all over a long arm would take long.
+    least = min(limit, max(NOTICED, 0.01 * float(np.linalg.norm(np.ptp(vertices, axis=0)))))
+    triangles = Triangles(vertices[mesh.faces])
+    before = _measured([whole], triangles, least, cache)
+    if before <= limit:
+        return Covering((whole,), before, before, least)
     found, troubles = [], []
-    for body in mesh.split(only_watertight=False, repair=False):
+    for body in mesh.split(only_watertight=False):
         try:
             found += _body_pieces(body, limit, cache, progress, name)
         except FlatMeshError:
-            # A sheet, which a body around it or beside it stands for.
+            # A sheet: what it adds to the bodies around it is added below.
             continue
         except MeshError as error:
             found.append(hull(body.vertices, name=name))
             troubles.append(str(error))
-    pieces = _joined(_outermost(found))
-    pieces = _reaching(pieces, np.asarray(mesh.vertices)) if pieces else [whole]
-    after = _measured(pieces, triangles, limit, cache)
-    if after > (1 - PRECISION) * before:
-        return Covering((whole,), before, before, "; ".join(troubles) or "several pieces stand out as far")
-    return Covering(tuple(pieces), before, after, "; ".join(troubles))
+    pieces = _joined(_outermost(found)) or [whole]
+    pieces = [_within(whole, piece) for piece in _reaching(pieces, vertices[np.unique(mesh.faces)])]
+    after = _measured(pieces, triangles, least, cache)
+    if after > (1 - 2 * PRECISION) * before:
+        return Covering(
+            (whole,), before, before, least, "; ".join(troubles) or f"{len(pieces)} pieces stand out as far"
+        )
+    return Covering(tuple(pieces), before, after, least, "; ".join(troubles))
 
 
 def _body_pieces(
@@ -106,7 +126,8 @@ def _body_pieces(
         FlatMeshError: the body has no thickness.
     """
     whole = hull(body.vertices, name=name)
-    if _measured([whole], Triangles(np.asarray(body.vertices)[body.faces]), limit, cache) == 0.0:
+    triangles = Triangles(np.asarray(body.vertices, dtype=np.float64)[body.faces])
+    if _measured([whole], triangles, limit, cache) == 0.0:
         return [whole]
     # CoACD's threshold is about how far its pieces stand out, the mesh being 2 long.
     threshold = float(np.clip(limit / (np.ptp(body.vertices, axis=0).max() / 2), 0.01, 1.0))
@@ -128,18 +149,16 @@ def _simplified(mesh: trimesh.Trimesh, tolerance: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(simpler.vert_properties[:, :3], simpler.tri_verts.astype(np.int64), process=False)
 
 
-def _measured(pieces: Sequence[Piece], mesh: Triangles, limit: float, cache: Path | None) -> float:
-    """How far pieces stand out of a mesh, 0 if within `limit`; looked up where it was measured before."""
-    if not np.isfinite(limit):
-        return 0.0
+def _measured(pieces: Sequence[Piece], mesh: Triangles, least: float, cache: Path | None) -> float:
+    """How far pieces stand out of a mesh, 0 if by no more than `least`; looked up where it was measured before."""
     corners = np.concatenate([piece.vertices for piece in pieces])
-    settings = f"over-cover {_SCHEMA} {limit!r} {[len(piece.vertices) for piece in pieces]}"
+    settings = f"over-cover {_SCHEMA} {least!r} {PRECISION} {[len(piece.vertices) for piece in pieces]}"
     faces = np.concatenate([piece.faces for piece in pieces])
     entry = cache and cache / disk.entry_name(np.concatenate([corners, mesh.corners.reshape(-1, 3)]), faces, settings)
     known = disk.load_arrays(entry, "over_cover") if entry else None
     if known and known[0].shape == () and known[0].dtype == np.float64:
         return float(known[0])
-    found = over_cover(pieces, mesh, least=limit)
+    found = over_cover(pieces, mesh, least=least)
     if entry:
         with suppress(OSError):  # it is measured again the next time
             disk.save_arrays(entry, over_cover=np.array(found))
@@ -178,6 +197,16 @@ def _reaching(pieces: Sequence[Piece], points: np.ndarray) -> list[Piece]:
         own = points[lost & (nearest == index)]
         grown.append(hull(np.concatenate([piece.vertices, own])) if len(own) else piece)
     return grown
+
+
+def _within(whole: Piece, piece: Piece) -> Piece:
+    """The part of a piece that lies in the hull of the mesh: remeshing makes bodies thicker."""
+    if (_beyond(piece.vertices, whole) <= OUTSIDE).all():
+        return piece
+    import manifold3d
+
+    solids = [manifold3d.Manifold.hull_points(one.vertices) for one in (whole, piece)]
+    return hull((solids[0] ^ solids[1]).to_mesh64().vert_properties[:, :3])
 
 
 def _beyond(points: np.ndarray, piece: Piece) -> np.ndarray:

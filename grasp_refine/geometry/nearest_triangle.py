@@ -84,7 +84,7 @@ class Triangles:
 
 def distance_to_triangles(
     points: Float[np.ndarray, "*#batch 3"], triangles: Float[np.ndarray, "*#batch 3 3"]
-) -> Float[np.ndarray, "*batch"]:
+) -> Float[np.ndarray, " ..."]:
     """Distances in metres of points to triangles, one to one; a triangle may be a segment or a point."""
     tiny = np.finfo(np.float64).tiny
     a, b, c = triangles[..., 0, :], triangles[..., 1, :], triangles[..., 2, :]

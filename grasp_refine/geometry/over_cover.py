@@ -23,6 +23,9 @@ PRECISION = 0.05
 _FLUSH = 1e-6
 """Two planes this close, as a share of the size of what lies in them, are one."""
 
+ENOUGH = 100_000
+"""Triangles after which the search ends, with what is known by then; it takes some seconds."""
+
 _PLANES = 256
 """How many planes are looked at."""
 
@@ -34,11 +37,13 @@ def over_cover(pieces: Sequence[Piece], mesh: Triangles, *, least: float) -> flo
     """How far the union of polytope `pieces` stands out of `mesh`, in metres; 0 where that is no more than `least`.
 
     That is the largest distance to the mesh from a point on the surface of a piece that is in no other piece, up to
-    `PRECISION` more than the truth. Where a piece is flush with another one, within `least`, it counts as in it.
+    `PRECISION` more than the truth; or more than that, never less, if `ENOUGH` triangles do not tell. What is closer to
+    another piece than `least` counts as in it.
     """
     found = [_uncovered(piece, mesh) for piece in pieces]
     left, owner = np.concatenate(found), np.repeat(np.arange(len(pieces)), [len(faces) for faces in found])
     best = bound = 0.0
+    looked_at = 0
     while len(left):
         hidden, exposed = _hidden(left, owner, pieces, least)
         left, owner, exposed = left[~hidden], owner[~hidden], exposed[~hidden]
@@ -46,7 +51,8 @@ def over_cover(pieces: Sequence[Piece], mesh: Triangles, *, least: float) -> flo
         distance, near = (answer.reshape(-1, 4) for answer in mesh.nearest(asked.reshape(-1, 3)))
         best = max(best, float(np.where(exposed, distance[:, :3], 0.0).max(initial=0.0)))
         worst = distance_to_triangles(left[:, None], mesh.corners[near][:, :, None]).max(axis=2).min(axis=1)
-        unsure = worst > max(best * (1 + PRECISION), least)
+        looked_at += len(left)
+        unsure = (worst > (best * (1 + PRECISION) if best > least else least)) & (looked_at < ENOUGH)
         bound = max(bound, float(worst[~unsure].max(initial=0.0)))
         left, owner = left[unsure], np.repeat(owner[unsure], 4)
         corners = np.concatenate([left, (left + np.roll(left, -1, axis=1)) / 2], axis=1)
@@ -76,7 +82,7 @@ def _uncovered(piece: Piece, mesh: Triangles) -> Float[np.ndarray, "F 3 3"]:
     return corners[new & ~covered[of_plane]]
 
 
-def _sorted(triangles: Float[np.ndarray, "N 3 3"]) -> list[np.ndarray]:
+def _sorted(triangles: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, "N 3 3"]:
     """The corners of each triangle in an order that depends on nothing but them."""
     order = np.lexsort(np.moveaxis(triangles, 2, 0), axis=1)
     return np.take_along_axis(triangles, order[..., None], axis=1)

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import torch
 
-from grasp_refine.description.urdf import links_with_visuals
+from grasp_refine.description.urdf import joints_fixed_and_mimicking, links_with_visuals
 from grasp_refine.hand import Hand
 from grasp_refine.kinematics import Kinematics
 from grasp_refine.report.hand_facts import guessed
@@ -110,6 +110,7 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
     visible = links_with_visuals(hand.urdf)
     unseen = [link.name for link in hand.links if link.body is None and link.name in visible]
     endless = [j.name for j in independent if j.kind == "continuous"]
+    fixed = [name for name in joints_fixed_and_mimicking(hand.urdf) if name in hand.joints_by_name]
     mass = sum(link.mass or 0.0 for link in hand.links)
     found = {
         "no joint moves: there is nothing to refine but the pose of the palm": [""] * (not independent),
@@ -119,6 +120,7 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
         ],
         "{} can slide more than a metre: are the limits millimetres? They must be metres": far,
         "{} turn without end and rest at 0": endless,
+        "{} are fixed though they mimic a joint: they do not move": fixed,
         "{} can be seen but have no collision geometry: nothing keeps them out of the object": unseen,
         "{} move nothing that is solid": _idle(hand),
         f"the hand is {max(size, default=0):.3g} m large: are the meshes millimetres? URDF is in metres, a mesh has a "

@@ -50,7 +50,8 @@ def show_hand(hand: Hand, console: Console) -> None:
     followers = sum(joint.mimic is not None for joint in hand.joints)
     solid = sum(link.body is not None for link in hand.links)
     console.print(
-        f"{len(hand.joint_names)} joints{f' and {followers} that mimic them' if followers else ''}, {len(hand.links)} "
+        f"{len(hand.joint_names)} joint{'' if len(hand.joint_names) == 1 else 's'}"
+        f"{f' and {followers} that mimic' if followers else ''}, {len(hand.links)} "
         f"links ({solid} with collision geometry) from {hand.base_link} on, licence: "
         f"{licence(hand.urdf) or 'not named'}\n",
         markup=False,

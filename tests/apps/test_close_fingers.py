@@ -12,6 +12,7 @@ from apps.close_fingers import (
     CLEARANCE,
     CLOSING,
     EXAMPLES,
+    HANDS,
     OPEN,
     Approach,
     HandAround,
@@ -19,6 +20,7 @@ from apps.close_fingers import (
     disturb,
     example_grasps,
     main,
+    sampled,
 )
 from grasp_refine.assets import resource_dir
 from grasp_refine.geometry.shapes import EMBEDDED
@@ -42,8 +44,8 @@ def embedded(name: str) -> Object:
 
 
 def test_every_example_file_has_its_script():
-    files = {path.name for path in (resource_dir("robots") / "allegro").glob("*.npz")}
-    assert files == {f"example_{name}.npz" for name in EXAMPLES}
+    files = {(path.parent.name, path.name) for path in resource_dir("robots").glob("*/*.npz")}
+    assert files == {(hand, f"example_{name}.npz") for hand in HANDS for name in EXAMPLES}
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -58,10 +60,10 @@ def test_the_files_belong_to_the_embedded_hand_and_objects(name: str):
 
 
 def test_the_script_makes_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    main(["--out", str(tmp_path)])
+    main(["allegro", "--out", str(tmp_path)])
     assert capsys.readouterr().out.count("4 grasps") == len(EXAMPLES)
     for name in EXAMPLES:
-        made, stored = load_grasps(tmp_path / f"example_{name}.npz"), example(name)
+        made, stored = load_grasps(tmp_path / "allegro" / f"example_{name}.npz"), example(name)
         message = f"{name}: run apps/close_fingers.py again, and look at the grasps"
         np.testing.assert_allclose(made.hand_pose, stored.hand_pose, rtol=0, atol=1e-9, err_msg=message)
         np.testing.assert_allclose(made.q, stored.q, rtol=0, atol=1e-9, err_msg=message)
@@ -69,8 +71,24 @@ def test_the_script_makes_the_files(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_another_seed_makes_other_grasps():
     name = "rounded_box"
-    made = example_grasps(HAND, embedded(name), EXAMPLES[name], seed=1)
+    made = example_grasps(HAND, embedded(name), seed=1)
     assert np.abs(made.q - example(name).q).max() > 0.01
+
+
+@pytest.mark.slow
+def test_examples_of_a_hand_without_given_poses_are_sampled():
+    hand, obj = load_hand("leap"), embedded("rounded_box")
+    stored = load_grasps(resource_dir("robots") / "leap" / "example_rounded_box.npz")
+    made = example_grasps(hand, obj)
+    assert (made.hand, made.base_link, made.joint_names) == ("leap", hand.base_link, hand.joint_names)
+    message = "run apps/close_fingers.py again, and look at the grasps"
+    np.testing.assert_allclose(made.hand_pose, stored.hand_pose, rtol=0, atol=1e-6, err_msg=message)
+    np.testing.assert_allclose(made.q, stored.q, rtol=0, atol=1e-6, err_msg=message)
+    around = HandAround(hand, obj)
+    T, q = sampled(hand, obj, around, seed=0)
+    assert len(q) >= len(made)
+    tips = [around.links.index(contact.link) for contact in hand.contacts]
+    assert (around.distances(T, q)[:, tips] < CLEARANCE).all()
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

@@ -1,15 +1,19 @@
-"""Collision geometry of links: primitives, hulls of meshes with scales, and where mesh files are found."""
+"""Collision geometry of links: primitives, meshes with scales as hulls or several pieces, and what is said of these."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
-from grasp_refine.description.link_geometry import link_pieces, resolve_mesh
+from grasp_refine.description import mesh_files
+from grasp_refine.description.link_geometry import LinkMeshes, link_pieces
+from grasp_refine.description.mesh_files import resolve_mesh
 from grasp_refine.description.urdf import read_urdf
 from grasp_refine.errors import HandError
 from grasp_refine.geometry.pieces import Piece
+from grasp_refine.hand import load_hand
 
 WEDGE = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3.0]])
 
@@ -26,10 +30,16 @@ def package(tmp_path: Path) -> Path:
 
 
 def pieces(package: Path, *geometries: str, origin: str = "") -> tuple[Piece, ...]:
+    return cut(package, *geometries, origin=origin)[0]
+
+
+def cut(package: Path, *geometries: str, origin: str = "", limit: float = 5e-3) -> tuple[tuple[Piece, ...], list[str]]:
+    """The pieces of a link with these collision elements, and what is said about them."""
     path = package / "urdf/hand.urdf"
     collisions = "".join(f"<collision>{origin}<geometry>{g}</geometry></collision>" for g in geometries)
     path.write_text(f'<robot name="r"><link name="tip">{collisions}</link></robot>')
-    return link_pieces(read_urdf(path).links[0], path, {})
+    meshes = LinkMeshes(path, limit)
+    return link_pieces(read_urdf(path).links[0], meshes), meshes.notes()
 
 
 def volume(piece: Piece) -> float:
@@ -81,14 +91,111 @@ def test_several_collisions_of_one_link_are_several_pieces_and_repeated_ones_cou
 
 
 def test_a_file_that_is_used_twice_is_read_once(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from grasp_refine.description import link_geometry
-
     read = []
-    load_mesh = link_geometry.load_mesh
-    monkeypatch.setattr(link_geometry, "load_mesh", lambda path: read.append(path) or load_mesh(path))
+    load_mesh = mesh_files.load_mesh
+    monkeypatch.setattr(mesh_files, "load_mesh", lambda path: read.append(path) or load_mesh(path))
     names = ["../meshes/wedge.stl", "package://my_hand/meshes/wedge.stl"]
     assert len(pieces(package, *(f'<mesh filename="{name}" scale="{s}"/>' for s in (1, 2) for name in names))) == 2
     assert len(read) == 2, "once per spelling of its path"
+
+
+@pytest.fixture
+def palm(package: Path) -> Path:
+    """The package, with meshes of two cubes of 20 mm that are 30 mm apart along x, in metres and in millimetres."""
+    cubes = [trimesh.creation.box([0.02] * 3), trimesh.creation.box([0.02] * 3)]
+    cubes[1].apply_translation([0.05, 0, 0])
+    both = trimesh.util.concatenate(cubes)
+    for suffix in ("obj", "dae"):
+        both.export(package / f"meshes/palm.{suffix}")
+    both.apply_scale(1000).export(package / "meshes/palm_mm.stl")
+    return package
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        'palm.obj"',
+        'palm.dae"',
+        'palm_mm.stl" scale="0.001"',
+        'palm.obj" scale="-1 1 1"',
+        'palm_mm.stl" scale="-0.001 0.001 -0.001"',
+    ],
+)
+def test_bodies_apart_are_a_piece_each_whatever_the_file_and_scale(palm: Path, mesh: str) -> None:
+    found, notes = cut(palm, f'<mesh filename="../meshes/{mesh}/>')
+    side = -1 if "-" in mesh else 1
+    assert sorted(side * piece.bounds.mean(axis=0)[0] for piece in found) == pytest.approx([0, 0.05], abs=1e-8)
+    assert [volume(piece) for piece in found] == pytest.approx([8e-6] * 2, rel=1e-6)
+    # The hull is farthest from both cubes in the middle between them.
+    assert notes == [
+        f"tip: the hull of {mesh.split(chr(34))[0]} stands out of it by up to 15.0 mm; instead, 2 convex pieces stand "
+        "out by less than 2.0 mm"
+    ]
+
+
+def test_a_hull_within_the_limit_stays_and_is_noted_if_it_stands_out_noticeably(palm: Path) -> None:
+    (piece,), notes = cut(palm, '<mesh filename="../meshes/palm.obj"/>', limit=0.02)
+    assert volume(piece) == pytest.approx(0.07 * 0.02 * 0.02)
+    assert notes == ["tip: the hull of palm.obj stands out of it by up to 15.0 mm, within the limit of 20.0 mm"]
+
+
+def test_without_a_limit_hulls_are_not_even_measured(palm: Path) -> None:
+    (_,), notes = cut(palm, '<mesh filename="../meshes/palm.obj"/>', limit=np.inf)
+    assert notes == []
+
+
+def test_a_hand_says_it_and_takes_the_limit(palm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GRASP_REFINE_CACHE", str(tmp_path / "cache"))
+    path = palm / "urdf/hand.urdf"
+    collision = '<collision><geometry><mesh filename="../meshes/palm.obj"/></geometry></collision>'
+    tip = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
+    joint = '<joint name="j" type="revolute"><parent link="palm"/><child link="tip"/>'
+    joint += '<limit lower="0" upper="1" effort="1" velocity="1"/></joint>'
+    path.write_text(f'<robot name="r"><link name="palm">{collision}</link><link name="tip">{tip}</link>{joint}</robot>')
+    for limit, count, said in [(5e-3, 2, "2 convex pieces"), (0.02, 1, "within the limit"), (np.inf, 1, None)]:
+        hand = load_hand(path, hull_limit=limit)
+        assert len(hand.links_by_name["palm"].body.pieces) == count
+        notes = [note for note in hand.notes if note.startswith("palm: the hull of palm.obj stands out")]
+        assert len(notes) == (said is not None)
+        assert said is None or said in notes[0]
+
+
+def test_meshes_that_are_convex_are_not_mentioned(package: Path) -> None:
+    assert cut(package, '<mesh filename="../meshes/wedge.obj" scale="0.1 0.1 0.1"/>', '<box size="1 1 1"/>')[1] == []
+
+
+def test_a_mesh_of_several_links_is_cut_and_mentioned_once(palm: Path) -> None:
+    path = palm / "urdf/hand.urdf"
+    collision = '<collision><geometry><mesh filename="../meshes/palm.obj"/></geometry></collision>'
+    links = "".join(f'<link name="{name}">{collision * 2}</link>' for name in ("left", "right"))
+    joint = '<joint name="j" type="fixed"><parent link="left"/><child link="right"/></joint>'
+    path.write_text(f'<robot name="r">{links}{joint}</robot>')
+    meshes = LinkMeshes(path)
+    left, right = (link_pieces(link, meshes) for link in read_urdf(path).links)
+    assert len(left) == 2, "the repeated element counts once"
+    assert [a is b for a, b in zip(left, right, strict=True)] == [True, True]
+    (note,) = meshes.notes()
+    assert note.startswith("left, right: the hull of palm.obj ")
+
+
+@pytest.mark.parametrize(
+    ("hand", "link", "pieces", "note"),
+    [
+        ("barrett/barrett.urdf", "base_link", 2, r"base_link: the hull of base_link_cylinder.obj .* by up to 28.\d mm"),
+        ("shadow/shadow_right.urdf", "forearm", 3, r"forearm: the hull of forearm_E3M5.obj .* by up to [56].\d mm"),
+        ("leap/leap_right.urdf", "fingertip", 1, None),
+    ],
+)
+def test_meshes_of_known_hands(shared_assets: Path, hand: str, link: str, pieces: int, note: str | None) -> None:
+    meshes = LinkMeshes(shared_assets / "hands" / hand)
+    (raw,) = [raw for raw in read_urdf(meshes.urdf).links if raw.name == link]
+    of_meshes = [collision for collision in raw.collisions if collision.geometry.mesh is not None]
+    raw.collisions[:] = of_meshes
+    found = link_pieces(raw, meshes)
+    assert len(found) == pieces
+    notes = meshes.notes()
+    assert len(notes) == (note is not None)
+    assert note is None or re.match(note, notes[0])
 
 
 @pytest.mark.parametrize(

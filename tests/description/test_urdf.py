@@ -1,5 +1,7 @@
 """URDF files as elements: what is read, what is left out, and what a malformed file says."""
 
+import os
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +148,34 @@ def test_malformed_files_say_what_is_wrong_in_one_line(tmp_path: Path, text: str
     with pytest.raises(HandError, match=message) as caught:
         read_urdf(write(tmp_path, text))
     assert "\n" not in str(caught.value) and "hand.urdf" in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["entity", "parameter entity", "dtd"])
+def test_what_a_urdf_points_to_is_not_even_opened(tmp_path: Path, kind: str) -> None:
+    """A pipe that nobody writes to would hold up whoever opened it for reading."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    doctype = {
+        "entity": f'<!DOCTYPE robot [<!ENTITY e SYSTEM "file://{pipe}">]>',
+        "parameter entity": f'<!DOCTYPE robot [<!ENTITY % e SYSTEM "file://{pipe}"> %e;]>',
+        "dtd": f'<!DOCTYPE robot SYSTEM "file://{pipe}">',
+    }[kind]
+    inside = "&e;" if kind == "entity" else ""
+    path = tmp_path / "hand.urdf"
+    path.write_text(f'{doctype}<robot name="r"><link name="a"/>{inside}</robot>')
+    refused: list[str] = []
+
+    def read() -> None:
+        try:
+            read_urdf(path)
+        except HandError as error:
+            refused.append(str(error))
+
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+    reader.join(timeout=20)
+    assert not reader.is_alive(), "the pipe was opened"
+    assert len(refused) == 1 and "a DOCTYPE is refused, because it can pull in other files" in refused[0]
 
 
 def test_a_doctype_is_refused_and_no_entity_is_read(tmp_path: Path) -> None:

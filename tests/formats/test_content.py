@@ -1,0 +1,115 @@
+"""Array files and pickles: read plain, bounded, and refused in one line that begins with the path."""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from grasp_refine.errors import GraspFileError
+from grasp_refine.formats import content
+from grasp_refine.formats.content import load_content
+
+
+class Call:
+    """Makes a folder when it is unpickled."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __reduce__(self) -> Any:
+        return os.mkdir, (str(self.folder),)
+
+
+def npy(value: Any) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, value)
+    return stream.getvalue()
+
+
+def crafted(header: str, data: bytes = b"") -> bytes:
+    """An array file with this header."""
+    text = header.encode("latin-1") + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + data
+
+
+def refused(path: Path) -> str:
+    """The message with which a file is refused, without the path."""
+    with pytest.raises(GraspFileError) as raised:
+        load_content(path)
+    message = str(raised.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    return message.removeprefix(f"{path}: ")
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "grasp.npy"
+
+
+def test_arrays_and_pickles_are_read(file: Path):
+    for value in (np.arange(6.0, dtype=np.float32).reshape(2, 3), np.asfortranarray(np.ones((2, 3)))):
+        file.write_bytes(npy(value))
+        np.testing.assert_array_equal(load_content(file), value)
+        assert load_content(file).dtype == value.dtype
+    grasp = {"grasp_qpos": np.arange(3.0), "obj_path": "a/b"}
+    for data in (npy(grasp), pickle.dumps(grasp)):
+        file.write_bytes(data)
+        read = load_content(file)
+        assert read["obj_path"] == "a/b"
+        np.testing.assert_array_equal(read["grasp_qpos"], np.arange(3.0))
+    file.write_bytes(npy([grasp, grasp]))
+    assert [entry["obj_path"] for entry in load_content(file)] == ["a/b", "a/b"]
+
+
+def test_code_in_an_array_file_is_refused_and_does_not_run(file: Path):
+    folder = file.parent / "made"
+    for value in ({"grasp_qpos": Call(folder)}, [1, Call(folder)], Call(folder)):
+        for data in (npy(np.array(value, dtype=object)), pickle.dumps(value)):
+            file.write_bytes(data)
+            assert refused(file) == (
+                "holds a call of posix.mkdir, which is refused and was not run: only numbers, text, lists, dicts and "
+                "NumPy arrays are read"
+            )
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "is empty"),
+        (b"# text", "is a damaged pickle: it uses what it did not make"),
+        (b"\x93NUMPY", "is a damaged .npy file: its header cannot be read"),
+        (b"\x93NUMPY\x07\x00\x10\x00", "is a damaged .npy file: its header cannot be read"),
+        (crafted("{'descr': '<f8', 'fortran_order': False, 'shape': (3,)"), "its header cannot be read"),
+        (crafted("[" * 5000), "its header cannot be read"),
+        (crafted("{'descr': '<f8', 'fortran_order': False, 'shape': (-3,)}"), "its header cannot be read"),
+        (
+            crafted("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000, 1000)}", b"12345678"),
+            "is cut off: shape (1000000000000, 1000) of float64 needs 8000000000000000 bytes, 8 are there",
+        ),
+        (crafted("{'descr': '<c16', 'fortran_order': False, 'shape': (0,)}"), "holds an array of the type complex128"),
+        (crafted("{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (0,)}"), "holds an array of the type ["),
+        (npy(np.arange(4.0))[:-1], "is cut off: shape (4,) of float64 needs 32 bytes, 31 are there"),
+        (npy({"a": 1})[:-5], "is a cut off pickle"),
+        (npy({"a": 1.0})[:-5], "is a damaged or cut off pickle"),
+    ],
+)
+def test_damaged_files(file: Path, data: bytes, message: str):
+    file.write_bytes(data)
+    assert message.split(" pickle")[0].removesuffix(" cut off") in refused(file)
+
+
+def test_files_that_are_not_there_or_too_large(file: Path, monkeypatch: pytest.MonkeyPatch):
+    assert refused(file) == "no such grasp file"
+    assert refused(file.parent) == "cannot be read (Is a directory)"
+    monkeypatch.setattr(content, "LARGEST_FILE", 2**20)
+    with file.open("wb") as stream:
+        stream.truncate(2**20 + 1)
+    assert refused(file) == "has 1 MiB; at most 1 are read"

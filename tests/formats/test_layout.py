@@ -1,0 +1,118 @@
+"""Orders and frames of formats agree with the makers' MJCF files, and an order that is not certain is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from grasp_refine.errors import GraspFileError
+from grasp_refine.formats.layout import ALLEGRO, BODEX, LEAP, MUJOCO, SHADOW_FINGERS, SHADOW_THUMB, Layout, layout_of
+from grasp_refine.formats.leap_cache import JOINTS
+from grasp_refine.formats.source import Source
+from grasp_refine.hand import Hand
+from grasp_refine.se3 import transform_from_pose
+
+SOURCE = Source(Path("g.npy"), None)
+
+
+def refused(*arguments, **keywords) -> str:
+    with pytest.raises(GraspFileError) as raised:
+        layout_of(SOURCE, *arguments, **keywords)
+    assert str(raised.value).startswith("g.npy: ")
+    return str(raised.value).removeprefix("g.npy: ")
+
+
+@pytest.mark.parametrize(
+    ("layout", "file", "palm"),
+    [
+        (MUJOCO[0], "shadow_mjcf/right_hand_22dof_dgb.xml", "rh_palm"),
+        (MUJOCO[1], "allegro_mjcf/right_hand_dgb.xml", "palm"),
+        (MUJOCO[2], "leap_mjcf/right_hand.xml", None),
+    ],
+)
+def test_the_order_is_that_of_the_mjcf_and_the_frame_that_of_its_world(
+    layout: Layout, file: str, palm: str | None, shared_assets: Path, load: Callable[..., Hand]
+):
+    model = mujoco.MjModel.from_xml_path(str(shared_assets / "hands" / file))
+    hand = load(layout.hand)
+    there = [model.joint(i).name.removeprefix("rh_") for i in range(model.njnt)]
+    ours = [hand.mjcf_joints.get(joint, joint) for joint in layout.joints]
+    assert there == ours
+    if palm is None:
+        # The file at hand is of another simulation, which holds the palm elsewhere.
+        return
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    at = data.body(palm)
+    np.testing.assert_allclose(layout.T_root_base[:3, 3], at.xpos, atol=1e-12)
+    np.testing.assert_allclose(layout.T_root_base[:3, :3], at.xmat.reshape(3, 3), atol=1e-12)
+
+
+def test_bodex_has_the_thumb_of_shadow_first():
+    thumb = ("THJ5", "THJ4", "THJ3", "THJ2", "THJ1")
+    assert BODEX[0].joints[:5] == thumb == MUJOCO[0].joints[-5:]
+    assert BODEX[0].joints[5:] == MUJOCO[0].joints[:-5]
+    for layout in BODEX:
+        np.testing.assert_array_equal(layout.T_root_base, np.eye(4))
+
+
+def test_every_layout_is_of_a_hand_of_ours(load: Callable[..., Hand]):
+    for layout in (*MUJOCO, *BODEX):
+        hand = load(layout.hand, layout.base_link)
+        assert set(layout.joints) == set(hand.joint_names)
+    assert sorted(JOINTS, key=int) == sorted(LEAP, key=int) == [str(number) for number in range(16)]
+
+
+def test_leap_hangs_upside_down_a_tenth_of_a_metre_up():
+    np.testing.assert_allclose(MUJOCO[2].T_root_base, transform_from_pose(np.array([0, 0, 0.1, 0, 1, 0, 0.0])))
+
+
+def test_the_number_of_joints_decides_where_one_hand_has_it():
+    assert layout_of(SOURCE, MUJOCO, 22, None) == MUJOCO[0]
+
+
+def test_several_hands_with_that_number_need_a_name(load: Callable[..., Hand]):
+    assert refused(MUJOCO, 16, None) == (
+        f"has 16 joint values per grasp and no joint names: that fits allegro ({', '.join(ALLEGRO)}) and leap "
+        f"({', '.join(LEAP)}); say which with --hand"
+    )
+    assert layout_of(SOURCE, MUJOCO, 16, None, hand_name="leap_tac3d") == MUJOCO[2]
+    assert layout_of(SOURCE, MUJOCO, 16, load("allegro")) == MUJOCO[1]
+    assert layout_of(SOURCE, MUJOCO, 16, load("leap")) == MUJOCO[2]
+
+
+def test_a_number_that_no_hand_has_shows_both_lists(load: Callable[..., Hand]):
+    message = refused(MUJOCO, 9, None)
+    assert message.startswith(
+        "has 9 joint values per grasp and no joint names, which fits no order that is known; known"
+    )
+    assert f"shadow has 22: {', '.join(SHADOW_FINGERS + SHADOW_THUMB)}" in message
+    hand = load("leap")
+    message = refused(MUJOCO, 22, hand)
+    assert f"for hand 'leap' with the joints {', '.join(hand.joint_names)}; known are: leap has 16: 1, 0, 2" in message
+
+
+def test_names_in_the_file_count_whatever_their_order(load: Callable[..., Hand]):
+    names = [f"rh_{name}" for name in sorted(MUJOCO[0].joints)]
+    layout = layout_of(SOURCE, MUJOCO, 22, None, names=names)
+    assert layout.joints == tuple(sorted(MUJOCO[0].joints))
+    assert layout.base_pose == MUJOCO[0].base_pose
+    names = [f"joint_{name}" for name in LEAP]
+    assert layout_of(SOURCE, MUJOCO, 16, load("leap"), names=names) == MUJOCO[2]
+
+
+def test_names_that_the_hand_lacks_are_refused_with_both_lists(load: Callable[..., Hand]):
+    names = ["THUMB", *MUJOCO[0].joints[1:]]
+    hand = load("shadow")
+    message = refused(MUJOCO, 22, hand, names=names)
+    assert message.startswith(f"names the joints {', '.join(names)} (THUMB unknown); hand 'shadow' has ")
+    assert ", ".join(hand.joint_names) in message
+    assert refused(MUJOCO, 22, None, names=names).count("its format knows") == 3
+    assert refused(MUJOCO, 22, None, names=names[:5]) == (
+        f"has 22 joint values per grasp, but 5 joint names: {', '.join(names[:5])}"
+    )
+    assert refused(MUJOCO, 2, None, names=["a", "a"]) == "has 2 joint values per grasp, but 1 joint names: a, a"

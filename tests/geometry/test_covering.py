@@ -1,0 +1,118 @@
+"""Few convex pieces for meshes not made for collision queries: what they cover, and how far they stand out."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from grasp_refine.errors import MeshError
+from grasp_refine.geometry import covering as module
+from grasp_refine.geometry.covering import MOST, OUTSIDE, Covering, covering
+from grasp_refine.geometry.nearest_triangle import Triangles
+from grasp_refine.geometry.over_cover import over_cover
+from grasp_refine.geometry.pieces import hull
+
+
+def boxes(*bounds: list[float]) -> list[trimesh.Trimesh]:
+    return [trimesh.creation.box(bounds=np.reshape(corners, (2, 3))) for corners in bounds]
+
+
+@pytest.fixture
+def clamp() -> trimesh.Trimesh:
+    """A U of 60 x 40 x 20 mm with legs 10 mm wide and a base 10 mm high: its hull stands out by 20 mm."""
+    parts = boxes([0, 0, 0, 60, 20, 10], [0, 0, 0, 10, 20, 40], [50, 0, 0, 60, 20, 40])
+    return trimesh.boolean.union(parts).apply_scale(0.001)
+
+
+def check_covered(found: Covering, mesh: trimesh.Trimesh) -> None:
+    """Each vertex is in a piece, no piece leaves the hull, and the pieces stand out as far as is said, or less."""
+    reach = np.stack([module._beyond(mesh.vertices, piece) for piece in found.pieces])
+    assert reach.min(axis=0).max() <= OUTSIDE
+    whole = hull(mesh.vertices)
+    assert all(module._beyond(piece.vertices, whole).max() <= OUTSIDE for piece in found.pieces)
+    again = over_cover(found.pieces, Triangles(np.asarray(mesh.triangles)), least=module.NOTICED)
+    assert again == found.stands_out
+
+
+def test_a_convex_mesh_is_its_hull() -> None:
+    found = covering(trimesh.creation.icosphere(radius=0.02), 1e-3)
+    assert len(found.pieces) == 1
+    assert (found.hull_stands_out, found.stands_out) == (0, 0)
+
+
+def test_a_concave_body_is_cut(clamp: trimesh.Trimesh) -> None:
+    lines: list[str] = []
+    found = covering(clamp, 5e-3, progress=lines.append, name="clamp.stl")
+    assert found.hull_stands_out == pytest.approx(0.02, rel=0.06)
+    assert 3 <= len(found.pieces) <= 5
+    assert found.stands_out <= 5e-3
+    assert [line.split(" (")[0] for line in lines[:1]] == ["decomposing clamp.stl"]
+    check_covered(found, clamp)
+
+
+def test_an_open_body_is_cut(clamp: trimesh.Trimesh) -> None:
+    opened = clamp.copy()
+    opened.update_faces(np.arange(len(clamp.faces)) != 3)
+    assert not opened.is_watertight
+    found = covering(opened, 5e-3)
+    assert 3 <= len(found.pieces) <= 8
+    assert found.stands_out <= 5e-3
+    check_covered(found, clamp)
+
+
+def test_what_was_cut_and_measured_is_kept(
+    clamp: trimesh.Trimesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = covering(clamp, 5e-3, cache=tmp_path)
+    monkeypatch.setattr(module, "over_cover", lambda *args, **options: pytest.fail("measured again"))
+    monkeypatch.setattr("grasp_refine.geometry.pieces.decompose", lambda *args, **options: pytest.fail("cut again"))
+    second = covering(clamp, 5e-3, cache=tmp_path)
+    assert (second.hull_stands_out, second.stands_out) == (first.hull_stands_out, first.stands_out)
+    for a, b in zip(first.pieces, second.pieces, strict=True):
+        np.testing.assert_array_equal(a.vertices, b.vertices)
+
+
+def test_bodies_inside_others_are_dropped() -> None:
+    mesh = trimesh.util.concatenate(
+        boxes([0, 0, 0, 0.02, 0.02, 0.02], [0.06, 0, 0, 0.08, 0.02, 0.02], [0.065, 0.005, 0.005, 0.07, 0.01, 0.01])
+    )
+    found = covering(mesh, 5e-3)
+    assert len(found.pieces) == 2
+    check_covered(found, mesh)
+
+
+def test_many_small_bodies_are_joined_with_what_is_near() -> None:
+    """A plate of 100 mm with 40 screws, and a block 60 mm above it."""
+    screws = [
+        [x, y, 0.004, x + 0.003, y + 0.003, 0.006] for x in np.linspace(0, 0.097, 8) for y in np.linspace(0, 0.097, 5)
+    ]
+    mesh = trimesh.util.concatenate(boxes([0, 0, 0, 0.1, 0.1, 0.005], [0, 0, 0.06, 0.1, 0.1, 0.08], *screws))
+    assert mesh.body_count == 42
+    found = covering(mesh, 5e-3)
+    assert len(found.pieces) <= MOST
+    assert found.stands_out == 0
+    check_covered(found, mesh)
+
+
+def test_where_cutting_fails_the_hull_of_the_body_stays(
+    clamp: trimesh.Trimesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # CoACD's process ends without a result where there is no CoACD.
+    monkeypatch.setattr("grasp_refine.geometry.decomposition.sys.executable", "/bin/false")
+    found = covering(clamp, 5e-3, name="clamp.stl")
+    assert len(found.pieces) == 1
+    assert found.stands_out == found.hull_stands_out > 0.019
+    assert found.trouble == "clamp.stl: CoACD ended without a result (exit code 1)"
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, np.nan])
+def test_a_limit_that_is_none_is_refused(clamp: trimesh.Trimesh, limit: float) -> None:
+    with pytest.raises(MeshError, match=f"by a limit above 0 m only, got {limit:g} m"):
+        covering(clamp, limit)
+
+
+def test_without_a_limit_the_hull_is_all(clamp: trimesh.Trimesh) -> None:
+    found = covering(clamp, np.inf)
+    assert len(found.pieces) == 1
+    assert found.hull_stands_out == 0

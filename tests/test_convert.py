@@ -1,0 +1,194 @@
+"""`refine-grasp convert`: one line for what was done, a self-check, and nothing left where it fails."""
+
+from __future__ import annotations
+
+import json
+import os
+import typing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import refused
+
+from grasp_refine.cli import main
+from grasp_refine.commands import convert
+from grasp_refine.formats.content import load_content
+from grasp_refine.formats.leap_cache import LeapCache
+from grasp_refine.formats.listing import FORMATS, FormatName
+from grasp_refine.grasps import load_grasps, save_npz
+from grasp_refine.hand import load_hand
+
+
+@pytest.fixture
+def file(workplace: Path) -> Path:
+    """Two grasps of the Allegro hand on two objects, in our format."""
+    hand = load_hand("allegro", candidates=16)
+    entries = {
+        "hand": "allegro",
+        "base_link": "base_link",
+        "joint_names": np.array(hand.joint_names),
+        "object": np.array(["mug", "bottle"]),
+        "scale": np.array([1.0, 0.5]),
+        "hand_pose": np.array([[0.1, 0.0, 0.2, 1, 0, 0, 0], [0.0, 0.1, 0.0, 0.6, 0.0, 0.8, 0.0]]),
+        "q": np.stack([hand.rest, hand.rest + 0.1]),
+    }
+    save_npz(workplace / "grasps.npz", entries)
+    return workplace / "grasps.npz"
+
+
+def test_there_and_back(file: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["convert", "grasps.npz", "bench", "--to", "dexgraspbench", "--json", "there.json"]) == 0
+    out, error = capsys.readouterr()
+    lines = out.splitlines()
+    assert lines[0] == "read   grasps.npz: ours, 1 file"
+    assert lines[1] == "       2 grasps of hand allegro on 2 objects"
+    assert lines[2] == "wrote  bench: dexgraspbench, 2 files"
+    assert lines[3].startswith("check  read again, fingertips are at most ")
+    assert error.splitlines() == [
+        "note: there is no pregrasp: the grasp itself is written in its place",
+        "note: there is no squeeze: the grasp itself is written in its place",
+    ]
+    assert sorted(str(path) for path in Path("bench").rglob("*.npy")) == [
+        "bench/bottle/scale050_pose000/0.npy",
+        "bench/mug/scale100_pose000/0.npy",
+    ]
+    document = json.loads(Path("there.json").read_text())
+    assert document["schema"] == 1
+    assert document["command"] == "convert"
+    assert document["input"] == {"path": "grasps.npz", "format": "ours", "files": 1}
+    assert document["output"] == {"path": "bench", "format": "dexgraspbench", "files": 2}
+    assert document["grasps"] == 2
+    assert document["objects"] == {"mug": 1, "bottle": 1}
+    assert 0 <= document["largest_difference_m"] < 1e-15
+    assert len(document["notes"]) == 2
+    assert main(["convert", "bench", "back.npz", "--to", "ours"]) == 0
+    before, after = load_grasps("grasps.npz"), load_grasps("back.npz")
+    np.testing.assert_allclose(after.q[[1, 0]], before.q, atol=1e-15)
+    np.testing.assert_allclose(after.hand_pose[[1, 0]], before.hand_pose, atol=1e-15)
+
+
+def test_a_single_grasp_may_be_a_single_file(file: Path):
+    save_npz(Path("one.npz"), load_grasps(file).select([1]).arrays())
+    assert main(["convert", "one.npz", "one.npy", "--to", "dexgraspbench"]) == 0
+    assert load_content(Path("one.npy"))["obj_scale"] == 0.5
+    assert main(["convert", "one.npz", "one.npy", "--to", "bodex"]) == 0
+    assert load_content(Path("one.npy"))["robot_pose"].shape == (1, 1, 3, 23)
+
+
+def test_the_hand_decides_where_joints_have_no_names(file: Path, capfd: pytest.CaptureFixture[str]):
+    assert main(["convert", "grasps.npz", "bench", "--to", "dexgraspbench"]) == 0
+    for path in Path("bench").rglob("*.npy"):
+        held = dict(load_content(path))
+        del held["joint_names"]
+        np.save(path, np.array(held, dtype=object))
+    capfd.readouterr()
+    message = refused(capfd, "convert", "bench", "back.npz", "--to", "ours")
+    assert "16 joint values per grasp and no joint names: that fits allegro (joint_0.0, joint_1.0" in message
+    assert "leap (1, 0, 2, 3" in message
+    assert message.endswith("say which with --hand")
+    assert main(["convert", "bench", "back.npz", "--to", "ours", "--hand", "allegro"]) == 0
+    np.testing.assert_allclose(load_grasps("back.npz").q[[1, 0]], load_grasps(file).q, atol=1e-15)
+
+
+def test_an_output_that_reads_otherwise_is_not_kept(
+    file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    # A limit that rounding alone does not reach.
+    monkeypatch.setattr(convert, "LIMIT", -1.0)
+    Path("old.npz").write_text("old")
+    for output, to in (("bench", "dexgraspbench"), ("old.npz", "ours")):
+        before = sorted(Path().rglob("*"))
+        assert main(["convert", "grasps.npz", output, "--to", to, "--json", "x.json"]) == 1
+        out, error = capsys.readouterr()
+        assert out == ""
+        assert error.startswith(f"{output}: not written: read again, the fingertips of grasp ")
+        assert error.rstrip().endswith("from where they were, more than -1 m")
+        assert sorted(Path().rglob("*")) == before
+    assert Path("old.npz").read_text() == "old"
+
+
+def test_two_micrometres_are_found_out(file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    hand = load_hand("leap", candidates=16, base_link="palm_lower")
+    grasps = load_grasps(file).select([0]).arrays() | {
+        "hand": "leap",
+        "base_link": "palm_lower",
+        "joint_names": np.array(hand.joint_names),
+    }
+    save_npz(Path("leap.npz"), grasps)
+    honest = LeapCache.write
+
+    def shifted(self: LeapCache, *arguments: Any) -> Any:
+        parts, lost = honest(self, *arguments)
+        parts[0].content[:, 16] += 2e-6
+        return parts, lost
+
+    assert main(["convert", "leap.npz", "cube_s10.npy", "--to", "leap_cache"]) == 0
+    capsys.readouterr()
+    monkeypatch.setattr(LeapCache, "write", shifted)
+    assert main(["convert", "leap.npz", "other_s10.npy", "--to", "leap_cache"]) == 1
+    assert "more than 1e-06 m" in capsys.readouterr().err
+    assert not Path("other_s10.npy").exists()
+
+
+def test_objects_that_are_read_otherwise_are_said(file: Path, capsys: pytest.CaptureFixture[str]):
+    save_npz(Path("odd.npz"), load_grasps(file).select([0]).arrays() | {"object": np.array(["set/mug"])})
+    assert main(["convert", "odd.npz", "bench", "--to", "dexgraspbench"]) == 0
+    assert "note: object 'set/mug' of scale 1 will be read as object 'mug' of scale 1\n" in capsys.readouterr().err
+
+
+def test_bad_input(file: Path, capfd: pytest.CaptureFixture[str]):
+    assert refused(capfd, "convert", "none.npz", "x.npz", "--to", "ours") == "none.npz: no such grasp file"
+    message = refused(capfd, "convert", file, "x.npz", "--to", "graspit")
+    assert "--to" in message
+    assert "dexgraspbench" in message
+    assert refused(capfd, "convert", "grasps.npz", "grasps.npz", "--to", "ours") == (
+        "grasps.npz: is the input; give another name"
+    )
+    assert refused(capfd, "convert", file, "x.npy", "--to", "bodex") == (
+        "x.npy: format bodex makes 2 files: give the name of a new folder"
+    )
+    assert refused(capfd, "convert", file, "x", "--to", "bodex", "--json", file).startswith(
+        f"{file}: is to be read or written as grasps"
+    )
+    assert refused(capfd, "convert", file, "x.npz", "--to", "ours", "--json", "x.npz") == (
+        "x.npz: is OUT, too; give --json another name"
+    )
+    assert refused(capfd, "convert", file, "x", "--to", "bodex", "--format", "bodex") == (
+        f"{file}: is no file of the format bodex: it is no dict but NoneType"
+    )
+    message = refused(capfd, "convert", file, "x", "--to", "dexgraspnet")
+    assert message.startswith("format dexgraspnet cannot hold grasps of hand 'allegro' with the joints joint_0.0")
+    assert "FFJ4, FFJ3" in message
+    save_npz(Path("own.npz"), load_grasps(file).arrays() | {"hand": "mine"})
+    message = refused(capfd, "convert", "own.npz", "x", "--to", "bodex")
+    assert message.startswith("own.npz: its hand 'mine' is none of ours (allegro, ")
+    assert message.endswith("; give it with --hand")
+    save_npz(Path("odd.npz"), load_grasps(file).arrays() | {"joint_names": np.array([f"j{i}" for i in range(16)])})
+    message = refused(capfd, "convert", "odd.npz", "x.npz", "--to", "ours")
+    assert message.startswith("the grasps are for another hand ('allegro'): hand 'allegro' has no joint j0, j1")
+
+
+class Call:
+    """Makes a folder when it is unpickled."""
+
+    def __reduce__(self) -> Any:
+        return os.mkdir, ("made",)
+
+
+def test_a_file_that_would_run_code_is_refused_and_does_not(workplace: Path, capfd: pytest.CaptureFixture[str]):
+    np.save("evil.npy", np.array({"grasp_qpos": Call()}, dtype=object))
+    message = refused(capfd, "convert", "evil.npy", "x.npz", "--to", "ours", "--format", "dexgraspbench")
+    assert message.startswith("evil.npy: holds a call of posix.mkdir, which is refused and was not run")
+    assert not Path("made").exists()
+
+
+def test_the_help_names_every_format(capsys: pytest.CaptureFixture[str]):
+    assert set(typing.get_args(FormatName)) == {known.name for known in FORMATS}
+    with pytest.raises(SystemExit) as ended:
+        main(["convert", "--help"])
+    assert ended.value.code == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    for known in FORMATS:
+        assert known.name in shown

@@ -1,0 +1,308 @@
+"""`refine-grasp hands --check`: what was understood and why, what looks wrong, and a hand.toml to start from."""
+
+from __future__ import annotations
+
+import json
+import os
+import tomllib
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import refused
+from spread_gripper import spread_gripper
+from underactuated import underactuated
+
+from grasp_refine.cli import main
+from grasp_refine.description.hand_toml import KEYS
+from grasp_refine.hand import Hand, load_hand
+from grasp_refine.report.hand_check import check_hand
+from grasp_refine.report.hand_toml_text import hand_toml_text
+
+BALL = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
+LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+
+
+def pincers(folder: Path, *, limit: str = LIMIT, links: str = "", joints: str = "", size: float = 0.01) -> Path:
+    """A palm and two fingers of one joint each; further links and joints hang from them."""
+    ball = BALL.replace("0.01", str(size))
+    parts = [f'<link name="palm">{ball}</link>']
+    for name, x in (("left", -0.04), ("right", 0.04)):
+        parts.append(f'<link name="{name}">{ball}</link><joint name="{name}_j" type="revolute"><parent link="palm"/>')
+        parts.append(f'<child link="{name}"/><origin xyz="{x} 0 0"/><axis xyz="0 1 0"/>{limit}</joint>')
+    path = folder / "pincers.urdf"
+    path.write_text(f'<robot name="pincers">{"".join(parts)}{links}{joints}</robot>')
+    return path
+
+
+def suspicious(path: Path) -> list[str]:
+    return list(check_hand(load_hand(path, candidates=16)).suspicious)
+
+
+def same(one: Hand, other: Hand) -> None:
+    """Nothing, when two hands are alike but for where their description is."""
+    for field in fields(Hand):
+        if field.name in ("toml", "base_why", "notes", "links", "joints"):
+            continue
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        if field.name == "actuator":
+            for column in fields(a):
+                np.testing.assert_array_equal(getattr(a, column.name), getattr(b, column.name))
+        elif isinstance(a, np.ndarray):
+            np.testing.assert_array_equal(a, b)
+        elif isinstance(a, Path):
+            assert a.resolve() == b.resolve()
+        else:
+            assert a == b, field.name
+    assert [link.name for link in one.links] == [link.name for link in other.links]
+
+
+# the hand.toml that is written
+
+
+@pytest.mark.parametrize("make", [underactuated, spread_gripper])
+def test_the_hand_is_read_again_as_it_was(make, tmp_path: Path) -> None:
+    bare = make(tmp_path, arm=True) if make is spread_gripper else make(tmp_path, toml=False)
+    bare = load_hand(bare.urdf, candidates=16)
+    (tmp_path / "hand.toml").write_text(hand_toml_text(bare, tmp_path))
+    again = load_hand(tmp_path, candidates=16)
+    same(bare, again)
+    assert again.toml == tmp_path / "hand.toml" and again.base_why == "hand.toml says so"
+    assert not any("guessed" in note or "begins at" in note for note in again.notes)
+    # What was read from a hand.toml is written anew, and read.
+    (tmp_path / "hand.toml").write_text(hand_toml_text(again, tmp_path))
+    same(again, load_hand(tmp_path, candidates=16))
+
+
+def test_a_hand_of_ours_is_read_again_from_elsewhere(tmp_path: Path) -> None:
+    """Everything that a hand.toml can say: points, normals, names in an MJCF, numbers per joint."""
+    allegro = load_hand("allegro", candidates=16)
+    (tmp_path / "hand.toml").write_text(hand_toml_text(allegro, tmp_path))
+    again = load_hand(tmp_path, candidates=16)
+    same(allegro, again)
+    assert len(again.mjcf_joints) == 16 and again.contacts[0].normal is not None
+    said = tomllib.loads((tmp_path / "hand.toml").read_text())
+    assert not Path(said["urdf"]).is_absolute() and said["name"] == "allegro"
+
+
+def test_numbers_of_single_joints_couplings_and_odd_names_survive(tmp_path: Path) -> None:
+    path = pincers(tmp_path)
+    path.write_text(path.read_text().replace("left_j", "l&quot;\\\u00e9").replace('effort="1"', "", 1))
+    (tmp_path / "hand.xml").write_text("<mujoco/>")
+    (tmp_path / "hand.toml").write_text(
+        """mjcf = "hand.xml"
+        collision = "mjcf"
+        mjcf_joints = { right_j = "r" }
+        rest_pose = { right_j = 0.1 }
+        coupled = [{ joints = ['l"\\\u00e9', "right_j"], ratio = [1.0, -0.5] }]
+        actuator = { kp = { default = 2.0, right_j = 3.0 }, damping = 0.0 }
+        contact = [{ link = "left", group = "thumb", point = [0.01, 0, 0], normal = [1, 0, 0] }]
+        """
+    )
+    hand = load_hand(tmp_path, candidates=16)
+    assert np.isinf(hand.actuator.force_limit[0]) and hand.actuator.force_limit[1] == 1
+    (tmp_path / "hand.toml").write_text(hand_toml_text(hand, tmp_path))
+    same(hand, load_hand(tmp_path, candidates=16))
+
+
+def test_every_key_is_explained(tmp_path: Path) -> None:
+    text = hand_toml_text(load_hand(pincers(tmp_path), candidates=16), tmp_path)
+    assert all(key in text for key in KEYS if key != "mjcf_joints")
+    assert all(word in text for word in ("point", "normal", "ratio", "metres, radians"))
+    assert 'left_j" = 0.0  # 0.0 deg, from -57.3 to 57.3' in text
+    assert max(map(len, text.splitlines())) <= 120
+
+
+# where it is written
+
+
+def test_it_is_written_beside_the_urdf_once(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = pincers(workplace)
+    assert main(["hands", "--check", str(path), "--json", "check.json"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert f"wrote {workplace}/hand.toml: edit it; it is read when you name its folder, or this URDF, as" in out
+    written = (workplace / "hand.toml").read_bytes()
+    assert load_hand(path, candidates=16).name == "pincers"
+    (hand,) = json.loads(Path("check.json").read_text())["hands"]
+    assert hand["written"] == str(workplace / "hand.toml") and hand["base_link_why"].startswith("it is the root, and 2")
+    assert hand["check"]["pairs"]["neighbours"] == 2 and hand["check"]["refused"] == ""
+    # The second time it is used, and stays.
+    assert main(["hands", "--check", str(path)]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "hand.toml was used, and nothing is written" in out and "left: hand.toml says so" in out
+    assert (workplace / "hand.toml").read_bytes() == written
+    assert sorted(file.name for file in workplace.iterdir()) == ["check.json", "hand.toml", "pincers.urdf"]
+
+
+def test_a_hand_toml_of_another_urdf_is_left_alone(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = pincers(workplace)
+    (workplace / "other.urdf").write_text(path.read_text())
+    (workplace / "hand.toml").write_text('urdf = "other.urdf"')
+    assert main(["hands", str(path), "--check"]) == 0
+    assert "hand.toml is of another URDF; name a place with --write" in " ".join(capsys.readouterr().out.split())
+    assert (workplace / "hand.toml").read_text() == 'urdf = "other.urdf"'
+    assert main(["hands", str(path), "--check", "--write", "new/hand.toml"]) == 0
+    same(load_hand(path, candidates=16), load_hand(workplace / "new", candidates=16))
+    Path("folder").mkdir()
+    assert main(["hands", str(path), "--check", "--write", "folder"]) == 0
+    assert (workplace / "folder/hand.toml").is_file()
+
+
+def test_a_folder_that_cannot_be_written_to_is_told(workplace: Path, monkeypatch, capsys) -> None:
+    path = pincers(workplace)
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    assert main(["hands", "--check", str(path)]) == 0, "the check itself was done"
+    out = " ".join(capsys.readouterr().out.split())
+    assert "no hand.toml is written:" in out and "(No space left on device); name a place with --write" in out
+    assert [file.name for file in workplace.iterdir()] == ["pincers.urdf"], "nothing is left behind"
+
+
+def test_places_that_cannot_be_are_refused(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = pincers(workplace)
+    (workplace / "there").mkdir()
+    (workplace / "there/hand.toml").touch()
+    for place in ("there", "there/hand.toml"):
+        message = "--write there/hand.toml: exists already and is not overwritten; name another folder"
+        assert refused(capfd, "hands", "--check", path, "--write", place) == message
+    message = "--write my.toml: the file must be called hand.toml, so that its folder is a hand; or name a folder"
+    assert refused(capfd, "hands", "--check", path, "--write", "my.toml") == message
+    assert refused(capfd, "hands", path, "--write", "there2/hand.toml") == "--write goes with --check"
+    assert "is no folder" in refused(capfd, "hands", "--check", path, "--write", "pincers.urdf/hand.toml")
+    expected = "--base-link and --check need the name of a hand or a URDF: refine-grasp hands HAND --base-link"
+    assert refused(capfd, "hands", "--check", "--base-link", "palm") == expected
+
+
+# what is said
+
+
+def test_an_arm_a_chain_of_mimic_joints_and_their_limits_are_told(
+    workplace: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hand = underactuated(workplace / "five", toml=False)
+    assert main(["hands", "--check", str(hand.urdf)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    out = " ".join(" ".join(lines).split())
+    assert max(map(len, lines[1:-1])) <= 80, "but for the paths"
+    assert "6 joints and 6 that mimic, 13 links (12 with collision geometry)" in out
+    assert "1 x thumb_1 + 5.7, by way of thumb_2" in out
+    assert "joint 'little_1' moves from 0 to 1 rad, its own limits are 0 to 1.5" in out
+    assert "thumb_c, finger 'thumb': the last solid link of the branch that joint 'thumb_yaw' moves" in out
+    assert "joints 12, followers 6" in out
+    arm = spread_gripper(workplace / "arm", arm=True)
+    assert main(["hands", "--check", str(arm.urdf)]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "link 'palm': it is the palm: 3 moving branches leave it, one chain leads to it" in out
+    assert "the joints above it do not move (lift, wrist); --base-link stand moves them too" in out
+    assert main(["hands", str(arm.urdf), "--base-link", "stand"]) == 0
+    assert "wrist continuous free free 0.0" in " ".join(capsys.readouterr().out.split())
+
+
+def test_nothing_is_suspicious_about_a_hand_that_is_well(tmp_path: Path) -> None:
+    assert suspicious(pincers(tmp_path)) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"limit": '<limit lower="-1" upper="1"/>'}, "no effort limit for left_j, right_j: they push as hard as"),
+        ({"limit": '<limit lower="0" upper="90" effort="1"/>'}, "left_j, right_j can turn more than twice round: are"),
+        ({"size": 10.0}, "the hand is 20.1 m large: are the meshes millimetres?"),
+        (
+            {
+                "links": '<link name="cover"><visual><geometry><sphere radius="1"/></geometry></visual></link>',
+                "joints": '<joint name="c" type="fixed"><parent link="left"/><child link="cover"/></joint>',
+            },
+            "cover can be seen but have no collision geometry: nothing keeps them out of the object",
+        ),
+        (
+            {
+                "links": '<link name="dial"/>',
+                "joints": '<joint name="d" type="continuous"><parent link="left"/><child link="dial"/></joint>',
+            },
+            "d turn without end and rest at 0",
+        ),
+        (
+            {
+                "links": f'<link name="rod">{BALL}</link>',
+                "joints": '<joint name="s" type="prismatic"><parent link="left"/><child link="rod"/>'
+                '<limit lower="0" upper="40" effort="1"/></joint>',
+            },
+            "s can slide more than a metre: are the limits millimetres? They must be metres",
+        ),
+        (
+            {
+                "links": '<link name="lead"><inertial><mass value="99"/></inertial></link>',
+                "joints": '<joint name="l" type="fixed"><parent link="left"/><child link="lead"/></joint>',
+            },
+            "the hand weighs 99 kg",
+        ),
+        (
+            {
+                "links": f'<link name="tip">{BALL}</link>',
+                "joints": '<joint name="t" type="fixed"><parent link="left"/><child link="tip"/>'
+                '<mimic joint="right_j"/></joint>',
+            },
+            "t are fixed though they mimic a joint: they do not move",
+        ),
+    ],
+)
+def test_what_looks_wrong_is_told(tmp_path: Path, options: dict, message: str) -> None:
+    found = suspicious(pincers(tmp_path, **options))
+    assert any(line.startswith(message) for line in found), found
+
+
+def test_masses_that_are_made_up_for_the_simulation_are_told(tmp_path: Path) -> None:
+    path = pincers(tmp_path)
+    zero = '<inertial><mass value="0.1"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
+    path.write_text(path.read_text().replace('<link name="left">', f'<link name="left">{zero}'))
+    found = check_hand(load_hand(path, candidates=16))
+    assert found.refused == "" and found.simulation[0].startswith("MuJoCo takes the hand: joints 2, followers 0,")
+    assert any(line.startswith("inertia of left follows from mass and geometry") for line in found.simulation)
+    assert any(
+        line.startswith("mass and inertia of palm, right are those of solid pieces") for line in found.simulation
+    )
+
+
+def test_tiny_idle_and_rigid_hands_are_told(tmp_path: Path) -> None:
+    ball = BALL.replace("0.01", "0.001")
+    (tmp_path / "a.urdf").write_text(f'<robot name="r"><link name="a">{ball}</link></robot>')
+    assert suspicious(tmp_path / "a.urdf") == [
+        "no joint moves: there is nothing to refine but the pose of the palm",
+        "the hand is only 2 mm large: is a mesh's scale wrong?",
+        "nothing that moves is solid: there is no link that could touch an object",
+    ]
+    (tmp_path / "b.urdf").write_text(
+        f'<robot name="r"><link name="a">{BALL}</link><link name="b"/><joint name="j" type="revolute">'
+        f'<parent link="a"/><child link="b"/>{LIMIT}</joint></robot>'
+    )
+    assert "j move nothing that is solid" in suspicious(tmp_path / "b.urdf")
+
+
+def test_links_that_overlap_at_rest_are_named(tmp_path: Path) -> None:
+    # Two fingers whose balls are in each other when they stand upright.
+    path = pincers(tmp_path, size=0.045)
+    found = check_hand(load_hand(path, candidates=16)).pairs
+    assert found.at_rest == (("left", "right"),) and found.watched == () and found.neighbours == 2
+    found = check_hand(load_hand(pincers(tmp_path), candidates=16)).pairs
+    assert (found.at_rest, found.nearly_always, found.watched, found.never) == ((), (), (), 1)
+
+
+def test_what_mujoco_refuses_is_told(workplace: Path, monkeypatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from grasp_refine.report import hand_check
+
+    made = hand_check.urdf_model
+
+    def broken(hand: Hand):
+        model = made(hand)
+        model.spec.option.timestep = 0.0
+        model.spec.add_exclude(bodyname1="palm", bodyname2="nowhere")
+        return model
+
+    monkeypatch.setattr(hand_check, "urdf_model", broken)
+    assert main(["hands", "--check", str(pincers(workplace))]) == 1
+    assert "MuJoCo does not take the hand:" in capsys.readouterr().out

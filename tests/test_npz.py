@@ -1,0 +1,104 @@
+"""Archives that would unpack to more than they should are refused before they are unpacked."""
+
+from __future__ import annotations
+
+import io
+import resource
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grasp_refine import npz
+from grasp_refine.errors import GraspFileError
+from grasp_refine.npz import LARGEST, array_header, load_npz
+
+
+def npy(value: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, value)
+    return stream.getvalue()
+
+
+def claiming(shape: tuple[int, ...]) -> bytes:
+    """What an array file of zeros of this shape begins with."""
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    return stream.getvalue()
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(GraspFileError) as raised:
+        load_npz(path)
+    return str(raised.value).removeprefix(f"{path}: ")
+
+
+def peak() -> int:
+    """The largest amount of memory that this process ever had, in bytes."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def test_an_archive_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "bomb.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name in ("q", "hand_pose"):
+            with archive.open(f"{name}.npy", "w") as entry:
+                entry.write(claiming((2**24,)))
+                for _ in range(128):
+                    entry.write(bytes(2**20))
+    assert path.stat().st_size < 2**21
+    monkeypatch.setattr(npz, "LARGEST", 2**27)
+    before = peak()
+    assert refused(path) == "would unpack to 256 MiB, as an archive bomb does; at most 128 MiB are read"
+    assert peak() - before < 2**25
+
+
+def test_the_limit_has_room_for_grasps():
+    assert LARGEST == 8 * 2**20 * 32 * 8
+
+
+@pytest.mark.parametrize("shape", [(10**11,), (10**6, 10**6), (2,)])
+def test_an_array_that_says_more_than_there_is_takes_no_room(shape: tuple[int, ...], tmp_path: Path):
+    path = tmp_path / "grasps.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("hand_pose.npy", npy(np.zeros((1, 7))))
+        archive.writestr("q.npy", claiming(shape) + bytes(8))
+    before = peak()
+    needed = int(np.prod(shape, dtype=float)) * 8 + len(claiming(shape))
+    assert refused(path) == (
+        f"entry 'q' is damaged: shape {shape} of float64 needs {needed} bytes, it has {len(claiming(shape)) + 8}"
+    )
+    assert peak() - before < 2**26
+
+
+def test_a_directory_that_says_less_than_there_is_is_found_out(tmp_path: Path):
+    path = tmp_path / "grasps.npz"
+    array = npy(np.zeros(10**6))
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("q.npy", array)
+    lying = path.read_bytes().replace(len(array).to_bytes(4, "little"), (128 + 8).to_bytes(4, "little"))
+    path.write_bytes(lying)
+    assert refused(path).startswith("not a readable .npz file (Bad CRC-32")
+    small = claiming((1,))
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("q.npy", small + bytes(10**6))
+    total = (len(small) + 10**6).to_bytes(4, "little")
+    path.write_bytes(path.read_bytes().replace(total, (len(small) + 8).to_bytes(4, "little")))
+    assert refused(path).startswith("not a readable .npz file (Bad CRC-32")
+
+
+@pytest.mark.parametrize("header", [b"\x93NUMPY\x01\x00\x01\x00[", b"\x93NUMPY\x01\x00\xff\xff", b"\x93NUMPY\x09\x00"])
+def test_a_damaged_header_is_named(header: bytes, tmp_path: Path):
+    path = tmp_path / "grasps.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("q.npy", header)
+    assert refused(path) == "entry 'q' is damaged"
+
+
+def test_a_header_says_shape_type_and_where_the_numbers_begin():
+    shape, dtype, start = array_header(npy(np.arange(6.0).reshape(2, 3)))
+    assert (shape, dtype) == ((2, 3), np.dtype(float))
+    assert npy(np.arange(6.0).reshape(2, 3))[start:] == np.arange(6.0).tobytes()
+    with pytest.raises(ValueError, match=r"shape is \(-1,\)"):
+        array_header(claiming((-1,)))
