@@ -13,6 +13,7 @@ import os
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
+from errno import ENAMETOOLONG
 from importlib import import_module
 from io import TextIOWrapper
 
@@ -89,6 +90,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Or Python would complain once more when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
+    except OSError as error:
+        if error.errno != ENAMETOOLONG:
+            raise
+        return _fail(f"{str(error.filename)[:60]}...: the name is too long for a file", BAD_INPUT)
 
 
 def _command(arguments: Sequence[str]) -> tuple[str, list[str]]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from grasp_refine.asset_library.locating import fetched
+from grasp_refine.asset_library.manifest import read_manifest
 from grasp_refine.asset_library.names import find_asset
 from grasp_refine.assets import resource_dir
 from grasp_refine.description.hand_toml import HandToml, only_urdf, read_hand_toml
@@ -24,6 +25,11 @@ def list_hands() -> tuple[str, ...]:
 def needs_urdf(name: str) -> bool:
     """Whether the hand `name` of `list_hands()` comes without a URDF, which is fetched or given by the user."""
     return read_hand_toml(resource_dir("robots") / name / HAND_TOML).urdf is None
+
+
+def is_known(name: str) -> bool:
+    """Whether `name` is one of `list_hands()`, or the full name of an asset such as hands/leap."""
+    return name in list_hands() or name in (asset.full_name for asset in read_manifest("hands").values())
 
 
 def hand_files(
@@ -69,9 +75,13 @@ def _located(source: str | Path, urdf: Path | None, say: Callable[[str], None]) 
     if not path.exists():
         asset = find_asset(source, "hands") if isinstance(source, str) else None
         if asset is not None:
+            if not asset.main.path.endswith(".urdf"):
+                raise HandError(f"{source}: is an MJCF, which goes with a hand: --hand NAME --mjcf {asset.name}")
             ours = resource_dir("robots") / asset.name / HAND_TOML
             urdf = fetched(asset, say) if urdf is None else urdf
-            return asset.name, replace(read_hand_toml(ours), urdf=urdf) if ours.is_file() else HandToml(urdf, urdf)
+            toml = replace(read_hand_toml(ours), urdf=urdf) if ours.is_file() else HandToml(urdf, urdf)
+            # Not the name of ours: grasps refined with the one are not to be judged with the other.
+            return asset.full_name, toml
         choices = f"the hands here are {', '.join(list_hands())}; or give a folder, a .urdf file or a {HAND_TOML}"
         if isinstance(source, str) and path.name == source and not path.suffix:
             raise AssetError(f"no hand is called '{source}'; {choices}")

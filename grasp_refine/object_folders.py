@@ -9,6 +9,7 @@ The folder of an object holds its convex pieces, cut by someone else, in one of 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,9 +37,9 @@ MOST_EXCESS = 0.02
 def find_object(name: str, folder: str | Path) -> Path:
     """Return the mesh, or the folder of convex pieces, in `folder` that `name` means, as a grasp file may call it.
 
-    That is the one whose name is `name`, else the one whose name is it, else the one whose name ends with it, the last
-    two whatever the case and without `-` and `_`. The name of a mesh is its stem. Of a mesh and a folder of pieces with
-    the same name the folder is meant: the mesh would only be cut into pieces again.
+    That is the one whose name is `name`, else the one whose name is it, else the one whose name ends with it from the
+    beginning of a word or number on, the last two whatever the case and without `-` and `_`. The name of a mesh is its
+    stem. Of a mesh and a folder of pieces with the same name the folder is meant: the mesh would only be cut again.
 
     Raises:
         AssetError: the folder is missing, or none or several of its meshes and folders of pieces fit; lists them.
@@ -51,7 +52,7 @@ def find_object(name: str, folder: str | Path) -> Path:
     for rule in (
         lambda own: own == name,
         lambda own: _plain(own) == plain,
-        lambda own: plain and _plain(own).endswith(plain),
+        lambda own: plain and plain in map(_plain, _ends(own)),
     ):
         # The name comes first: to look into each of a thousand folders for each of a thousand names takes minutes.
         fits = [path for path, own in called.items() if rule(own) and _is_object(path)]
@@ -152,6 +153,11 @@ def _is_mesh(path: Path) -> bool:
 def _is_object(path: Path) -> bool:
     """Whether `path` is a mesh or a folder of convex pieces."""
     return _has_pieces(path) if path.is_dir() else _is_mesh(path)
+
+
+def _ends(name: str) -> list[str]:
+    """What a name ends with from the beginning of a word or number on: an apple is no pineapple."""
+    return [name[match.start() :] for match in re.finditer(r"[0-9]+|[^\W\d_]+", name)]
 
 
 def _plain(name: str) -> str:

@@ -38,8 +38,8 @@ def rebased(grasps: GraspSet, base_link: str, load: Callable[[str], Hand]) -> Gr
     whole = new if upwards else load(grasps.base_link)
     if not upwards and base_link not in whole.links_by_name:
         raise GraspFileError(
-            f"the grasps begin at link '{grasps.base_link}', from which link '{base_link}' does not hang, nor the other "
-            "way round: they cannot be told for it"
+            f"the grasps begin at link '{grasps.base_link}', from which link '{base_link}' does not hang, nor the "
+            "other way round: they cannot be told for it"
         )
     inner = Kinematics(whole, (grasps.base_link if upwards else base_link,))
     columns = [whole.joint_names.index(name) for name in new.joint_names]

@@ -245,14 +245,6 @@ def test_a_folder_with_another_file_or_without_one_is_refused(claw: Asset, tmp_p
     assert not cache.exists()
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_cache_that_cannot_be_written_is_said(claw: Asset, server: Server, cache: Path):
-    cache.mkdir(parents=True)
-    cache.chmod(0o555)
-    with pytest.raises(AssetError, match="cannot be written"):
-        fetch(claw, server)
-
-
 def test_a_cache_that_is_a_file_is_said(claw: Asset, server: Server, cache: Path):
     cache.parent.mkdir(parents=True)
     cache.write_text("")

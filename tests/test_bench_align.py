@@ -38,9 +38,9 @@ def meshes(tmp_path: Path) -> Path:
     folder = tmp_path / "meshes"
     folder.mkdir()
     for name, reach in (("near", 2.0), ("far", 3.0)):
-        parts = [trimesh.creation.box((1, 1, 1)), trimesh.creation.box((1, 0.5, 1))]
-        parts[1].apply_translation([reach, 0, 0])
-        trimesh.util.concatenate(parts).export(folder / f"{name}.obj")
+        parts = [trimesh.creation.box((1, 1, 1)), trimesh.creation.box((reach, 0.5, 1))]
+        parts[1].apply_translation([reach / 2, 0, 0])
+        trimesh.boolean.union(parts).export(folder / f"{name}.obj")
     trimesh.creation.box((1, 2, 3)).export(folder / "box.stl")
     (folder / "broken.ply").write_text("no mesh")
     return folder

@@ -164,7 +164,7 @@ def test_the_command_hands_shows_them_with_the_users_files(
     assert Hands(json=tmp_path / "all.json").execute() == 0
     out = capsys.readouterr().out
     (row,) = [line for line in out.splitlines() if line.startswith("barrett  ")]
-    assert "needs --urdf" in row
+    assert "fetched when used" in row
     (facts,) = [hand for hand in json.loads((tmp_path / "all.json").read_text())["hands"] if hand["name"] == "barrett"]
     assert facts["urdf"] is None and "--urdf FILE" in facts["notes"][0]
     folder = shared_assets / "hands"
@@ -175,7 +175,7 @@ def test_the_command_hands_shows_them_with_the_users_files(
     assert "in simulation: inertia of fftip" in " ".join(capsys.readouterr().out.split())
     with pytest.raises(HandError, match=r"right_hand.xml: joints WRJ2, .* are not found by name"):
         Hands("shadow", urdf, folder / "leap_mjcf/right_hand.xml").execute()
-    with pytest.raises(GraspRefineError, match="--urdf and --mjcf need the name of a hand"):
+    with pytest.raises(GraspRefineError, match="^--urdf without the name of a hand, or a URDF, means nothing: "):
         Hands(urdf=urdf).execute()
 
 

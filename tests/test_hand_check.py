@@ -173,7 +173,8 @@ def test_places_that_cannot_be_are_refused(workplace: Path, capfd: pytest.Captur
     assert refused(capfd, "hands", "--check", path, "--write", "my.toml") == message
     assert refused(capfd, "hands", path, "--write", "there2/hand.toml") == "--write goes with --check"
     assert "is no folder" in refused(capfd, "hands", "--check", path, "--write", "pincers.urdf/hand.toml")
-    expected = "--base-link and --check need the name of a hand or a URDF: refine-grasp hands HAND --base-link"
+    expected = "--base-link and --check without the name of a hand, or a URDF, means nothing: "
+    expected += "refine-grasp hands HAND --base-link"
     assert refused(capfd, "hands", "--check", "--base-link", "palm") == expected
 
 

@@ -24,8 +24,8 @@ def link(name: str) -> str:
 def joint(name: str, parent: str, child: str, axis: str, mimic: str = "") -> str:
     return (
         f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="0.01 0.02 0.1" rpy="0.1 0.2 0.3"/><axis xyz="{axis}"/><limit lower="-0.4" upper="1.4" effort="1" '
-        f'velocity="1"/>{mimic}</joint>'
+        f'<origin xyz="0.01 0.02 0.1" rpy="0.1 0.2 0.3"/><axis xyz="{axis}"/>'
+        f'<limit lower="-0.4" upper="1.4" effort="1" velocity="1"/>{mimic}</joint>'
     )
 
 

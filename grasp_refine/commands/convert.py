@@ -23,6 +23,7 @@ from grasp_refine.formats.reading import Reading, reading
 from grasp_refine.formats.writing import check_output, written
 from grasp_refine.grasps import GraspSet
 from grasp_refine.hand import Hand, list_hands, load_hand
+from grasp_refine.hand_source import is_known
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA, check_no_input, check_writable, save_json
 from grasp_refine.versions import versions
@@ -84,6 +85,7 @@ class Convert:
                 hand=known,
                 tell=lambda done, total: bar.update(task, completed=done, total=total),
             )
+            check_no_input(self.output, read.files, "is one of the files of the input; give another name")
             to, load = format_named(self.to), self._load(read.grasps)
             parts, lost = to.write(read.grasps, load)
             check_output(self.output, to, parts)
@@ -121,7 +123,7 @@ class Convert:
     def _load(self, grasps: GraspSet) -> Load:
         """What gives the hand of the grasps."""
         source = self.hand or grasps.hand
-        if self.hand is None and source not in list_hands():
+        if self.hand is None and not is_known(source):
             raise GraspFileError(
                 f"{self.source}: its hand '{source}' is none of ours ({', '.join(list_hands())}); give it with --hand"
             )

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 CANDIDATES = 16
 """Surface points per link; nothing here looks at them."""
 
-ASK_FOR_ONE = "need the name of a hand or a URDF: refine-grasp hands HAND"
+ASK_FOR_ONE = "without the name of a hand, or a URDF, means nothing: refine-grasp hands HAND"
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,14 @@ class Hands:
         place = None if self.write is None else _checked_place(self.write)
         if place is not None and not self.check:
             raise GraspRefineError("--write goes with --check")
-        hand = load_hand(self.hand, base_link=self.base_link, urdf=self.urdf, mjcf=self.mjcf, candidates=CANDIDATES)
+        hand = load_hand(
+            self.hand,
+            base_link=self.base_link,
+            urdf=self.urdf,
+            mjcf=self.mjcf,
+            candidates=CANDIDATES,
+            progress=lambda line: screen(stderr=True).print(line, markup=False, style="dim"),
+        )
         return self._check(hand, place) if self.check else self._show(hand)
 
     def _list(self) -> int:
@@ -81,7 +88,8 @@ class Hands:
                 console.print(f"{hand.name}: {note}", markup=False)
         if waiting:
             console.print(
-                f"{', '.join(waiting)}: {HAND_TOML} is here, the URDF is not: give yours with --urdf FILE",
+                f"{', '.join(waiting)}: the URDF is not ours; it is fetched when the hand is used (refine-grasp assets "
+                "list hands), or give yours with --urdf FILE",
                 markup=False,
             )
         console.print(

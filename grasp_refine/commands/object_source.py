@@ -10,9 +10,9 @@ from pathlib import Path
 from grasp_refine.asset_library.locating import fetched
 from grasp_refine.asset_library.manifest import Asset, read_manifest
 from grasp_refine.asset_library.names import find_asset
-from grasp_refine.errors import AssetError
+from grasp_refine.errors import AssetError, MeshError
 from grasp_refine.geometry.mesh import SUFFIXES
-from grasp_refine.geometry.shapes import EMBEDDED
+from grasp_refine.geometry.shapes import EMBEDDED, primitive_pieces
 from grasp_refine.object_folders import find_object
 from grasp_refine.objects import PRIMITIVE_FORMS
 
@@ -60,7 +60,7 @@ def named_object(name: str, objects: Path | None, file: Path, say: Callable[[str
         if name not in listed:
             raise AssetError(f"{objects}: no object '{name}'; it names {', '.join(listed) or 'nothing'}")
         return ObjectSource(listed[name])
-    if name in EMBEDDED or ":" in name:
+    if name in EMBEDDED or _is_primitive(name):
         return ObjectSource(name)
     asset = read_manifest("objects").get(name)
     if asset is not None:
@@ -69,6 +69,14 @@ def named_object(name: str, objects: Path | None, file: Path, say: Callable[[str
         f"{file}: its object '{name}' is none of the embedded ones ({', '.join(EMBEDDED)}); give its mesh with "
         f"--object, a folder of meshes with --objects, or a primitive ({PRIMITIVE_FORMS}){_perhaps(name)}"
     )
+
+
+def _is_primitive(name: str) -> bool:
+    try:
+        primitive_pieces(name)
+    except MeshError:
+        return False
+    return True
 
 
 def _perhaps(name: str) -> str:

@@ -163,7 +163,8 @@ class Run:
         source = fingerprint(problem.files[0])
         # Which grasps were drawn depends on the hand, the object and the seed.
         source = {"sampled": problem.sampled, "hand": source} if problem.sampled else source
-        provenance = {"versions": versions(), **provenance, "source": source}
+        hand = fingerprint(problem.hand.urdf)
+        provenance = {"versions": versions(), **provenance, "source": source, "urdf": hand}
         links = problem.groups[0].scene.links
         for name, path in paths.items():
             rows = np.flatnonzero(outcome.object == name)

@@ -23,9 +23,11 @@ from grasp_refine.geometry.mesh import Holes
 from grasp_refine.geometry.units import UNITS, Unit
 from grasp_refine.grasps import GraspSet, Targets, choose_rows, match_joints
 from grasp_refine.hand import Hand, list_hands, load_hand
+from grasp_refine.hand_source import is_known
 from grasp_refine.objects import Object, load_object
 from grasp_refine.plane import Plane
 from grasp_refine.rebase import rebased
+from grasp_refine.report.results import fingerprint, recorded_urdf
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import transform_from_pose
 
@@ -84,7 +86,7 @@ class Sources:
         targets = self._targets(grasps, path)
         hand, grasps = self._hand(grasps, path, say)
         q, notes = match_joints(grasps, hand)
-        notes = [*read.notes, *hand.notes, *notes]
+        notes = [*read.notes, *hand.notes, *notes, *_other_urdf(path, hand)]
         groups, count = [], 0
         for name, rows in chosen.items():
             index = np.asarray(self.index) if self.index else np.arange(len(rows))
@@ -122,8 +124,8 @@ class Sources:
         found = load_object(
             source.source,
             scale=scale,
-            # The unit is in the scale, as it will be in files of results.
-            unit=None if self.unit is None else "m",
+            # The unit is in the scale, as in files of results: given once more with these, it is asked about, too.
+            unit="m" if self.unit == "m" else None,
             holes=self.holes,
             decomposition=Decomposition(threshold=self.threshold),
             seed=seed,
@@ -154,7 +156,7 @@ class Sources:
     def _hand(self, grasps: GraspSet, path: Path, say: Callable[[str], None]) -> tuple[Hand, GraspSet]:
         """The hand below the base link that the options say or else the grasp file, and the grasps told from there."""
         source = self.hand or grasps.hand
-        if self.hand is None and source not in list_hands():
+        if self.hand is None and not is_known(source):
             raise GraspFileError(
                 f"{path}: its hand '{source}' is none of ours ({', '.join(list_hands())}); give it with --hand"
             )
@@ -209,6 +211,14 @@ class Sources:
     def _source(self, name: str, path: Path, say: Callable[[str], None]) -> ObjectSource:
         """What `load_object` should load for the object `name` of the grasp file."""
         return named_object(name, self.objects, path, say) if self.object is None else chosen_object(self.object, say)
+
+
+def _other_urdf(path: Path, hand: Hand) -> list[str]:
+    """What to say where grasps were refined with another URDF than that which they are now looked at with."""
+    recorded = recorded_urdf(path)
+    if recorded in (None, fingerprint(hand.urdf)["sha256"]):
+        return []
+    return [f"{path} was made with another URDF of hand '{hand.name}' than {hand.urdf}: give that one with --urdf"]
 
 
 def _aimed(scene: Scene, targets: Targets | None, rows: np.ndarray) -> Scene:

@@ -99,8 +99,14 @@ def layout_of(
     if names:
         return _by_name(source, for_hand, count, hand, names)
     fitting = [layout for layout in for_hand if len(layout.joints) == count]
-    if hand is None and len(fitting) > 1:
-        fitting = [layout for layout in fitting if layout.hand in hand_name.lower()] or fitting
+    if hand is None and hand_name:
+        said = hand_name.lower()
+        fitting = [layout for layout in fitting if layout.hand in said and "left" not in said]
+        if not fitting:
+            raise source.error(
+                f"is for the hand '{hand_name}', and names no joints; known without names are "
+                f"{', '.join(map(str, layouts))}; if it is one of these, say so with --hand"
+            )
     if len(fitting) == 1:
         return replace(fitting[0], hand=hand.name) if hand else fitting[0]
     if fitting:
@@ -131,10 +137,11 @@ def _by_name(source: Source, layouts: Sequence[Layout], count: int, hand: Hand |
 
 
 def _match(name: str, wanted: Collection[str]) -> str | None:
-    """The joint that a name means: itself, or what follows a prefix, as FFJ4 in rh_FFJ4."""
+    """The joint that a name means: itself, or what follows a prefix, as FFJ4 in rh_FFJ4; a number is no such name."""
     if name in wanted:
         return name
-    ends = [joint for joint in wanted if name.endswith(joint) and not name.removesuffix(joint)[-1].isalnum()]
+    words = [joint for joint in wanted if joint[0].isalpha()]
+    ends = [joint for joint in words if name.endswith(joint) and not name.removesuffix(joint)[-1].isalnum()]
     return ends[0] if len(ends) == 1 else None
 
 

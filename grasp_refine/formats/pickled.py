@@ -144,7 +144,10 @@ def _listed(items: Any = ()) -> list[Any]:
 
 
 def _ordered(pairs: Any = ()) -> dict[Any, Any]:
-    if not isinstance(pairs, list | tuple) or not all(isinstance(pair, list | tuple) for pair in pairs):
+    if not isinstance(pairs, list | tuple):
+        raise Refused("a dict in it is damaged")
+    # Longer ones could be one long list many times over.
+    if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in pairs):
         raise Refused("a dict in it is damaged")
     return _entries([entry for pair in pairs for entry in pair])
 

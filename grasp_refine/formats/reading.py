@@ -77,7 +77,7 @@ def reading(
     for number, file in enumerate(files):
         content = _content(file)
         known = wanted or _recognised(file, content)
-        lacking = known.lacks(content)
+        lacking = "it is an .npz file" if content is None and known != OURS else known.lacks(content)
         if lacking:
             raise GraspFileError(f"{file}: is no file of the format {known.name}: {lacking}")
         if found is not None and known != found:

@@ -59,7 +59,7 @@ def hand_facts(hand: Hand) -> dict[str, Any]:
 
 def facts_without_urdf(name: str) -> dict[str, Any]:
     """The same of a hand of ours that needs the user's URDF: little."""
-    note = f"needs a URDF: --urdf FILE; {HAND_TOML} says the rest"
+    note = f"its URDF is fetched when it is used, or is yours with --urdf FILE; {HAND_TOML} says the rest"
     nothing = dict.fromkeys(("urdf", "hand_toml", "base_link", "base_link_why", "licence"))
     lists: dict[str, list[str]] = {"joints": [], "links": [], "contacts": [], "examples": []}
     return {"name": name, **nothing, **lists, "notes": [note]}

@@ -40,7 +40,7 @@ def list_table(hands: Sequence[Hand], waiting: Sequence[str]) -> Table:
             str(len(examples(hand))),
         )
     for name in waiting:
-        table.add_row(escape(name), "-", "-", "-", "-", "needs --urdf", "-")
+        table.add_row(escape(name), "-", "-", "-", "-", "fetched when used", "-")
     return table
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -110,6 +111,18 @@ def fingerprint(path: Path) -> dict[str, str]:
         listing = [f"{file.relative_to(path).as_posix()} {_sha256(file.read_bytes())}\n" for file in files]
         return {"path": str(path), "sha256": _sha256("".join(listing).encode())}
     return {"path": str(path), "sha256": _sha256(path.read_bytes())}
+
+
+def recorded_urdf(path: Path) -> str | None:
+    """sha256 of the URDF that the grasps in a result file were refined with; None: it is another grasp file."""
+    if path.suffix != ".npz":
+        return None
+    with np.load(path, allow_pickle=False) as entries:
+        text = str(entries["provenance"]) if "provenance" in entries.files else ""
+    try:
+        return json.loads(text)["urdf"]["sha256"]
+    except (ValueError, LookupError, TypeError):
+        return None
 
 
 def _sha256(content: bytes) -> str:

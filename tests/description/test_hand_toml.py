@@ -62,7 +62,7 @@ def test_every_key(tmp_path: Path) -> None:
         ("urdf = ", r"cannot be read as TOML \(Invalid value"),
         (
             "urfd = 'x'",
-            r"unknown key 'urfd'; valid: urdf, base_link, mjcf, mjcf_joints, collision, rest_pose, contact, coupled",
+            r"unknown key 'urfd'; valid: name, urdf, base_link, mjcf, mjcf_joints, collision, rest_pose, contact, ",
         ),
         ("urdf = 'none.urdf'", r"urdf = 'none.urdf': no such file .*/none.urdf"),
         ("urdf = 1", r"urdf must be a text, got 1"),
