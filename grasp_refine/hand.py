@@ -158,6 +158,11 @@ def load_hand(
                 f"the hand begins at its palm, link '{base}': the joints above it do not move "
                 f"({', '.join(guess.above)}); --base-link {tree.root} moves them too"
             )
+        if guess.others:
+            notes.append(
+                f"the hand begins at link '{base}', and several moving branches leave {', '.join(guess.others)}, too: "
+                "if one of these is the palm, say so with --base-link"
+            )
     raw_links, joints = tree.below(base)
     joints, narrowed = within_followers(joints, tree.path)
     meshes = LinkMeshes(tree.path, hull_limit, default_cache(), progress or (lambda line: None))

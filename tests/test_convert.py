@@ -65,6 +65,9 @@ def test_there_and_back(file: Path, capsys: pytest.CaptureFixture[str]):
     assert len(document["notes"]) == 2
     assert main(["convert", "bench", "back.npz", "--to", "ours"]) == 0
     before, after = load_grasps("grasps.npz"), load_grasps("back.npz")
+    # Nobody has invented a pregrasp or a squeeze.
+    assert after.pregrasp is None and after.squeeze is None
+    assert "the squeeze is the grasp itself in all 2, so that there is none" in capsys.readouterr().err
     np.testing.assert_allclose(after.q[[1, 0]], before.q, atol=1e-15)
     np.testing.assert_allclose(after.hand_pose[[1, 0]], before.hand_pose, atol=1e-15)
 
@@ -156,7 +159,7 @@ def test_bad_input(file: Path, capfd: pytest.CaptureFixture[str]):
         "x.npz: is OUT, too; give --json another name"
     )
     assert refused(capfd, "convert", file, "x", "--to", "bodex", "--format", "bodex") == (
-        f"{file}: is no file of the format bodex: it is no dict but NoneType"
+        f"{file}: is no file of the format bodex: it is an .npz file"
     )
     message = refused(capfd, "convert", file, "x", "--to", "dexgraspnet")
     assert message.startswith("format dexgraspnet cannot hold grasps of hand 'allegro' with the joints joint_0.0")

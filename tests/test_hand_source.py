@@ -44,7 +44,8 @@ def test_an_asset_has_what_our_hand_toml_says_of_it(mirror: Path) -> None:
     said: list[str] = []
     hand = load_hand("hands/leap", candidates=16, progress=said.append)
     assert said and said[0].startswith("fetching hands/leap (licence: MIT")
-    assert hand.name == "leap" and hand.urdf.name == "leap_right.urdf"
+    # Grasps of it are not to be taken for those of ours, which has another shape.
+    assert hand.name == "hands/leap" and hand.urdf.name == "leap_right.urdf"
     ours = load_hand("leap", candidates=16)
     assert ours.urdf != hand.urdf
     assert set(hand.joint_names) == set(ours.joint_names) and hand.contacts == ours.contacts
@@ -62,6 +63,13 @@ def test_an_mjcf_may_be_an_asset(mirror: Path) -> None:
     assert toml.mjcf.read_bytes() == (mirror / "hands/shadow_mjcf/right_hand.xml").read_bytes()
     with pytest.raises(HandError, match="nothing.xml: no such MJCF file"):
         hand_files("shadow", None, Path("nothing.xml"), silent)
+
+
+def test_an_mjcf_alone_is_no_hand(mirror: Path) -> None:
+    with pytest.raises(
+        HandError, match="shadow_mjcf: is an MJCF, which goes with a hand: --hand NAME --mjcf shadow_mjcf"
+    ):
+        hand_files("shadow_mjcf", None, None, silent)
 
 
 def test_without_a_network_both_ways_out_are_named(workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -71,6 +71,13 @@ def test_a_grasp_file_never_names_a_path(workplace: Path) -> None:
         named_object("secret.obj", None, FILE, silent)
 
 
+def test_a_colon_makes_no_path_a_primitive(workplace: Path) -> None:
+    (workplace / "x:y.obj").write_text("")
+    for name in ("x:y.obj", "box:1,2,3.obj"):
+        with pytest.raises(AssetError, match=f"its object '{name}' is none of the embedded ones"):
+            named_object(name, None, FILE, silent)
+
+
 def test_a_toml_file_names_meshes_beside_it(tmp_path: Path) -> None:
     listing = tmp_path / "objects.toml"
     listing.write_text('cup = "meshes/cup.obj"\npot = "mug"\n')

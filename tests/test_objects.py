@@ -478,12 +478,18 @@ def folder(tmp_path: Path) -> Path:
         ("011_banana", "ycb_011_banana.obj"),
         ("011-Banana", "ycb_011_banana.obj"),
         ("banana", "ycb_011_banana.obj"),
+        ("11banana", None),
+        ("nana", None),
         ("redmug", "red-mug.STL"),
         ("CUP", "Cup.ply"),
     ],
 )
-def test_a_name_is_the_end_of_a_stem(folder: Path, name: str, file: str):
-    assert find_object(name, folder) == folder / file
+def test_a_name_is_the_end_of_a_stem_from_a_word_on(folder: Path, name: str, file: str | None):
+    if file is None:
+        with pytest.raises(AssetError, match=f"no mesh of object '{name}'"):
+            find_object(name, folder)
+    else:
+        assert find_object(name, folder) == folder / file
 
 
 def test_the_exact_stem_wins(folder: Path):

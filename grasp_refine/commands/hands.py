@@ -10,6 +10,8 @@ from rich.console import Console
 from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE
+from grasp_refine.commands.options import check_hull_limit
+from grasp_refine.description.link_geometry import HULL_LIMIT
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand import HAND_TOML, Hand, list_hands, load_hand, needs_urdf
 from grasp_refine.report.hand_facts import examples, facts_without_urdf, guessed, hand_facts
@@ -41,6 +43,8 @@ class Hands:
     """The same hand as an MJCF file, to see whether they match."""
     base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: the palm)")] = None
     """Link that the hand begins at; the root of the URDF moves all joints, also those of an arm."""
+    hull_limit: float = HULL_LIMIT
+    """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it, as for `run`."""
     check: Annotated[bool, arg(help_behavior_hint="")] = False
     """Say what was understood and why, what looks wrong, and write a hand.toml to start from beside the URDF."""
     write: Annotated[
@@ -58,6 +62,7 @@ class Hands:
         """
         if self.json is not None:
             check_writable(self.json)
+        check_hull_limit(self.hull_limit)
         if self.hand is None:
             return self._list()
         place = None if self.write is None else _checked_place(self.write)
@@ -69,6 +74,7 @@ class Hands:
             urdf=self.urdf,
             mjcf=self.mjcf,
             candidates=CANDIDATES,
+            hull_limit=self.hull_limit,
             progress=lambda line: screen(stderr=True).print(line, markup=False, style="dim"),
         )
         return self._check(hand, place) if self.check else self._show(hand)

@@ -12,6 +12,7 @@ import numpy as np
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.commands.object_source import ObjectSource, chosen_object, named_object
+from grasp_refine.commands.options import check_hull_limit
 from grasp_refine.commands.problem import Group, Problem
 from grasp_refine.description.link_geometry import HULL_LIMIT
 from grasp_refine.description.tree import read_tree
@@ -107,8 +108,7 @@ class Sources:
             raise GraspRefineError(f"--scale must be positive and finite, got {self.scale:g}")
         if self.table is not None and not np.isfinite(self.table):
             raise GraspRefineError(f"--table must be a height in metres, got {self.table:g}")
-        if not self.hull_limit > 0:
-            raise GraspRefineError(f"--hull-limit must be above 0 metres, or inf, got {self.hull_limit:g}")
+        check_hull_limit(self.hull_limit)
 
     @property
     def _scale(self) -> float:

@@ -22,6 +22,8 @@ class Base:
     """Movable joints on the way from the root to it, which do not move."""
     why: str
     """The reason, for people."""
+    others: tuple[str, ...] = ()
+    """Links below it, other than itself, that several moving branches leave: each may be the palm that was meant."""
 
 
 def guess_base(tree: Tree) -> Base:
@@ -49,15 +51,31 @@ def guess_base(tree: Tree) -> Base:
         first = branches[0].child
     if not branches:
         return Base(tree.root, (), "it is the root; no link further on has two moving branches, as a palm has")
+    others = _palms([joint.child for joint in branches], leaving, carries)
     if not above:
-        return Base(tree.root, (), f"it is the root, and {len(branches)} moving branches leave what is fixed to it")
+        why = f"it is the root, and {len(branches)} moving branches leave what is fixed to it"
+        return Base(tree.root, (), why, others)
     base = _lowest(first, part, {joint.parent for joint in branches}, solid, leaving)
     below = {joint.name for link in _below(base, leaving) for joint in leaving[link]}
     for name in below:
         mimic = tree.joints[name].mimic
         if mimic is not None and mimic.joint in tree.joints and mimic.joint not in below:
-            return Base(tree.root, (), f"it is the root; joint '{name}' mimics '{mimic.joint}' above the palm '{base}'")
-    return Base(base, tuple(above), f"it is the palm: {len(branches)} moving branches leave it, one chain leads to it")
+            why = f"it is the root; joint '{name}' mimics '{mimic.joint}' above the palm '{base}'"
+            return Base(tree.root, (), why, others)
+    why = f"it is the palm: {len(branches)} moving branches leave it, one chain leads to it"
+    return Base(base, tuple(above), why, others)
+
+
+def _palms(firsts: list[str], leaving: dict[str, list[yourdfpy.Joint]], carries: set[str]) -> tuple[str, ...]:
+    """The first link of each part at or below some links that several moving branches with something solid leave."""
+    palms = []
+    for first in firsts:
+        part = list(_below(first, leaving, fixed=True))
+        moving = [joint.child for link in part for joint in leaving[link] if joint.type != "fixed"]
+        branches = [child for child in moving if child in carries]
+        palms += [first] if len(branches) > 1 else []
+        palms += _palms(branches, leaving, carries)
+    return tuple(palms)
 
 
 def _below(link: str, leaving: dict[str, list[yourdfpy.Joint]], *, fixed: bool = False) -> Iterator[str]:

@@ -81,6 +81,7 @@ class LinkMeshes:
                 if cut.stands_out == 0:
                     by = f"less than {_millimetres(cut.least)}"
                 said += f"; instead, {len(cut.pieces)} convex pieces stand out by {by}"
+                said += ", more than was meant" if cut.stands_out > self.limit else ""
             elif cut.hull_stands_out <= self.limit:
                 said += f", within the limit of {_millimetres(self.limit)}"
             else:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.formats.folders import object_folder, scale_folder
-from grasp_refine.formats.format import Load, Part, grouped, without_targets
+from grasp_refine.formats.format import Load, Part, grouped, left_out
 from grasp_refine.formats.layout import BODEX, layout_of
 from grasp_refine.formats.scene import object_in_scene
 from grasp_refine.formats.source import Source, keys_lacking
@@ -75,7 +75,7 @@ class Bodex:
             }
             again = f"_{number[path]}" if number[path] > 1 else ""
             parts.append(Part(f"{path}{again}_grasp.npy", rows, content))
-        return parts, [*lacking_stages(grasps), *without_targets(grasps)]
+        return parts, [*lacking_stages(grasps), *left_out(grasps, layout.joints)]
 
 
 def _first(value: Any) -> Any:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.formats.folders import object_folder, scale_folder
-from grasp_refine.formats.format import Load, Part, without_targets
+from grasp_refine.formats.format import Load, Part, left_out
 from grasp_refine.formats.layout import MUJOCO, layout_of
 from grasp_refine.formats.source import Source, keys_lacking
 from grasp_refine.formats.stages import (
@@ -74,4 +74,4 @@ class DexGraspBench:
             }
             parts.append(Part(f"{folder}/{number[folder]}.npy", np.array([row]), content))
             number[folder] += 1
-        return parts, [*lacking_stages(grasps), *without_targets(grasps)]
+        return parts, [*lacking_stages(grasps), *left_out(grasps, layout.joints)]

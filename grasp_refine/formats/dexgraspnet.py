@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.errors import GraspFileError
-from grasp_refine.formats.format import Load, Part, without_targets
+from grasp_refine.formats.format import Load, Part, left_out
 from grasp_refine.formats.layout import SHADOW_FINGERS, SHADOW_THUMB, Layout
 from grasp_refine.formats.source import Source
 from grasp_refine.formats.stages import fitted
@@ -104,7 +104,7 @@ class DexGraspNet:
             parts.append(Part(f"{name}.npy", rows, listed))
         stages = [name for name in OTHER_STAGES if getattr(grasps, name) is not None]
         lost = [f"{' and '.join(stages)} have no place in this format and are left out"] if stages else []
-        return parts, [*lost, *without_targets(grasps)]
+        return parts, [*lost, *left_out(grasps, SHADOW.joints)]
 
 
 def rotation_from_angles(angles: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3 3"]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.formats.folders import object_folder, scale_folder
-from grasp_refine.formats.format import Load, Part, without_targets
+from grasp_refine.formats.format import Load, Part, left_out
 from grasp_refine.formats.layout import MUJOCO, layout_of
 from grasp_refine.formats.scene import object_in_scene
 from grasp_refine.formats.source import Source, keys_lacking
@@ -97,7 +97,7 @@ class Dexonomy:
             parts.append(Part(f"{folder}/{number[folder]}_grasp.npy", np.array([row]), content))
             number[folder] += 1
         contacts = "contacts are not written: Dexonomy's own are of its generator"
-        return parts, [*lacking_stages(grasps), *without_targets(grasps), contacts]
+        return parts, [*lacking_stages(grasps), *left_out(grasps, layout.joints), contacts]
 
 
 def _renamed(content: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -61,9 +61,13 @@ class Format(Protocol):
         ...
 
 
-def without_targets(grasps: GraspSet) -> list[str]:
-    """What to say where a format has no place for the targets of grasps."""
-    return [] if grasps.targets is None else ["targets have no place in this format and are left out"]
+def left_out(grasps: GraspSet, joints: Collection[str]) -> list[str]:
+    """What to say where a format has a place for these `joints`, and none for targets."""
+    notes = [] if grasps.targets is None else ["targets have no place in this format and are left out"]
+    above = [name for name in grasps.joint_names if name not in joints]
+    if above:
+        notes.append(f"{', '.join(above)} have no place in this format: the pose of the hand is that behind them")
+    return notes
 
 
 def grouped(grasps: GraspSet) -> dict[tuple[str, float], np.ndarray]:

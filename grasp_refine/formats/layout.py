@@ -126,22 +126,25 @@ def _by_name(source: Source, layouts: Sequence[Layout], count: int, hand: Hand |
     if len(names) != count or len(set(names)) != count:
         raise source.error(f"has {count} joint values per grasp, but {len(set(names))} joint names: {', '.join(names)}")
     for layout in layouts:
-        matched = [_match(name, layout.joints) for name in names]
+        matched = [_match(name, layout.joints, numbers=hand is not None) for name in names]
         if set(matched) == set(layout.joints):
             return replace(layout, hand=hand.name if hand else layout.hand, joints=tuple(map(str, matched)))
     ours = [f"hand '{hand.name}' has {', '.join(hand.joint_names)}"] if hand else []
     ours += [f"its format knows {layout}" for layout in layouts]
-    unknown = [name for name in names if hand and _match(name, hand.joint_names) is None]
+    unknown = [name for name in names if hand and _match(name, hand.joint_names, numbers=True) is None]
     which = f" ({', '.join(unknown)} unknown)" if unknown else ""
     raise source.error(f"names the joints {', '.join(names)}{which}; {'; '.join(ours) or 'no hand here has them'}")
 
 
-def _match(name: str, wanted: Collection[str]) -> str | None:
-    """The joint that a name means: itself, or what follows a prefix, as FFJ4 in rh_FFJ4; a number is no such name."""
+def _match(name: str, wanted: Collection[str], *, numbers: bool) -> str | None:
+    """The joint that a name means: itself, or what follows a prefix, as FFJ4 in rh_FFJ4.
+
+    With `numbers` also as 4 in joint_4: many hands number their joints, so that these do not tell which hand it is.
+    """
     if name in wanted:
         return name
-    words = [joint for joint in wanted if joint[0].isalpha()]
-    ends = [joint for joint in words if name.endswith(joint) and not name.removesuffix(joint)[-1].isalnum()]
+    behind = [joint for joint in wanted if numbers or not joint.isdigit()]
+    ends = [joint for joint in behind if name.endswith(joint) and not name.removesuffix(joint)[-1].isalnum()]
     return ends[0] if len(ends) == 1 else None
 
 

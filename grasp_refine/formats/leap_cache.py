@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.errors import GraspFileError
-from grasp_refine.formats.format import Load, Part, without_targets
+from grasp_refine.formats.format import Load, Part, left_out
 from grasp_refine.formats.layout import Layout
 from grasp_refine.formats.source import Source
 from grasp_refine.formats.stages import fitted
@@ -95,4 +95,4 @@ class LeapCache:
             )
         stages = [stage for stage in OTHER_STAGES if getattr(grasps, stage) is not None]
         lost += [f"{' and '.join(stages)} have no place in this format and are left out"] if stages else []
-        return [Part("grasps.npy", np.arange(len(grasps)), rows)], [*lost, *without_targets(grasps)]
+        return [Part("grasps.npy", np.arange(len(grasps)), rows)], [*lost, *left_out(grasps, grasps.joint_names)]

@@ -93,6 +93,9 @@ def reading(
             tell(number + 1, len(files))
     assert found is not None
     joined, more = _joined(files, sets)
+    if found != OURS:
+        joined, empty = _without_empty_stages(joined)
+        more += empty
     return Reading(joined, found, tuple(files), tuple(dict.fromkeys([*notes, *more])))
 
 
@@ -163,3 +166,18 @@ def _joined(files: Sequence[Path], sets: Sequence[GraspSet]) -> tuple[GraspSet, 
         **stages,
     )
     return joined, notes
+
+
+def _without_empty_stages(grasps: GraspSet) -> tuple[GraspSet, list[str]]:
+    """The grasps without stages that are the grasps themselves, and what was left out.
+
+    Formats that need every stage hold these for want of others; a squeeze that presses nothing is none.
+    """
+    notes = []
+    for name in OTHER_STAGES:
+        stage = getattr(grasps, name)
+        if stage is None or (stage.hand_pose != grasps.hand_pose).any() or (stage.q != grasps.q).any():
+            continue
+        grasps = replace(grasps, **{name: None})
+        notes.append(f"the {name} is the grasp itself in all {len(grasps)}, so that there is none")
+    return grasps, notes

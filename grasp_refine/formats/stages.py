@@ -60,8 +60,6 @@ def grasps_of_stages(
         (name,) = [name for name in STAGES if what.startswith(name)]
         stages[name] = Stage(pose, numbers[:, 7:])
     grasp = stages.pop(GRASP)
-    # What `rows_of_stage` writes for want of a stage is none.
-    stages = {name: stage for name, stage in stages.items() if not _same(stage, grasp)}
     return GraspSet(
         hand=layout.hand,
         base_link=layout.base_link,
@@ -72,10 +70,6 @@ def grasps_of_stages(
         q=grasp.q,
         **stages,
     )
-
-
-def _same(one: Stage, other: Stage) -> bool:
-    return np.array_equal(one.hand_pose, other.hand_pose) and np.array_equal(one.q, other.q)
 
 
 def joint_count(source: Source, rows: np.ndarray, what: str) -> int:

@@ -97,12 +97,14 @@ def covering(
     if before <= limit:
         return Covering((whole,), before, before, least)
     found, troubles = [], []
-    for body in mesh.split(only_watertight=False):
+    bodies = mesh.split(only_watertight=False)
+    # What is joined again afterwards need not be cut.
+    body_limit = limit if len(bodies) <= MOST else np.inf
+    for body in bodies:
         try:
-            found += _body_pieces(body, limit, cache, progress, name)
+            found += _body_pieces(body, body_limit, cache, progress, name)
         except FlatMeshError:
-            # A sheet: what it adds to the bodies around it is added below.
-            continue
+            found += _sheet(body)
         except MeshError as error:
             found.append(hull(body.vertices, name=name))
             troubles.append(str(error))
@@ -126,6 +128,8 @@ def _body_pieces(
         FlatMeshError: the body has no thickness.
     """
     whole = hull(body.vertices, name=name)
+    if np.isinf(limit):
+        return [whole]
     triangles = Triangles(np.asarray(body.vertices, dtype=np.float64)[body.faces])
     if _measured([whole], triangles, limit, cache) == 0.0:
         return [whole]
@@ -133,6 +137,15 @@ def _body_pieces(
     threshold = float(np.clip(limit / (np.ptp(body.vertices, axis=0).max() / 2), 0.01, 1.0))
     settings = Decomposition(threshold, MOST_CUTS, mcts_nodes=10, mcts_iterations=60, mcts_max_depth=2)
     return list(convex_pieces(_simplified(body, SIMPLER * limit), settings, cache=cache, progress=progress, name=name))
+
+
+def _sheet(body: trimesh.Trimesh) -> list[Piece]:
+    """The hull of a flat mesh, as thick as `OUTSIDE` on either side; nothing if it is only a line."""
+    points = np.asarray(body.vertices, dtype=np.float64)
+    step = OUTSIDE * np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
+    with suppress(MeshError):
+        return [hull(np.concatenate([points - step, points + step]))]
+    return []
 
 
 def _simplified(mesh: trimesh.Trimesh, tolerance: float) -> trimesh.Trimesh:

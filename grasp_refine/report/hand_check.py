@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import torch
 
 from grasp_refine.description.urdf import joints_fixed_and_mimicking, links_with_visuals
-from grasp_refine.hand import Hand
+from grasp_refine.hand import Hand, Joint
 from grasp_refine.kinematics import Kinematics
 from grasp_refine.report.hand_facts import guessed
 from grasp_refine.se3 import transform_points
@@ -89,13 +90,21 @@ def simulation_notes(hand: Hand) -> tuple[str, ...]:
 
 def _contacts(hand: Hand) -> tuple[str, ...]:
     above = {joint.child: joint for joint in hand.joints}
+    ways: dict[str, list[Joint]] = {}
+    for contact in hand.contacts:
+        link, way = contact.link, []
+        while link in above:
+            way.append(above[link])
+            link = above[link].parent
+        ways[contact.link] = [joint for joint in way if joint.movable]
+    moves = Counter(joint.name for way in ways.values() for joint in way)
     lines = []
     for contact in hand.contacts:
-        link, branch = contact.link, ""
-        while link in above:
-            branch = above[link].name if above[link].movable else branch
-            link = above[link].parent
-        why = f"the last solid link of the branch that joint '{branch}' moves" if guessed(hand) else "hand.toml says so"
+        # The topmost joint that moves no other contact link.
+        own = [joint.name for joint in ways[contact.link] if moves[joint.name] == 1] or [""]
+        why = (
+            f"the last solid link of the branch that joint '{own[-1]}' moves" if guessed(hand) else "hand.toml says so"
+        )
         finger = "" if contact.group == contact.link else f", finger '{contact.group}'"
         lines.append(f"{contact.link}{finger}: {why}")
     return tuple(lines)

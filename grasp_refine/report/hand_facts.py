@@ -81,5 +81,5 @@ def guessed(hand: Hand) -> bool:
 
 
 def examples(hand: Hand) -> list[Path]:
-    """Grasp files beside the URDF."""
-    return sorted(hand.urdf.parent.glob("*.npz"))
+    """Grasp files beside the hand.toml, or beside the URDF where there is none."""
+    return sorted((hand.toml or hand.urdf).parent.glob("*.npz"))

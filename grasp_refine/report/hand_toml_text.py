@@ -124,7 +124,8 @@ def _actuator(hand: Hand) -> str:
 
 
 def _comment(text: str) -> list[str]:
-    return [f"# {line}" for line in textwrap.wrap(" ".join(text.split()), 116)]
+    printable = "".join(letter if letter.isprintable() else " " for letter in text)
+    return [f"# {line}" for line in textwrap.wrap(" ".join(printable.split()), 116)]
 
 
 def _relative(file: Path, folder: Path) -> str:

@@ -6,6 +6,7 @@ import pytest
 
 from grasp_refine.description.base_link import Base, guess_base
 from grasp_refine.description.tree import read_tree
+from grasp_refine.hand import load_hand
 
 SOLID = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
@@ -88,3 +89,13 @@ def test_a_palm_that_follows_the_arm_begins_at_the_root(tmp_path: Path) -> None:
 def test_the_shadow_hand_begins_at_its_palm(shared_assets: Path) -> None:
     base = guess_base(read_tree(shared_assets / "hands/shadow/shadow_right.urdf"))
     assert (base.link, base.above) == ("palm", ("WRJ2", "WRJ1"))
+
+
+def test_further_palms_are_named(tmp_path: Path):
+    """A robot with two arms begins at its root, which is hardly what is meant."""
+    pairs = ["torso > {}_palm", "{0}_palm > {0}_thumb", "{0}_palm > {0}_finger"]
+    robot = {pair.format(side): "revolute" for side in ("left", "right") for pair in pairs}
+    guess = base_of(tmp_path, robot)
+    assert guess.link == "torso" and guess.others == ("left_palm", "right_palm")
+    (note,) = [note for note in load_hand(tmp_path, candidates=16).notes if "--base-link" in note]
+    assert "several moving branches leave left_palm, right_palm, too" in note

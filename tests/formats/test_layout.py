@@ -85,6 +85,18 @@ def test_several_hands_with_that_number_need_a_name(load: Callable[..., Hand]):
     assert layout_of(SOURCE, MUJOCO, 16, load("leap")) == MUJOCO[2]
 
 
+def test_names_that_are_numbers_have_no_prefix():
+    # LEAP's joints are called 0 to 15; those of another hand are not these because they are numbered.
+    message = refused(MUJOCO, 16, None, names=[f"joint_{i}" for i in range(16)])
+    assert message.startswith("names the joints joint_0, joint_1, ") and "leap (1, 0, 2, 3, " in message
+
+
+@pytest.mark.parametrize("name", ["sharpa_wave", "shadow_left"])
+def test_a_hand_that_the_file_names_is_not_taken_for_another_of_as_many_joints(name: str):
+    assert f"is for the hand '{name}', and names no joints" in refused(MUJOCO, 22, None, hand_name=name)
+    assert layout_of(SOURCE, MUJOCO, 22, None, hand_name="shadow") == MUJOCO[0]
+
+
 def test_a_number_that_no_hand_has_shows_both_lists(load: Callable[..., Hand]):
     message = refused(MUJOCO, 9, None)
     assert message.startswith(

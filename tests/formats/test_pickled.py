@@ -140,6 +140,13 @@ def test_the_refused_really_run_where_python_reads_them(tmp_path: Path):
     assert mark.exists()
 
 
+def test_a_dict_made_of_long_pairs_is_no_bomb():
+    # 2000 times the same list of 2000 entries, in 10 kB.
+    many = b"\x80\x02ccollections\nOrderedDict\n]q\x00(" + b"N" * 2000 + b"e0](" + b"h\x00" * 2000 + b"e\x85R."
+    with pytest.raises(Refused, match="a dict in it is damaged"):
+        unpickled(many)
+
+
 class Thing:
     pass
 

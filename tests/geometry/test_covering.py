@@ -116,3 +116,13 @@ def test_without_a_limit_the_hull_is_all(clamp: trimesh.Trimesh) -> None:
     found = covering(clamp, np.inf)
     assert len(found.pieces) == 1
     assert found.hull_stands_out == 0
+
+
+def test_a_sheet_between_bodies_is_covered():
+    corners = np.array([[0.02, 0, 0.01], [0.12, 0, 0.01], [0.12, 0.02, 0.01], [0.02, 0.02, 0.01]])
+    sheet = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]], process=False)
+    cubes = [trimesh.creation.box(bounds=[[x, 0, 0], [x + 0.02, 0.02, 0.02]]) for x in (0.0, 0.12)]
+    found = covering(trimesh.util.concatenate([*cubes, sheet]), 5e-3)
+    middle = np.array([0.07, 0.01, 0.01])
+    assert any(((piece.planes[0] @ middle) <= piece.planes[1] + 1e-9).all() for piece in found.pieces)
+    assert found.stands_out == 0.0
