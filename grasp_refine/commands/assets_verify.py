@@ -90,7 +90,7 @@ def _show(verdicts: list[Verdict], absent: list[str], console: Console) -> None:
         say(f"nothing was fetched yet into {default_cache('assets')}")
     else:
         others = "".join(f", {counts[state]} {state}" for state in ("incomplete", "damaged") if counts[state])
-        say(f"{counts['whole']} assets whole ({files} files){others} in {default_cache('assets')}")
+        say(f"whole: {counts['whole']} ({files} files){others}; in {default_cache('assets')}")
 
 
 def _some(names: tuple[str, ...]) -> str:

@@ -18,7 +18,7 @@ from tyro.conf import DisallowNone, arg
 from grasp_refine import __version__
 from grasp_refine.asset_library.cache import LAYOUTS, seems_here
 from grasp_refine.asset_library.names import all_assets
-from grasp_refine.asset_library.origin import VARIABLE, shown
+from grasp_refine.asset_library.origin import VARIABLE, chosen_origin, shown
 from grasp_refine.errors import AssetError, GraspRefineError
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hand import list_hands
@@ -128,12 +128,17 @@ def _cache() -> dict[str, Any]:
 def _assets() -> dict[str, Any]:
     """Where assets of others are kept, how many of those that are known are here, and the mirror, if there is one."""
     here = sum(any(seems_here(asset, layout) for layout in LAYOUTS) for asset in all_assets())
-    mirror = os.environ.get(VARIABLE)
+    mirror, fault = os.environ.get(VARIABLE), None
+    try:
+        chosen_origin()
+    except AssetError as error:
+        fault = str(error)
     return {
         "folder": default_cache("assets"),
         "here": here,
         "known": len(all_assets()),
         "mirror": shown(mirror) if mirror else None,
+        "fault": fault,
     }
 
 
@@ -175,7 +180,8 @@ def _lines(found: dict[str, Any]) -> list[str]:
         f"devices: {', '.join(devices) or 'none'}" + ("" if found["gpu"] else "; no GPU, none is needed"),
         f"cache:   {cache['folder']}, {cache['entries']} decompositions, {cache['bytes'] / 1e6:.1f} MB",
         f"assets:  {assets['folder']}, {assets['here']} of {assets['known']} are here"
-        + (f"; mirror: {assets['mirror']}" if assets["mirror"] else ""),
+        + (f"; mirror: {assets['mirror']}" if assets["mirror"] and not assets["fault"] else "")
+        + (f"; {assets['fault']}" if assets["fault"] else ""),
         f"hands:   {', '.join(found['hands']) or 'none'}",
         f"films:   {found['pictures'] or 'none, no OpenGL without a screen; apt install libegl1 libgl1-mesa-dri'}",
         f"browser: {browser}",

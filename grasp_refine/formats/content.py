@@ -16,6 +16,9 @@ from grasp_refine.npz import MAGIC, array_header
 LARGEST_FILE = 2**28
 """Larger files, in bytes, are not read: a pickle of many small things takes about fifty times its size in memory."""
 
+PROTOCOL = b"\x80"
+"""What all pickles but the oldest begin with."""
+
 
 def load_content(path: Path) -> Any:
     """What an .npy file or a pickle holds, as `unpickled` gives it; a plain array file is an array.
@@ -41,7 +44,11 @@ def load_content(path: Path) -> Any:
     try:
         return _array(data) if data.startswith(MAGIC) else unpickled(data)
     except Refused as error:
-        raise GraspFileError(f"{path}: {error}") from None
+        if data.startswith((MAGIC, PROTOCOL)):
+            raise GraspFileError(f"{path}: {error}") from None
+        raise GraspFileError(
+            f"{path}: {error}; it may be no grasp file: those of ours are .npz, those of other programs .npy or pickles"
+        ) from None
 
 
 def _array(data: bytes) -> Any:
