@@ -11,7 +11,7 @@ from grasp_refine.asset_library.manifest import read_manifest
 from grasp_refine.asset_library.names import find_asset
 from grasp_refine.assets import resource_dir
 from grasp_refine.description.hand_toml import HandToml, only_urdf, read_hand_toml
-from grasp_refine.errors import AssetError, HandError
+from grasp_refine.errors import AssetError, GraspFileError, HandError
 
 HAND_TOML = "hand.toml"
 """Name of the file beside a URDF that says what the URDF does not."""
@@ -30,6 +30,17 @@ def needs_urdf(name: str) -> bool:
 def is_known(name: str) -> bool:
     """Whether `name` is one of `list_hands()`, or the full name of an asset such as hands/leap."""
     return name in list_hands() or name in (asset.full_name for asset in read_manifest("hands").values())
+
+
+def check_known(name: str, file: Path) -> None:
+    """Nothing, when the hand `name` that a grasp file names is known.
+
+    Raises:
+        GraspFileError: it is not, so that it has to be given.
+    """
+    if not is_known(name):
+        ours = ", ".join(list_hands())
+        raise GraspFileError(f"{file}: its hand '{name}' is none of ours ({ours}); give it with --hand")
 
 
 def hand_files(
@@ -82,7 +93,10 @@ def _located(source: str | Path, urdf: Path | None, say: Callable[[str], None]) 
             toml = replace(read_hand_toml(ours), urdf=urdf) if ours.is_file() else HandToml(urdf, urdf)
             # Not the name of ours: grasps refined with the one are not to be judged with the other.
             return asset.full_name, toml
-        choices = f"the hands here are {', '.join(list_hands())}; or give a folder, a .urdf file or a {HAND_TOML}"
+        choices = (
+            f"the hands here are {', '.join(list_hands())}; or give a folder, a .urdf file, a {HAND_TOML}, or an asset "
+            "(refine-grasp assets list hands)"
+        )
         if isinstance(source, str) and path.name == source and not path.suffix:
             raise AssetError(f"no hand is called '{source}'; {choices}")
         raise HandError(f"{path}: no such file or folder; {choices}")
@@ -92,8 +106,15 @@ def _located(source: str | Path, urdf: Path | None, say: Callable[[str], None]) 
         toml = read_hand_toml(beside)
         named = path.is_dir() or path.samefile(beside)
         if named or (toml.urdf is not None and path.samefile(toml.urdf)):
-            return folder.resolve().name, toml if urdf is None else replace(toml, urdf=urdf)
+            return _own_name(folder.resolve()), toml if urdf is None else replace(toml, urdf=urdf)
     if urdf is not None:
         raise HandError(f"--urdf {urdf}: goes with a hand that has a {HAND_TOML}, '{source}' has none")
     urdf = only_urdf(path) if path.is_dir() else path
-    return (folder.resolve().name if path.is_dir() else path.stem), HandToml(urdf, urdf)
+    return _own_name(folder.resolve() if path.is_dir() else path), HandToml(urdf, urdf)
+
+
+def _own_name(path: Path) -> str:
+    """What the hand in a folder or a file is called; a user's `leap` is not to be taken for ours in grasp files."""
+    name = path.name if path.is_dir() else path.stem
+    ours = path.parent.samefile(resource_dir("robots"))
+    return f"my_{name}" if name in list_hands() and not ours else name

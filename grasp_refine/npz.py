@@ -56,6 +56,8 @@ class NpzFile:
         # An empty list of names is stored by NumPy as float64.
         if value.dtype.kind != "U" and value.size:
             raise self.error(f"{key} must hold text; it holds {value.dtype}")
+        if not is_sound(value.astype(str)):
+            raise self.error(f"{key} holds letters that no text has, or that control a terminal")
         return value.astype(str)
 
     def name(self, key: str) -> str:
@@ -91,6 +93,12 @@ class NpzFile:
         if value.shape != (n,):
             raise self.error(f"{key} must be one value or one per grasp, ({n},); it has {value.shape}")
         return value
+
+
+def is_sound(text: np.ndarray) -> bool:
+    """Whether an array of texts, which may come from anyone, can be shown and used as names."""
+    codes = np.ascontiguousarray(text).reshape(-1, 1).view(np.uint32) if text.itemsize else np.zeros(0, np.uint32)
+    return bool(((codes >= 32) | (codes == 0)).all() and (codes < 0x110000).all() and (codes != 127).all())
 
 
 def load_npz(path: str | Path) -> NpzFile:

@@ -61,7 +61,8 @@ def load_object(
     Args:
         source: name in EMBEDDED, "box:x,y,z", "sphere:r", "cylinder:r,h", or a path.
         scale: factor that takes the mesh, or the pieces, to metres.
-        unit: of what the scale makes of it, instead of metres; None: metres, but a size that no hand grasps is refused.
+        unit: of what the scale makes of it; another one than metres, or None, which is metres that nobody has said,
+            is asked about where no hand grasps what comes out.
         decomposition: how a concave mesh is cut into convex pieces; the defaults when None.
         holes: what becomes of a mesh with holes: an error, flat caps on flat holes, or its convex hull.
         candidates: number of points on the surface.
@@ -77,7 +78,7 @@ def load_object(
     text = str(source)
     if not (np.isfinite(scale) and scale > 0):
         raise MeshError(f"{text}: the scale must be positive and finite, got {scale:g}")
-    scale *= UNITS[unit or "m"]
+    scale *= (factor := UNITS[unit or "m"])
     pieces: Sequence[Piece] = ()
     notes: tuple[str, ...] = ()
     # An empty path would be the present folder.
@@ -101,8 +102,7 @@ def load_object(
             f"primitives are {PRIMITIVE_FORMS}; "
             f"or give a mesh file ({', '.join(SUFFIXES)}), or a folder of meshes that are its convex pieces"
         )
-    if unit is None:
-        check_size(mesh.extents, text)
+    check_size(mesh.extents / factor, unit, text)
     convex = len(pieces) == 1
     if not pieces:
         mesh, notes = watertight(mesh, name, holes)

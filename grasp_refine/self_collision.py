@@ -128,10 +128,7 @@ def judged_pairs(
 ) -> Judged:
     """What `touching_pairs` found, and why it left out the other pairs."""
     (candidates, neighbours), watched = _candidates(hand), touching_pairs(hand, sampling, cache=cache)
-    lower, upper = _limits(hand)
-    uniform = np.random.default_rng(sampling.seed).uniform(lower, upper, (sampling.uniform, len(lower)))
-    overlap = _distances(hand, candidates, np.concatenate([hand.rest[None], uniform]), 0.0) < 0
-    at_rest, always = overlap[0], overlap[1:].mean(axis=0) > sampling.always
+    at_rest, always = _by_design(_distances(hand, candidates, _first_draws(hand, sampling), 0.0), sampling)
     named = [
         tuple(pair for pair, chosen in zip(candidates, which, strict=True) if chosen)
         for which in (at_rest, always & ~at_rest)
@@ -198,17 +195,33 @@ def _touching(hand: Hand, candidates: list[LinkPair], sampling: Sampling) -> Boo
     """Which of the candidates come near each other, but not by design."""
     lower, upper = _limits(hand)
     rng = np.random.default_rng(sampling.seed)
-    uniform = rng.uniform(lower, upper, (sampling.uniform, len(lower)))
+    first = _first_draws(hand, sampling, rng)
     end, within = rng.choice([True, False], (2, sampling.extreme, len(lower)))
     extreme = np.where(within, rng.uniform(lower, upper, end.shape), np.where(end, upper, lower))
-    distance = _distances(hand, candidates, np.concatenate([hand.rest[None], uniform]), sampling.margin)
-    by_design = (distance[0] < 0) | ((distance[1:] < 0).mean(axis=0) > sampling.always)
+    distance = _distances(hand, candidates, first, sampling.margin)
+    by_design = np.logical_or(*_by_design(distance, sampling))
     near = (distance < sampling.margin).any(axis=0)
     for q in np.split(extreme, _ROUNDS):
         left = np.flatnonzero(~near)
         distance = _distances(hand, [candidates[p] for p in left], q, sampling.margin)
         near[left] = (distance < sampling.margin).any(axis=0)
     return near & ~by_design
+
+
+def _first_draws(
+    hand: Hand, sampling: Sampling, rng: np.random.Generator | None = None
+) -> Float[np.ndarray, "draws n"]:
+    """Joint values by which it is judged what overlaps by design: the rest pose, and uniform draws."""
+    lower, upper = _limits(hand)
+    rng = np.random.default_rng(sampling.seed) if rng is None else rng
+    return np.concatenate([hand.rest[None], rng.uniform(lower, upper, (sampling.uniform, len(lower)))])
+
+
+def _by_design(
+    distance: Float[np.ndarray, "draws pairs"], sampling: Sampling
+) -> tuple[Bool[np.ndarray, " pairs"], Bool[np.ndarray, " pairs"]]:
+    """Which pairs overlap at rest, and which nearly always: hulls that cover more than the links."""
+    return distance[0] < 0, (distance[1:] < 0).mean(axis=0) > sampling.always
 
 
 def _distances(

@@ -175,7 +175,7 @@ def test_the_command_hands_shows_them_with_the_users_files(
     assert "in simulation: inertia of fftip" in " ".join(capsys.readouterr().out.split())
     with pytest.raises(HandError, match=r"right_hand.xml: joints WRJ2, .* are not found by name"):
         Hands("shadow", urdf, folder / "leap_mjcf/right_hand.xml").execute()
-    with pytest.raises(GraspRefineError, match="^--urdf without the name of a hand, or a URDF, means nothing: "):
+    with pytest.raises(GraspRefineError, match="^--urdf without a hand, by its name or URDF: refine-grasp"):
         Hands(urdf=urdf).execute()
 
 

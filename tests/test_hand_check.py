@@ -169,12 +169,12 @@ def test_places_that_cannot_be_are_refused(workplace: Path, capfd: pytest.Captur
     for place in ("there", "there/hand.toml"):
         message = "--write there/hand.toml: exists already and is not overwritten; name another folder"
         assert refused(capfd, "hands", "--check", path, "--write", place) == message
-    message = "--write my.toml: the file must be called hand.toml, so that its folder is a hand; or name a folder"
+    message = "--write my.toml: is no folder that exists, and a file must be called hand.toml, so that its folder is a "
+    message += "hand: my.toml/hand.toml"
     assert refused(capfd, "hands", "--check", path, "--write", "my.toml") == message
     assert refused(capfd, "hands", path, "--write", "there2/hand.toml") == "--write goes with --check"
     assert "is no folder" in refused(capfd, "hands", "--check", path, "--write", "pincers.urdf/hand.toml")
-    expected = "--base-link and --check without the name of a hand, or a URDF, means nothing: "
-    expected += "refine-grasp hands HAND --base-link"
+    expected = "--base-link and --check without a hand, by its name or URDF: refine-grasp hands HAND --base-link"
     assert refused(capfd, "hands", "--check", "--base-link", "palm") == expected
 
 

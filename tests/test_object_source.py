@@ -24,9 +24,16 @@ def silent(line: str) -> None:
     raise AssertionError(f"nothing should be fetched: {line}")
 
 
-@pytest.mark.parametrize("name", ["mug", "box:1,2,3", "some/mesh.obj", "Mesh.STL", "nobody_knows"])
+@pytest.mark.parametrize("name", ["mug", "box:1,2,3", "some/mesh.obj", "Mesh.STL"])
 def test_what_is_no_asset_is_left_to_load_object(name: str, workplace: Path) -> None:
     assert chosen_object(name, silent).source == name
+
+
+def test_what_nobody_knows_is_said_with_what_there_is(workplace: Path) -> None:
+    with pytest.raises(
+        AssetError, match="no object 'ycb/011_bananna': embedded ones are mug, .*perhaps ycb_011_banana "
+    ):
+        chosen_object("ycb/011_bananna", silent)
 
 
 def test_a_file_or_folder_wins_over_an_asset(workplace: Path) -> None:

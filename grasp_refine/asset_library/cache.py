@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Literal
 
 from grasp_refine.asset_library.manifest import Asset
-from grasp_refine.asset_library.origin import wanted
+from grasp_refine.asset_library.origin import Layout, wanted
 from grasp_refine.errors import AssetError
 from grasp_refine.geometry.cache import default_cache
 
-Layout = Literal["upstream", "mirror"]
 LAYOUTS: tuple[Layout, ...] = ("upstream", "mirror")
 
 DIGITS = 12

@@ -12,6 +12,9 @@ from urllib.parse import quote, urlsplit
 from grasp_refine.asset_library.manifest import Asset, AssetFile
 from grasp_refine.errors import AssetError
 
+Layout = Literal["upstream", "mirror"]
+"""Which of the two sets of paths and hashes in the manifests counts."""
+
 VARIABLE = "GRASP_REFINE_ASSETS"
 """Names a mirror: a folder, or the base of http(s) addresses."""
 
@@ -105,7 +108,7 @@ def shown(source: str | Path) -> str:
     return parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()
 
 
-def wanted(file: AssetFile, layout: Literal["upstream", "mirror"]) -> Wanted:
+def wanted(file: AssetFile, layout: Layout) -> Wanted:
     """What a file has to be when it comes from upstream, or from a mirror."""
     if layout == "mirror":
         return Wanted(file.mirror_place, file.mirror_sha256, file.mirror_size)

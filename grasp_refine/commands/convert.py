@@ -15,15 +15,15 @@ from rich.progress import Progress
 from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE
-from grasp_refine.errors import GraspFileError, GraspRefineError
+from grasp_refine.errors import GraspRefineError
 from grasp_refine.formats.agreement import fingertip_distances
 from grasp_refine.formats.format import Format, Load
 from grasp_refine.formats.listing import FormatName, format_named
 from grasp_refine.formats.reading import Reading, reading
 from grasp_refine.formats.writing import check_output, written
 from grasp_refine.grasps import GraspSet
-from grasp_refine.hand import Hand, list_hands, load_hand
-from grasp_refine.hand_source import is_known
+from grasp_refine.hand import Hand, load_hand
+from grasp_refine.hand_source import check_known
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA, check_no_input, check_writable, save_json
 from grasp_refine.versions import versions
@@ -42,8 +42,9 @@ class Convert:
     ours: one .npz file with everything. dexgraspbench, dexonomy: folders with one .npy file per grasp. bodex,
     dexgraspnet: folders with one .npy file per object. leap_cache: one .npy file of the LEAP hand with a cube.
 
-    What was written is read again before it takes its place: fingertips must be where they were to 1e-6 m. Pickles are
-    read without running them.
+    What was written is read again before it takes its place: fingertips must be where they were to 1e-6 m, which shows
+    that nothing was lost on the way. A file that exists is replaced, a folder is not. Pickles are read without running
+    them.
     """
 
     source: Annotated[Positional[Path], arg(metavar="IN")]
@@ -123,10 +124,8 @@ class Convert:
     def _load(self, grasps: GraspSet) -> Load:
         """What gives the hand of the grasps."""
         source = self.hand or grasps.hand
-        if self.hand is None and not is_known(source):
-            raise GraspFileError(
-                f"{self.source}: its hand '{source}' is none of ours ({', '.join(list_hands())}); give it with --hand"
-            )
+        if self.hand is None:
+            check_known(source, self.source)
 
         @cache
         def load(base_link: str) -> Hand:

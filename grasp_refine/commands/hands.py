@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 CANDIDATES = 16
 """Surface points per link; nothing here looks at them."""
 
-ASK_FOR_ONE = "without the name of a hand, or a URDF, means nothing: refine-grasp hands HAND"
+ASK_FOR_ONE = "without a hand, by its name or URDF: refine-grasp hands HAND"
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,9 @@ class Hands:
     """The hand's URDF, where it comes without one."""
     mjcf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: as named)")] = None
     """The same hand as an MJCF file, to see whether they match."""
-    base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: the palm)")] = None
-    """Link that the hand begins at; the root of the URDF moves all joints, also those of an arm."""
+    base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: as said)")] = None
+    """Link that the hand begins at; the root of the URDF moves all joints, also those of an arm. By default what the
+    hand.toml says, else the palm of a hand on an arm, else the root."""
     hull_limit: float = HULL_LIMIT
     """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it, as for `run`."""
     check: Annotated[bool, arg(help_behavior_hint="")] = False
@@ -148,7 +149,8 @@ def _checked_place(path: Path) -> Path:
     place = path / HAND_TOML if path.is_dir() else path
     if place.name != HAND_TOML:
         raise GraspRefineError(
-            f"--write {path}: the file must be called {HAND_TOML}, so that its folder is a hand; or name a folder"
+            f"--write {path}: is no folder that exists, and a file must be called {HAND_TOML}, so that its folder is a "
+            f"hand: {path / HAND_TOML}"
         )
     if place.exists() or place.is_symlink():
         raise GraspRefineError(f"--write {place}: exists already and is not overwritten; name another folder")

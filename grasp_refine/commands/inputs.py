@@ -74,7 +74,7 @@ class Inputs(Sources):
         self._check_numbers()
         hand = self._simulated(self._load_hand(self.hand, self.base_link, say))
         source = chosen_object(self.object, say)
-        scale = self._scale * (1.0 if source.asset is None else source.asset.scale)
+        scale = self.scale * (1.0 if source.asset is None else source.asset.scale)
         obj, table = self._object(source, scale, seed, say), self._table()
         began = time.perf_counter()
         wait(f"sampling grasps of {hand.name} on {obj.name}")
@@ -83,11 +83,11 @@ class Inputs(Sources):
         notes.append(f"{len(grasps)} grasps were sampled in {time.perf_counter() - began:.1f} s")
         if len(grasps) < int(count):
             notes.append(f"only {len(grasps)} of {count} grasps of '{hand.name}' on '{obj.name}' were found")
-        grasps = replace(grasps, scale=np.full(len(grasps), scale))
+        grasps = replace(grasps, scale=np.full(len(grasps), self._metres(scale)))
         rows = choose_rows(grasps, object_name=None, index=self.index or None)
         grasps = grasps.select(rows)
         scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), grasps.q, table=table)
-        group = Group(obj.name, scale, scene, grasps, rows, rows, np.arange(len(rows)))
+        group = Group(obj.name, self._metres(scale), scene, grasps, rows, rows, np.arange(len(rows)))
         return Problem(hand, (hand.urdf,), (group,), tuple(dict.fromkeys(notes)), asked)
 
     def _files(self, path: Path, read: Reading) -> tuple[Path, ...]:

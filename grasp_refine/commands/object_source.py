@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 
 from grasp_refine.asset_library.locating import fetched
@@ -33,11 +34,18 @@ def chosen_object(name: str, say: Callable[[str], None]) -> ObjectSource:
     Raises:
         AssetError: the name could be several assets, or the one that it is cannot be fetched.
     """
-    if name in EMBEDDED or ":" in name or Path(name).suffix.lower() in SUFFIXES or Path(name).exists():
+    if name in EMBEDDED or ":" in name or Path(name).suffix or Path(name).exists():
         return ObjectSource(name)
     asset = find_asset(name, "objects")
-    # What nobody knows is for `load_object` to complain about.
-    return ObjectSource(name) if asset is None else ObjectSource(fetched(asset, say), asset)
+    if asset is None:
+        close = get_close_matches(name.replace("/", "_"), read_manifest("objects"), n=1)
+        perhaps = f", perhaps {close[0]}" if close else ""
+        raise AssetError(
+            f"no object '{name}': embedded ones are {', '.join(EMBEDDED)}; primitives are {PRIMITIVE_FORMS}; or give a "
+            f"mesh file ({', '.join(SUFFIXES)}), a folder of convex pieces, or an asset{perhaps} "
+            "(refine-grasp assets list objects)"
+        )
+    return ObjectSource(fetched(asset, say), asset)
 
 
 def named_object(name: str, objects: Path | None, file: Path, say: Callable[[str], None]) -> ObjectSource:

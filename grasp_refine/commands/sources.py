@@ -11,6 +11,8 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import DisallowNone, arg
 
+from grasp_refine.asset_library.locating import fetched
+from grasp_refine.asset_library.names import find_asset
 from grasp_refine.commands.object_source import ObjectSource, chosen_object, named_object
 from grasp_refine.commands.options import check_hull_limit
 from grasp_refine.commands.problem import Group, Problem
@@ -23,8 +25,8 @@ from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.mesh import Holes
 from grasp_refine.geometry.units import UNITS, Unit
 from grasp_refine.grasps import GraspSet, Targets, choose_rows, match_joints
-from grasp_refine.hand import Hand, list_hands, load_hand
-from grasp_refine.hand_source import is_known
+from grasp_refine.hand import Hand, load_hand
+from grasp_refine.hand_source import check_known
 from grasp_refine.objects import Object, load_object
 from grasp_refine.plane import Plane
 from grasp_refine.rebase import rebased
@@ -43,9 +45,9 @@ class Sources:
     """Another URDF for the hand, with the same names of joints and links; needed where a hand comes without one."""
     mjcf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
     """The hand as an MJCF file, which is then what is simulated."""
-    base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: the palm)")] = None
+    base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: as said)")] = None
     """The link that the hand begins at; joints above it do not move. By default what the grasp file or the hand.toml
-    says, else the palm."""
+    says, else the palm of a hand on an arm, else the root."""
     object: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of the grasp file)")] = None
     """An embedded object (mug, bottle, bowl, rounded_box), box:x,y,z, sphere:r, cylinder:r,h, a mesh file, a folder of
     convex pieces, or an asset such as ycb/011_banana."""
@@ -79,27 +81,29 @@ class Sources:
             GraspRefineError: something is missing, cannot be used, or does not fit the rest.
         """
         self._check_numbers()
+        path = _fetched(path, say)
         read = self._read(path, say)
         grasps = read.grasps
         names = self._names(grasps, path)
         chosen = {name: choose_rows(grasps, object_name=name, index=self.index or None) for name in names}
         sources = {name: self._source(name, path, say) for name in names}
         targets = self._targets(grasps, path)
-        hand, grasps = self._hand(grasps, path, say)
+        hand, grasps, resting = self._hand(grasps, path, say)
         q, notes = match_joints(grasps, hand)
-        notes = [*read.notes, *hand.notes, *notes, *_other_urdf(path, hand)]
+        notes = [*read.notes, *hand.notes, *resting, *notes, *_other_urdf(path, hand)]
         groups, count = [], 0
         for name, rows in chosen.items():
             index = np.asarray(self.index) if self.index else np.arange(len(rows))
             place, count = np.arange(count, count + len(rows)), count + len(rows)
-            scales = grasps.scale[rows] * self._scale
+            scales = grasps.scale[rows] * self.scale
             for scale in np.unique(scales):
                 at = np.flatnonzero(scales == scale)
                 obj = self._object(sources[name], float(scale), seed, say)
                 notes += [f"{name}: {note}" for note in obj.notes]
                 T = transform_from_pose(grasps.hand_pose[rows[at]])
                 scene = _aimed(Scene(hand, obj, T, q[rows[at]], table=self._table()), targets, rows[at])
-                groups.append(Group(name, float(scale), scene, grasps.select(rows[at]), rows[at], index[at], place[at]))
+                metres = self._metres(scale)
+                groups.append(Group(name, metres, scene, grasps.select(rows[at]), rows[at], index[at], place[at]))
         return Problem(hand, self._files(path, read), tuple(groups), tuple(dict.fromkeys(notes)))
 
     def _check_numbers(self) -> None:
@@ -110,10 +114,9 @@ class Sources:
             raise GraspRefineError(f"--table must be a height in metres, got {self.table:g}")
         check_hull_limit(self.hull_limit)
 
-    @property
-    def _scale(self) -> float:
-        """What the options multiply the scale of the mesh with."""
-        return self.scale * UNITS[self.unit or "m"]
+    def _metres(self, scale: float) -> float:
+        """What takes the mesh to metres, where `scale` takes it to the unit."""
+        return float(scale) * UNITS[self.unit or "m"]
 
     def _table(self) -> Plane | None:
         """The table, if there is one."""
@@ -124,8 +127,7 @@ class Sources:
         found = load_object(
             source.source,
             scale=scale,
-            # The unit is in the scale, as in files of results: given once more with these, it is asked about, too.
-            unit="m" if self.unit == "m" else None,
+            unit=self.unit,
             holes=self.holes,
             decomposition=Decomposition(threshold=self.threshold),
             seed=seed,
@@ -153,13 +155,11 @@ class Sources:
         """The targets of all rows of the grasp file; None: they are to be found."""
         return grasps.targets
 
-    def _hand(self, grasps: GraspSet, path: Path, say: Callable[[str], None]) -> tuple[Hand, GraspSet]:
-        """The hand below the base link that the options say or else the grasp file, and the grasps told from there."""
+    def _hand(self, grasps: GraspSet, path: Path, say: Callable[[str], None]) -> tuple[Hand, GraspSet, list[str]]:
+        """The hand below the base link that is asked for, the grasps told from there, and notes."""
         source = self.hand or grasps.hand
-        if self.hand is None and not is_known(source):
-            raise GraspFileError(
-                f"{path}: its hand '{source}' is none of ours ({', '.join(list_hands())}); give it with --hand"
-            )
+        if self.hand is None:
+            check_known(source, path)
         load = partial(self._load_hand, source, say=say)
         try:
             hand = load(grasps.base_link)
@@ -172,15 +172,18 @@ class Sources:
                 f"{path}: the grasps are for another hand ('{grasps.hand}'): their base_link '{grasps.base_link}' "
                 f"is no link of hand '{whole.name}'; its links are {', '.join(links)}"
             ) from None
+        notes = []
         if self.base_link is not None:
-            grasps = rebased(grasps, self.base_link, load)
-            hand = load(self.base_link)
+            told, hand = rebased(grasps, self.base_link, load), load(self.base_link)
+            resting = [name for name in told.joint_names if name not in grasps.joint_names]
+            notes = [f"joints that the grasps lack begin at rest: {', '.join(resting)}"] if resting else []
+            grasps = told
         if not any(link.body is not None for link in hand.links):
             raise GraspFileError(
                 f"{path}: the grasps are for another hand ('{grasps.hand}'): from their base_link "
                 f"'{grasps.base_link}' on, no link of hand '{hand.name}' has collision geometry"
             )
-        return self._simulated(hand), grasps
+        return self._simulated(hand), grasps, notes
 
     def _simulated(self, hand: Hand) -> Hand:
         """The hand as it will be simulated."""
@@ -210,7 +213,15 @@ class Sources:
 
     def _source(self, name: str, path: Path, say: Callable[[str], None]) -> ObjectSource:
         """What `load_object` should load for the object `name` of the grasp file."""
-        return named_object(name, self.objects, path, say) if self.object is None else chosen_object(self.object, say)
+        if self.object is not None:
+            return chosen_object(self.object, say)
+        return named_object(name, None if self.objects is None else _fetched(self.objects, say), path, say)
+
+
+def _fetched(path: Path, say: Callable[[str], None]) -> Path:
+    """The same, or where the files of an asset of this name lie, if nothing else is called so."""
+    asset = None if path.exists() or path.suffix else find_asset(str(path), "grasps")
+    return path if asset is None else fetched(asset, say)
 
 
 def _other_urdf(path: Path, hand: Hand) -> list[str]:

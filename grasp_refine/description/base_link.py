@@ -51,7 +51,7 @@ def guess_base(tree: Tree) -> Base:
         first = branches[0].child
     if not branches:
         return Base(tree.root, (), "it is the root; no link further on has two moving branches, as a palm has")
-    others = _palms([joint.child for joint in branches], leaving, carries)
+    others = _palms([joint.child for joint in branches], leaving, carries, solid)
     if not above:
         why = f"it is the root, and {len(branches)} moving branches leave what is fixed to it"
         return Base(tree.root, (), why, others)
@@ -66,15 +66,18 @@ def guess_base(tree: Tree) -> Base:
     return Base(base, tuple(above), why, others)
 
 
-def _palms(firsts: list[str], leaving: dict[str, list[yourdfpy.Joint]], carries: set[str]) -> tuple[str, ...]:
-    """The first link of each part at or below some links that several moving branches with something solid leave."""
+def _palms(
+    firsts: list[str], leaving: dict[str, list[yourdfpy.Joint]], carries: set[str], solid: set[str]
+) -> tuple[str, ...]:
+    """The palms of the parts at or below some links that several moving branches with something solid leave."""
     palms = []
     for first in firsts:
         part = list(_below(first, leaving, fixed=True))
-        moving = [joint.child for link in part for joint in leaving[link] if joint.type != "fixed"]
-        branches = [child for child in moving if child in carries]
-        palms += [first] if len(branches) > 1 else []
-        palms += _palms(branches, leaving, carries)
+        moving = [joint for link in part for joint in leaving[link] if joint.type != "fixed"]
+        branches = [joint for joint in moving if joint.child in carries]
+        if len(branches) > 1:
+            palms.append(_lowest(first, part, {joint.parent for joint in branches}, solid, leaving))
+        palms += _palms([joint.child for joint in branches], leaving, carries, solid)
     return tuple(palms)
 
 

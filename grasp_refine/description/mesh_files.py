@@ -16,13 +16,18 @@ if TYPE_CHECKING:
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """The mesh of a file, in the file's own unit or, for Collada, in metres.
+    """The mesh of a file, each triangle once, in the file's own unit or, for Collada, in metres.
 
     Raises:
         MeshError: the file is of another format, broken, empty or flat.
     """
-    if path.suffix.lower() != ".dae":
-        return load_mesh(path)
+    mesh = _read_collada(path) if path.suffix.lower() == ".dae" else load_mesh(path)
+    # The other side of a face is no other face: with both, nothing would hang together.
+    mesh.update_faces(mesh.unique_faces())
+    return mesh
+
+
+def _read_collada(path: Path) -> trimesh.Trimesh:
     import trimesh
 
     try:

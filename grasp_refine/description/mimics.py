@@ -54,6 +54,9 @@ def within_followers(joints: Sequence[Joint], path: Path) -> tuple[list[Joint], 
         allowed.setdefault(own.name, {})[follower.name] = ends
         lower, upper = range_of[own.name]
         lower, upper = max(lower, ends[0]), min(upper, ends[1])
+        if lower > upper and lower - upper <= ROUNDED[own.kind]:
+            # Limits that meet in one value, as written with so many digits.
+            lower = upper = min(max(lower, own.lower), own.upper)
         if lower > upper or (upper - lower < 1e-6 < own.upper - own.lower):
             raise HandError(
                 f"{where}, is {leads.multiplier:g} x '{own.name}' + {leads.offset:g}, which leaves '{own.name}' no "

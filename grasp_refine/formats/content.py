@@ -14,7 +14,7 @@ from grasp_refine.formats.pickled import KINDS, Refused, unpickled
 from grasp_refine.npz import MAGIC, array_header
 
 LARGEST_FILE = 2**28
-"""Larger files, in bytes, are not read: a pickle of many small things takes about fifty times its size in memory."""
+"""Larger files, in bytes, are not read: nearly all of one that is honest are arrays."""
 
 PROTOCOL = b"\x80"
 """What all pickles but the oldest begin with."""

@@ -99,7 +99,7 @@ def layout_of(
     if names:
         return _by_name(source, for_hand, count, hand, names)
     fitting = [layout for layout in for_hand if len(layout.joints) == count]
-    if hand is None and hand_name:
+    if hand is None and hand_name and fitting:
         said = hand_name.lower()
         fitting = [layout for layout in fitting if layout.hand in said and "left" not in said]
         if not fitting:

@@ -23,6 +23,8 @@ SPREAD = 16
 """How much larger than a pickle its values may be, where it names one part several times."""
 SMALLEST = 8
 """What any value counts, in bytes."""
+MOST_STEPS = 5_000_000
+"""Opcodes that are interpreted: about ten seconds, and a gigabyte if all make small lists."""
 ALLOWANCE = 2**20
 """Values that may be there whatever the pickle's size, in bytes."""
 KINDS = "biufUS"
@@ -302,7 +304,9 @@ def unpickled(data: bytes) -> Any:
     room = SPREAD * len(data) + ALLOWANCE
     machine = _Machine(room)
     try:
-        for opcode, argument, _ in pickletools.genops(io.BytesIO(data)):
+        for step, (opcode, argument, _) in enumerate(pickletools.genops(io.BytesIO(data))):
+            if step > MOST_STEPS:
+                raise Refused(f"holds too much: it takes more than {MOST_STEPS / 1e6:g} million steps to read")
             if opcode.name == "STOP":
                 return _plain(machine.stack.pop(), [room])
             if opcode.name not in ("PROTO", "FRAME"):

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from grasp_refine.errors import GraspFileError
 from grasp_refine.grasps import QUATERNION_TOLERANCE
+from grasp_refine.npz import is_sound
 
 MESH_FOLDERS = ("mesh", "meshes", "urdf", "mjcf", "coacd")
 """Folders inside that of an object, which do not name it."""
@@ -43,7 +44,8 @@ class Source:
         if shape is not None and not _fits(array.shape, shape):
             wanted = ", ".join("N" if length is None else str(length) for length in shape)
             raise self.error(f"{what} must have shape ({wanted}); it has {array.shape}")
-        array = array.astype(float)
+        with np.errstate(all="ignore"):  # what overflows is not finite
+            array = array.astype(float)
         if not np.isfinite(array).all():
             at = np.argwhere(~np.isfinite(array))[0].tolist()
             place = "".join(f"[{i}]" for i in at)
@@ -62,7 +64,8 @@ class Source:
     def poses(self, value: Any, what: str, count: int | None = None) -> Float[np.ndarray, "N 7"]:
         """Return poses (N, 7), x y z qw qx qy qz, with unit quaternions."""
         poses = self.numbers(value, what, (count, 7))
-        norm = np.linalg.norm(poses[:, 3:], axis=1)
+        with np.errstate(over="ignore"):
+            norm = np.linalg.norm(poses[:, 3:], axis=1)
         wrong = np.abs(norm - 1.0) > QUATERNION_TOLERANCE
         if wrong.any():
             row = int(np.argmax(wrong))
@@ -82,6 +85,8 @@ class Source:
             value = value.decode("utf-8", errors="replace")
         if not isinstance(value, str):
             raise self.error(f"{what} must be a text; it is {_kind(value)}")
+        if not is_sound(np.array(value)):
+            raise self.error(f"{what} holds letters that no text has, or that control a terminal")
         return value
 
     def names(self, value: Any, what: str) -> tuple[str, ...]:

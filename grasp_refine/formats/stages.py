@@ -76,7 +76,7 @@ def joint_count(source: Source, rows: np.ndarray, what: str) -> int:
     """How many joint values are in each row of a stage.
 
     Raises:
-        GraspFileError: none.
+        GraspFileError: there are fewer than 8 numbers in a row.
     """
     count = rows.shape[-1] - 7
     if count < 1:

@@ -12,6 +12,7 @@ import numpy as np
 
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry import cache as disk
+from grasp_refine.geometry.holes import find_holes
 from grasp_refine.geometry.mesh import FlatMeshError
 from grasp_refine.geometry.nearest_triangle import Triangles
 from grasp_refine.geometry.over_cover import PRECISION, over_cover
@@ -82,66 +83,115 @@ def covering(
     """
     if not limit > 0:
         raise MeshError(f"the hull of a mesh can stand out of it by a limit above 0 m only, got {limit:g} m")
-    if not mesh.is_watertight:
-        # What a small hole lets in is no place where the hull stands out.
-        mesh = mesh.copy()
-        mesh.fill_holes()
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     whole = hull(vertices[np.unique(mesh.faces)], name=name)
     if np.isinf(limit):
         return Covering((whole,), 0.0, 0.0, least=np.inf)
     # To look for 2 mm all over a long arm would take long.
     least = min(limit, max(NOTICED, 0.01 * float(np.linalg.norm(np.ptp(vertices, axis=0)))))
+    mesh = _without_small_holes(mesh, least)
     triangles = Triangles(vertices[mesh.faces])
     before = _measured([whole], triangles, least, cache)
     if before <= limit:
         return Covering((whole,), before, before, least)
-    found, troubles = [], []
-    bodies = mesh.split(only_watertight=False)
-    # What is joined again afterwards need not be cut.
-    body_limit = limit if len(bodies) <= MOST else np.inf
-    for body in bodies:
-        try:
-            found += _body_pieces(body, body_limit, cache, progress, name)
-        except FlatMeshError:
-            found += _sheet(body)
-        except MeshError as error:
-            found.append(hull(body.vertices, name=name))
-            troubles.append(str(error))
+    found, troubles = _body_pieces(mesh, limit, cache, progress, name)
     pieces = _joined(_outermost(found)) or [whole]
     pieces = [_within(whole, piece) for piece in _reaching(pieces, vertices[np.unique(mesh.faces)])]
     after = _measured(pieces, triangles, least, cache)
     if after > (1 - 2 * PRECISION) * before:
         return Covering(
-            (whole,), before, before, least, "; ".join(troubles) or f"{len(pieces)} pieces stand out as far"
+            (whole,),
+            before,
+            before,
+            least,
+            "; ".join(troubles) or f"{len(pieces)} piece{'s stand' if len(pieces) > 1 else ' stands'} out as far",
         )
     return Covering(tuple(pieces), before, after, least, "; ".join(troubles))
 
 
+def _without_small_holes(mesh: trimesh.Trimesh, size: float) -> trimesh.Trimesh:
+    """A mesh without missing triangles, and without holes of four edges no wider than `size` metres.
+
+    What a small hole lets in is no place where the hull stands out. A wide hole of four edges may be meant.
+    """
+    import trimesh
+
+    if mesh.is_watertight:
+        return mesh
+    try:
+        holes = find_holes(mesh)
+    except MeshError:
+        return mesh
+    rims = [hole.rim for hole in holes if len(hole.rim) == 3 or (len(hole.rim) == 4 and hole.width <= size)]
+    if not rims:
+        return mesh
+    caps = [[rim[0], *rim[at : at + 2]] for rim in rims for at in range(1, len(rim) - 1)]
+    return trimesh.Trimesh(mesh.vertices, np.concatenate([mesh.faces, caps]), process=False)
+
+
 def _body_pieces(
+    mesh: trimesh.Trimesh, limit: float, cache: Path | None, progress: Callable[[str], None] | None, name: str
+) -> tuple[list[Piece], list[str]]:
+    """The hulls of the connected bodies of a mesh, or what CoACD cuts them into, and what went wrong in that.
+
+    Those whose hulls stand out the most are cut first, until there are `MOST` pieces: more would be joined again.
+    """
+    solid, flat, troubles = [], [], []
+    for body in mesh.split(only_watertight=False, repair=False):
+        try:
+            solid.append((body, hull(body.vertices, name=name)))
+        except FlatMeshError:
+            flat.append(np.asarray(body.vertices, dtype=np.float64))
+    measured = [
+        _measured([whole], Triangles(np.asarray(body.vertices, dtype=np.float64)[body.faces]), limit, cache)
+        for body, whole in solid
+    ]
+    pieces = _patches(flat)
+    for index in np.argsort(-np.array(measured), kind="stable"):
+        body, whole = solid[index]
+        found = [whole]
+        if measured[index] > 0 and len(pieces) < MOST:
+            try:
+                found = _cut(body, limit, cache, progress, name)
+            except MeshError as error:
+                troubles.append(str(error))
+        pieces += found
+    return pieces, troubles
+
+
+def _cut(
     body: trimesh.Trimesh, limit: float, cache: Path | None, progress: Callable[[str], None] | None, name: str
 ) -> list[Piece]:
-    """The hull of a connected mesh, or what CoACD cuts it into.
+    """What CoACD cuts a connected mesh into.
 
     Raises:
         MeshError: CoACD fails.
-        FlatMeshError: the body has no thickness.
     """
-    whole = hull(body.vertices, name=name)
-    if np.isinf(limit):
-        return [whole]
-    triangles = Triangles(np.asarray(body.vertices, dtype=np.float64)[body.faces])
-    if _measured([whole], triangles, limit, cache) == 0.0:
-        return [whole]
     # CoACD's threshold is about how far its pieces stand out, the mesh being 2 long.
     threshold = float(np.clip(limit / (np.ptp(body.vertices, axis=0).max() / 2), 0.01, 1.0))
     settings = Decomposition(threshold, MOST_CUTS, mcts_nodes=10, mcts_iterations=60, mcts_max_depth=2)
     return list(convex_pieces(_simplified(body, SIMPLER * limit), settings, cache=cache, progress=progress, name=name))
 
 
-def _sheet(body: trimesh.Trimesh) -> list[Piece]:
-    """The hull of a flat mesh, as thick as `OUTSIDE` on either side; nothing if it is only a line."""
-    points = np.asarray(body.vertices, dtype=np.float64)
+def _patches(flat: Sequence[np.ndarray]) -> list[Piece]:
+    """The hulls of flat bodies, whose points these are; those whose boxes touch are the sides of one body."""
+    groups: list[np.ndarray] = []
+    for points in flat:
+        near = [group for group in groups if _boxes_touch(group, points)]
+        groups = [group for group in groups if not any(group is other for other in near)]
+        groups.append(np.concatenate([*near, points]))
+    return [piece for group in groups for piece in _sheet(group)]
+
+
+def _boxes_touch(one: np.ndarray, other: np.ndarray) -> bool:
+    gap = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
+    return bool(gap.max() <= OUTSIDE)
+
+
+def _sheet(points: np.ndarray) -> list[Piece]:
+    """The hull of some points; `OUTSIDE` thick on either side if they lie in a plane, nothing if on a line."""
+    with suppress(MeshError):
+        return [hull(points)]
     step = OUTSIDE * np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
     with suppress(MeshError):
         return [hull(np.concatenate([points - step, points + step]))]

@@ -213,7 +213,7 @@ def convex_bodies(mesh: trimesh.Trimesh, tolerance: float = 1e-3) -> tuple[np.nd
     if mesh.body_count > MOST_BODIES:
         return ()
     bodies = []
-    for body in mesh.split(only_watertight=False):
+    for body in mesh.split(only_watertight=False, repair=False):
         points = body.vertices[np.unique(body.faces)]
         try:
             check_solid(points, "body")

@@ -101,7 +101,8 @@ def _contacts(hand: Hand) -> tuple[str, ...]:
     lines = []
     for contact in hand.contacts:
         # The topmost joint that moves no other contact link.
-        own = [joint.name for joint in ways[contact.link] if moves[joint.name] == 1] or [""]
+        own = [joint.name for joint in ways[contact.link] if moves[joint.name] == 1]
+        own = own or [joint.name for joint in ways[contact.link][:1]] or ["none"]
         why = (
             f"the last solid link of the branch that joint '{own[-1]}' moves" if guessed(hand) else "hand.toml says so"
         )

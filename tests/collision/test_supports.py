@@ -13,6 +13,7 @@ PIECES = [
     box([0.06, 0.01, 0.03]),
     hull(np.random.default_rng(0).normal(size=(8, 3)) * 0.02),
     ellipsoid_hull(0),
+    ellipsoid_hull(2, 300),
     Piece(ellipsoid_hull(1, 30).vertices, ellipsoid_hull(1, 30).faces, radius=0.015),
 ]
 

@@ -253,3 +253,17 @@ def test_geometry_that_cannot_be_used_names_the_link(package: Path, geometry: st
     with pytest.raises(HandError, match=f"hand.urdf: link 'tip': .*{message}") as caught:
         pieces(package, geometry)
     assert "\n" not in str(caught.value)
+
+
+def test_both_sides_of_faces_are_one_surface(package: Path) -> None:
+    clamp = trimesh.boolean.union(
+        [
+            trimesh.creation.box(bounds=bounds)
+            for bounds in ([[0, 0, 0], [0.06, 0.02, 0.01]], [[0, 0, 0], [0.01, 0.02, 0.04]])
+        ]
+    )
+    both = trimesh.Trimesh(clamp.vertices, np.concatenate([clamp.faces, clamp.faces[:, ::-1]]), process=False)
+    for suffix in ("obj", "stl"):
+        both.export(package / f"meshes/both.{suffix}")
+        found, notes = cut(package, f'<mesh filename="../meshes/both.{suffix}"/>')
+        assert len(found) == 2, notes

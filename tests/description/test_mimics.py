@@ -99,3 +99,11 @@ def test_limits_that_leave_nothing_are_refused(follower: Joint, message: str) ->
 
 def test_a_follower_that_never_moves_limits_nothing() -> None:
     assert limits(joint("a", 0, 1), joint("b", 0, 1, ("a", 0, 0.5)))["a"] == (0, 1)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_limits_that_meet_in_one_value_may_be_rounded(seed: int) -> None:
+    value, offset = np.random.default_rng(seed).uniform(-1, 1, 2)
+    where = round(0.7 * value + offset, 3)
+    lower, upper = limits(joint("a", value, value), joint("b", where, where, ("a", 0.7, offset)))["a"]
+    assert lower == upper == value

@@ -126,3 +126,35 @@ def test_a_sheet_between_bodies_is_covered():
     middle = np.array([0.07, 0.01, 0.01])
     assert any(((piece.planes[0] @ middle) <= piece.planes[1] + 1e-9).all() for piece in found.pieces)
     assert found.stands_out == 0.0
+
+
+def test_an_open_bin_is_not_closed_by_a_lid():
+    bin_ = trimesh.creation.box(bounds=[[0, 0, 0], [0.1, 0.1, 0.05]])
+    bin_.update_faces(bin_.face_normals[:, 2] < 0.5)
+    found = covering(bin_, 5e-3)
+    assert found.hull_stands_out == pytest.approx(0.05, rel=0.1)
+    assert len(found.pieces) > 1 and found.stands_out < 0.01
+
+
+def test_sides_that_do_not_hang_together_are_one_body():
+    # As CAD programs write them: a patch for each side, a micrometre apart from the next.
+    cubes = []
+    for x in (0.0, 0.12):
+        cube = trimesh.creation.box(bounds=[[x, 0, 0], [x + 0.02, 0.02, 0.02]])
+        for normal in np.unique(np.round(cube.face_normals), axis=0):
+            side = cube.submesh([np.flatnonzero((np.round(cube.face_normals) == normal).all(axis=1))], append=True)
+            cubes.append(side.apply_translation(1e-6 * normal))
+    found = covering(trimesh.util.concatenate(cubes), 5e-3)
+    assert len(found.pieces) == 2
+    assert sum(piece.mesh().volume for piece in found.pieces) == pytest.approx(2 * 0.02**3, rel=1e-3)
+
+
+def test_the_worst_of_many_bodies_is_cut():
+    clamp = trimesh.boolean.union(
+        [trimesh.creation.box(bounds=b) for b in ([[0, 0, 0], [0.06, 0.02, 0.01]], [[0, 0, 0], [0.01, 0.02, 0.04]],
+                                                  [[0.05, 0, 0], [0.06, 0.02, 0.04]])]
+    )  # fmt: skip
+    screws = [trimesh.creation.box(bounds=[[0.003 * i, 0.03, 0], [0.003 * i + 0.002, 0.032, 0.002]]) for i in range(18)]
+    found = covering(trimesh.util.concatenate([clamp, *screws]), 5e-3)
+    assert found.hull_stands_out > 0.015 and found.stands_out < 0.006
+    assert len(found.pieces) <= MOST
