@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from grasp_refine.commands.object_source import chosen_object, named_object
+from grasp_refine.commands.object_source import chosen_object, is_known, named_object
 from grasp_refine.errors import AssetError
 
 FILE = Path("grasps.npz")
@@ -92,3 +92,8 @@ def test_a_toml_file_names_meshes_beside_it(tmp_path: Path) -> None:
     assert named_object("pot", listing, FILE, silent).source == "mug"
     with pytest.raises(AssetError, match="objects.toml: no object 'pan'; it names cup, pot"):
         named_object("pan", listing, FILE, silent)
+
+
+def test_what_needs_no_mesh_is_known() -> None:
+    assert all(map(is_known, ("mug", "box:0.1,0.1,0.1", "ycb_011_banana")))
+    assert not any(map(is_known, ("011_banana", "cup.obj", "box:1,2", "")))

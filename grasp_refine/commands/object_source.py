@@ -79,6 +79,11 @@ def named_object(name: str, objects: Path | None, file: Path, say: Callable[[str
     )
 
 
+def is_known(name: str) -> bool:
+    """Whether an object that a grasp file names so needs no mesh from the user."""
+    return name in EMBEDDED or _is_primitive(name) or name in read_manifest("objects")
+
+
 def _is_primitive(name: str) -> bool:
     try:
         primitive_pieces(name)

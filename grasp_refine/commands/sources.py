@@ -13,7 +13,7 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.asset_library.locating import fetched
 from grasp_refine.asset_library.names import find_asset
-from grasp_refine.commands.object_source import ObjectSource, chosen_object, named_object
+from grasp_refine.commands.object_source import ObjectSource, chosen_object, is_known, named_object
 from grasp_refine.commands.options import check_hull_limit
 from grasp_refine.commands.problem import Group, Problem
 from grasp_refine.description.link_geometry import HULL_LIMIT
@@ -40,11 +40,12 @@ class Sources:
     """Where hand, objects and grasps are."""
 
     hand: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of the grasp file)")] = None
-    """A name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF, or a .urdf file."""
+    """A name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF, a .urdf file, or an asset such as
+    hands/leap."""
     urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
     """Another URDF for the hand, with the same names of joints and links; needed where a hand comes without one."""
     mjcf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
-    """The hand as an MJCF file, which is then what is simulated."""
+    """The hand as an MJCF file, or an asset such as shadow_mjcf, which is then what is simulated."""
     base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: as said)")] = None
     """The link that the hand begins at; joints above it do not move. By default what the grasp file or the hand.toml
     says, else the palm of a hand on an arm, else the root."""
@@ -203,7 +204,7 @@ class Sources:
         if self.object_name is not None:
             return [self.object_name]
         names = list(dict.fromkeys(grasps.object.tolist()))
-        if len(names) > 1 and self.objects is None:
+        if len(names) > 1 and self.objects is None and not (self.object is None and all(map(is_known, names))):
             listing = ", ".join(f"{name} ({np.count_nonzero(grasps.object == name)})" for name in names)
             raise GraspFileError(
                 f"{path}: has grasps of {len(names)} objects; choose one with --object-name, or give all their "
