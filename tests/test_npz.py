@@ -102,3 +102,13 @@ def test_a_header_says_shape_type_and_where_the_numbers_begin():
     assert npy(np.arange(6.0).reshape(2, 3))[start:] == np.arange(6.0).tobytes()
     with pytest.raises(ValueError, match=r"shape is \(-1,\)"):
         array_header(claiming((-1,)))
+
+
+@pytest.mark.parametrize("codes", [[0x1B, 0x63], [0x110000], [0x7F]])
+def test_names_that_are_no_text_or_control_a_terminal_are_refused(tmp_path: Path, codes: list[int]):
+    text = np.array(codes, dtype=np.uint32).view(f"U{len(codes)}")
+    np.savez(tmp_path / "g.npz", object=text)
+    with pytest.raises(GraspFileError, match="object holds letters that no text has, or that control a terminal"):
+        load_npz(tmp_path / "g.npz").text("object")
+    np.savez(tmp_path / "g.npz", object=np.array(["Mus\u00e9e", "\u676f"]))
+    assert load_npz(tmp_path / "g.npz").names("object") == ("Mus\u00e9e", "\u676f")

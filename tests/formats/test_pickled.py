@@ -19,6 +19,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from grasp_refine.formats import pickled
 from grasp_refine.formats.pickled import LARGEST_NUMBER, Refused, unpickled
 
 PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
@@ -138,6 +139,13 @@ def test_the_refused_really_run_where_python_reads_them(tmp_path: Path):
     mark = tmp_path / "ran"
     pickle.loads(pickle.dumps(Call(os.system, f"touch {mark}")))
     assert mark.exists()
+
+
+def test_a_pickle_of_too_many_steps_is_refused(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(pickled, "MOST_STEPS", 1000)
+    assert unpickled(pickle.dumps(list(range(400)))) == list(range(400))
+    with pytest.raises(Refused, match="it takes more than 0.001 million steps to read"):
+        unpickled(pickle.dumps([[] for _ in range(2000)]))
 
 
 def test_a_dict_made_of_long_pairs_is_no_bomb():

@@ -1,0 +1,34 @@
+"""What result files record of where they come from."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from grasp_refine.report.results import fingerprint, recorded_urdf
+
+
+def test_a_folder_is_known_by_the_names_and_contents_of_its_files(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "0.npy").write_bytes(b"one")
+    first = fingerprint(tmp_path / "a")
+    (tmp_path / "b" / "deep").mkdir(parents=True)
+    (tmp_path / "b" / "0.npy").write_bytes(b"one")
+    assert fingerprint(tmp_path / "b")["sha256"] == first["sha256"]
+    (tmp_path / "b" / "0.npy").rename(tmp_path / "b" / "deep" / "0.npy")
+    assert fingerprint(tmp_path / "b")["sha256"] != first["sha256"]
+    (tmp_path / "a" / "0.npy").write_bytes(b"two")
+    assert fingerprint(tmp_path / "a")["sha256"] != first["sha256"]
+    assert fingerprint(tmp_path / "a" / "0.npy")["path"] == str(tmp_path / "a" / "0.npy")
+
+
+def test_the_urdf_is_recorded_in_result_files_only(tmp_path: Path) -> None:
+    results = tmp_path / "results.npz"
+    np.savez(results, provenance=np.array(json.dumps({"urdf": {"path": "hand.urdf", "sha256": "abc"}})))
+    assert recorded_urdf(results) == "abc"
+    for entry in ({"q": np.zeros(1)}, {"provenance": np.array("{}")}, {"provenance": np.array("no JSON")}):
+        np.savez(results, **entry)
+        assert recorded_urdf(results) is None
+    assert recorded_urdf(tmp_path / "folder") is None
