@@ -106,15 +106,8 @@ def _located(source: str | Path, urdf: Path | None, say: Callable[[str], None]) 
         toml = read_hand_toml(beside)
         named = path.is_dir() or path.samefile(beside)
         if named or (toml.urdf is not None and path.samefile(toml.urdf)):
-            return _own_name(folder.resolve()), toml if urdf is None else replace(toml, urdf=urdf)
+            return folder.resolve().name, toml if urdf is None else replace(toml, urdf=urdf)
     if urdf is not None:
         raise HandError(f"--urdf {urdf}: goes with a hand that has a {HAND_TOML}, '{source}' has none")
     urdf = only_urdf(path) if path.is_dir() else path
-    return _own_name(folder.resolve() if path.is_dir() else path), HandToml(urdf, urdf)
-
-
-def _own_name(path: Path) -> str:
-    """What the hand in a folder or a file is called; a user's `leap` is not to be taken for ours in grasp files."""
-    name = path.name if path.is_dir() else path.stem
-    ours = path.parent.samefile(resource_dir("robots"))
-    return f"my_{name}" if name in list_hands() and not ours else name
+    return (folder.resolve().name if path.is_dir() else path.stem), HandToml(urdf, urdf)

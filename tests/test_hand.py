@@ -185,8 +185,7 @@ def test_the_command_hands_shows_them_with_the_users_files(
 @pytest.mark.parametrize("name", FINGERTIPS)
 def test_bare_urdfs_load_with_their_fingertips_guessed(name: str, shared_assets: Path) -> None:
     hand = load_hand(shared_assets / "hands" / name)
-    # Not the name of ours, which has another shape.
-    assert hand.name == f"my_{name}" and len(hand.joint_names) == JOINTS[name] - 2 * (name == "shadow")
+    assert hand.name == name and len(hand.joint_names) == JOINTS[name] - 2 * (name == "shadow")
     assert [contact.link for contact in hand.contacts] == FINGERTIPS[name]
     assert [contact.group for contact in hand.contacts] == FINGERS.get(name, FINGERTIPS[name])
     assert any("contact links guessed" in note and FINGERTIPS[name][-1] in note for note in hand.notes)

@@ -76,13 +76,3 @@ def test_without_a_network_both_ways_out_are_named(workplace: Path, monkeypatch:
     monkeypatch.setenv("GRASP_REFINE_ASSETS", "http://127.0.0.1:9")
     with pytest.raises(AssetError, match="hand 'barrett' comes without a URDF: give yours with --urdf FILE, or: "):
         hand_files("barrett", None, None, lambda line: None)
-
-
-def test_a_hand_of_the_user_is_not_called_like_ours(tmp_path: Path) -> None:
-    (tmp_path / "leap").mkdir()
-    (tmp_path / "leap" / "any.urdf").write_text("<robot/>")
-    (tmp_path / "shadow.urdf").write_text("<robot/>")
-    (tmp_path / "claw.urdf").write_text("<robot/>")
-    names = [hand_files(tmp_path / name, None, None, silent)[0] for name in ("leap", "shadow.urdf", "claw.urdf")]
-    assert names == ["my_leap", "my_shadow", "claw"]
-    assert hand_files(resource_dir("robots") / "leap", None, None, silent)[0] == "leap"

@@ -6,7 +6,12 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from grasp_refine.assets import resource_dir
+from grasp_refine.cli import main
+from grasp_refine.commands.sources import Sources
+from grasp_refine.errors import GraspFileError
 from grasp_refine.report.results import fingerprint, recorded_urdf
 
 
@@ -32,3 +37,23 @@ def test_the_urdf_is_recorded_in_result_files_only(tmp_path: Path) -> None:
         np.savez(results, **entry)
         assert recorded_urdf(results) is None
     assert recorded_urdf(tmp_path / "folder") is None
+
+
+def test_grasps_of_another_urdf_are_not_judged_with_ours_unasked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A user's hand may be called like one of ours; the file that it was refined with is recorded."""
+    monkeypatch.chdir(tmp_path)
+    ours = resource_dir("robots") / "allegro"
+    (tmp_path / "allegro").mkdir()
+    text = (ours / "allegro.urdf").read_text(encoding="utf-8")
+    (tmp_path / "allegro" / "mine.urdf").write_text(text.replace("Metres", "metres"), encoding="utf-8")
+    quick = ["--geometry-only", "--index", "0", "--grasps", str(ours / "example_rounded_box.npz")]
+    assert main(["run", "--hand", "./allegro", *quick, "--out", "mine"]) == 0
+    results = Path("mine/allegro_rounded_box.npz")
+    with pytest.raises(
+        GraspFileError, match="was made with another URDF of hand 'allegro' than .*: give that one with"
+    ):
+        Sources().load_from(results, 0, print)
+    assert any("another URDF" in note for note in Sources(hand="allegro").load_from(results, 0, print).notes)
+    assert not any("another URDF" in note for note in Sources(hand="./allegro").load_from(results, 0, print).notes)

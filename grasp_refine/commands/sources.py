@@ -91,7 +91,7 @@ class Sources:
         targets = self._targets(grasps, path)
         hand, grasps, resting = self._hand(grasps, path, say)
         q, notes = match_joints(grasps, hand)
-        notes = [*read.notes, *hand.notes, *resting, *notes, *_other_urdf(path, hand)]
+        notes = [*read.notes, *hand.notes, *resting, *notes, *_other_urdf(path, hand, chosen=bool(self.hand))]
         groups, count = [], 0
         for name, rows in chosen.items():
             index = np.asarray(self.index) if self.index else np.arange(len(rows))
@@ -225,12 +225,21 @@ def _fetched(path: Path, say: Callable[[str], None]) -> Path:
     return path if asset is None else fetched(asset, say)
 
 
-def _other_urdf(path: Path, hand: Hand) -> list[str]:
-    """What to say where grasps were refined with another URDF than that which they are now looked at with."""
+def _other_urdf(path: Path, hand: Hand, *, chosen: bool) -> list[str]:
+    """What to say where grasps were refined with another URDF than that which they are now looked at with.
+
+    Raises:
+        GraspFileError: they were, and nobody has `chosen` this one: a user's hand may be called like one of ours.
+    """
     recorded = recorded_urdf(path)
     if recorded in (None, fingerprint(hand.urdf)["sha256"]):
         return []
-    return [f"{path} was made with another URDF of hand '{hand.name}' than {hand.urdf}: give that one with --urdf"]
+    other = f"{path} was made with another URDF of hand '{hand.name}' than {hand.urdf}"
+    if not chosen:
+        raise GraspFileError(
+            f"{other}: give that one with --hand or --urdf, or --hand {hand.name} if this one is meant"
+        )
+    return [other]
 
 
 def _aimed(scene: Scene, targets: Targets | None, rows: np.ndarray) -> Scene:
