@@ -292,6 +292,19 @@ def choose_rows(
     return rows[np.asarray(index, dtype=int)]
 
 
+def unit_poses(poses: Float[np.ndarray, "N 7"]) -> tuple[Float[np.ndarray, "N 7"], tuple[int, float] | None]:
+    """Return finite poses (N, 7) with quaternions of length 1, and row and length of the first that is none.
+
+    None: all are, up to rounding.
+    """
+    with np.errstate(over="ignore"):
+        norm = np.linalg.norm(poses[:, 3:], axis=1)
+    wrong = np.flatnonzero(np.abs(norm - 1.0) > QUATERNION_TOLERANCE)
+    if len(wrong):
+        return poses, (int(wrong[0]), float(norm[wrong[0]]))
+    return np.concatenate([poses[:, :3], poses[:, 3:] / norm[:, None]], axis=1), None
+
+
 def _check_schema(file: NpzFile) -> None:
     schema = file.entries.get("schema", np.array(1))
     if schema.shape != () or schema.dtype.kind not in "iu" or schema < 1:
@@ -312,15 +325,14 @@ def _stage(file: NpzFile, pose_key: str, q_key: str, n: int | None, joints: int)
             f"{q_key} must have shape ({len(pose)}, {joints}), one row per hand_pose and one column per "
             f"name in joint_names; it has {q.shape}"
         )
-    norm = np.linalg.norm(pose[:, 3:], axis=1)
-    wrong = np.abs(norm - 1.0) > QUATERNION_TOLERANCE
-    if wrong.any():
-        row = int(np.argmax(wrong))
+    pose, fault = unit_poses(pose)
+    if fault is not None:
+        row, norm = fault
         raise file.error(
             f"{pose_key} row {row} has no unit quaternion: the norm of its last four numbers, "
-            f"qw qx qy qz, is {norm[row]:.6g}"
+            f"qw qx qy qz, is {norm:.6g}"
         )
-    return Stage(np.concatenate([pose[:, :3], pose[:, 3:] / norm[:, None]], axis=1), q)
+    return Stage(pose, q)
 
 
 def _optional_stage(file: NpzFile, name: str, n: int, joints: int) -> Stage | None:

@@ -82,6 +82,8 @@ class Hand:
     """Which of the two files is simulated when a grasp is validated."""
     toml: Path | None = None
     """The hand.toml that was read; None where there was none."""
+    contacts_guessed: bool = False
+    """Whether the contact links are the program's choice, because no hand.toml names any."""
     base_why: str = ""
     """Why the hand begins at its base link, for people."""
 
@@ -170,7 +172,7 @@ def load_hand(
     moving = {joint.name: joint for joint in joints if joint.movable and joint.mimic is None}
     independent = [moving[joint] for joint in tree.joints if joint in moving]
     outside = tree.joints.keys() - {joint.name for joint in joints}
-    touching, about_contacts = contacts(
+    touching, guessed, about_contacts = contacts(
         toml,
         [link.name for link in links if link.body is not None],
         joints,
@@ -189,6 +191,7 @@ def load_hand(
         upper=np.array([joint.upper for joint in independent]),
         rest=rest_pose(toml, independent, outside),
         contacts=touching,
+        contacts_guessed=guessed,
         notes=tuple(notes),
         actuator=actuator(toml, independent, outside),
         coupled=coupled(toml, independent, outside),

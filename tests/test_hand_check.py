@@ -43,7 +43,7 @@ def suspicious(path: Path) -> list[str]:
 def same(one: Hand, other: Hand) -> None:
     """Nothing, when two hands are alike but for where their description is."""
     for field in fields(Hand):
-        if field.name in ("toml", "base_why", "notes", "links", "joints"):
+        if field.name in ("toml", "base_why", "contacts_guessed", "notes", "links", "joints"):
             continue
         a, b = getattr(one, field.name), getattr(other, field.name)
         if field.name == "actuator":
@@ -70,6 +70,7 @@ def test_the_hand_is_read_again_as_it_was(make, tmp_path: Path) -> None:
     same(bare, again)
     assert again.toml == tmp_path / "hand.toml" and again.base_why == "hand.toml says so"
     assert not any("guessed" in note or "begins at" in note for note in again.notes)
+    assert bare.contacts_guessed and not again.contacts_guessed
     # What was read from a hand.toml is written anew, and read.
     (tmp_path / "hand.toml").write_text(hand_toml_text(again, tmp_path))
     same(again, load_hand(tmp_path, candidates=16))

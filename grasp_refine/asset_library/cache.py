@@ -43,6 +43,12 @@ def asset_folder(asset: Asset, layout: Layout) -> Path:
     return default_cache("assets") / asset.kind / asset.name / f"{layout}-{digest}"
 
 
+def main_path(asset: Asset, layout: Layout) -> Path:
+    """Where the main file of an asset from one origin lies, or the folder of a grasp set, or will lie."""
+    folder = asset_folder(asset, layout)
+    return folder if asset.main is None else folder / wanted(asset.main, layout).place
+
+
 def inside(folder: Path, place: str) -> Path:
     """The path of `place` in a folder of the cache.
 

@@ -9,7 +9,7 @@ from grasp_refine.asset_library.cache import asset_folder, file_states
 from grasp_refine.asset_library.download import PAUSE, download
 from grasp_refine.asset_library.licence import accept, check_accepted
 from grasp_refine.asset_library.manifest import Asset
-from grasp_refine.asset_library.origin import Origin, chosen_origin, wanted
+from grasp_refine.asset_library.origin import Origin, chosen_origin, total_bytes, wanted
 from grasp_refine.errors import AssetError
 from grasp_refine.geometry.cache import default_cache
 
@@ -54,7 +54,7 @@ def fetch_asset(
     sources = {i: origin.source(asset, asset.files[i]) for i in lacking}
     files = [wanted(file, origin.layout) for file in asset.files]
     sizes = [file.size for file in files]
-    total = None if None in sizes else sum(sizes)
+    total = total_bytes(asset, origin.layout)
     done = sum(size or 0 for i, size in enumerate(sizes) if i not in sources)
     try:
         for i, source in sources.items():

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from grasp_refine.asset_library.cache import asset_folder, is_whole
+from grasp_refine.asset_library.cache import asset_folder, is_whole, main_path
 from grasp_refine.asset_library.download import PAUSE
 from grasp_refine.asset_library.fetching import Progress, fetch_asset
 from grasp_refine.asset_library.manifest import Asset
-from grasp_refine.asset_library.origin import chosen_origin, wanted
+from grasp_refine.asset_library.origin import chosen_origin
 from grasp_refine.errors import AssetError
 
 
@@ -37,7 +37,7 @@ def located(
         raise AssetError(f"{asset.full_name} is not here: refine-grasp assets fetch {asset.full_name}")
     if not here:
         fetch_asset(asset, origin, progress=progress, pause=pause)
-    return folder if asset.main is None else folder / wanted(asset.main, origin.layout).place
+    return main_path(asset, origin.layout)
 
 
 def fetched(asset: Asset, say: Callable[[str], None]) -> Path:

@@ -115,6 +115,12 @@ def wanted(file: AssetFile, layout: Layout) -> Wanted:
     return Wanted(file.place, file.sha256, file.size)
 
 
+def total_bytes(asset: Asset, layout: Layout) -> int | None:
+    """Bytes of all files of an asset, None where one of them is not known."""
+    sizes = [wanted(file, layout).size for file in asset.files]
+    return None if None in sizes else sum(sizes)
+
+
 def _installed(asset: Asset, file: AssetFile, package: str) -> Path:
     """The path of a file of a Python package."""
     name, _, version = package.partition("==")

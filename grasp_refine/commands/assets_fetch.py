@@ -12,10 +12,9 @@ from rich.markup import escape
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
 from tyro.conf import DisallowNone, Positional, arg
 
-from grasp_refine.asset_library.cache import asset_folder, is_whole
+from grasp_refine.asset_library.cache import asset_folder, is_whole, main_path
 from grasp_refine.asset_library.fetching import fetch_asset
 from grasp_refine.asset_library.licence import check_accepted
-from grasp_refine.asset_library.locating import located
 from grasp_refine.asset_library.manifest import Asset
 from grasp_refine.asset_library.names import choose_asset
 from grasp_refine.asset_library.origin import Origin, Upstream, chosen_origin, wanted
@@ -77,7 +76,7 @@ def _fetch(asset: Asset, origin: Origin, accepted: bool, console: Console) -> di
 
         fetch_asset(asset, origin, accept_license=accepted, progress=progress)
     seconds = time.perf_counter() - began
-    path = located(asset, fetch=False)
+    path = main_path(asset, origin.layout)
     folder = asset_folder(asset, origin.layout)
     size = sum((folder / wanted(file, origin.layout).place).stat().st_size for file in asset.files)
     count = f"{len(asset.files)} file{'' if len(asset.files) == 1 else 's'}, {size / 1e6:.2f} MB"

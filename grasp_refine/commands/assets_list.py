@@ -15,7 +15,7 @@ from tyro.conf import DisallowNone, Positional, arg
 from grasp_refine.asset_library.cache import seems_here
 from grasp_refine.asset_library.manifest import KINDS, Asset
 from grasp_refine.asset_library.names import all_assets
-from grasp_refine.asset_library.origin import VARIABLE, Mirror, Origin, chosen_origin, shown, wanted
+from grasp_refine.asset_library.origin import VARIABLE, Mirror, Origin, chosen_origin, shown, total_bytes
 from grasp_refine.errors import AssetError
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.report.screen import screen
@@ -79,7 +79,7 @@ def asset_facts(asset: Asset, origin: Origin) -> dict[str, Any]:
         "hand": asset.hand,
         "source": asset.source,
         "files": len(asset.files),
-        "bytes": total_bytes(asset, origin),
+        "bytes": total_bytes(asset, origin.layout),
         "licence": asset.licence,
         "terms": asset.terms,
         "citation": asset.citation,
@@ -97,12 +97,6 @@ def what(asset: Asset) -> str:
     if asset.kind == "objects":
         return "mesh"
     return asset.format or "objects"
-
-
-def total_bytes(asset: Asset, origin: Origin) -> int | None:
-    """Bytes of all files of an asset, None where one of them is not known."""
-    sizes = [wanted(file, origin.layout).size for file in asset.files]
-    return None if None in sizes else sum(sizes)
 
 
 def _show(assets: list[Asset], origin: Origin, console: Console) -> None:
@@ -138,7 +132,7 @@ def _table(kind: str, assets: list[Asset], origin: Origin, width: int) -> Table:
 
 
 def _cells(asset: Asset, origin: Origin) -> tuple[str, ...]:
-    size = total_bytes(asset, origin)
+    size = total_bytes(asset, origin.layout)
     megabytes = "?" if size is None else f"{size / 1e6:.2f}"
     here = "yes" if seems_here(asset, origin.layout) else "-"
     return asset.name, what(asset), megabytes, asset.licence, asset.terms, here

@@ -14,7 +14,7 @@ from grasp_refine.commands.options import check_hull_limit
 from grasp_refine.description.link_geometry import HULL_LIMIT
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand import HAND_TOML, Hand, list_hands, load_hand, needs_urdf
-from grasp_refine.report.hand_facts import examples, facts_without_urdf, guessed, hand_facts
+from grasp_refine.report.hand_facts import examples, facts_without_urdf, hand_facts
 from grasp_refine.report.hand_table import bullets, list_table, show_hand
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA, check_writable, save_json, save_text
@@ -113,7 +113,7 @@ class Hands:
         self._save([hand_facts(hand) | ({"simulation": notes} if notes else {})])
         console = screen()
         show_hand(hand, console)
-        if not guessed(hand):
+        if not hand.contacts_guessed:
             console.print("contact links are those that hand.toml names")
         for note in hand.notes:
             console.print(f"note: {note}", markup=False)

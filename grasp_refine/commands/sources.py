@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated
 
@@ -161,7 +161,7 @@ class Sources:
         source = self.hand or grasps.hand
         if self.hand is None:
             check_known(source, path)
-        load = partial(self._load_hand, source, say=say)
+        load = cache(partial(self._load_hand, source, say=say))
         try:
             hand = load(grasps.base_link)
         except HandError:

@@ -38,8 +38,8 @@ class Actuator:
 
 def contacts(
     toml: HandToml, solid: Collection[str], joints: Sequence[Joint], outside: Collection[str]
-) -> tuple[tuple[Contact, ...], list[str]]:
-    """Contact links, named or guessed, and notes on them; `solid` are the links with collision geometry."""
+) -> tuple[tuple[Contact, ...], bool, list[str]]:
+    """Contact links, whether they are guessed, and notes on them; `solid` are the links with collision geometry."""
     where = f"{toml.path}: [[contact]]"
     named, notes = [], []
     for contact in toml.contacts:
@@ -49,11 +49,12 @@ def contacts(
             raise HandError(f"{where}: link '{contact.link}' comes twice with the same point")
         else:
             named.append(contact)
-    if not named:
+    guessed = not named
+    if guessed:
         named = _guess_contacts(solid, joints)
         guess = ", ".join(contact.link for contact in named) or "none, no link with collision geometry moves"
         notes.append(f"contact links guessed from the URDF, a hand.toml can name others: {guess}")
-    return tuple(named), notes
+    return tuple(named), guessed, notes
 
 
 def _guess_contacts(solid: Collection[str], joints: Sequence[Joint]) -> list[Contact]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_refine.formats.folders import object_folder, scale_folder
+from grasp_refine.formats.folders import floating_folder
 from grasp_refine.formats.format import Load, Part, grouped, left_out
 from grasp_refine.formats.layout import BODEX, layout_of
 from grasp_refine.formats.scene import object_in_scene
@@ -43,7 +43,7 @@ class Bodex:
                 f"robot_pose must have shape (1, N, 3, 7 + joints): one object, N grasps, {', '.join(STAGES)}; it has "
                 f"{poses.shape} (motions of a hand on an arm are not read)"
             )
-        names = source.names(held["joint_names"], "joint_names") if held.get("joint_names") is not None else ()
+        names = source.joint_names(held)
         layout = layout_of(source, BODEX, poses.shape[3] - 7, hand, names=names)
         notes: Sequence[str] = ()
         if keys_lacking(held, ("obj_pose", "obj_scale", "obj_path")):
@@ -64,7 +64,7 @@ class Bodex:
         number: Counter[str] = Counter()
         parts = []
         for (name, scale), rows in grouped(grasps).items():
-            path = f"{object_folder(name)}/floating/{scale_folder(scale)}"
+            path = floating_folder(name, scale)
             number[path] += 1
             content = {
                 "robot_pose": poses[None, rows],

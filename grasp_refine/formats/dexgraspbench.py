@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.formats.folders import object_folder, scale_folder
-from grasp_refine.formats.format import Load, Part, left_out
+from grasp_refine.formats.format import Load, Part, left_out, one_by_one
 from grasp_refine.formats.layout import MUJOCO, layout_of
 from grasp_refine.formats.source import Source, keys_lacking
 from grasp_refine.formats.stages import (
@@ -45,7 +44,7 @@ class DexGraspBench:
         keys = [f"{name}_qpos" for name in STAGES if name == GRASP or held.get(f"{name}_qpos") is not None]
         rows = {key: source.numbers(held[key], key, (None,))[None] for key in keys}
         count = joint_count(source, rows["grasp_qpos"], "grasp_qpos")
-        names = source.names(held["joint_names"], "joint_names") if held.get("joint_names") is not None else ()
+        names = source.joint_names(held)
         layout = layout_of(source, MUJOCO, count, hand, names=names)
         grasps = grasps_of_stages(
             source,
@@ -61,10 +60,8 @@ class DexGraspBench:
         """One file per grasp."""
         moved, layout = fitted(grasps, MUJOCO, load, self.name)
         stages = {f"{name}_qpos": rows_of_stage(moved, name, layout) for name in STAGES}
-        number: Counter[str] = Counter()
         parts = []
-        for row, (name, scale) in enumerate(zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)):
-            folder = f"{object_folder(name)}/{scale_folder(scale)}_pose000"
+        for row, name, scale, place in one_by_one(grasps, _folder):
             content = {
                 "obj_pose": AT_ORIGIN.copy(),
                 "obj_scale": scale,
@@ -72,6 +69,9 @@ class DexGraspBench:
                 "joint_names": list(layout.joints),
                 **{key: rows[row].copy() for key, rows in stages.items()},
             }
-            parts.append(Part(f"{folder}/{number[folder]}.npy", np.array([row]), content))
-            number[folder] += 1
+            parts.append(Part(f"{place}.npy", np.array([row]), content))
         return parts, [*lacking_stages(grasps), *left_out(grasps, layout.joints)]
+
+
+def _folder(name: str, scale: float) -> str:
+    return f"{object_folder(name)}/{scale_folder(scale)}_pose000"

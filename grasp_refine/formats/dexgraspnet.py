@@ -19,7 +19,7 @@ from grasp_refine.formats.format import Load, Part, left_out
 from grasp_refine.formats.layout import SHADOW_FINGERS, SHADOW_THUMB, Layout
 from grasp_refine.formats.source import Source
 from grasp_refine.formats.stages import fitted
-from grasp_refine.grasps import OTHER_STAGES, GraspSet
+from grasp_refine.grasps import GraspSet
 from grasp_refine.hand import Hand
 from grasp_refine.se3 import pose_from_transform, transform, transform_from_pose
 
@@ -102,9 +102,7 @@ class DexGraspNet:
                 named = dict(zip((*NAMES, *POSITION, *ANGLES), values[row], strict=True))
                 listed[at] = {"qpos": named, "scale": float(grasps.scale[row])}
             parts.append(Part(f"{name}.npy", rows, listed))
-        stages = [name for name in OTHER_STAGES if getattr(grasps, name) is not None]
-        lost = [f"{' and '.join(stages)} have no place in this format and are left out"] if stages else []
-        return parts, [*lost, *left_out(grasps, SHADOW.joints)]
+        return parts, left_out(grasps, SHADOW.joints, stages=False)
 
 
 def rotation_from_angles(angles: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3 3"]:

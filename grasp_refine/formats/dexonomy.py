@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from grasp_refine.formats.folders import object_folder, scale_folder
-from grasp_refine.formats.format import Load, Part, left_out
+from grasp_refine.formats.folders import floating_folder
+from grasp_refine.formats.format import Load, Part, left_out, one_by_one
 from grasp_refine.formats.layout import MUJOCO, layout_of
 from grasp_refine.formats.scene import object_in_scene
 from grasp_refine.formats.source import Source, keys_lacking
@@ -68,7 +67,7 @@ class Dexonomy:
             rows[f"{name}_qpos"] = value
         count = joint_count(source, rows["grasp_qpos"], "grasp_qpos")
         named = source.text(held["hand_name"], "hand_name") if held.get("hand_name") is not None else ""
-        names = source.names(held["joint_names"], "joint_names") if held.get("joint_names") is not None else ()
+        names = source.joint_names(held)
         layout = layout_of(source, MUJOCO, count, hand, names=names, hand_name=named)
         described, more = object_in_scene(source)
         return grasps_of_stages(source, layout, rows, **described), [*notes, *more]
@@ -77,10 +76,8 @@ class Dexonomy:
         """One file per grasp, with its scene inside."""
         moved, layout = fitted(grasps, MUJOCO, load, self.name)
         stages = {f"{name}_qpos": rows_of_stage(moved, name, layout) for name in STAGES}
-        number: Counter[str] = Counter()
         parts = []
-        for row, (name, scale) in enumerate(zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)):
-            folder = f"{object_folder(name)}/floating/{scale_folder(scale)}"
+        for row, name, scale, place in one_by_one(grasps, floating_folder):
             thing = {
                 "type": "rigid_object",
                 "file_path": f"assets/object/{name}/mesh/simplified.obj",
@@ -94,8 +91,7 @@ class Dexonomy:
                 "scene_cfg": {"scene": {name: thing}, "task": {"type": "force_closure", "obj_name": name}},
                 **{key: rows[row : row + 1].copy() for key, rows in stages.items()},
             }
-            parts.append(Part(f"{folder}/{number[folder]}_grasp.npy", np.array([row]), content))
-            number[folder] += 1
+            parts.append(Part(f"{place}_grasp.npy", np.array([row]), content))
         contacts = "contacts are not written: Dexonomy's own are of its generator"
         return parts, [*lacking_stages(grasps), *left_out(grasps, layout.joints), contacts]
 

@@ -18,6 +18,11 @@ def scale_folder(scale: float) -> str:
     return f"scale{round(scale * 100):03d}"
 
 
+def floating_folder(name: str, scale: float) -> str:
+    """Where BODex and Dexonomy keep the grasps of an object that lies on nothing."""
+    return f"{object_folder(name)}/floating/{scale_folder(scale)}"
+
+
 def natural(path: str) -> list[tuple[int, str]]:
     """The key that sorts paths as people do: 2.npy comes before 10.npy."""
     return [

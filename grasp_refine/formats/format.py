@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -10,7 +11,7 @@ import numpy as np
 from jaxtyping import Int
 
 from grasp_refine.formats.source import Source
-from grasp_refine.grasps import GraspSet
+from grasp_refine.grasps import OTHER_STAGES, GraspSet
 from grasp_refine.hand import Hand
 
 Load = Callable[[str], Hand]
@@ -61,13 +62,25 @@ class Format(Protocol):
         ...
 
 
-def left_out(grasps: GraspSet, joints: Collection[str]) -> list[str]:
-    """What to say where a format has a place for these `joints`, and none for targets."""
-    notes = [] if grasps.targets is None else ["targets have no place in this format and are left out"]
+def left_out(grasps: GraspSet, joints: Collection[str], *, stages: bool = True) -> list[str]:
+    """What to say where a format has a place for these `joints` and maybe for `stages`, and none for targets."""
+    others = [] if stages else [name for name in OTHER_STAGES if getattr(grasps, name) is not None]
+    notes = [f"{' and '.join(others)} have no place in this format and are left out"] if others else []
+    if grasps.targets is not None:
+        notes.append("targets have no place in this format and are left out")
     above = [name for name in grasps.joint_names if name not in joints]
     if above:
         notes.append(f"{', '.join(above)} have no place in this format: the pose of the hand is that behind them")
     return notes
+
+
+def one_by_one(grasps: GraspSet, folder: Callable[[str, float], str]) -> Iterator[tuple[int, str, float, str]]:
+    """Row, object, scale and FOLDER/NUMBER of each grasp; `folder` is for an object and scale, numbers begin at 0."""
+    numbers: Counter[str] = Counter()
+    for row, (name, scale) in enumerate(zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)):
+        place = folder(name, scale)
+        yield row, name, scale, f"{place}/{numbers[place]}"
+        numbers[place] += 1
 
 
 def grouped(grasps: GraspSet) -> dict[tuple[str, float], np.ndarray]:

@@ -18,7 +18,7 @@ from grasp_refine.formats.format import Load, Part, left_out
 from grasp_refine.formats.layout import Layout
 from grasp_refine.formats.source import Source
 from grasp_refine.formats.stages import fitted
-from grasp_refine.grasps import OTHER_STAGES, GraspSet
+from grasp_refine.grasps import GraspSet
 from grasp_refine.hand import Hand
 from grasp_refine.se3 import inverse, pose_from_transform, transform_from_pose
 
@@ -93,6 +93,5 @@ class LeapCache:
                 f"object '{name}' and its scale {scale:g} have no place in this format: it means {CUBE}, times what "
                 "the name of the file ends with, as _s10 for 1.0"
             )
-        stages = [stage for stage in OTHER_STAGES if getattr(grasps, stage) is not None]
-        lost += [f"{' and '.join(stages)} have no place in this format and are left out"] if stages else []
-        return [Part("grasps.npy", np.arange(len(grasps)), rows)], [*lost, *left_out(grasps, grasps.joint_names)]
+        lost += left_out(grasps, grasps.joint_names, stages=False)
+        return [Part("grasps.npy", np.arange(len(grasps)), rows)], lost

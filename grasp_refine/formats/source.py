@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.errors import GraspFileError
-from grasp_refine.grasps import QUATERNION_TOLERANCE
+from grasp_refine.grasps import unit_poses
 from grasp_refine.npz import is_sound
 
 MESH_FOLDERS = ("mesh", "meshes", "urdf", "mjcf", "coacd")
@@ -63,17 +63,13 @@ class Source:
 
     def poses(self, value: Any, what: str, count: int | None = None) -> Float[np.ndarray, "N 7"]:
         """Return poses (N, 7), x y z qw qx qy qz, with unit quaternions."""
-        poses = self.numbers(value, what, (count, 7))
-        with np.errstate(over="ignore"):
-            norm = np.linalg.norm(poses[:, 3:], axis=1)
-        wrong = np.abs(norm - 1.0) > QUATERNION_TOLERANCE
-        if wrong.any():
-            row = int(np.argmax(wrong))
+        poses, fault = unit_poses(self.numbers(value, what, (count, 7)))
+        if fault is not None:
+            row, norm = fault
             raise self.error(
-                f"{what} row {row} has no unit quaternion: the norm of its numbers 3 to 6, qw qx qy qz, is "
-                f"{norm[row]:.6g}"
+                f"{what} row {row} has no unit quaternion: the norm of its numbers 3 to 6, qw qx qy qz, is {norm:.6g}"
             )
-        return np.concatenate([poses[:, :3], poses[:, 3:] / norm[:, None]], axis=1)
+        return poses
 
     def text(self, value: Any, what: str) -> str:
         """Return a text; a list of one will do."""
@@ -94,6 +90,10 @@ class Source:
         if not isinstance(value, np.ndarray | list | tuple):
             raise self.error(f"{what} must be a list of names; it is {_kind(value)}")
         return tuple(self.text(name, what) for name in (value.ravel() if isinstance(value, np.ndarray) else value))
+
+    def joint_names(self, held: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return the joint names in what the file holds; none where it has no `joint_names`."""
+        return () if held.get("joint_names") is None else self.names(held["joint_names"], "joint_names")
 
     def object_name(self, value: Any, what: str) -> str:
         """Return the name of the object whose folder or mesh a path names."""

@@ -13,7 +13,6 @@ import torch
 from grasp_refine.description.urdf import joints_fixed_and_mimicking, links_with_visuals
 from grasp_refine.hand import Hand, Joint
 from grasp_refine.kinematics import Kinematics
-from grasp_refine.report.hand_facts import guessed
 from grasp_refine.se3 import transform_points
 from grasp_refine.self_collision import Judged, judged_pairs
 from grasp_refine.validation.messages import complaint, unlogged
@@ -103,9 +102,8 @@ def _contacts(hand: Hand) -> tuple[str, ...]:
         # The topmost joint that moves no other contact link.
         own = [joint.name for joint in ways[contact.link] if moves[joint.name] == 1]
         own = own or [joint.name for joint in ways[contact.link][:1]] or ["none"]
-        why = (
-            f"the last solid link of the branch that joint '{own[-1]}' moves" if guessed(hand) else "hand.toml says so"
-        )
+        guess = f"the last solid link of the branch that joint '{own[-1]}' moves"
+        why = guess if hand.contacts_guessed else "hand.toml says so"
         finger = "" if contact.group == contact.link else f", finger '{contact.group}'"
         lines.append(f"{contact.link}{finger}: {why}")
     return tuple(lines)

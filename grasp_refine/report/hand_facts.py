@@ -49,7 +49,7 @@ def hand_facts(hand: Hand) -> dict[str, Any]:
             for link in hand.links
         ],
         "contacts": [
-            {"link": contact.link, "group": contact.group, "point": contact.point, "guessed": guessed(hand)}
+            {"link": contact.link, "group": contact.group, "point": contact.point, "guessed": hand.contacts_guessed}
             for contact in hand.contacts
         ],
         "examples": [path.name for path in examples(hand)],
@@ -73,11 +73,6 @@ def licence(urdf: Path) -> str:
         return named[1]
     beside = sorted(path.name for path in urdf.parent.glob("LICEN[CS]E*"))
     return f"see {beside[0]}" if beside else ""
-
-
-def guessed(hand: Hand) -> bool:
-    """Whether the contact links are the program's choice: then a note of the hand says so."""
-    return any(note.startswith("contact links guessed") for note in hand.notes)
 
 
 def examples(hand: Hand) -> list[Path]:

@@ -16,7 +16,7 @@ from grasp_refine.description.mimics import followed
 from grasp_refine.description.tree import Joint
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.hand import Hand
-from grasp_refine.report.hand_facts import examples, guessed, licence
+from grasp_refine.report.hand_facts import examples, licence
 
 NUMBERS = ("joints", "links", "lower", "upper", "mass, g", "grasps", "effort")
 """Columns that are aligned to the right."""
@@ -35,7 +35,7 @@ def list_table(hands: Sequence[Hand], waiting: Sequence[str]) -> Table:
             f"{len(hand.joint_names)}" + (f" + {followers}" if followers else ""),
             _range(hand),
             str(len(hand.links)),
-            escape(", ".join(contact.group for contact in hand.contacts)) + (" (guessed)" if guessed(hand) else ""),
+            escape(", ".join(contact.group for contact in hand.contacts)) + " (guessed)" * hand.contacts_guessed,
             escape(licence(hand.urdf)),
             str(len(examples(hand))),
         )

@@ -11,7 +11,6 @@ import numpy as np
 
 from grasp_refine.description.hand_toml import ACTUATOR
 from grasp_refine.hand import Hand
-from grasp_refine.report.hand_facts import guessed
 from grasp_refine.report.hand_table import show_value
 
 
@@ -72,7 +71,7 @@ def _rest(hand: Hand) -> str:
 def _contacts(hand: Hand) -> str:
     lines = [
         "# Links that are meant to touch the object, and the finger (group) that each belongs to.",
-        *(["# Guessed: the last link with collision geometry of each moving branch."] * guessed(hand)),
+        *(["# Guessed: the last link with collision geometry of each moving branch."] * hand.contacts_guessed),
         "# point: where the link should touch, in metres in its own frame; left out: wherever it comes nearest.",
         "# normal: the outward direction there; left out: that of the surface.",
     ]
