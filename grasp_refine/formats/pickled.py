@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import pickletools
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import prod
@@ -304,13 +305,16 @@ def unpickled(data: bytes) -> Any:
     room = SPREAD * len(data) + ALLOWANCE
     machine = _Machine(room)
     try:
-        for step, (opcode, argument, _) in enumerate(pickletools.genops(io.BytesIO(data))):
-            if step > MOST_STEPS:
-                raise Refused(f"holds too much: it takes more than {MOST_STEPS / 1e6:g} million steps to read")
-            if opcode.name == "STOP":
-                return _plain(machine.stack.pop(), [room])
-            if opcode.name not in ("PROTO", "FRAME"):
-                machine.step(opcode.name, argument)
+        with warnings.catch_warnings():
+            # Text of the oldest protocol may have escapes that Python does not know.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            for step, (opcode, argument, _) in enumerate(pickletools.genops(io.BytesIO(data))):
+                if step > MOST_STEPS:
+                    raise Refused(f"holds too much: it takes more than {MOST_STEPS / 1e6:g} million steps to read")
+                if opcode.name == "STOP":
+                    return _plain(machine.stack.pop(), [room])
+                if opcode.name not in ("PROTO", "FRAME"):
+                    machine.step(opcode.name, argument)
     except (IndexError, KeyError):
         raise Refused("is a damaged pickle: it uses what it did not make") from None
     except (ValueError, OverflowError) as error:

@@ -148,6 +148,11 @@ def test_a_pickle_of_too_many_steps_is_refused(monkeypatch: pytest.MonkeyPatch):
         unpickled(pickle.dumps([[] for _ in range(2000)]))
 
 
+def test_an_escape_that_python_does_not_know_is_no_warning():
+    # Warnings are errors here.
+    assert unpickled(b"S'a\\q'\n.") == "a\\q"
+
+
 def test_a_dict_made_of_long_pairs_is_no_bomb():
     # 2000 times the same list of 2000 entries, in 10 kB.
     many = b"\x80\x02ccollections\nOrderedDict\n]q\x00(" + b"N" * 2000 + b"e0](" + b"h\x00" * 2000 + b"e\x85R."
