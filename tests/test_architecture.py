@@ -69,6 +69,7 @@ ORDER = (
     "grasp_sampling",
     "validation",
     "replay",
+    "problem",
     "report",
     "apps",
     "commands",

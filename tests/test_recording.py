@@ -9,7 +9,7 @@ import pytest
 from gripper import around, ball, gripper
 
 from grasp_refine.assets import resource_dir
-from grasp_refine.commands.problem import Group
+from grasp_refine.problem import Group
 from grasp_refine.commands.recording import Recording
 from grasp_refine.commands.sources import Sources
 from grasp_refine.errors import GraspRefineError

@@ -11,7 +11,7 @@ from plate_gripper import URDF
 from grasp_refine import grasp_sampling
 from grasp_refine.cli import main
 from grasp_refine.commands.inputs import Inputs
-from grasp_refine.commands.problem import Problem
+from grasp_refine.problem import Problem
 from grasp_refine.errors import GraspFileError, GraspRefineError
 
 BOX = "box:0.5,0.6,0.7"

@@ -13,7 +13,7 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.assets import resource_dir
 from grasp_refine.commands.object_source import chosen_object
-from grasp_refine.commands.problem import Group, Problem
+from grasp_refine.problem import Group, Problem
 from grasp_refine.commands.sources import Sources
 from grasp_refine.errors import GraspFileError, GraspRefineError
 from grasp_refine.formats.reading import Reading

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import DisallowNone, arg
 
-from grasp_refine.commands.problem import Group
+from grasp_refine.problem import Group
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.replay.export import export_xml
 from grasp_refine.replay.record import record

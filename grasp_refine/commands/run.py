@@ -16,7 +16,7 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
 from grasp_refine.commands.inputs import NEAREST, Inputs
-from grasp_refine.commands.problem import Group, Problem
+from grasp_refine.problem import Group, Problem
 from grasp_refine.commands.settings import Settings
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError

@@ -15,7 +15,7 @@ from grasp_refine.asset_library.locating import fetched
 from grasp_refine.asset_library.names import find_asset
 from grasp_refine.commands.object_source import ObjectSource, chosen_object, is_known, named_object
 from grasp_refine.commands.options import check_hull_limit
-from grasp_refine.commands.problem import Group, Problem
+from grasp_refine.problem import Group, Problem
 from grasp_refine.description.link_geometry import HULL_LIMIT
 from grasp_refine.description.tree import read_tree
 from grasp_refine.errors import GraspFileError, GraspRefineError, HandError

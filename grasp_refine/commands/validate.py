@@ -15,7 +15,7 @@ from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
 from grasp_refine.commands.options import check_numbers, flag
-from grasp_refine.commands.problem import Group, Problem
+from grasp_refine.problem import Group, Problem
 from grasp_refine.commands.recording import Recording
 from grasp_refine.commands.simulating import Robustness, Simulation
 from grasp_refine.commands.sources import Sources
