@@ -16,6 +16,7 @@ from grasp_refine.batch import join, take
 from grasp_refine.chain import Frames
 from grasp_refine.collision.query import query
 from grasp_refine.config import Config
+from grasp_refine.glimpse import Watch, watched
 from grasp_refine.goal import Goal, goal_of
 from grasp_refine.grasp_problem import GraspProblem, drawn
 from grasp_refine.hand_object import HandObject
@@ -42,6 +43,8 @@ TOGETHER = 16
 class Stage:
     """A part of the way to a grasp."""
 
+    name: str
+    """What contacts do in it, for people."""
     iterations: int
     """Most iterations."""
     farther: tuple[float, float] = (0.0, 0.0)
@@ -66,9 +69,9 @@ class Stage:
         )
 
 
-SLIDE = Stage(25, farther=(0.01, 0.005), soft=0.01)
-SETTLE = Stage(15)
-CLOSE = Stage(40, balance=False)
+SLIDE = Stage("contacts slide", 25, farther=(0.01, 0.005), soft=0.01)
+SETTLE = Stage("contacts settle", 15)
+CLOSE = Stage("gaps close", 40, balance=False)
 STAGES = (SLIDE, SETTLE, CLOSE)
 """Contacts slide to where forces balance; they settle without penetration; last, by geometry alone, gaps close."""
 
@@ -102,7 +105,12 @@ def most_iterations(config: Config) -> int:
 
 
 def hold(
-    scene: Scene, prepared: HandObject, config: Config, status: np.ndarray, progress: Progress | None = None
+    scene: Scene,
+    prepared: HandObject,
+    config: Config,
+    status: np.ndarray,
+    progress: Progress | None = None,
+    watch: Watch | None = None,
 ) -> Held:
     """Refine grasps so that they hold.
 
@@ -112,8 +120,9 @@ def hold(
         config: Settings, for Levenberg-Marquardt.
         status: Grasps (N,) with another status than RUNNING are left out.
         progress: As for `minimise`.
+        watch: Sees all attempts.
     """
-    search = _Search(scene, prepared, config, status, progress)
+    search = _Search(scene, prepared, config, status, progress, watch)
     rows = np.flatnonzero(status == Status.RUNNING)
     closed = search.attempt(rows, search.given(rows), (CLOSE,))
     search.touching[rows] = closed.goal.touching
@@ -140,10 +149,17 @@ class _Search:
     """The best attempt at each grasp so far, and what all cost."""
 
     def __init__(
-        self, scene: Scene, prepared: HandObject, config: Config, status: np.ndarray, progress: Progress | None
+        self,
+        scene: Scene,
+        prepared: HandObject,
+        config: Config,
+        status: np.ndarray,
+        progress: Progress | None,
+        watch: Watch | None,
     ) -> None:
         N, L = len(scene.q), len(scene.links)
-        self.scene, self.prepared, self.config, self.progress = scene, prepared, config, progress
+        self.scene, self.prepared, self.config = scene, prepared, config
+        self.progress, self.watch = progress, watch
         self.q = np.clip(scene.q, scene.hand.lower, scene.hand.upper)
         self.iterations, self.queries, self.starts = np.zeros((3, N), dtype=np.int64)
         self.cpu, self.wall = np.zeros((2, N))
@@ -226,6 +242,7 @@ class _Search:
             width=config.width,
             seconds=left,
             progress=self._tell,
+            watch=watched(self.watch, goal, stage.name, rows),
         )
         share = 1.0 / max(len(rows), 1)
         np.add.at(self.iterations, rows, found.iterations)

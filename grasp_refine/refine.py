@@ -8,6 +8,7 @@ import numpy as np
 from grasp_refine.batch import choose, take
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.glimpse import Watch, watched
 from grasp_refine.goal import Goal, goal_of
 from grasp_refine.grasp_problem import GraspProblem
 from grasp_refine.hand_object import HandObject
@@ -57,6 +58,7 @@ def refine(
     scene: Scene,
     config: Config | None = None,
     progress: Progress | None = None,
+    watch: Watch | None = None,
     *,
     prepared: HandObject | None = None,
 ) -> Refinement:
@@ -66,6 +68,7 @@ def refine(
         scene: Hand, object, initial grasps and, optionally, targets.
         config: All settings; the defaults when None.
         progress: Called after each iteration.
+        watch: Sees where the hands are after each iteration; what it raises ends the refinement.
         prepared: Of this hand and object; refining often, a few grasps at a time, build it once.
 
     Returns:
@@ -86,13 +89,13 @@ def refine(
     status = np.where(finite, Status.RUNNING, Status.NOT_FINITE)
     starts = finite.astype(np.int64)
     if config.holds and scene.target_link is None and not config.nearest:
-        held = hold(scene, prepared, config, status, progress)
+        held = hold(scene, prepared, config, status, progress, watch)
         goal, found, starts = held.goal, held.minimum, held.starts
     else:
         goal = goal_of(scene, config.touching, prepared, nearest=config.nearest)
         status[finite & ~goal.touching.any(axis=1)] = Status.NO_TARGET
         solve = _least_squares if isinstance(config.solver, LevenbergMarquardt) else _first_order
-        found = solve(scene, prepared, goal, config, status, progress)
+        found = solve(scene, prepared, goal, config, status, progress, watch)
     unreachable = np.isin(found.status, (Status.STALLED, Status.BUDGET))
     off_surface = config.weights.contact * goal.off_surface
     found.status[unreachable & (off_surface > max(config.tolerance, OFF_SURFACE))] = Status.UNREACHABLE
@@ -120,8 +123,18 @@ OFF_SURFACE = 1e-8
 """Targets count as off their surfaces when that alone makes a loss above this, in m^2: a tenth of a millimetre."""
 
 
+WAY = "to the contacts"
+"""What `Glimpse.stage` says of refinements of one stage."""
+
+
 def _least_squares(
-    scene: Scene, prepared: HandObject, goal: Goal, config: Config, status: np.ndarray, progress: Progress | None
+    scene: Scene,
+    prepared: HandObject,
+    goal: Goal,
+    config: Config,
+    status: np.ndarray,
+    progress: Progress | None,
+    watch: Watch | None,
 ) -> Minimum:
     """By Levenberg-Marquardt; with targets, from where inverse kinematics alone comes nearest to them."""
     problem, solver = GraspProblem(scene, goal, config, prepared), config.solver
@@ -129,6 +142,7 @@ def _least_squares(
     hand = scene.hand
     given = Point(scene.T_world_root, np.clip(scene.q, hand.lower, hand.upper))
     limits = {"width": config.width, "seconds": config.seconds, "progress": progress}
+    limits["watch"] = watched(watch, goal, WAY)
     if not goal.aimed.any():
         solver = replace(solver, restarts=0)
         return minimise(problem, given, solver, config.tolerance, status=status, **limits)
@@ -150,7 +164,13 @@ def _least_squares(
 
 
 def _first_order(
-    scene: Scene, prepared: HandObject, goal: Goal, config: Config, status: np.ndarray, progress: Progress | None
+    scene: Scene,
+    prepared: HandObject,
+    goal: Goal,
+    config: Config,
+    status: np.ndarray,
+    progress: Progress | None,
+    watch: Watch | None,
 ) -> Minimum:
     """By descent or Adam."""
     return descend(
@@ -160,4 +180,5 @@ def _first_order(
         config.tolerance,
         status=status,
         progress=progress,
+        watch=watched(watch, goal, WAY),
     )

@@ -57,6 +57,7 @@ ORDER = (
     "quality",
     "goal",
     "solvers",
+    "glimpse",
     "max_move",
     "config",
     "grasp_problem",

@@ -22,9 +22,9 @@ from grasp_refine.apps.bench.hold.table import bench_tables
 from grasp_refine.commands.benchmark import check_asked, run_benchmark
 from grasp_refine.commands.inputs import AUTO, Inputs
 from grasp_refine.commands.options import check_numbers
-from grasp_refine.problem import Problem
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.problem import Problem
 from grasp_refine.validation.protocol import SettingName
 from grasp_refine.validation.validate import model_of
 

@@ -13,12 +13,12 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.assets import resource_dir
 from grasp_refine.commands.object_source import chosen_object
-from grasp_refine.problem import Group, Problem
 from grasp_refine.commands.sources import Sources
 from grasp_refine.errors import GraspFileError, GraspRefineError
 from grasp_refine.formats.reading import Reading
 from grasp_refine.grasps import GraspSet, Targets, choose_rows, load_grasps
 from grasp_refine.hand import list_hands, load_hand, needs_urdf
+from grasp_refine.problem import Group, Problem
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import transform_from_pose
 

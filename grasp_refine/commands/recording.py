@@ -11,8 +11,8 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import DisallowNone, arg
 
-from grasp_refine.problem import Group
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.problem import Group
 from grasp_refine.replay.export import export_xml
 from grasp_refine.replay.record import record
 from grasp_refine.replay.replay import Replay, save_replay

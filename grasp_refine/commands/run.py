@@ -16,13 +16,13 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
 from grasp_refine.commands.inputs import NEAREST, Inputs
-from grasp_refine.problem import Group, Problem
 from grasp_refine.commands.settings import Settings
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand_object import HandObject
 from grasp_refine.holding import most_iterations
 from grasp_refine.losses import Weights
+from grasp_refine.problem import Group, Problem
 from grasp_refine.refine import refine
 from grasp_refine.report.document import run_document, settings
 from grasp_refine.report.outcome import Outcome, compare

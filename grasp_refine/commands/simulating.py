@@ -8,8 +8,8 @@ from typing import Annotated
 
 from tyro.conf import DisallowNone, arg
 
-from grasp_refine.problem import StageSource
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.problem import StageSource
 from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
 from grasp_refine.validation.robustness import Noise
 from grasp_refine.validation.validate import Checks

@@ -15,7 +15,6 @@ from grasp_refine.asset_library.locating import fetched
 from grasp_refine.asset_library.names import find_asset
 from grasp_refine.commands.object_source import ObjectSource, chosen_object, is_known, named_object
 from grasp_refine.commands.options import check_hull_limit
-from grasp_refine.problem import Group, Problem
 from grasp_refine.description.link_geometry import HULL_LIMIT
 from grasp_refine.description.tree import read_tree
 from grasp_refine.errors import GraspFileError, GraspRefineError, HandError
@@ -29,6 +28,7 @@ from grasp_refine.hand import Hand, load_hand
 from grasp_refine.hand_source import check_known
 from grasp_refine.objects import Object, load_object
 from grasp_refine.plane import Plane
+from grasp_refine.problem import Group, Problem
 from grasp_refine.rebase import rebased
 from grasp_refine.report.results import fingerprint, recorded_urdf
 from grasp_refine.scene import Scene

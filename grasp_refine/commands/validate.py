@@ -15,11 +15,11 @@ from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
 from grasp_refine.commands.options import check_numbers, flag
-from grasp_refine.problem import Group, Problem
 from grasp_refine.commands.recording import Recording
 from grasp_refine.commands.simulating import Robustness, Simulation
 from grasp_refine.commands.sources import Sources
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.problem import Group, Problem
 from grasp_refine.report.document import settings
 from grasp_refine.report.progress import Reporter
 from grasp_refine.report.proof import closing_line

@@ -13,7 +13,7 @@ from torch import Tensor
 from grasp_refine.batch import take
 from grasp_refine.solvers.adam import Adam
 from grasp_refine.solvers.descent import Descent
-from grasp_refine.solvers.least_squares import Minimum, Point
+from grasp_refine.solvers.least_squares import Minimum, Point, Watch
 from grasp_refine.solvers.status import Status
 
 
@@ -45,9 +45,10 @@ def descend(
     *,
     status: np.ndarray,
     progress: Callable[[int, int, float], None] | None = None,
+    watch: Watch | None = None,
 ) -> Minimum:
     """Lower the losses of all members; arguments and result are those of `least_squares.minimise`."""
-    run = _Run(problem, start, solver, tolerance, status)
+    run = _Run(problem, start, solver, tolerance, status, watch)
     iteration = 0
     while len(run.active) and iteration < solver.iterations:
         mean_loss = run.iterate(iteration)
@@ -62,10 +63,17 @@ class _Run:
     """The state of the loop: members that still run, the best of all members, and what they cost."""
 
     def __init__(
-        self, problem: Differentiable, start: Point, solver: Descent | Adam, tolerance: float, status: np.ndarray
+        self,
+        problem: Differentiable,
+        start: Point,
+        solver: Descent | Adam,
+        tolerance: float,
+        status: np.ndarray,
+        watch: Watch | None,
     ) -> None:
         count = len(start.q)
         self.problem, self.solver, self.tolerance, self.status = problem, solver, tolerance, status.copy()
+        self.watch = watch
         self.best_T, self.best_q = start.T.copy(), start.q.copy()
         self.best, self.first = np.full(count, np.inf), np.full(count, np.nan)
         self.iterations, self.queries = np.zeros((2, count), dtype=np.int64)
@@ -83,6 +91,8 @@ class _Run:
         active, problem = self.active, self.problem
         loss, gradient, known = problem.evaluate(active, self.T, self.q, iteration, self.previous)
         value = loss.double().cpu().numpy()
+        if self.watch is not None:
+            self.watch(active, Point(self.T.double().cpu().numpy(), self.q.double().cpu().numpy()), value)
         ended = self._judge(value, iteration)
         stage = torch.as_tensor(self.stage[active], device=self.T.device)
         memory = self.solver.memory(gradient) if self.memory is None else self.memory

@@ -35,6 +35,10 @@ class Point:
     """Joint values (batch, n); n may be 0."""
 
 
+Watch = Callable[[np.ndarray, Point, np.ndarray], None]
+"""Sees members (M,), where they are after an iteration, and their losses (M,); may raise to end it all."""
+
+
 @dataclass(frozen=True, eq=False)
 class Linear:
     """Residuals of members and their derivatives."""
@@ -156,6 +160,7 @@ def minimise(
     width: int = WIDTH,
     seconds: float | np.ndarray = inf,
     progress: Progress | None = None,
+    watch: Watch | None = None,
 ) -> Minimum:
     """Minimise all members.
 
@@ -169,10 +174,11 @@ def minimise(
         seconds: A member whose share of the CPU time is above this, a number for all or for each (N,), ends.
         progress: Called after each iteration with the number of finished members, the iteration, and the mean
             best loss of those still running.
+        watch: Sees where members are, at their start and after each of their iterations.
     """
     count = len(start.T)
     status = np.full(count, Status.RUNNING) if status is None else status.copy()
-    run = _Run(problem, solver, tolerance, np.broadcast_to(seconds, count), start, status)
+    run = _Run(problem, solver, tolerance, np.broadcast_to(seconds, count), start, status, watch)
     waiting = np.flatnonzero(run.status == Status.RUNNING)
     slots: _Slots | None = None
     iteration = 0
@@ -214,9 +220,10 @@ class _Run:
         seconds: np.ndarray,
         start: Point,
         status: np.ndarray,
+        watch: Watch | None,
     ) -> None:
         count = len(start.T)
-        self.problem, self.solver, self.status = problem, solver, status
+        self.problem, self.solver, self.status, self.watch = problem, solver, status, watch
         self.tolerance, self.seconds = tolerance, seconds
         self.best = Point(start.T.copy(), start.q.copy())
         self.best_loss, self.first_loss = np.full(count, np.inf), np.full(count, np.nan)
@@ -268,6 +275,8 @@ class _Run:
             since,
             slots.starts + starting,
         )
+        if self.watch is not None:
+            self.watch(member, slots.point, loss)
         more = (slots.starts <= solver.restarts) & (self.best_loss[member] >= solver.good)
         patience = np.where(more, solver.patience, solver.last_patience)
         stuck = (since >= patience) | (damping > solver.largest) | np.isinf(loss)
