@@ -17,7 +17,7 @@ from grasp_refine.grasp_problem import GraspProblem
 from grasp_refine.hand import Hand
 from grasp_refine.hand_object import HandObject
 from grasp_refine.scene import Scene, links_of
-from grasp_refine.solvers.least_squares import Point, minimise
+from grasp_refine.solvers.least_squares import Point, Progress, minimise
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.solvers.status import Status
 
@@ -32,7 +32,7 @@ TOLERANCE = 1e-6
 
 
 def opened(
-    scene: Scene, prepared: HandObject | None = None
+    scene: Scene, prepared: HandObject | None = None, progress: Progress | None = None
 ) -> tuple[Float[np.ndarray, "N 4 4"], Float[np.ndarray, "N n"]]:
     """Poses (N, 4, 4) of the base link and joint values (N, n) near the grasps at which the hands are open.
 
@@ -44,6 +44,7 @@ def opened(
     Args:
         scene: Hand, object and grasps; targets mean nothing here.
         prepared: Of this hand and object, for their pairs of links; None: built here.
+        progress: As for `minimise`; what it raises ends the search.
     """
     prepared = prepared or HandObject.of(scene)
     goal = Goal.nothing(len(scene.q), len(scene.links))
@@ -53,7 +54,7 @@ def opened(
     start = Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper))
     finite = np.isfinite(scene.T_world_root).all(axis=(1, 2)) & np.isfinite(scene.q).all(axis=1)
     status = np.where(finite, Status.RUNNING, Status.NOT_FINITE)
-    found = minimise(problem, start, SOLVER, TOLERANCE, status=status, width=config.width).point
+    found = minimise(problem, start, SOLVER, TOLERANCE, status=status, width=config.width, progress=progress).point
     T, q = np.where(finite[:, None, None], found.T, np.nan), np.where(finite[:, None], found.q, np.nan)
     return T, q
 

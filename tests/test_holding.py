@@ -167,7 +167,7 @@ def test_same_seed_same_result_and_another_seed_another(
     one, again, other = (refine(two, replace(config, seed=seed), prepared=prepared) for seed in (3, 3, 4))
     np.testing.assert_array_equal(one.T_world_root, again.T_world_root)
     np.testing.assert_array_equal(one.q, again.q)
-    search = [holding._Search(two, prepared, replace(config, seed=s), one.status, None) for s in (3, 4)]
+    search = [holding._Search(two, prepared, replace(config, seed=s), one.status, None, None) for s in (3, 4)]
     first, second = (s.disturbed(np.array([0, 1]), np.array([1, 1])) for s in search)
     assert (np.abs(first.q - second.q).max(axis=1) > 1e-3).all()
     assert np.isfinite(other.q).all()

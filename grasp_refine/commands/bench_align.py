@@ -15,6 +15,7 @@ from tyro.conf import DisallowNone, arg
 from grasp_refine.apps.bench.align.bodies import Kind
 from grasp_refine.apps.bench.align.page import page
 from grasp_refine.apps.bench.align.presets import EPSILON, PRESETS, Preset
+from grasp_refine.apps.bench.align.saved import save_task
 from grasp_refine.apps.bench.align.study import Outcome, Study, run_study
 from grasp_refine.apps.bench.align.table import bench_table
 from grasp_refine.apps.bench.align.variants import MethodName, NeighborhoodName, SolverName, Variant, WitnessName
@@ -116,6 +117,10 @@ class BenchAlign:
     """Write all rows to this file, in SI units."""
     html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write a report with charts and pictures of typical failures to this file."""
+    save: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write one task as an .npz that `refine-grasp view` opens: both bodies, their targets, and where each method
+    moved them, iterate by iterate. It is the first task of the first pair that can surely be solved, run once more and
+    alone by each method, at its largest budget; another --seed, --kinds or --classes gives another task."""
 
     def execute(self) -> int:
         """Do it; returns the exit code.
@@ -127,15 +132,19 @@ class BenchAlign:
         title = f"alignment, {study.targets} targets a pair, seed {study.seed}; accuracies in %"
 
         def run(console: Console, progress: Callable[[float, str], None]) -> Outcome:
-            return run_study(study, lambda line: console.print(escape(line), style="dim"), progress)
+            outcome = run_study(study, lambda line: console.print(escape(line), style="dim"), progress)
+            if outcome.recorded is not None and outcome.rows:
+                save_task(self.save, outcome.recorded)
+            return outcome
 
         return run_benchmark(
             "bench align",
-            replace(self, json=None, html=None),
+            replace(self, json=None, html=None, save=None),
             self,
             run,
             lambda outcome: [bench_table(outcome.rows, title)],
             lambda document, outcome: page(document, outcome.failures),
+            also=() if self.save is None else (("--save", self.save),),
         )
 
     def study(self) -> Study:
@@ -178,6 +187,7 @@ class BenchAlign:
             device=self.device,
             threads=self.threads,
             workers=self.workers,
+            record=self.save is not None,
         )
 
     def _variants(self) -> tuple[Variant, ...]:

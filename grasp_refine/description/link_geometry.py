@@ -61,7 +61,7 @@ class LinkMeshes:
                 self._read[path] = read_mesh(path)
             name = path.name if key[1] == (1.0, 1.0, 1.0) else f"{path.name} x {np.array(key[1])}"
             self._cut[key] = covering(
-                _scaled(self._read[path], key[1]), self.limit, cache=self.cache, progress=self.progress, name=name
+                scaled(self._read[path], key[1]), self.limit, cache=self.cache, progress=self.progress, name=name
             )
         users = self._users.setdefault(key, [])
         if link not in users:
@@ -111,18 +111,29 @@ def link_pieces(link: yourdfpy.Link, meshes: LinkMeshes) -> tuple[Piece, ...]:
     return tuple(pieces)
 
 
-def _pieces(geometry: yourdfpy.Geometry, meshes: LinkMeshes, link: str) -> tuple[Piece, ...]:
+def primitive(geometry: yourdfpy.Geometry) -> Piece | None:
+    """The box, cylinder or sphere that a <geometry> holds; None if that is a mesh.
+
+    Raises:
+        MeshError: a size is not positive.
+    """
     if geometry.box is not None:
-        return (box(geometry.box.size),)
+        return box(geometry.box.size)
     if geometry.cylinder is not None:
-        return (cylinder(geometry.cylinder.radius, geometry.cylinder.length),)
+        return cylinder(geometry.cylinder.radius, geometry.cylinder.length)
     if geometry.sphere is not None:
-        return (sphere(geometry.sphere.radius),)
+        return sphere(geometry.sphere.radius)
+    return None
+
+
+def _pieces(geometry: yourdfpy.Geometry, meshes: LinkMeshes, link: str) -> tuple[Piece, ...]:
+    if (piece := primitive(geometry)) is not None:
+        return (piece,)
     scale = np.ones(3) if geometry.mesh.scale is None else np.broadcast_to(geometry.mesh.scale, 3)
     return meshes.pieces(geometry.mesh.filename, scale, link)
 
 
-def _scaled(mesh: trimesh.Trimesh, scale: Scale) -> trimesh.Trimesh:
+def scaled(mesh: trimesh.Trimesh, scale: Scale) -> trimesh.Trimesh:
     """A mesh stretched and mirrored, its faces still looking outward."""
     import trimesh
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,12 +26,14 @@ READ = {
     "link": ("inertial", "collision"),
     "inertial": ("mass", "origin", "inertia"),
     "collision": ("origin", "geometry"),
+    "visual": ("origin", "geometry", "material"),
+    "material": ("color",),
     "geometry": SHAPES,
     "joint": ("parent", "child", "origin", "axis", "limit", "mimic"),
 }
 """What is read of an element; the rest (visuals, transmissions, simulator extensions) cannot break a hand."""
 
-NEEDED = {"collision": ("geometry",), "joint": ("parent", "child")}
+NEEDED = {"collision": ("geometry",), "visual": ("geometry",), "joint": ("parent", "child")}
 """Elements that an element must hold."""
 
 ATTRIBUTES = {
@@ -59,6 +62,7 @@ NUMBERS = {
     "cylinder": {"radius": (1,), "length": (1,)},
     "sphere": {"radius": (1,)},
     "mesh": {"scale": (1, 3)},
+    "color": {"rgba": (3, 4)},
 }
 """Attributes that hold numbers, and how many."""
 
@@ -141,6 +145,45 @@ def _numbers(element: _Element, name: str, counts: tuple[int, ...], where: str) 
         wanted = "a finite number" if counts == (1,) else f"{' or '.join(map(str, counts))} finite numbers"
         raise HandError(f'{where}: <{element.tag} {name}="{text}"> must be {wanted}')
     return " ".join(map(repr, values))
+
+
+def read_visuals(path: Path) -> dict[str, list[yourdfpy.Visual | HandError]]:
+    """What each link in the URDF file `path` shows, which `read_urdf` leaves out; instead of a broken one, its error.
+
+    A material that is named at the robot is the visual's own here, its color as the file has it.
+
+    Raises:
+        HandError: the file is missing, or not a URDF.
+    """
+    robot = _read_xml(path)
+    materials = {material.get("name"): material for material in robot.iterfind("material")}
+    # A name may stand where the material is described only at another visual.
+    for material in robot.iterfind("link/visual/material"):
+        if material.find("color") is not None:
+            materials.setdefault(material.get("name"), material)
+    found: dict[str, list[yourdfpy.Visual | HandError]] = {}
+    for link in robot.iterfind("link"):
+        where = f"{path}: link '{link.get('name', '')}'"
+        for visual in link.findall("visual"):
+            found.setdefault(link.get("name", ""), []).append(_visual(visual, materials, where))
+    return found
+
+
+def _visual(visual: _Element, materials: dict[str | None, _Element], where: str) -> yourdfpy.Visual | HandError:
+    import yourdfpy
+    from lxml import etree
+
+    material = visual.find("material")
+    if material is not None and material.find("color") is None and material.get("name") in materials:
+        visual.replace(material, deepcopy(materials[material.get("name")]))
+    try:
+        _check(visual, where)
+    except HandError as error:
+        return error
+    robot = etree.Element("robot", name="robot")
+    etree.SubElement(robot, "link", name="link").append(visual)
+    read = yourdfpy.URDF.load(io.BytesIO(etree.tostring(robot)), build_scene_graph=False, load_meshes=False).robot
+    return read.links[0].visuals[0]
 
 
 def links_with_visuals(path: Path) -> frozenset[str]:

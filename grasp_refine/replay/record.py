@@ -9,7 +9,7 @@ from grasp_refine.replay.replay import Replay, Stage, qpos_names
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import AXES
 from grasp_refine.validation.simulation import LIFT, close, push
-from grasp_refine.validation.stepping import Conditions
+from grasp_refine.validation.stepping import Conditions, Watch
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.world import World
 
@@ -18,7 +18,14 @@ EVERY = 5
 
 
 def record(
-    world: World, motion: Motion, direction: str, *, name: str, hand: str, conditions: Conditions | None = None
+    world: World,
+    motion: Motion,
+    direction: str,
+    *,
+    name: str,
+    hand: str,
+    conditions: Conditions | None = None,
+    also: Watch = lambda batch: None,
 ) -> Replay | None:
     """The motion of one grasp from the pregrasp to the end of its trial, also when it fails; None if it cannot start.
 
@@ -29,6 +36,7 @@ def record(
         name: What a person would call it.
         hand: Name of the hand.
         conditions: Where the object lies, and how slippery it is; by default as the grasp and the protocol say.
+        also: Sees every simulation step, too; what it raises ends the recording.
     """
     protocol = world.protocol
     frames: list[tuple[np.ndarray, ...]] = []
@@ -38,6 +46,7 @@ def record(
 
     def watch(batch: Batch) -> None:
         nonlocal steps
+        also(batch)
         steps += 1
         if steps == 0:
             # The set points of the first step are not set yet: a hand that is to stay at the pregrasp has these.

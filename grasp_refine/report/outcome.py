@@ -35,6 +35,10 @@ class Outcome:
     """Refined poses (N, 7) of the base link, x y z qw qx qy qz, object frame, metres."""
     q: np.ndarray
     """Refined joint values (N, n)."""
+    initial_pose: np.ndarray
+    """Poses (N, 7) before refinement, as `hand_pose`."""
+    initial_q: np.ndarray
+    """Joint values (N, n) before refinement."""
     status: np.ndarray
     """A `Status` (N,)."""
     loss: np.ndarray
@@ -187,6 +191,8 @@ def compare(
         index=index,
         hand_pose=pose_from_transform(T_after),
         q=refinement.q,
+        initial_pose=pose_from_transform(T_before),
+        initial_q=scene.q,
         status=refinement.status,
         loss=refinement.loss,
         iterations=refinement.iterations,

@@ -35,6 +35,7 @@ def save_results(
 ) -> None:
     """Write the grasps of one object, whole or not at all, as a grasp file that holds more.
 
+        initial_pose, initial_q             (N, 7), (N, n)  the grasps before refinement, as hand_pose and q
         contact_link                        (K,)       links that should touch in any of the grasps
         contact_point_link                  (N, K, 3)  witness point on the link, link frame, metres
         contact_point_object                (N, K, 3)  the same on the object, object frame
@@ -80,6 +81,8 @@ def save_results(
         path,
         {
             **grasps.arrays(),
+            "initial_pose": outcome.initial_pose,
+            "initial_q": outcome.initial_q,
             "contact_link": np.array([links[k] for k in touching], dtype=str),
             "contact_point_link": outcome.contact_link[:, touching],
             "contact_point_object": outcome.contact_object[:, touching],

@@ -15,6 +15,7 @@ from grasp_refine.hand_object import HandObject
 from grasp_refine.pregrasp import opened
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import transform_from_pose
+from grasp_refine.solvers.least_squares import Progress
 from grasp_refine.squeeze import squeezed
 
 STAGES = ("pregrasp", "grasp", "squeeze")
@@ -38,12 +39,18 @@ class Motion:
         return take(self, rows)
 
 
-def closing(scene: Scene, prepared: HandObject | None = None) -> Motion:
-    """The motion that we give to the grasps of a scene: opened before, pressing after; NaN for what is not finite."""
+def closing(scene: Scene, prepared: HandObject | None = None, progress: Progress | None = None) -> Motion:
+    """The motion that we give to the grasps of a scene: opened before, pressing after; NaN for what is not finite.
+
+    Args:
+        scene: Hand, object and grasps.
+        prepared: Of this hand and object; None: built here.
+        progress: As for `opened`.
+    """
     prepared = prepared or HandObject.of(scene)
     finite = np.isfinite(scene.T_world_root).all(axis=(1, 2)) & np.isfinite(scene.q).all(axis=1)
     T = np.where(finite[:, None, None], scene.T_world_root, np.nan)
-    T_open, q_open = opened(scene, prepared)
+    T_open, q_open = opened(scene, prepared, progress)
     q = np.where(finite[:, None], scene.q, np.nan)
     return Motion(np.stack([T_open, T, T], axis=1), np.stack([q_open, q, squeezed(scene, prepared)], axis=1))
 

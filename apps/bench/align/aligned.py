@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,9 @@ from grasp_refine.witness.patch import Patch
 from .bodies import BodyPair
 from .stopwatch import Stopwatch
 from .tasks import Tasks
+
+Visit = Callable[[np.ndarray, np.ndarray], None]
+"""Gets the poses (4, 4) of both bodies of the first task of the first pair, at its start and after each iteration."""
 
 
 @dataclass(frozen=True, eq=False)

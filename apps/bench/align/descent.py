@@ -26,7 +26,7 @@ from grasp_refine.witness.autograd import Derivative, WitnessLayer
 from grasp_refine.witness.patch import Patch
 from grasp_refine.witness.transport import EquivalentTransport
 
-from .aligned import Aligned, errors_at
+from .aligned import Aligned, Visit, errors_at
 from .bodies import BodyPair
 from .stopwatch import Stopwatch, TimedDerivative, timed_pairs
 from .tasks import Tasks
@@ -71,6 +71,7 @@ def align(
     dtype: torch.dtype = torch.float64,
     device: str = "cpu",
     progress: Callable[[float], None] = lambda share: None,
+    visit: Visit | None = None,
 ) -> Aligned:
     """Run the tasks of several pairs, equally many of each.
 
@@ -81,11 +82,16 @@ def align(
         dtype: Of poses and losses.
         device: Of poses and losses; queries and derivatives run on the CPU.
         progress: Called now and then with the share of the budget that is spent.
+        visit: Sees where the first task is.
     """
 
     def stacked(name: str) -> Tensor:
         array = np.stack([getattr(one, name) for one in tasks], axis=1)
         return torch.as_tensor(array, dtype=dtype, device=device)
+
+    def visited(*poses: Tensor) -> None:
+        if visit is not None:
+            visit(*(T[0, 0].double().cpu().numpy() for T in poses))
 
     watch = Stopwatch()
     pairs = timed_pairs(Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies)), watch)
@@ -103,6 +109,7 @@ def align(
         while done < 1.0:
             error, gradients, last = problem.gradients(T_a, T_b, iteration, last)
             best.keep(error, T_a, T_b)
+            visited(T_a, T_b)
             rotation = solver.step_size * FACTORS[sum(done >= share for share in SHARES)]
             T_b = _step(T_b, gradients[-1], rotation)
             if solver.optimise == "T1T2":
@@ -114,6 +121,7 @@ def align(
                 done = (time.process_time() - start_cpu) / (solver.seconds * len(bodies))
             if iteration % 50 == 0:
                 progress(min(done, 1.0))
+    visited(T_a, T_b)
     watch.running = False
     cpu_s, wall_s = time.process_time() - start_cpu, time.perf_counter() - start_wall
     with torch.no_grad():

@@ -12,7 +12,7 @@ from grasp_refine.solvers.least_squares import WIDTH, Point, minimise
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.witness.patch import Patch
 
-from .aligned import Aligned, errors_at, padded
+from .aligned import Aligned, Visit, errors_at, padded
 from .bodies import BodyPair
 from .problem import AlignProblem
 from .stopwatch import Stopwatch
@@ -47,6 +47,7 @@ def minimised(
     solver: AlignLevenbergMarquardt,
     *,
     progress: Callable[[float], None] = lambda share: None,
+    visit: Visit | None = None,
 ) -> Aligned:
     """Run the tasks of several pairs together; what comes of a task does not depend on the others.
 
@@ -55,6 +56,7 @@ def minimised(
         tasks: Those of each pair; some may have more than others.
         solver: Budget and witness.
         progress: Called now and then with the share of the budget that is spent.
+        visit: Sees where the first task is.
     """
     watch = Stopwatch()
     problem = AlignProblem(bodies, tasks, solver.margin, solver.seed, solver.patch, watch)
@@ -69,13 +71,17 @@ def minimised(
         if iteration % 10 == 0:
             progress(min(iteration / most, 1.0))
 
+    def visited(member: np.ndarray, point: Point, loss: np.ndarray) -> None:
+        for T_b in point.T[member == 0]:
+            visit(problem.tasks.T_world_a[0], T_b)
+
     settings = LevenbergMarquardt(
         iterations=solver.iterations, restarts=solver.iterations, patience=PATIENCE, good=0.0, widths=WIDTHS
     )
     start_cpu, start_wall = time.process_time(), time.perf_counter()
     watch.running = True
     with watch.stage("solver"):
-        found = minimise(problem, start, settings, TOLERANCE, progress=told)
+        found = minimise(problem, start, settings, TOLERANCE, progress=told, watch=visited if visit else None)
     watch.running = False
     cpu_s, wall_s = time.process_time() - start_cpu, time.perf_counter() - start_wall
     task = np.arange(counts.max())[:, None]

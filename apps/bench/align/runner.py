@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from .aligned import Aligned, errors_at, padded
+from .aligned import Aligned, Visit, errors_at, padded
 from .bodies import KINDS, BodyPair
 from .descent import AlignDescent, align
 from .levenberg_marquardt import minimised
@@ -53,17 +53,19 @@ class Job:
     def do(self, progress: Callable[[float], None]) -> Done:
         """Run the variant on the tasks, in this process."""
         torch.set_num_threads(self.threads)
-        variant, tasks = self.variant, padded(self.tasks)
-        solver = variant.built(self.seed)
-        if isinstance(solver, AlignDescent):
-            dtype = getattr(torch, self.dtype)
-            aligned = align(self.pairs, tasks, solver, dtype=dtype, device=self.device, progress=progress)
-        else:
-            aligned = minimised(self.pairs, self.tasks, solver, progress=progress)
+        variant, aligned = self.variant, self.solved(progress)
         if variant.patch is None:
             return Done(self, aligned)
         poses = aligned.T_world_a, aligned.T_world_b
-        return Done(self, aligned, errors_at(self.pairs, tasks, *poses, variant.margin, variant.patch)[0])
+        return Done(self, aligned, errors_at(self.pairs, padded(self.tasks), *poses, variant.margin, variant.patch)[0])
+
+    def solved(self, progress: Callable[[float], None], visit: Visit | None = None) -> Aligned:
+        """What the solver makes of the tasks; `visit` sees where the first one is."""
+        solver = self.variant.built(self.seed)
+        if not isinstance(solver, AlignDescent):
+            return minimised(self.pairs, self.tasks, solver, progress=progress, visit=visit)
+        to = {"dtype": getattr(torch, self.dtype), "device": self.device}
+        return align(self.pairs, padded(self.tasks), solver, **to, progress=progress, visit=visit)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,10 @@ from grasp_refine.errors import GraspRefineError
 from ..jobs import run_jobs
 from .bodies import KINDS, BodyPair, Kind, draw_pairs, mesh_sources
 from .failures import Failure, WitnessPoints, blind_spot
+from .record import record_task, shown_task
 from .rows import LEVELS, rows
 from .runner import Done, jobs
+from .saved import AlignmentTask
 from .tasks import CLASSES, Tasks, draw_tasks
 from .variants import Variant
 
@@ -49,6 +51,8 @@ class Study:
     """Threads of torch in each process."""
     workers: int = 1
     """Processes."""
+    record: bool = False
+    """Whether one task of the first pair is run again by each method, to be shown."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,8 @@ class Outcome:
     """Typical failures of each method."""
     problems: list[str]
     """What went wrong with jobs that gave no result."""
+    recorded: AlignmentTask | None = None
+    """A task as each method went through it."""
 
 
 def run_study(study: Study, say: Callable[[str], None], progress: Callable[[float, str], None]) -> Outcome:
@@ -83,6 +89,11 @@ def run_study(study: Study, say: Callable[[str], None], progress: Callable[[floa
     pairs, tasks = _with_tasks(pairs, tasks, say)
     if not pairs:
         raise GraspRefineError("no pair has a task that is accepted: something else is always in the way")
+    recorded = None
+    if study.record:
+        machine = {"dtype": study.dtype, "device": study.device}
+        task = shown_task(tasks[0])
+        recorded = record_task(pairs[0], task, study.variants, seed=study.seed, **machine, progress=progress)
     todo = jobs(
         study.variants,
         pairs,
@@ -93,7 +104,7 @@ def run_study(study: Study, say: Callable[[str], None], progress: Callable[[floa
         threads=study.threads,
     )
     done, problems = run_jobs(todo, study.workers, progress)
-    return Outcome(rows(done, study.targets, study.dtype), typical_failures(done), problems)
+    return Outcome(rows(done, study.targets, study.dtype), typical_failures(done), problems, recorded)
 
 
 def typical_failures(done: Sequence[Done]) -> list[Failure]:

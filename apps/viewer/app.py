@@ -1,0 +1,42 @@
+"""Everything of the viewer put together."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+import viser
+
+from grasp_refine.apps.viewer.controller import Controller
+from grasp_refine.apps.viewer.page import Drawer, address
+from grasp_refine.apps.viewer.panels.page_panel import PagePanel
+from grasp_refine.apps.viewer.view import View
+
+
+class Viewer:
+    """A server that shows what a controller has; a context manager that closes both."""
+
+    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+        """Put scene and panels on the page."""
+        self.server, self.controller = server, controller
+        self.view = View(server, controller)
+        self.panel = PagePanel(server, controller, self.view)
+        self._drawer = Drawer([self.view, self.panel], controller.state)
+        controller.listen(self._drawer.draw)
+        self._drawer.start()
+
+    @property
+    def address(self) -> str:
+        """What to type into a browser."""
+        return address(self.server)
+
+    def __enter__(self) -> Viewer:
+        """Nothing more to do."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop what is being done, and the server."""
+        self.controller.close()
+        self._drawer.close()
+        self.server.stop()

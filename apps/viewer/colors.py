@@ -1,0 +1,48 @@
+"""Colours of signed distances: warm inside, green at the surface, cool outside."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+Color = tuple[int, int, int]
+"""Red, green and blue, 0 to 255."""
+
+SCALE: tuple[tuple[float, Color], ...] = (
+    (-5.0, (178, 24, 72)),
+    (-1.0, (222, 70, 30)),
+    (-0.3, (240, 140, 40)),
+    (-0.1, (0, 170, 120)),
+    (0.1, (0, 170, 120)),
+    (0.3, (70, 180, 235)),
+    (3.0, (45, 115, 215)),
+    (10.0, (120, 90, 205)),
+)
+"""Signed distances in mm, and their colours; between them they are mixed.
+
+All show on white and on black, and people who see fewer colours tell inside, touching and outside apart.
+"""
+
+UNKNOWN: Color = (140, 140, 140)
+"""Where there is no distance."""
+
+LEGEND = ((-5.0, "5 mm inside"), (-1.0, "1 mm inside"), (0.0, "touching"), (0.3, "0.3 mm off"), (3.0, "3 mm off"))
+"""Distances in mm that a legend explains."""
+
+
+def distance_colors(distance: Float[np.ndarray, " K"]) -> UInt8[np.ndarray, "K 3"]:
+    """Colours (K, 3) of signed distances (K,) in metres, negative inside; grey where one is NaN."""
+    millimetres = 1e3 * np.asarray(distance, dtype=np.float64)
+    known = np.isfinite(millimetres)
+    stops = [stop for stop, _ in SCALE]
+    channels = [
+        np.interp(np.where(known, millimetres, 0.0), stops, [color[channel] for _, color in SCALE])
+        for channel in range(3)
+    ]
+    return np.where(known[:, None], np.stack(channels, axis=-1).round(), UNKNOWN).astype(np.uint8)
+
+
+def distance_legend() -> list[tuple[str, Color]]:
+    """What the colours mean: words and a colour, from deepest inside to farthest off."""
+    colors = distance_colors(1e-3 * np.array([distance for distance, _ in LEGEND]))
+    return [(text, (int(r), int(g), int(b))) for (_, text), (r, g, b) in zip(LEGEND, colors, strict=True)]

@@ -1,0 +1,116 @@
+"""The page: the server, what stands on it, and the thread that draws."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+import traceback
+from collections.abc import Sequence
+from typing import Protocol
+
+import rich
+import viser
+
+from grasp_refine.apps.viewer.state import State
+from grasp_refine.errors import GraspRefineError
+
+RATE = 30.0
+"""Most drawings in a second."""
+
+TITLE = "grasp-refine"
+
+
+class Drawn(Protocol):
+    """Something that shows a state."""
+
+    def draw(self, state: State) -> None:
+        """Show it."""
+
+
+class Drawer:
+    """The thread that draws: always the newest state, never two at once."""
+
+    def __init__(self, parts: Sequence[Drawn], first: State) -> None:
+        """Draw the first state, then whatever comes."""
+        self._parts, self._state = tuple(parts), first
+        self._wanted, self._closed = threading.Event(), False
+        self._wanted.set()
+        self._thread = threading.Thread(target=self._run, name="viewer drawing", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def draw(self, state: State) -> None:
+        """Draw this state, unless a newer one comes first."""
+        self._state = state
+        self._wanted.set()
+
+    def close(self) -> None:
+        """End after the present drawing."""
+        self._closed = True
+        self._wanted.set()
+        self._thread.join(5.0)
+
+    def _run(self) -> None:
+        while True:
+            self._wanted.wait()
+            self._wanted.clear()
+            if self._closed:
+                return
+            began, state = time.monotonic(), self._state
+            for part in self._parts:
+                try:
+                    part.draw(state)
+                except Exception:  # noqa: BLE001 - one part that cannot be drawn must not take the others with it
+                    traceback.print_exc()
+            time.sleep(max(0.0, 1.0 / RATE - (time.monotonic() - began)))
+
+
+def open_server(host: str, port: int) -> viser.ViserServer:
+    """The server, listening; a port of 0 is any that is free.
+
+    Raises:
+        GraspRefineError: it cannot listen there.
+    """
+    # viser would go on to the next port silently, or, where a host cannot be, wait for ever.
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise GraspRefineError(
+                f"cannot listen on {host}:{port} ({reason}): give another --port, or --port 0 for any that is free"
+            ) from None
+    # It greets on the terminal, which is ours.
+    console = rich.get_console()
+    quiet, console.quiet = console.quiet, True
+    try:
+        server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
+    finally:
+        console.quiet = quiet
+    if port and server.get_port() != port:
+        server.stop()
+        raise GraspRefineError(f"port {port} was taken meanwhile: give another --port, or --port 0 for any that is free")
+    _forbid_sharing(server)
+    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+    server.scene.set_up_direction("+z")
+    server.scene.configure_environment_map(None)
+    server.scene.configure_default_lights(True, cast_shadow=False)
+    server.scene.add_light_ambient("/light", intensity=1.0)
+    return server
+
+
+def address(server: viser.ViserServer) -> str:
+    """What to type into a browser."""
+    host = server.get_host()
+    name = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    return f"http://{name}:{server.get_port()}"
+
+
+def _forbid_sharing(server: viser.ViserServer) -> None:
+    """Without this, any page that reaches the server could have it open a tunnel to the outside."""
+    server._websock_server.unregister_handler(viser._messages.ShareUrlRequest)

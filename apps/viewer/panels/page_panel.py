@@ -1,0 +1,60 @@
+"""The whole panel: a heading with what the shown grasp is worth, and tabs."""
+
+from __future__ import annotations
+
+import html
+from typing import Any
+
+import numpy as np
+import viser
+
+from grasp_refine.apps.viewer.controller import Controller
+from grasp_refine.apps.viewer.panels.look_panel import LookPanel
+from grasp_refine.apps.viewer.state import State
+from grasp_refine.apps.viewer.view import View
+
+
+class PagePanel:
+    """Heading and tabs; draws all of them."""
+
+    def __init__(self, server: viser.ViserServer, controller: Controller, view: View) -> None:
+        """Make all widgets."""
+        self._server, self._view = server, view
+        self._heading = server.gui.add_html("")
+        self._told = 0
+        tabs = server.gui.add_tab_group()
+        self._panels: list[Any] = []
+        for title, kind in (("View", LookPanel),):
+            with tabs.add_tab(title):
+                self._panels.append(kind(server, controller))
+
+    def draw(self, state: State) -> None:
+        """Show a state."""
+        text = _heading(state, self._view)
+        if self._heading.content != text:
+            self._heading.content = text
+        for panel in self._panels:
+            panel.draw(state)
+        notice = state.notice
+        if notice is not None and notice.number != self._told:
+            self._told = notice.number
+            for client in self._server.get_clients().values():
+                client.add_notification(
+                    "This did not work" if notice.bad else "grasp-refine",
+                    notice.text,
+                    color="red" if notice.bad else "blue",
+                    auto_close_seconds=None if notice.bad else 8.0,
+                )
+
+
+def _heading(state: State, view: View) -> str:
+    """What is shown, and what it is worth."""
+    collection, found = state.collection, view.contacts
+    name = f"{collection.hand.name} on {collection.label(state.number)}"
+    lines = [f"<b>{html.escape(name)}</b>"]
+    if state.motion is not None:
+        lines.append(html.escape(state.motion.text(state.motion_frame)))
+    elif found is not None:
+        error = "no contact" if np.isnan(found.contact_error) else f"{1e3 * found.contact_error:.2f} mm"
+        lines.append(f"contact error {error} &nbsp; penetration {1e3 * found.penetration:.2f} mm")
+    return f'<div style="padding:0.3em 1em;line-height:1.5;font-size:0.9em">{"<br>".join(lines)}</div>'

@@ -1,0 +1,207 @@
+"""The panel that refines: start and stop, progress, plots, a timeline of all iterations, and the settings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import viser
+
+from grasp_refine.report.outcome import Outcome
+from grasp_refine.solvers.status import Status
+
+from ..controller import Controller
+from ..entries import plain
+from ..forms import Form
+from ..pose import Pose
+from ..state import State
+from .held import Held
+from .player import Player
+from .plots import Plots
+
+FIRST = (
+    "solver",
+    "derivative",
+    "neighborhood",
+    "geometry_only",
+    "iterations",
+    "tolerance",
+    "margin",
+    "starts",
+    "seed",
+    "weights",
+)
+"""The settings that most people want."""
+LEFT_OUT = ("device", "dtype")
+"""Settings of batches: one grasp is refined on the CPU here."""
+
+
+class RefinePanel:
+    """Widgets of the refinement."""
+
+    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+        """Make the widgets inside the tab or folder that is open."""
+        self._controller = controller
+        gui, state = server.gui, controller.state
+        self._start = gui.add_button("Start", icon="player-play", color="green", hint="Refine the grasp that is shown")
+        self._pause = gui.add_button("Pause", icon="player-pause", hint="Hold the refinement, or let it go on")
+        self._step = gui.add_button("Step", icon="player-track-next", hint="Do one iteration, then wait")
+        self._stop = gui.add_button("Stop", icon="player-stop", hint="End what is being done; the hand stays there")
+        self._reset = gui.add_button("Reset", icon="rotate", hint="Put the grasp back to how it came")
+        self._text = gui.add_markdown("")
+        self._bar = gui.add_progress_bar(0.0)
+        self._plots = Plots(gui)
+        with gui.add_folder("Timeline"):
+            slider = gui.add_slider(
+                "iteration", 0, 1, 1, 0, disabled=True, hint="Drag to see the hand in each iteration"
+            )
+            self._slider = Held(slider, self._scrub)
+            self._play = gui.add_button("Play", icon="movie", hint="Show all iterations like a film")
+            self._at = gui.add_markdown("")
+        with gui.add_folder("Settings, from the next start on"):
+            self._form = Form(
+                gui,
+                state.settings,
+                controller.set_settings,
+                lambda words: controller.say(words, bad=True),
+                check=lambda settings: settings.config(),
+                unused=unused,
+                first=FIRST,
+                left_out=LEFT_OUT,
+            )
+            self._defaults = gui.add_button("Default settings", icon="restore", hint="All settings as they came")
+        self._player = Player(controller, self._playing)
+        for button, act in (
+            (self._start, controller.start),
+            (self._pause, controller.pause),
+            (self._step, controller.step_once),
+            (self._stop, controller.stop),
+            (self._reset, controller.reset),
+            (self._play, self._player.toggle),
+            (self._defaults, lambda: controller.set_settings(type(state.settings)())),
+        ):
+            button.on_click(lambda event, act=act: act())
+
+    def draw(self, state: State) -> None:
+        """Show a state."""
+        job = state.job
+        refining = job is not None and job.kind == "refine"
+        paused = refining and job.paused
+        busy = job is not None and job.kind not in ("refine", "measure")
+        self._start.disabled = busy or (refining and not paused)
+        self._pause.disabled = not refining
+        self._pause.label = "Resume" if paused else "Pause"
+        self._step.disabled = busy
+        self._stop.disabled = not (refining or busy)
+        self._reset.disabled = not (refining or busy) and _as_it_came(state)
+        self._text.content = words(state)
+        self._bar.value = 100.0 * (job.share or 0.0) if refining else 0.0
+        self._bar.animated = refining and not paused and job.share is None
+        self._plots.show(state.trace, state.frame)
+        self._draw_timeline(state)
+        self._form.show(state.settings)
+
+    def close(self) -> None:
+        """End what still plays."""
+        self._player.close()
+        self._plots.close()
+        self._slider.close()
+
+    def _draw_timeline(self, state: State) -> None:
+        handle, trace = self._slider.handle, state.trace
+        last = 0 if trace is None else len(trace) - 1
+        handle.disabled = self._play.disabled = last == 0
+        if handle.max < max(last, 1):
+            handle.max = max(last, 1)
+        self._slider.show(last if state.frame is None else min(state.frame, last))
+        if handle.max > max(last, 1):
+            handle.max = max(last, 1)
+        self._at.content = timeline_words(state)
+
+    def _scrub(self, frame: int) -> None:
+        """Look at an iteration; at the end of a refinement that runs, follow it."""
+        state = self._controller.state
+        follows = state.job is not None and state.trace is not None and frame >= len(state.trace) - 1
+        self._controller.scrub(None if follows else frame)
+
+    def _playing(self, playing: bool) -> None:
+        self._play.label = "Stop playing" if playing else "Play"
+
+
+def unused(settings: Any) -> set[str]:
+    """Names of the settings that mean nothing beside the others: `config` refuses them."""
+    names: set[str] = set()
+    if settings.solver == "levenberg-marquardt":
+        names |= {"derivative", "neighborhood", "transport", "weights.joint_limits"}
+    else:
+        names |= {"width", "max_move", "seconds", "starts", "geometry_only", "weights.wrench"}
+        if not hasattr(getattr(settings, settings.derivative.replace("-", "_")), "neighborhood"):
+            names.add("neighborhood")
+    if settings.geometry_only:
+        names |= {"starts", "weights.wrench"}
+    if settings.weights.wrench == 0.0:
+        names.add("starts")
+    if settings.weights.stay_near == 0.0:
+        names.add("scales")
+    return names
+
+
+def words(state: State) -> str:
+    """What is being done, or what came out, in Markdown."""
+    job = state.job
+    if job is not None and job.kind == "refine":
+        return f"**{'Paused' if job.paused else 'Refining'}**: {job.what}"
+    if job is not None and job.kind != "measure":
+        return f"Busy: {job.what}"
+    if state.outcome is not None:
+        return outcome_words(state.outcome)
+    if state.trace is not None:
+        return "Stopped, or moved since. **Start** refines from where the hand is now."
+    return "**Start** moves the hand until its links touch the object as they should and it holds."
+
+
+def outcome_words(outcome: Outcome) -> str:
+    """What became of one grasp, before and after, and what to do about it; a table in Markdown."""
+    status = Status(outcome.status[0])
+    error = [np.nan if np.isnan(side).all() else np.nanmax(side) for side in outcome.contact_error[0]]
+    rows = (
+        ("contact error, mm", [millimetres(value) for value in error]),
+        ("penetration, mm", [millimetres(value) for value in outcome.penetration[0]]),
+        ("quality, 0 to 1", ["-" if np.isnan(value) else f"{value:.2f}" for value in outcome.quality[0]]),
+    )
+    table = "\n".join(f"| {name} | {before} | **{after}** |" for name, (before, after) in rows)
+    count, seconds = int(outcome.iterations[0]), float(outcome.wall_s[0])
+    head = f"**{status.label.capitalize()}** after {count} iterations, {seconds:.1f} s"
+    advice = f"\n\n{plain(status.advice)}" if status.advice else ""
+    return f"{head}{advice}\n\n| | before | after |\n|---|---|---|\n{table}"
+
+
+def timeline_words(state: State) -> str:
+    """The numbers of the iteration that is shown."""
+    trace = state.trace
+    if trace is None:
+        return "Iterations of a refinement can be looked at here."
+    k = len(trace) - 1 if state.frame is None else min(state.frame, len(trace) - 1)
+    if state.frame is None and state.job is None and not _same(state.pose, trace.pose(k)):
+        return "The hand was moved since; drag the timeline to see the refinement again."
+    return f"{trace.label[k]}: contact error {_mm(trace.contact_error, k)}, penetration {_mm(trace.penetration, k)}"
+
+
+def millimetres(metres: float) -> str:
+    """A length in mm without its unit; NaN is unknown."""
+    if np.isnan(metres):
+        return "-"
+    return "< 0.001" if 0.0 < metres < 1e-6 else f"{1e3 * metres:.3f}" if metres < 1e-3 else f"{1e3 * metres:.2f}"
+
+
+def _mm(values: np.ndarray, k: int) -> str:
+    return f"{millimetres(float(values[k]))} mm"
+
+
+def _as_it_came(state: State) -> bool:
+    """Whether there is nothing to reset."""
+    return state.trace is None and np.array_equal(state.T_world_object, np.eye(4)) and _same(state.pose, state.initial)
+
+
+def _same(one: Pose, other: Pose) -> bool:
+    return one is other or (np.array_equal(one.T, other.T) and np.array_equal(one.q, other.q))

@@ -1,0 +1,165 @@
+"""What a click in the scene hits, and the nearest point on the surface that can touch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Integer
+
+from grasp_refine.apps.viewer.shapes import LinkShape
+from grasp_refine.geometry.body import Body
+from grasp_refine.geometry.pieces import Piece
+from grasp_refine.geometry.sampling import CLEARANCE, internal
+from grasp_refine.se3 import inverse
+
+FIRST = 64
+"""So many of the nearest points are looked at before all are."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePoint:
+    """A point on a surface."""
+
+    point: Float[np.ndarray, " 3"]
+    """Where it is (3,), metres."""
+    normal: Float[np.ndarray, " 3"]
+    """Unit normal (3,); of a surface that can touch it points outward, of one that was hit towards the eye."""
+    distance: float
+    """How far it is from where the ray starts, or from the point that was asked about, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinkHit:
+    """Where a ray hits a hand."""
+
+    link: str
+    """Name of the link."""
+    on_link: SurfacePoint
+    """Where, link frame."""
+
+
+def hit_mesh(
+    origin: Float[np.ndarray, " 3"],
+    direction: Float[np.ndarray, " 3"],
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Integer[np.ndarray, "F 3"],
+) -> SurfacePoint | None:
+    """The first point of a mesh on the ray from `origin` along `direction`, or None; faces count from both sides.
+
+    Möller and Trumbore 1997, "Fast, minimum storage ray/triangle intersection", for all triangles at once. A hit on an
+    edge is a hit.
+    """
+    unit = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
+    a, b, c = np.moveaxis(np.asarray(vertices, dtype=np.float64)[faces], 1, 0)
+    edge, other, arm = b - a, c - a, origin - a
+    across, turned = np.cross(unit, other), np.cross(arm, edge)
+    volume = np.einsum("fi,fi->f", edge, across)
+    size = np.linalg.norm(edge, axis=1) * np.linalg.norm(other, axis=1)
+    facing = np.abs(volume) > 1e-12 * size
+    scale = 1.0 / np.where(facing, volume, 1.0)
+    u, v = np.einsum("fi,fi->f", arm, across) * scale, turned @ unit * scale
+    along = np.einsum("fi,fi->f", other, turned) * scale
+    edges = -1e-9
+    hits = np.flatnonzero(facing & (u >= edges) & (v >= edges) & (u + v <= 1 - edges) & (along >= 0))
+    if not len(hits):
+        return None
+    first = hits[along[hits].argmin()]
+    normal = np.cross(edge[first], other[first])
+    normal /= -np.copysign(np.linalg.norm(normal), normal @ unit)
+    return SurfacePoint(origin + along[first] * unit, normal, float(along[first]))
+
+
+def hit_link(
+    origin: Float[np.ndarray, " 3"],
+    direction: Float[np.ndarray, " 3"],
+    shapes: Iterable[LinkShape],
+    T_world_link: Mapping[str, Float[np.ndarray, "4 4"]],
+) -> LinkHit | None:
+    """The first link on a ray, and where on it; None if the ray misses all.
+
+    Args:
+        origin: Where the ray starts (3,), in the frame in which the poses are.
+        direction: Where it goes (3,).
+        shapes: What the links look like.
+        T_world_link: Where they are.
+    """
+    best: LinkHit | None = None
+    for shape in shapes:
+        T = inverse(np.asarray(T_world_link[shape.link], dtype=np.float64))
+        hit = hit_mesh(T[:3, :3] @ origin + T[:3, 3], T[:3, :3] @ direction, shape.vertices, shape.faces)
+        if hit is not None and (best is None or hit.distance < best.on_link.distance):
+            best = LinkHit(shape.link, hit)
+    return best
+
+
+def nearest_on_surface(body: Body, point: Float[np.ndarray, " 3"]) -> SurfacePoint:
+    """The point nearest to `point` on the surface of a body that can touch, with the outward normal there.
+
+    What is shown may differ from the convex pieces that touch; targets belong on these. Surfaces of a piece that lie
+    in another one, or on a cut between two, do not count. Spheres and capsules are exact.
+    """
+    points, normals, owners = (np.concatenate(parts) for parts in zip(*_nearest(body, point), strict=True))
+    distance = np.linalg.norm(points - point, axis=1)
+    order = np.argsort(distance, kind="stable")
+    for some in (order[:FIRST], order):
+        covered = internal(points[some], normals[some], owners[some], body.pieces, CLEARANCE * body.diagonal)
+        if not covered.all():
+            best = some[covered.argmin()]
+            break
+    else:
+        best = order[0]
+    return SurfacePoint(points[best], normals[best], float(distance[best]))
+
+
+def _nearest(body: Body, point: Float[np.ndarray, " 3"]) -> Iterable[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Of each piece the nearest points (F, 3) on its faces, outward normals (F, 3), and its number (F,)."""
+    for number, piece in enumerate(body.pieces):
+        if piece.radius > 0 and len(piece.vertices) <= 2:
+            points, normals = _round(piece, point)
+        else:
+            surface = piece if piece.radius == 0 else _polytope(piece)
+            solid = surface.normals.any(axis=1)
+            points = closest_on_triangles(point, surface.vertices[surface.faces[solid]])
+            normals = surface.normals[solid]
+        yield points, normals, np.full(len(points), number)
+
+
+def _round(piece: Piece, point: Float[np.ndarray, " 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """The nearest point (1, 3) on a sphere or capsule, and the normal there."""
+    a, b = piece.vertices[0], piece.vertices[-1]
+    axis = b - a
+    core = a + np.clip((point - a) @ axis / max(axis @ axis, np.finfo(np.float64).tiny), 0.0, 1.0) * axis
+    away = point - core
+    if not away.any():
+        # All directions are as near; one that is across the axis.
+        away = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))]) if axis.any() else np.array([0.0, 0.0, 1.0])
+    normal = away / np.linalg.norm(away)
+    return (core + piece.radius * normal)[None], normal[None]
+
+
+def _polytope(piece: Piece) -> Piece:
+    mesh = piece.mesh()
+    return Piece(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+
+
+def closest_on_triangles(
+    point: Float[np.ndarray, " 3"], triangles: Float[np.ndarray, "F 3 3"]
+) -> Float[np.ndarray, "F 3"]:
+    """The point (F, 3) of each triangle that is nearest to `point`."""
+    tiny = np.finfo(np.float64).tiny
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    normal = np.cross(b - a, c - a)
+    size = np.einsum("fi,fi->f", normal, normal)
+    nearest, least, above = np.zeros_like(a), np.full(len(a), np.inf), size > 0
+    for start, end in ((a, b), (b, c), (c, a)):
+        edge, arm = end - start, point - start
+        along = np.einsum("fi,fi->f", arm, edge) / np.maximum(np.einsum("fi,fi->f", edge, edge), tiny)
+        on_edge = start + np.clip(along, 0.0, 1.0)[:, None] * edge
+        off = np.linalg.norm(point - on_edge, axis=1)
+        nearest[off < least] = on_edge[off < least]
+        least = np.minimum(least, off)
+        above &= np.einsum("fi,fi->f", np.cross(normal, edge), arm) > 0
+    height = np.einsum("fi,fi->f", point - a, normal) / np.maximum(size, tiny)
+    return np.where(above[:, None], point - height[:, None] * normal, nearest)

@@ -1,0 +1,191 @@
+"""What simulation said of one grasp, as data and in words that a person understands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import degrees, isnan
+
+from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.trials import Reason, Trials
+from grasp_refine.validation.validate import BARELY
+
+
+@dataclass(frozen=True)
+class Tried:
+    """What became of a grasp in one direction; NaN where something is not known."""
+
+    direction: str
+    """Name of the direction, such as "+x", or "lift"."""
+    reason: Reason
+    """How it ended."""
+    time_s: float
+    """When it failed, in seconds after the push or the lift began; NaN where it did not."""
+    displacement_m: float
+    """How far the object had moved then, or at the end, metres."""
+    angle_rad: float
+    """How far it had turned, radians."""
+    peak_m: float
+    """How far it was away at most, metres."""
+    peak_rad: float
+    """How far it was turned at most, radians."""
+    links: tuple[str, ...]
+    """Which links touched it then."""
+
+    @property
+    def held(self) -> bool:
+        """Whether the object stayed."""
+        return self.reason == Reason.HELD
+
+    @property
+    def after(self) -> str:
+        """When it failed, such as " after 0.2 s"; empty where there is nothing to say."""
+        return "" if isnan(self.time_s) else f" after {self.time_s:.1f} s"
+
+
+@dataclass(frozen=True, eq=False)
+class Proved:
+    """What simulation said of one grasp; NaN where something is not known."""
+
+    protocol: Protocol
+    """How it was simulated."""
+    tried: tuple[Tried, ...]
+    """What became of it in each direction; at least one."""
+    closing: Mapping[str, str]
+    """Whose pregrasp and squeeze were simulated: stage -> "file" or "own"; empty where that is not known."""
+    closing_m: float
+    """How far closing the hand moved the object, metres."""
+    closing_rad: float
+    """How far it turned it, radians."""
+    penetration_m: float
+    """How deep hand and object were in each other at the pregrasp, metres."""
+    motion: Motion | None = None
+    """How the hand closed, to be simulated again; None where that is not known."""
+
+    @staticmethod
+    def of(trials: Trials, i: int, protocol: Protocol, closing: Mapping[str, str], motion: Motion | None) -> Proved:
+        """What the grasp `i` of some trials came to."""
+        tried = tuple(
+            Tried(
+                direction=name,
+                reason=Reason(trials.reason[i, d]),
+                time_s=float(trials.time_s[i, d]),
+                displacement_m=float(trials.displacement_m[i, d]),
+                angle_rad=float(trials.angle_rad[i, d]),
+                peak_m=float(trials.peak_m[i, d]),
+                peak_rad=float(trials.peak_rad[i, d]),
+                links=tuple(link for link, touches in zip(trials.links, trials.contacts[i, d], strict=True) if touches),
+            )
+            for d, name in enumerate(trials.directions)
+        )
+        return Proved(
+            protocol=protocol,
+            tried=tried,
+            closing=closing,
+            closing_m=float(trials.closing_m[i]),
+            closing_rad=float(trials.closing_rad[i]),
+            penetration_m=float(trials.penetration_m[i]),
+            motion=motion,
+        )
+
+    @property
+    def directions(self) -> tuple[str, ...]:
+        """Names of the directions, in order."""
+        return tuple(tried.direction for tried in self.tried)
+
+    @property
+    def held(self) -> bool:
+        """Whether the object stayed in every direction."""
+        return all(tried.held for tried in self.tried)
+
+    @property
+    def barely(self) -> bool:
+        """Whether it held, but came more than half of the way to what counts as lost."""
+        far, steep = BARELY * self.protocol.farthest, BARELY * self.protocol.steepest
+        return self.held and any(tried.peak_m > far or tried.peak_rad > steep for tried in self.tried)
+
+    @property
+    def before_push(self) -> Reason | None:
+        """Why nothing was pushed; None where something was."""
+        first = self.tried[0].reason
+        early = first not in (Reason.HELD, Reason.MOVED, Reason.TURNED)
+        same = all(tried.reason == first and isnan(tried.time_s) for tried in self.tried)
+        return first if early and same else None
+
+    @property
+    def watchable(self) -> bool:
+        """Whether there is a motion to be seen: the hand began to close."""
+        never = (Reason.PENETRATES, Reason.IN_TABLE, Reason.NOT_FINITE)
+        return self.before_push not in never
+
+    @property
+    def verdict(self) -> str:
+        """The outcome in one line."""
+        if self.before_push is not None:
+            return f"Does not hold: {self.words(self.tried[0])}"
+        lost = [tried for tried in self.tried if not tried.held]
+        if self.protocol.tabletop:
+            if lost:
+                return f"Does not hold: while it was lifted, the object {self.words(lost[0])}"
+            stayed = f"Holds: the object stayed in the hand while it was lifted by {self.protocol.lift * 1e2:g} cm"
+        elif lost:
+            names = ", ".join(tried.direction for tried in lost)
+            return f"Does not hold: the object got away in {len(lost)} of {len(self.tried)} directions ({names})"
+        else:
+            stayed = f"Holds: the object stayed in all {len(self.tried)} directions"
+        if self.barely:
+            moved, turned = (max(getattr(tried, key) for tried in self.tried) for key in ("peak_m", "peak_rad"))
+            stayed += f", but barely: it moved {moved * 1e3:.0f} mm and turned {degrees(turned):.0f}° at most"
+        return stayed
+
+    @property
+    def conditions(self) -> str:
+        """How it was simulated, in one line."""
+        protocol = self.protocol
+        weight = f"friction {protocol.friction:g}, an object of {protocol.mass * 1e3:g} g"
+        seconds = protocol.checks * protocol.steps_per_check * protocol.timestep
+        if protocol.tabletop:
+            return f"{protocol.name}: {weight}, lifted off a table by {protocol.lift * 1e2:g} cm in {seconds:g} s"
+        return (
+            f"{protocol.name}: {weight}, pushed with {protocol.mass * protocol.acceleration:g} N for {seconds:g} s each"
+        )
+
+    @property
+    def closed_by(self) -> str:
+        """Whose pregrasp and squeeze were simulated, in one line; empty where that is not known."""
+        words = {"file": "of the file", "own": "our own"}
+        if not self.closing:
+            return ""
+        if len(set(self.closing.values())) == 1:
+            return f"pregrasp and squeeze are {words[self.closing['squeeze']]}"
+        return f"the pregrasp is {words[self.closing['pregrasp']]}, the squeeze {words[self.closing['squeeze']]}"
+
+    def words(self, tried: Tried) -> str:
+        """What happened in one direction, such as "turned by 15.2° after 0.2 s, 4 links still touched it"."""
+        left = f"{_links(len(tried.links))} touched it"
+        moved, turned = f"{tried.displacement_m * 1e3:.1f} mm", f"{degrees(tried.angle_rad):.1f}°"
+        if tried.reason == Reason.HELD:
+            return f"stayed: moved by {moved}, turned by {turned}"
+        if tried.reason == Reason.MOVED:
+            return f"moved by {moved}{tried.after}, {left}"
+        if tried.reason == Reason.TURNED:
+            return f"turned by {turned}{tried.after}, {left}"
+        if tried.reason == Reason.UNSTABLE:
+            return f"the simulation became unstable{tried.after}, which says nothing good"
+        if tried.reason == Reason.PENETRATES and not isnan(self.penetration_m):
+            return (
+                f"hand and object overlap by {self.penetration_m * 1e3:.1f} mm before the hand closes, which would "
+                f"throw the object (at most {self.protocol.deepest * 1e3:g} mm)"
+            )
+        if tried.reason == Reason.THROWN and not isnan(self.closing_m):
+            return (
+                f"closing the hand moved the object by {self.closing_m * 1e3:.0f} mm and turned it by "
+                f"{degrees(self.closing_rad):.0f}°, before any push"
+            )
+        return tried.reason.meaning(self.protocol)
+
+
+def _links(count: int) -> str:
+    """How many links, for people."""
+    return {0: "no link", 1: "1 link still"}.get(count, f"{count} links still")

@@ -1,0 +1,86 @@
+"""The iterations of one refinement, as they happened: what the timeline scrubs and the plots show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from grasp_refine.apps.viewer.contacts import contacts_of
+from grasp_refine.apps.viewer.pose import Pose
+from grasp_refine.apps.viewer.target import Target
+from grasp_refine.glimpse import Glimpse
+from grasp_refine.hand_object import HandObject
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """K iterations of one grasp; arrays have one row each and grow while it is refined."""
+
+    T: Float[np.ndarray, "K 4 4"]
+    """Poses of the base link (K, 4, 4) in the object's frame, metres."""
+    q: Float[np.ndarray, "K n"]
+    """Joint values (K, n)."""
+    touching: Bool[np.ndarray, "K L"]
+    """Links (K, L) that should touch."""
+    loss: Float[np.ndarray, " K"]
+    """Losses (K,) in m^2; those of different stages do not compare."""
+    contact_error: Float[np.ndarray, " K"]
+    """Largest of gap and target misses (K,), metres."""
+    penetration: Float[np.ndarray, " K"]
+    """Deepest of all links (K,), metres."""
+    label: tuple[str, ...]
+    """What was being done (K,), for people."""
+
+    def __len__(self) -> int:
+        """Return the number of iterations."""
+        return len(self.loss)
+
+    def pose(self, k: int) -> Pose:
+        """Where the hand was in an iteration."""
+        return Pose(self.T[k], self.q[k])
+
+
+class Recorder:
+    """Builds the trace of the one grasp of a scene while it is refined."""
+
+    def __init__(self, prepared: HandObject, targets: Sequence[Target], margin: float) -> None:
+        """Record nothing yet.
+
+        Args:
+            prepared: Hand and object.
+            targets: Where links should touch; empty: anywhere.
+            margin: Gap in metres that contacts should keep.
+        """
+        self._prepared, self._targets, self._margin = prepared, targets, margin
+        self._columns: list[list[Any]] = [[] for _ in fields(Trace)]
+
+    def see(self, glimpse: Glimpse) -> None:
+        """Keep an iteration; of several starts at once, that with the lowest loss."""
+        best = int(np.argmin(np.nan_to_num(glimpse.loss, nan=np.inf)))
+        pose = Pose(glimpse.point.T[best].copy(), glimpse.point.q[best].copy())
+        self.keep(pose, glimpse.touching[best], float(glimpse.loss[best]), glimpse.stage)
+
+    def keep(self, pose: Pose, touching: np.ndarray, loss: float, label: str) -> None:
+        """Keep where the hand is, and what that is worth."""
+        found = contacts_of(
+            self._prepared,
+            pose.T_object_root,
+            pose.q,
+            touching=touching,
+            targets=self._targets,
+            margin=self._margin,
+        )
+        row = (pose.T_object_root, pose.q, touching, loss, found.contact_error, found.penetration, label)
+        for column, value in zip(self._columns, row, strict=True):
+            column.append(value)
+
+    def trace(self) -> Trace | None:
+        """What was kept so far; None: nothing."""
+        if not self._columns[0]:
+            return None
+        *arrays, labels = self._columns
+        return Trace(*(np.array(column) for column in arrays), tuple(labels))

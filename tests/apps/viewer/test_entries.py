@@ -1,0 +1,169 @@
+"""How fields of a dataclass become widgets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import inf
+from typing import Annotated, Literal
+
+import pytest
+from grasp_refine.apps.viewer.entries import Entry, Section, as_text, docs_of, parts_of, plain, value_of, with_value
+from tyro.conf import Suppress, arg
+
+from grasp_refine.commands.settings import Settings
+from grasp_refine.errors import GraspRefineError
+
+
+def entries(parts: tuple[Entry | Section, ...]) -> dict[str, Entry]:
+    found = {}
+    for part in parts:
+        found |= entries(part.parts) if isinstance(part, Section) else {part.name: part}
+    return found
+
+
+SETTINGS = entries(parts_of(Settings))
+SECTIONS = {part.name: part for part in parts_of(Settings) if isinstance(part, Section)}
+
+
+def test_the_settings_of_the_command_line_have_a_widget_each():
+    shown = {name: SETTINGS[name].widget for name in ("solver", "geometry_only", "starts", "margin", "iterations")}
+    assert shown == {
+        "solver": "choice",
+        "geometry_only": "tick",
+        "starts": "number",
+        "margin": "text",
+        "iterations": "text",
+    }
+    assert SETTINGS["solver"].choices == ("levenberg-marquardt", "descent", "adam")
+    assert SETTINGS["max_move"].label == "max move"
+
+
+def test_what_the_command_line_leaves_out_is_left_out():
+    assert not {"descent.iterations", "distance.seed", "weights.direction"} & set(SETTINGS)
+    assert "rigid" not in SECTIONS and "adam.first" in SETTINGS
+
+
+def test_hints_are_docstrings_with_the_default_that_the_command_line_says():
+    assert SETTINGS["margin"].hint == "Gap in metres that contact links should keep. (default: 0)"
+    assert SETTINGS["iterations"].hint.endswith("15 to 40 anyway. (default: 200; descent, adam: 2000)")
+    assert SETTINGS["adaptive.samples"].hint.endswith("neighbourhood; empty: all of them. (default: 16)")
+    # Of a base class, whose subclass has none.
+    assert SETTINGS["levenberg_marquardt.damping"].hint == "lambda at first. (default: 0.01)"
+    # In one line, after what its folder is about.
+    about = "How much each term of the loss, a sum of squares, counts. Of gaps and of misses of targets"
+    assert SETTINGS["weights.contact"].hint.startswith(about)
+    assert SETTINGS["scales.rotation"].hint.startswith("Which movements count the same, with weights: stay near. Of")
+    assert all(entry.hint for entry in SETTINGS.values())
+    assert not any("--" in entry.hint or "\n" in entry.hint for entry in SETTINGS.values())
+
+
+def test_a_folder_knows_which_choice_it_belongs_to():
+    assert (SECTIONS["adam"].chosen_by, SECTIONS["adam"].choice) == ("solver", "adam")
+    assert (SECTIONS["zeroth_order"].chosen_by, SECTIONS["zeroth_order"].choice) == ("derivative", "zeroth-order")
+    assert SECTIONS["fixed"].chosen_by == "neighborhood"
+    assert SECTIONS["weights"].chosen_by == "" and SECTIONS["scales"].chosen_by == ""
+
+
+@pytest.mark.parametrize(
+    "settings", [Settings(), Settings(max_move=(0.01, inf, 0.2), contacts=("a", "b"), seconds=2.5)]
+)
+def test_what_is_written_is_read_back(settings: Settings):
+    for name, entry in SETTINGS.items():
+        value = value_of(settings, name)
+        assert entry.read(entry.write(value)) == value, name
+
+
+@pytest.mark.parametrize(
+    "value, text",
+    [
+        (1e-10, "1e-10"),
+        (0.0016, "0.0016"),
+        (100.0, "100"),
+        (0.1 + 0.2, "0.30000000000000004"),
+        (inf, "inf"),
+        (None, ""),
+    ],
+)
+def test_numbers_are_short_and_lose_nothing(value: float | None, text: str):
+    assert as_text(value) == text
+    assert value is None or float(text) == value
+
+
+@pytest.mark.parametrize(
+    "name, text, value",
+    [
+        ("tolerance", "1e-10", 1e-10),
+        ("tolerance", " ", None),
+        ("iterations", "50", 50),
+        ("contacts", "thumb, index", ("thumb", "index")),
+        ("contacts", "", ()),
+        ("max_move", "0.01, inf 0.2", (0.01, inf, 0.2)),
+        ("descent.shares", "0.5 0.8", (0.5, 0.8)),
+    ],
+)
+def test_text_is_read(name: str, text: str, value: object):
+    assert SETTINGS[name].read(text) == value
+
+
+@pytest.mark.parametrize(
+    "name, text, says",
+    [
+        ("margin", "1 mm", "needs a number, got '1 mm'"),
+        ("margin", "", "needs a number, got ''"),
+        ("iterations", "1.5", "needs a whole number, got '1.5'"),
+        ("max_move", "0.1, 0.2", "needs 3 numbers, as in 0.01,0.1,0.2, got 2"),
+        ("descent.factors", "0.1, x", "needs a number, got 'x'"),
+    ],
+)
+def test_text_that_is_no_value_is_refused(name: str, text: str, says: str):
+    with pytest.raises(ValueError, match="^" + says.replace("(", r"\(") + "$"):
+        SETTINGS[name].read(text)
+
+
+def test_a_field_inside_another_is_replaced():
+    changed = with_value(Settings(), "weights.wrench", 0.5)
+    assert changed.weights.wrench == 0.5 and value_of(changed, "weights.contact") == 1.0
+    with pytest.raises(GraspRefineError, match="damping must be above 0, got 0"):
+        with_value(Settings(), "levenberg_marquardt.damping", 0.0)
+
+
+def test_options_are_called_as_in_the_form():
+    assert plain("--weights.stay-near is 0; raise --max-move") == "weights: stay near is 0; raise max move"
+
+
+@dataclass(frozen=True)
+class Inner:
+    """Inside."""
+
+    depth: float = 1.5
+    """How deep."""
+
+
+@dataclass(frozen=True)
+class Other:
+    """Any dataclass."""
+
+    kind: Literal[1, 2] = 1
+    hidden: Suppress[int] = 3
+    named: Annotated[str | None, arg(help_behavior_hint="(default: nobody)")] = None
+    inner: Inner = field(default_factory=Inner)
+
+
+def test_any_dataclass_will_do():
+    found = entries(parts_of(Other))
+    assert list(found) == ["kind", "named", "inner.depth"]
+    assert found["kind"].choices == ("1", "2") and found["kind"].read("2") == 2
+    assert found["named"].hint == "(default: nobody)" and found["named"].read("x") == "x"
+    assert docs_of(Inner) == {"depth": "How deep."}
+
+
+@dataclass(frozen=True)
+class Odd:
+    """A field that no widget can show."""
+
+    what: dict[str, int] = field(default_factory=dict)
+
+
+def test_a_type_without_a_widget_is_named():
+    with pytest.raises(TypeError, match="no widget for what: dict"):
+        parts_of(Odd)

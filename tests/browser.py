@@ -1,0 +1,327 @@
+"""A viser page in Debian's headless Chromium: what it draws, and hands for its widgets and its scene.
+
+A test reads what a person would see (pixels, texts, charts), and poses of scene nodes from the objects of three.js.
+Points and poses are in the world frame of viser (z up), lengths in metres, pixels from the window's upper left corner.
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from PIL import Image
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, ConsoleMessage, Locator, Page
+
+VIEWPORT = (1400, 900)
+"""Width and height in pixels; viser's panel needs a window of at least 1200."""
+
+FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+"""WebGL without a graphics card, as root in a container."""
+
+NOISE = ("Unable to preventDefault inside passive event listener",)
+"""What viser's page complains of when nothing is wrong: here, while a node is dragged."""
+
+SECONDS = 10.0
+"""How long a helper waits for what it was asked for before the test fails."""
+
+POSE = """name => {
+    const nodes = window.__viserMutable.nodeRefFromName;
+    if (!nodes[name]) return null;
+    nodes[name].updateWorldMatrix(true, false);
+    return [nodes[''].matrixWorld.toArray(), nodes[name].matrixWorld.toArray()];
+}"""
+
+PROJECTION = """() => {
+    const page = window.__viserMutable, box = page.canvas.getBoundingClientRect();
+    page.camera.updateMatrixWorld();
+    return [page.nodeRefFromName[''].matrixWorld, page.camera.matrixWorldInverse, page.camera.projectionMatrix]
+        .map(m => m.toArray()).concat([[box.left, box.top, box.width, box.height]]);
+}"""
+
+PLOTS = """() => Object.values((window.__viserTestpoints || {}).uplots || {}).map(({chart}) =>
+    [chart.series.slice(1).map(s => s.label), chart.data.map(column => Array.from(column))])"""
+
+FRAMES = """seconds => new Promise(done => {
+    const start = performance.now(), drawn = window.__viserTestpoints.rendererInfo.render, first = drawn.frame;
+    const tick = () => {
+        const passed = (performance.now() - start) / 1000;
+        if (passed > seconds) return done((drawn.frame - first) / passed);
+        window.__viserMutable.requestRender();
+        requestAnimationFrame(tick);
+    };
+    tick();
+})"""
+
+
+def chromium() -> str | None:
+    """Where the browser lies; None if there is none."""
+    return shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+@contextmanager
+def headless() -> Iterator[Browser]:
+    """A headless Chromium that draws WebGL without a graphics card."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium(), args=list(FLAGS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+def until(true: Callable[[], Any], what: str, seconds: float = SECONDS) -> Any:
+    """What `true` returns as soon as that counts as true; fails with `what` when it does not in time."""
+    end = time.monotonic() + seconds
+    while not (value := true()):
+        assert time.monotonic() < end, f"not within {seconds:g} s: {what}"
+        time.sleep(0.03)
+    return value
+
+
+def matrix(numbers: Sequence[float]) -> np.ndarray:
+    """A matrix of three.js, which stores columns."""
+    return np.array(numbers, dtype=float).reshape(4, 4).T
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A chart as it is drawn now."""
+
+    x: np.ndarray
+    """Positions along the horizontal axis, (n,)."""
+    lines: Mapping[str, np.ndarray]
+    """Each line's heights, (n,), by the name in its legend; gaps are NaN."""
+
+
+class ViserPage:
+    """One page, live or of a file, with the errors of its console."""
+
+    def __init__(self, browser: Browser, size: tuple[int, int] = VIEWPORT):
+        context = browser.new_context(viewport={"width": size[0], "height": size[1]}, accept_downloads=True)
+        self.page: Page = context.new_page()
+        self.errors: list[str] = []
+        """What went wrong in the page: errors of the console and exceptions that nothing caught."""
+        self.requests: list[str] = []
+        """Every address that the page asked for."""
+        self.page.on("console", self._listen)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+
+    def _listen(self, message: ConsoleMessage) -> None:
+        if message.type == "error" and not message.text.startswith(NOISE):
+            self.errors.append(message.text)
+
+    def close(self) -> None:
+        """Close the page and forget its session."""
+        self.page.context.close()
+
+    def open(self, address: str, seconds: float = 30.0) -> None:
+        """Load an address and wait until its scene exists; viser's remark on slow graphics is closed."""
+        self.page.goto(address)
+        self.wait_for("() => window.__viserMutable && window.__viserMutable.nodeRefFromName['']", seconds)
+        self.close_notifications()
+
+    def wait_for(self, script: str, seconds: float = SECONDS) -> None:
+        """Wait until a JavaScript function returns something true."""
+        self.page.wait_for_function(script, timeout=1000 * seconds)
+
+    # What is drawn.
+
+    def canvas_box(self) -> tuple[float, float, float, float]:
+        """Left, top, width and height of the 3D scene in the window."""
+        left, top, width, height = self.page.evaluate(PROJECTION)[3]
+        return left, top, width, height
+
+    def picture(self) -> np.ndarray:
+        """The pixels of the 3D scene as a person sees them, (height, width, 3) uint8."""
+        left, top, width, height = self.canvas_box()
+        png = self.page.screenshot(clip={"x": left, "y": top, "width": width, "height": height})
+        return np.asarray(Image.open(BytesIO(png)).convert("RGB"))
+
+    def wait_for_scene(self, share: float = 0.01, seconds: float = 30.0) -> np.ndarray:
+        """The picture, as soon as more than `share` of its pixels differ from the white background."""
+        drawn = self.picture()
+        end = time.monotonic() + seconds
+        while share_of(drawn, (0, 0, 0), (235, 235, 235)) <= share:
+            assert time.monotonic() < end, f"nothing was drawn within {seconds:g} s"
+            drawn = self.picture()
+        return drawn
+
+    def frames_per_second(self, seconds: float = 1.0) -> float:
+        """How often the page draws its scene when every frame asks for the next one."""
+        return self.page.evaluate(FRAMES, seconds)
+
+    # The scene.
+
+    def nodes(self) -> set[str]:
+        """The names of all nodes that exist in three.js, hidden ones too."""
+        return set(self.page.evaluate("() => Object.keys(window.__viserMutable.nodeRefFromName)"))
+
+    def wait_for_node(self, name: str, seconds: float = SECONDS) -> None:
+        """Wait until a node exists."""
+        until(lambda: name in self.nodes(), f"node {name}", seconds)
+
+    def pose(self, name: str) -> np.ndarray:
+        """T_world_node (4, 4) as drawn."""
+        matrices = self.page.evaluate(POSE, name)
+        assert matrices is not None, f"no node {name}; there are {sorted(self.nodes())}"
+        T_three_world, T_three_node = map(matrix, matrices)
+        return np.linalg.solve(T_three_world, T_three_node)
+
+    def visible(self, name: str) -> bool:
+        """Whether a node and all above it are shown."""
+        state = self.page.evaluate("name => window.__viserSceneTree.getState()[name]?.effectiveVisibility", name)
+        assert state is not None, f"no node {name}; there are {sorted(self.nodes())}"
+        return bool(state)
+
+    def camera(self) -> np.ndarray:
+        """T_world_camera (4, 4) of three.js: x right, y up, looking along -z."""
+        T_three_world, T_camera_three = map(matrix, self.page.evaluate(PROJECTION)[:2])
+        return np.linalg.inv(T_camera_three @ T_three_world)
+
+    def pixel(self, point: Sequence[float] | np.ndarray) -> tuple[float, float]:
+        """Where the window shows a point of the world."""
+        T_three_world, T_camera_three, projection = map(matrix, self.page.evaluate(PROJECTION)[:3])
+        left, top, width, height = self.canvas_box()
+        x, y, _, w = projection @ T_camera_three @ T_three_world @ np.append(point, 1.0)
+        assert w > 0.0, f"{point} is behind the camera"
+        return left + (1.0 + x / w) / 2.0 * width, top + (1.0 - y / w) / 2.0 * height
+
+    def click_point(self, point: Sequence[float] | np.ndarray) -> None:
+        """Click where the window shows a point of the world."""
+        x, y = self.pixel(point)
+        self.page.mouse.move(x, y)  # viser finds what lies under the pointer when it moves
+        self.page.mouse.click(x, y)
+
+    def drag_point(self, start: Sequence[float] | np.ndarray, end: Sequence[float] | np.ndarray) -> None:
+        """Press the left button over one point of the world and let go over another."""
+        x, y = self.pixel(start)
+        last = self.pixel(end)
+        self.page.mouse.move(x, y)
+        self.page.mouse.down()
+        self.page.mouse.move(*last, steps=12)
+        self.page.mouse.move(*last)
+        self.page.mouse.up()
+
+    # The widgets. viser sends one message in 50 ms and forgets all but the last in between, of whichever widget.
+
+    def _let_it_send(self) -> None:
+        self.page.wait_for_timeout(60)
+
+    def row(self, label: str) -> Locator:
+        """The row of a widget, by its label; the first if several are shown."""
+        text = f"label[normalize-space()={quoted(label)}]"
+        return self.page.locator(f"xpath=//{text}/ancestor::div[contains(@class, 'mantine-Flex-root')][1]").first
+
+    def button(self, label: str) -> Locator:
+        """A button, by its words."""
+        return self.page.get_by_role("button", name=label, exact=True).first
+
+    def click(self, label: str) -> None:
+        """Click a button as soon as it is there and enabled."""
+        self.button(label).click(timeout=1000 * SECONDS)
+        self._let_it_send()
+
+    def tab(self, label: str) -> None:
+        """Bring a tab to the front."""
+        tab = self.page.get_by_role("tab", name=label, exact=True)
+        tab.click(timeout=1000 * SECONDS)
+        until(lambda: tab.get_attribute("aria-selected") == "true", f"tab {label} in front")
+
+    def folder(self, label: str) -> None:
+        """Open or close a folder."""
+        self.page.locator(
+            f"xpath=//div[contains(@class, 'mantine-Paper-root') and normalize-space()={quoted(label)}]"
+        ).first.click()
+
+    def value(self, label: str) -> str:
+        """What a slider, a number, a text, or a choice shows."""
+        return self.row(label).locator("input:not([type=hidden])").last.input_value(timeout=1000 * SECONDS)
+
+    def enter(self, label: str, value: float | str) -> None:
+        """Type a value into a slider's box, a number or a text."""
+        box = self.row(label).locator("input:not([type=hidden])").last
+        box.fill(str(value), timeout=1000 * SECONDS)
+        box.blur()
+        self._let_it_send()
+
+    def drag_slider(self, label: str, *shares: float, steps: int = 20) -> None:
+        """Hold a slider and move it through `shares` of its way, 0 left, 1 right, in `steps` each."""
+        box = self.row(label).locator(".mantine-Slider-track").bounding_box(timeout=1000 * SECONDS)
+        assert box is not None, f"slider {label} is not shown"
+        places = [(box["x"] + share * box["width"], box["y"] + box["height"] / 2.0) for share in shares]
+        self.page.mouse.move(*places[0])
+        self.page.mouse.down()
+        for place in places[1:]:
+            self.page.mouse.move(*place, steps=steps)
+        self.page.mouse.up()
+        self._let_it_send()
+
+    def check(self, label: str, checked: bool = True) -> None:
+        """Tick a box, or take its tick away."""
+        self.row(label).locator("input[type=checkbox]").set_checked(checked, timeout=1000 * SECONDS)
+        self._let_it_send()
+
+    def choose(self, label: str, option: str) -> None:
+        """Pick one of a list."""
+        self.row(label).get_by_role("combobox").click(timeout=1000 * SECONDS)
+        self.page.get_by_role("option", name=option, exact=True).click(timeout=1000 * SECONDS)
+        self._let_it_send()
+
+    def upload(self, label: str, file: Path) -> None:
+        """Give a file to an upload button."""
+        with self.page.expect_file_chooser(timeout=1000 * SECONDS) as chosen:
+            self.click(label)
+        chosen.value.set_files(file)
+
+    # What is said.
+
+    def text(self) -> str:
+        """All words that the page shows."""
+        return self.page.locator("body").inner_text()
+
+    def wait_for_text(self, words: str, seconds: float = SECONDS) -> None:
+        """Wait until the page shows some words, in a panel or a notification."""
+        until(lambda: words in self.text(), f"the words {words!r}", seconds)
+
+    def notifications(self) -> list[str]:
+        """The words of all notifications that are shown."""
+        return self.page.locator(".mantine-Notification-root").all_inner_texts()
+
+    def close_notifications(self) -> None:
+        """Close every notification: they hide part of the scene."""
+        self.page.evaluate(
+            "() => document.querySelectorAll('.mantine-Notification-closeButton').forEach(b => b.click())"
+        )
+        until(lambda: not self.notifications(), "all notifications closed")
+
+    def plots(self) -> list[Plot]:
+        """The charts that are shown."""
+        return [
+            Plot(
+                np.array(x, dtype=float), {name: np.array(y, dtype=float) for name, y in zip(names, lines, strict=True)}
+            )
+            for names, (x, *lines) in self.page.evaluate(PLOTS)
+        ]
+
+
+def share_of(picture: np.ndarray, low: Sequence[int], high: Sequence[int]) -> float:
+    """The share of pixels whose every channel lies in [low, high]."""
+    return float(((picture >= low) & (picture <= high)).all(-1).mean())
+
+
+def quoted(text: str) -> str:
+    """A string of XPath, which knows no escapes."""
+    assert '"' not in text, "labels hold no double quotes"
+    return f'"{text}"'

@@ -1,0 +1,74 @@
+"""A page without a browser: it talks to a viser server over its websocket, in the words of a real one."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import viser
+import zstandard
+from viser._messages import GuiUpdateMessage, Message, ViewerCameraMessage
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+
+class Page:
+    """Connected to a server; close it before the server stops."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        """Connect, and look at the scene, without which viser hears nothing of a page."""
+        self.updates: list[tuple[str, dict[str, Any]]] = []
+        """What the server changed: the widget's id and its new properties, of all widgets in turn."""
+        known = set(server.get_clients())
+        self._socket = connect(
+            f"ws://127.0.0.1:{server.get_port()}", subprotocols=[f"viser-v{viser.__version__}"], max_size=None
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        place = (0.0, 0.0, 1.0)
+        self._send(ViewerCameraMessage((1.0, 0.0, 0.0, 0.0), place, 1.0, 0.01, 100.0, 600, 800, (0.0, 0.0, 0.0), place))
+        until(lambda: set(server.get_clients()) - known)
+
+    def change(self, handle: Any, value: Any) -> None:
+        """Change a widget, as a user would; a button is pressed with True."""
+        self._send(GuiUpdateMessage(handle._impl.uuid, {"value": value}))
+
+    def told(self, handle: Any, name: str = "value") -> list[Any]:
+        """What the server set a property of a widget to, in turn."""
+        return [changed[name] for uuid, changed in self.updates if uuid == handle._impl.uuid and name in changed]
+
+    def close(self) -> None:
+        """Leave."""
+        self._socket.close()
+        self._reader.join(5.0)
+
+    def _send(self, message: Message) -> None:
+        self._socket.send(msgspec.msgpack.encode(message.as_serializable_dict()))
+
+    def _read(self) -> None:
+        unpack = zstandard.ZstdDecompressor()
+        try:
+            for frame in self._socket:
+                size, packed = (int.from_bytes(frame[at : at + 8], "little") for at in (0, 8))
+                window = msgspec.msgpack.decode(unpack.decompress(frame[16 : 16 + packed], max_output_size=size))
+                for message in window["messages"]:
+                    if message["type"] == "GuiUpdateMessage":
+                        self.updates.append((message["uuid"], message["updates"]))
+        except ConnectionClosed:
+            pass
+
+
+def until(said: Callable[[], Any], seconds: float = 10.0) -> Any:
+    """What `said` returns when it is true for the first time.
+
+    Raises:
+        AssertionError: it was not within so many seconds.
+    """
+    end = time.monotonic() + seconds
+    while not (found := said()):
+        assert time.monotonic() < end, f"not within {seconds:g} s"
+        time.sleep(0.01)
+    return found
