@@ -12,7 +12,9 @@ from grasp_refine.assets import resource_dir
 from grasp_refine.cli import main
 from grasp_refine.commands.sources import Sources
 from grasp_refine.errors import GraspFileError
+from grasp_refine.grasps import Stage, load_grasps
 from grasp_refine.report.results import fingerprint, recorded_urdf
+from grasp_refine.se3 import transform_from_pose
 
 
 def test_a_folder_is_known_by_the_names_and_contents_of_its_files(tmp_path: Path) -> None:
@@ -57,3 +59,18 @@ def test_grasps_of_another_urdf_are_not_judged_with_ours_unasked(
         Sources().load_from(results, 0, print)
     assert any("another URDF" in note for note in Sources(hand="allegro").load_from(results, 0, print).notes)
     assert not any("another URDF" in note for note in Sources(hand="./allegro").load_from(results, 0, print).notes)
+
+
+def test_results_say_where_grasps_were_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    source = load_grasps(resource_dir("robots") / "allegro" / "example_rounded_box.npz")
+    assert main(["run", "--hand", "allegro", "--object", "rounded_box", "--geometry-only", "--index", "2", "0"]) == 0
+    path = Path("grasp-refine-results/allegro_rounded_box.npz")
+    refined = load_grasps(path)
+    with np.load(path, allow_pickle=False) as entries:
+        before = Stage(entries["initial_pose"], entries["initial_q"])
+    assert source.joint_names == refined.joint_names
+    # A pose goes through a rotation matrix, which keeps a quaternion up to its sign and rounding.
+    assert np.allclose(transform_from_pose(before.hand_pose), transform_from_pose(source.hand_pose[[2, 0]]), atol=1e-12)
+    assert (before.q == source.q[[2, 0]]).all()
+    assert np.abs(before.q - refined.q).max() > 1e-3

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, get_args
 
 import numpy as np
@@ -20,6 +20,8 @@ FASTEST, SLOWEST = 0.04, 0.4
 """Seconds between two pictures that are played."""
 BUTTONS = ("start", "best", "end")
 """Where one can jump to."""
+LAYERS = tuple(one.name for one in fields(Layers))
+"""Names of the widgets that say what is seen, too."""
 
 
 @dataclass(frozen=True)
@@ -82,10 +84,9 @@ class AlignmentPage:
 
     def _make_widgets(self) -> None:
         gui, labels = self.server.gui, self._labels()
-        gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         gui.add_html(words.intro(self.task))
         self.method = gui.add_dropdown(
-            "Method", labels, labels[self.shown.method], hint="Whose run is shown: how body B is moved."
+            "Method", labels, initial_value=labels[self.shown.method], hint="Whose run is shown: how body B is moved."
         )
         self.slider = gui.add_slider(
             "Iteration", 0, max(self._last(self.shown), 1), 1, 0, hint="Drag to see each step of the run."
@@ -96,7 +97,10 @@ class AlignmentPage:
         )
         self.where = gui.add_html("")
         self.against = gui.add_dropdown(
-            "Chart over", get_args(Against), "iterations", hint="CPU time is that of this task alone, without start-up."
+            "Chart over",
+            get_args(Against),
+            initial_value="iterations",
+            hint="CPU time is that of this task alone, without start-up.",
         )
         chart = self.charts["iterations"]
         self.plot = gui.add_uplot(
@@ -113,7 +117,9 @@ class AlignmentPage:
             self.see_through = gui.add_checkbox(
                 "See through", layers.see_through, hint="Let the bodies not hide what is behind them."
             )
-            self.path = gui.add_checkbox("Way of B", layers.path, hint="The way that the target on body B went.")
+            self.path = gui.add_checkbox(
+                "Way of B", layers.path, hint="The way that the target on body B went in the last steps."
+            )
             self.others = gui.add_checkbox(
                 "Other methods", layers.others, hint="Where the other methods left body B, in their colours."
             )
@@ -135,7 +141,7 @@ class AlignmentPage:
         told(self.method, lambda label: self.change(method=self._labels().index(label)))
         told(self.slider, lambda value: self.change(iteration=int(value), playing=False))
         told(self.against, lambda value: self.change(against=value))
-        for name in ("see_through", "path", "others"):
+        for name in LAYERS:
             told(getattr(self, name), layer(name))
         self.play.on_click(lambda event: self._play_or_stop())
         self.jump.on_click(lambda event: self._jump(event.target.value))
@@ -168,18 +174,28 @@ class AlignmentPage:
         with self.server.atomic():
             self.scene.draw(shown.method, frame, shown.layers)
             if before is None or before.method != shown.method:
-                self.method.value = self._labels()[shown.method]
                 self.results.content = words.results(self.task, shown.method)
                 self.slider.max = max(self._last(shown), 1)
-            iteration = min(shown.iteration, self._last(shown))
-            if self.slider.value != iteration:
-                self.slider.value = iteration
+            for widget, value in self._values(shown):
+                if widget.value != value:
+                    widget.value = value
             if before is None or before.playing != shown.playing:
                 self.play.label = "Stop" if shown.playing else "Play"
                 self.play.icon = viser.Icon.PLAYER_PAUSE if shown.playing else viser.Icon.PLAYER_PLAY
             self.where.content = words.where(self.task, shown.method, frame)
             self._draw_chart(before, shown, frame)
         self._drawn = shown
+
+    def _values(self, shown: Shown) -> list[tuple[Any, Any]]:
+        """Widgets with what they say."""
+        layers = [(getattr(self, name), getattr(shown.layers, name)) for name in LAYERS]
+        iteration = min(shown.iteration, self._last(shown))
+        return [
+            (self.method, self._labels()[shown.method]),
+            (self.slider, iteration),
+            (self.against, shown.against),
+            *layers,
+        ]
 
     def _draw_chart(self, before: Shown | None, shown: Shown, frame: int) -> None:
         chart = self.charts[shown.against]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import ceil, floor
 from typing import Any, Literal
 
 import numpy as np
@@ -16,14 +17,14 @@ STEPS = 240
 """Places along the axis at which curves are drawn."""
 SOLVED = 1e-3
 """A task whose error is less than the square of this (metres) counts as solved."""
-SMALLEST = 1e-4
-"""Errors below this (mm) are drawn there."""
+SMALLEST, LARGEST = 1e-3, 1e3
+"""Errors beyond these (mm) are drawn there."""
 INK = "#24292f"
 
 
-def millimetres(error: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Errors in m^2 as lengths in mm, as a chart shows them; where there is none, NaN."""
-    return np.maximum(1e3 * np.sqrt(error), SMALLEST)
+def millimetres(error: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
+    """Errors in m^2 as lengths in mm, as a chart shows them; NaN where there is none."""
+    return np.where(np.isfinite(error), np.clip(1e3 * np.sqrt(error), SMALLEST, LARGEST), np.nan)
 
 
 def best_so_far(run: Trajectory) -> Float[np.ndarray, " K"]:
@@ -44,13 +45,11 @@ class Chart:
         self.task, self.against = task, against
         self.x = [run.iteration + 1.0 if against == "iterations" else 1e3 * run.cpu_s for run in task.trajectories]
         end = max(x[-1] for x in self.x)
-        first = 1.0 if against == "iterations" else max(min(x[min(1, len(x) - 1)] for x in self.x), 1e-3 * end)
-        self.grid = np.unique(np.geomspace(first, max(end, 1.01 * first), STEPS))
+        first = min(x[min(1, len(x) - 1)] for x in self.x) if against == "CPU time" else 1.0
+        self.start = float(np.clip(first, 1e-5 * end, 0.5 * end)) or 1.0
+        self.grid = np.geomspace(self.start, max(end, 2.0 * self.start), STEPS)
         self.y = [millimetres(best_so_far(run)) for run in task.trajectories]
         self.raw = [millimetres(run.error) for run in task.trajectories]
-        top = max(float(np.nanmax(raw[np.isfinite(raw)], initial=1.0)) for raw in self.raw)
-        low = min(float(y[-1]) for y in self.y if np.isfinite(y[-1]))
-        self.limits = 10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(top))
 
     def data(self, method: int, frame: int) -> tuple[np.ndarray, ...]:
         """Columns: x, the best so far of each method, the present method's error itself, where it is, and 1 mm."""
@@ -77,22 +76,33 @@ class Chart:
 
     def scales(self) -> dict[str, dict[str, Any]]:
         """Both axes are logarithmic."""
-        return {"x": {"time": False, "distr": 3}, "y": {"distr": 3, "range": self.limits}}
+        x, y = self._ranges()
+        return {"x": {"time": False, "distr": 3, "range": x}, "y": {"distr": 3, "range": y}}
 
     def axes(self) -> tuple[dict[str, Any], ...]:
         """Labels of the axes."""
-        what = "iterations" if self.against == "iterations" else "CPU time, ms"
-        return {"label": what, "labelSize": 18, "size": 34}, {
-            "label": "best error so far, mm",
-            "labelSize": 18,
-            "size": 50,
-        }
+        names = ("poses tried" if self.against == "iterations" else "CPU time, ms"), "best error so far, mm"
+        return tuple(
+            {"label": name, "labelSize": 18, "size": size, **_ticks(*ends)}
+            for name, size, ends in zip(names, (32, 46), self._ranges(), strict=True)
+        )
+
+    def _ranges(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Ends of both axes."""
+        top = max(float(np.nanmax(raw, initial=1.0)) for raw in self.raw)
+        return (float(self.grid[0]), float(self.grid[-1])), (SMALLEST, 1.5 * top)
 
     @staticmethod
     def _at(x: np.ndarray, y: np.ndarray, grid: np.ndarray) -> np.ndarray:
         """The last value of a curve at each place; it stays where it ended."""
         found = y[np.clip(np.searchsorted(x, grid, side="right") - 1, 0, None)]
         return np.where(np.isfinite(found), found, np.nan)
+
+
+def _ticks(low: float, high: float) -> dict[str, tuple[Any, ...]]:
+    """Powers of ten between two ends; without them the marks between would be drawn, too."""
+    powers = [10.0**k for k in range(ceil(np.log10(low) - 1e-9), floor(np.log10(high) + 1e-9) + 1)]
+    return {"splits": tuple(powers), "values": tuple(f"{power:g}" for power in powers)}
 
 
 def css(color: tuple[int, int, int]) -> str:

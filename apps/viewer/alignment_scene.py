@@ -32,8 +32,10 @@ REACH = 0.3
 """The camera is chosen as if the bodies together were this large (metres)."""
 POINTS = 400
 """So many vertices of a body stand for it where the camera is chosen."""
-LOWEST = 1e-3
+NEAREST = 1e-2
 """How near to the camera things may be and still be seen, in mean diagonals."""
+LATELY = 30
+"""So many steps of the way of body B are shown."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,8 @@ class Layers:
 
     see_through: bool = True
     """Whether bodies hide what is behind them."""
-    path: bool = False
-    """The way that the target on body B went."""
+    path: bool = True
+    """The way that the target on body B went lately."""
     others: bool = False
     """Where the other methods left body B."""
 
@@ -66,8 +68,7 @@ class AlignmentScene:
         self.task, self.scene = task, server.scene
         meshes = [_mesh(solid) for solid in task.bodies]
         self.size = float(np.mean([np.linalg.norm(np.ptp(mesh.vertices, axis=0)) for mesh in meshes]))
-        self._layers: Layers | None = None
-        self._method: int | None = None
+        self._before: tuple[int, Layers] | None = None
         R = self._upright(meshes)
         self.root = self.scene.add_frame("/task", show_axes=False, wxyz=quaternion_from_matrix(R))
         self.bodies = [
@@ -86,7 +87,7 @@ class AlignmentScene:
             "/task/lines", np.zeros((3, 2, 3)), np.zeros((3, 2, 3)), thickness=4.0, thickness_units="screen"
         )
         self.path = self.scene.add_line_segments(
-            "/task/path", np.zeros((1, 2, 3)), (0, 0, 0), thickness=2.0, thickness_units="screen", visible=False
+            "/task/path", np.zeros((1, 2, 3)), (0, 0, 0), thickness=1.5, thickness_units="screen", visible=False
         )
         self.ghosts = [
             self._add_mesh(f"/task/others/{number}", meshes[1], method_color(number), GHOST)
@@ -115,21 +116,18 @@ class AlignmentScene:
             gap = tuple(distance_colors(run.distance[frame : frame + 1])[0].tolist())
             colors = np.array([gap, *POINT_COLORS], dtype=np.uint8)
             self.lines.colors = np.repeat(colors[:, None], 2, axis=1)
-        if (method, layers) != (self._method, self._layers):
-            self._draw_layers(method, layers)
-        self._method, self._layers = method, layers
-
-    def _draw_layers(self, method: int, layers: Layers) -> None:
-        run = self.task.trajectories[method]
-        for body in self.bodies:
-            body.opacity = SEE_THROUGH if layers.see_through else None
-        self.path.visible = layers.path and len(run) > 1
+        self.path.visible = layers.path and frame > 0
         if self.path.visible:
-            way = transform_points(run.poses[:, 1], np.broadcast_to(self.task.targets[1], (len(run), 3)))
+            lately = run.poses[max(frame - LATELY, 0) : frame + 1, 1]
+            way = transform_points(lately, np.broadcast_to(self.task.targets[1], (len(lately), 3)))
             self.path.points = np.stack([way[:-1], way[1:]], axis=1).astype(np.float32)
+        if (method, layers) != self._before:
             self.path.colors = np.array(method_color(method), dtype=np.uint8)
-        for number, ghost in enumerate(self.ghosts):
-            ghost.visible = layers.others and number != method
+            for body in self.bodies:
+                body.opacity = SEE_THROUGH if layers.see_through else None
+            for number, ghost in enumerate(self.ghosts):
+                ghost.visible = layers.others and number != method
+        self._before = method, layers
 
     def _add_mesh(self, name: str, mesh: trimesh.Trimesh, color: Color, opacity: float) -> viser.MeshHandle:
         return self.scene.add_mesh_simple(
@@ -167,7 +165,7 @@ class AlignmentScene:
         camera = first_camera(scale * b, scale * a, scale * goals @ R.T)
         view = server.initial_camera
         view.position, view.look_at = camera.position / scale, camera.look_at / scale
-        view.up, view.fov, view.near = camera.up, camera.field_of_view, LOWEST * self.size
+        view.up, view.fov, view.near = camera.up, camera.field_of_view, NEAREST * self.size
 
 
 def _mesh(solid: Solid) -> trimesh.Trimesh:

@@ -14,10 +14,11 @@ from .alignment_scene import BODY_COLORS, POINT_COLORS, method_color
 from .colors import distance_legend
 
 STYLE = """<style>
-.ga{font:13px/1.45 system-ui,sans-serif;margin:.2em 1em .6em}
+.ga{font:12.5px/1.45 system-ui,sans-serif;margin:.2em 1em .6em}
 .ga table{border-collapse:collapse;width:100%}
 .ga td,.ga th{padding:1px 4px;text-align:right;vertical-align:top;white-space:nowrap}
 .ga td:first-child,.ga th:first-child{text-align:left;white-space:normal}
+.ga p{margin:.1em 0 .5em;opacity:.75;font-size:12px}
 .ga th{font-weight:600;border-bottom:1px solid rgba(128,128,128,.5)}
 .ga tr.on td{background:rgba(34,139,230,.16);font-weight:600}
 .ga i{display:inline-block;width:.8em;height:.8em;border-radius:2px;margin-right:.45em}
@@ -31,12 +32,15 @@ STYLE = """<style>
 
 def intro(task: AlignmentTask) -> str:
     """What is seen, for somebody who has never heard of it."""
-    a, b = (escape(body.name) for body in task.bodies)
     on_a, _, on_b = task.target_class.partition("-")
+    a, b = (
+        f"{_swatch('', color)}{letter} ({escape(body.name)})"
+        for color, letter, body in zip(BODY_COLORS, "AB", task.bodies, strict=True)
+    )
     return _page(
-        f"<b>Two bodies shall touch at two given points.</b> Body {_swatch('', BODY_COLORS[0])}A ({a}) rests. Each "
-        f"method moves body {_swatch('', BODY_COLORS[1])}B ({b}) until the points where the bodies are closest (dots) "
-        f"lie in the targets (balls): on a {escape(on_a)} of A, and a {escape(on_b)} of B."
+        f"<b>Two bodies are to touch at a given point of each.</b> Body {a} rests. Each method moves body {b} until "
+        f"the points where the bodies are closest (dots) lie in the targets (balls): on a {escape(on_a)} of A, and a "
+        f"{escape(on_b)} of B."
     )
 
 
@@ -51,8 +55,8 @@ def where(task: AlignmentTask, method: int, frame: int) -> str:
     wanted = f" ({mm(run.margin)} wanted)" if run.margin else ""
     rows = [
         ("B is inside A by" if d < 0 else "Gap between A and B", f"{mm(abs(d))}{wanted}"),
-        ("Closest point of A is off its target by", mm(misses[0])),
-        ("Closest point of B is off its target by", mm(misses[1])),
+        ("A: closest point to target", mm(misses[0])),
+        ("B: closest point to target", mm(misses[1])),
         ("Error, all three together", f"{mm(np.sqrt(run.error[frame]))} {_verdict(run.error[frame])}"),
     ]
     lines = "".join(f"<tr><td>{what}</td><td>{value}</td></tr>" for what, value in rows)
@@ -69,16 +73,19 @@ def results(task: AlignmentTask, method: int) -> str:
             f"{escape(run.label)}</td><td>{_error(best)}</td><td>{run.iteration[run.result]}</td>"
             f"<td>{_time(run.cpu_s[-1])}</td></tr>"
         )
-    head = "<tr><th>Method</th><th>Best error</th><th>at</th><th>CPU in all</th></tr>"
-    return _page(f"<table>{head}{''.join(rows)}</table>")
+    head = "<tr><th>Method</th><th>Best error</th><th>at</th><th>CPU</th></tr>"
+    said = "Thick: the method that is shown; pale: each of its iterates. Below 1 mm (dashed) a task counts as solved."
+    return _page(f"<p>{said}</p><table>{head}{''.join(rows)}</table>")
 
 
 def legend() -> str:
     """What colours and shapes in the scene mean."""
     rows = [
+        (_swatch("", BODY_COLORS[0]) + _swatch("", BODY_COLORS[1]), "bodies A and B"),
         (_swatch("ball", POINT_COLORS[0]) + _swatch("ball", POINT_COLORS[1]), "targets on A and on B"),
         (_swatch("dot", POINT_COLORS[0]) + _swatch("dot", POINT_COLORS[1]), "closest points of A and of B"),
         (_swatch("bar", POINT_COLORS[0]) + _swatch("bar", POINT_COLORS[1]), "from there to the targets"),
+        (_swatch("bar", method_color(0)), "thin: the last steps of the target on B"),
     ]
     lines = "".join(f"<tr><td>{marks}</td><td style='text-align:left'>{words}</td></tr>" for marks, words in rows)
     gap = "".join(f"<div>{_swatch('bar', color)}{words}</div>" for words, color in distance_legend())

@@ -8,9 +8,10 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.apps.viewer.contacts import Contacts
 from grasp_refine.geometry.body import Body
 from grasp_refine.se3 import tangents, transform_points
+
+from .contacts import Contacts
 
 ELEVATIONS = (20.0, 35.0, 50.0)
 """How far above the horizon the camera may stand, degrees, the preferred one first."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from grasp_refine.apps.viewer.target import Target
 from grasp_refine.chain import Frames
 from grasp_refine.collision.query import Witness, query
 from grasp_refine.hand_object import HandObject
@@ -24,22 +24,6 @@ TOUCHING = Touching()
 
 NEARLY = 1e-4
 """Gaps below this (metres) count as touching, penetrations above it as deep."""
-
-
-class HasPoints(Protocol):
-    """A target: a point on a link and where on the object it should be."""
-
-    @property
-    def link(self) -> str:
-        """Name of the link."""
-
-    @property
-    def point_link(self) -> np.ndarray:
-        """Point (3,) on the link, link frame, metres."""
-
-    @property
-    def point_object(self) -> np.ndarray:
-        """Point (3,) on the object, its frame, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +123,7 @@ def contacts_of(
     q: Float[np.ndarray, " n"],
     *,
     touching: Bool[np.ndarray, " L"] | None = None,
-    targets: Sequence[HasPoints] = (),
+    targets: Sequence[Target] = (),
     margin: float = 0.0,
 ) -> Contacts:
     """The contacts of a grasp.
@@ -191,7 +175,7 @@ def contacts_of(
 
 
 def _targets(
-    targets: Sequence[HasPoints],
+    targets: Sequence[Target],
     aimed: np.ndarray,
     T_object_link: Float[np.ndarray, "L 4 4"],
     witness: Witness,

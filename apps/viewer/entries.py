@@ -83,7 +83,7 @@ def parts_of(kind: type, prefix: str = "", about: str = "") -> tuple[Entry | Sec
         inner, extras = _unwrapped(hints[one.name])
         if _SUPPRESSED in extras:
             continue
-        name, label, doc = f"{prefix}{one.name}", one.name.replace("_", " "), docs_of(kind).get(one.name, "")
+        name, label, doc = f"{prefix}{one.name}", label_of(one.name), docs_of(kind).get(one.name, "")
         if is_dataclass(inner):
             choice = one.name.replace("_", "-")
             chosen_by = choosers.get(choice, "")
@@ -108,6 +108,12 @@ def docs_of(kind: type) -> dict[str, str]:
         for param in parse_from_object(base).params
     }
     return {name: text for name, text in found.items() if text}
+
+
+def label_of(name: str) -> str:
+    """What people call a field: `max_move` is "Max move"."""
+    words = name.replace("_", " ")
+    return words[:1].upper() + words[1:]
 
 
 def plain(text: str) -> str:

@@ -125,7 +125,7 @@ def _marked(path: Path, at: int, line: list[str]) -> tuple[int, Marked]:
     if len(line) != len(HEADER):
         raise _damaged(path, f"line {at} has {len(line)} values instead of {len(HEADER)}")
     row, name, index, mark, time = line
-    if not (row.isascii() and row.isdigit() and index.isascii() and index.isdigit()):
+    if not all(text.isascii() and text.isdigit() and len(text) < 16 for text in (row, index)):
         raise _damaged(path, f"row and index in line {at} must be whole numbers")
     if mark not in MARKS:
         raise _damaged(path, f"the mark in line {at} must be {' or '.join(MARKS)}")

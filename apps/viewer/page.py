@@ -7,7 +7,7 @@ import threading
 import time
 import traceback
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import rich
 import viser
@@ -21,6 +21,7 @@ RATE = 30.0
 TITLE = "grasp-refine"
 
 
+@runtime_checkable
 class Drawn(Protocol):
     """Something that shows a state."""
 
@@ -97,10 +98,12 @@ def open_server(host: str, port: int) -> viser.ViserServer:
         raise GraspRefineError(f"port {port} was taken meanwhile: give another --port, or --port 0 for any that is free")
     _forbid_sharing(server)
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+    # Beside the scene, not before it.
+    server.gui.main_panel.dock_right()
     server.scene.set_up_direction("+z")
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(True, cast_shadow=False)
-    server.scene.add_light_ambient("/light", intensity=1.0)
+    server.scene.add_light_hemisphere("/light", sky_color=(255, 255, 255), ground_color=(170, 175, 190), intensity=2.0)
     return server
 
 

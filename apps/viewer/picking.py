@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Integer
 
-from grasp_refine.apps.viewer.shapes import LinkShape
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.geometry.sampling import CLEARANCE, internal
 from grasp_refine.se3 import inverse
+
+from .shapes import LinkShape
 
 FIRST = 64
 """So many of the nearest points are looked at before all are."""

@@ -39,9 +39,14 @@ class Tried:
         return self.reason == Reason.HELD
 
     @property
+    def when(self) -> str:
+        """When it failed, such as ", 0.2 s"; empty where there is nothing to say."""
+        return "" if isnan(self.time_s) else f", {self.time_s:.1f} s"
+
+    @property
     def after(self) -> str:
-        """When it failed, such as " after 0.2 s"; empty where there is nothing to say."""
-        return "" if isnan(self.time_s) else f" after {self.time_s:.1f} s"
+        """The same in a sentence, such as " after 0.2 s"."""
+        return self.when.replace(",", " after")
 
 
 @dataclass(frozen=True, eq=False)

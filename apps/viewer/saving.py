@@ -28,7 +28,7 @@ from grasp_refine.se3 import pose_from_transform
 from grasp_refine.validation.motion import closing
 
 from .pose import Pose
-from .state import Target
+from .target import Target
 
 LIMIT = 1e-6
 """How far apart fingertips may be, in metres, when what was written is read again."""
@@ -73,10 +73,15 @@ def grasp_set(
     Raises:
         GraspFileError: the pose or the joint values are not finite.
     """
-    if not (np.isfinite(pose.T).all() and np.isfinite(pose.q).all()):
+    if not (np.isfinite(pose.T_object_root).all() and np.isfinite(pose.q).all()):
         raise GraspFileError("the grasp that is shown is not finite, so that no file can hold it: reset it first")
     alone = replace(
-        scene, T_world_root=pose.T[None], q=pose.q[None], target_link=None, target_object=None, direction=None
+        scene,
+        T_world_root=pose.T_object_root[None],
+        q=pose.q[None],
+        target_link=None,
+        target_object=None,
+        direction=None,
     )
     motion = closing(alone, prepared)
     opened, grasp, pressing = (

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32, UInt32
 
-from grasp_refine.apps.viewer.simpler import simpler
 from grasp_refine.chain import Chain
 from grasp_refine.description.visuals import load_visuals
 from grasp_refine.errors import HandError
 from grasp_refine.hand import Hand
 from grasp_refine.objects import Object
+
+from .simpler import simpler
 
 if TYPE_CHECKING:
     import trimesh

@@ -33,17 +33,21 @@ SHORT = {
     NUMBER: "#",
 }
 """Labels that are shorter in the table, which is narrow."""
+WIDE = {"quality_after": "gr-wide", "penetration_after": "gr-wide", STATUS.key: "gr-word", HELD.key: "gr-word"}
+"""Columns that need more room than a short number."""
 ENDED_WELL = "converged"
 """The status that is no warning."""
 
 STYLE = """<style>
 .gr-table{font:11.5px/1.4 system-ui,sans-serif;margin:.3em .8em 1.4em}
-.gr-table table{border-collapse:collapse;width:100%}
-.gr-table th,.gr-table td{padding:2px 3px;text-align:right;white-space:nowrap}
-.gr-table th{cursor:pointer;user-select:none;border-bottom:1px solid rgba(128,128,128,.5);font-weight:600;vertical-align:top}
-.gr-table th small{display:block;font-weight:400;opacity:.65}
+.gr-table table{border-collapse:collapse;width:100%;table-layout:fixed}
+.gr-table th,.gr-table td{padding:2px 3px;text-align:right;white-space:nowrap;overflow:hidden;text-overflow:ellipsis}
+.gr-table th{cursor:pointer;user-select:none;border-bottom:1px solid rgba(128,128,128,.5);font-weight:600}
+.gr-table th{vertical-align:top;width:39px}.gr-table th:first-child{width:auto}.gr-table th.gr-wide{width:45px}
+.gr-table th.gr-word{width:62px}
+.gr-table th small{display:block;min-height:1.4em}
+.gr-table small{font-weight:400;opacity:.65}
 .gr-table th:first-child,.gr-table td:first-child{text-align:left}
-.gr-table td:first-child{max-width:84px;overflow:hidden;text-overflow:ellipsis}
 .gr-table tbody tr{cursor:pointer;border-bottom:1px solid rgba(128,128,128,.18)}
 .gr-table tbody tr:hover,.gr-table th:hover{background:rgba(128,128,128,.15)}
 .gr-table tbody tr.gr-open,.gr-table tbody tr.gr-open:hover{background:rgba(34,139,230,.22)}
@@ -117,19 +121,22 @@ def _click(widget: str) -> str:
 
 def _header(column: Column, listing: Listing) -> str:
     label = SHORT.get(column.key, column.label)
-    arrow = ("▼" if listing.descending else "▲") if column.key == listing.key else ""
+    arrow = ("▼ " if listing.descending else "▲ ") if column.key == listing.key else ""
     hint = f"{column.label}: {column.hint}; click to sort"
-    unit = f"<small>{escape(column.unit)}</small>" if column.unit else ""
-    return f'<th data-do="sort {escape(column.key)}" title="{escape(hint)}">{arrow}{escape(label)}{unit}</th>'
+    wide = WIDE.get(column.key, "")
+    return (
+        f'<th class="{wide}" data-do="sort {escape(column.key)}" title="{escape(hint)}">{escape(label)}'
+        f"<small>{arrow}{escape(column.unit)}</small></th>"
+    )
 
 
 def _row(collection: Collection, columns: list[Column], number: int, *, several: bool, opened: bool) -> str:
-    label = collection.label(number)
-    name = label if several else f"{collection.group(number).index[collection.member[number]]}"
+    group = collection.group(number)
+    name = f" <small>{escape(group.object)}</small>" if several else ""
     cells = "".join(f"<td{_class(column, number)}>{escape(column.text(number))}</td>" for column in columns)
     return (
-        f'<tr data-do="open {number}"{" class=gr-open" if opened else ""} title="{escape(label)}">'
-        f"<td>{escape(name)}</td>{cells}</tr>"
+        f'<tr data-do="open {number}"{" class=gr-open" if opened else ""} title="{escape(collection.label(number))}">'
+        f"<td>{group.index[collection.member[number]]}{name}</td>{cells}</tr>"
     )
 
 

@@ -107,9 +107,7 @@ def _place(name: str, entry: zipfile.ZipInfo) -> Path:
             f"{name}: '{shown}' is packed by method {entry.compress_type}; pack it as plain zip (deflate)"
         )
     if stat.S_IFMT(entry.external_attr >> 16) not in KINDS:
-        raise UploadError(
-            f"{name}: '{shown}' is a link or a device, never unpacked; pack the files themselves"
-        )
+        raise UploadError(f"{name}: '{shown}' is a link or a device, never unpacked; pack the files themselves")
     if not path.isprintable() or entry.orig_filename != path:
         raise UploadError(f"{name}: the name '{shown}' holds letters that no name has; rename the file")
     parts = path.removesuffix("/").split("/")

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.grasps import unit_poses
 from grasp_refine.npz import NpzFile, load_npz, save_npz
-from grasp_refine.se3 import pose_from_transform, transform_from_pose, transform_points
+from grasp_refine.se3 import pose_from_transform, transform_from_pose
 
 if TYPE_CHECKING:
     import trimesh
@@ -35,10 +35,16 @@ class Solid:
     """Convex pieces whose union is the body."""
 
     def mesh(self) -> trimesh.Trimesh:
-        """The surfaces of all pieces."""
+        """Its surface; where the pieces cannot be united, the surfaces of all of them."""
         import trimesh
 
-        return trimesh.util.concatenate([piece.mesh() for piece in self.pieces])
+        meshes = [piece.mesh() for piece in self.pieces]
+        if len(meshes) == 1:
+            return meshes[0]
+        try:
+            return trimesh.boolean.union(meshes)
+        except ValueError:  # one of them is no closed surface
+            return trimesh.util.concatenate(meshes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +72,6 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.iteration)
-
-    def targets(self, task: AlignmentTask) -> Float[np.ndarray, "K 2 3"]:
-        """Where the targets are in the world."""
-        return transform_points(self.poses, np.broadcast_to(task.targets, (len(self), 2, 3)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +227,10 @@ class _Reader:
             self._numbers("iterate_error", (K,), nan=True),
             self._numbers("iterate_cpu_s", (K,)),
         )
-        parts = (np.split(column, lengths.cumsum()[:-1]) for column in columns)
+        parts = [np.split(column, lengths.cumsum()[:-1]) for column in columns]
+        for label, number in zip(labels, parts[0], strict=True):
+            if number[0] != 0 or (np.diff(number) <= 0).any():
+                raise self.file.error(f"iterate_number of {label} must rise from 0")
         runs = zip(labels, margin.tolist(), result.tolist(), *parts, strict=True)
         return tuple(Trajectory(*run) for run in runs)
 

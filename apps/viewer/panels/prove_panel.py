@@ -10,12 +10,13 @@ import viser
 from grasp_refine.validation.protocol import SETTINGS
 
 from ..controller import Controller
-from ..player import Player
+from ..motion_player import MotionPlayer
 from ..proved import Proved
-from ..proved_html import motion_html, proved_html
+from ..proved_html import motion_html, notes_html, proved_html
 from ..proving import MOST_FRICTION
 from ..shown_motion import RATE, ShownMotion
 from ..state import Job, State
+from .held import Held
 
 PLAY, PAUSE = "Play", "Pause"
 
@@ -34,7 +35,7 @@ class ProvePanel:
         """Make the widgets inside the tab or folder that is open."""
         self._controller = controller
         self._lock = threading.RLock()
-        self._player = Player(controller.show_motion_frame, self._ended)
+        self._player = MotionPlayer(controller.show_motion_frame, self._ended)
         self._proof: Proved | None = None
         self._motion: ShownMotion | None = None
         self._frame = 0
@@ -59,12 +60,14 @@ class ProvePanel:
             "Watch",
             ("+x",),
             visible=False,
-            hint="Play the simulation of a push in this direction of the object's frame",
+            hint="Play the simulation of a push along this axis of the object",
         )
         self._line = gui.add_html("", visible=False)
         self._slider = gui.add_slider("Seconds", 0.0, 1.0, 1.0 / RATE, 0.0, visible=False, hint="Time in the replay")
+        self._seconds = Held(self._slider, self._scrub)
         self._play = gui.add_button(PLAY, visible=False, hint="Play the replay in real time, or hold it")
         self._close = gui.add_button("Close replay", visible=False, hint="Back to the grasp")
+        self._notes = gui.add_html("")
         self._connect()
 
     def draw(self, state: State) -> None:
@@ -80,7 +83,6 @@ class ProvePanel:
         self._test.on_click(lambda event: self._controller.prove(self._setting.value, self._other_friction()))
         self._stop.on_click(lambda event: self._controller.stop())
         self._watch.on_click(lambda event: self._controller.watch(event.target.value))
-        self._slider.on_update(self._scrub)
         self._play.on_click(lambda event: self._toggle())
         self._close.on_click(lambda event: self._end())
 
@@ -96,13 +98,12 @@ class ProvePanel:
         own = SETTINGS[self._setting.value].friction
         return None if abs(self._friction.value - own) < 1e-9 else float(self._friction.value)
 
-    def _scrub(self, event: viser.GuiEvent[Any]) -> None:
+    def _scrub(self, seconds: float) -> None:
         """Look at another moment."""
         motion = self._motion
-        if event.client is None or motion is None:
-            return
-        self._hold()
-        self._controller.show_motion_frame(motion.frame_at(float(self._slider.value)))
+        if motion is not None:
+            self._hold()
+            self._controller.show_motion_frame(motion.frame_at(float(seconds)))
 
     def _toggle(self) -> None:
         """Play, or hold."""
@@ -120,7 +121,9 @@ class ProvePanel:
 
     def _ended(self) -> None:
         """The last frame was played."""
-        _put(self._play, label=PLAY)
+        with self._lock:
+            if not self._player.playing:
+                _put(self._play, label=PLAY)
 
     def _end(self) -> None:
         """Back to the grasp."""
@@ -145,6 +148,7 @@ class ProvePanel:
             return
         self._proof = proof
         _put(self._result, content=motion_html("Not tested yet.", lost=False) if proof is None else proved_html(proof))
+        _put(self._notes, content="" if proof is None else notes_html(proof))
         if proof is not None:
             _put(self._watch, options=proof.directions)
         _put(self._watch, visible=proof is not None and proof.watchable)
@@ -165,9 +169,7 @@ class ProvePanel:
         self._frame = min(frame, len(motion) - 1)
         _put(self._line, content=motion_html(motion.text(self._frame), lost=bool(motion.lost[self._frame])))
         seconds = round(float(motion.time[self._frame] - motion.time[0]), 2)
-        # The user's slider may stand between two frames.
-        if abs(self._slider.value - seconds) > 0.6 / RATE:
-            self._slider.value = seconds
+        self._seconds.show(min(seconds, self._slider.max))
 
 
 def _put(widget: Any, **properties: Any) -> None:

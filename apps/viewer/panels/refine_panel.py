@@ -13,11 +13,12 @@ from grasp_refine.solvers.status import Status
 from ..controller import Controller
 from ..entries import plain
 from ..forms import Form
-from ..pose import Pose
+from ..refining import targets_of
 from ..state import State
-from .held import Held
-from .player import Player
-from .plots import Plots
+from ..target import Target
+from .plots import Plot
+from .rows import in_a_row
+from .timeline import Timeline, millimetres, same_pose
 
 FIRST = (
     "solver",
@@ -48,16 +49,13 @@ class RefinePanel:
         self._step = gui.add_button("Step", icon="player-track-next", hint="Do one iteration, then wait")
         self._stop = gui.add_button("Stop", icon="player-stop", hint="End what is being done; the hand stays there")
         self._reset = gui.add_button("Reset", icon="rotate", hint="Put the grasp back to how it came")
+        in_a_row(gui, (self._start, self._pause, self._step))
+        in_a_row(gui, (self._stop, self._reset))
         self._text = gui.add_markdown("")
         self._bar = gui.add_progress_bar(0.0)
-        self._plots = Plots(gui)
+        self._plot = Plot(gui)
         with gui.add_folder("Timeline"):
-            slider = gui.add_slider(
-                "iteration", 0, 1, 1, 0, disabled=True, hint="Drag to see the hand in each iteration"
-            )
-            self._slider = Held(slider, self._scrub)
-            self._play = gui.add_button("Play", icon="movie", hint="Show all iterations like a film")
-            self._at = gui.add_markdown("")
+            self._timeline = Timeline(gui, controller)
         with gui.add_folder("Settings, from the next start on"):
             self._form = Form(
                 gui,
@@ -70,15 +68,13 @@ class RefinePanel:
                 left_out=LEFT_OUT,
             )
             self._defaults = gui.add_button("Default settings", icon="restore", hint="All settings as they came")
-        self._player = Player(controller, self._playing)
         for button, act in (
             (self._start, controller.start),
             (self._pause, controller.pause),
             (self._step, controller.step_once),
             (self._stop, controller.stop),
             (self._reset, controller.reset),
-            (self._play, self._player.toggle),
-            (self._defaults, lambda: controller.set_settings(type(state.settings)())),
+            (self._defaults, lambda: controller.set_settings(state.settings)),
         ):
             button.on_click(lambda event, act=act: act())
 
@@ -97,35 +93,14 @@ class RefinePanel:
         self._text.content = words(state)
         self._bar.value = 100.0 * (job.share or 0.0) if refining else 0.0
         self._bar.animated = refining and not paused and job.share is None
-        self._plots.show(state.trace, state.frame)
-        self._draw_timeline(state)
+        self._plot.show(state.trace, state.frame)
+        self._timeline.draw(state)
         self._form.show(state.settings)
 
     def close(self) -> None:
         """End what still plays."""
-        self._player.close()
-        self._plots.close()
-        self._slider.close()
-
-    def _draw_timeline(self, state: State) -> None:
-        handle, trace = self._slider.handle, state.trace
-        last = 0 if trace is None else len(trace) - 1
-        handle.disabled = self._play.disabled = last == 0
-        if handle.max < max(last, 1):
-            handle.max = max(last, 1)
-        self._slider.show(last if state.frame is None else min(state.frame, last))
-        if handle.max > max(last, 1):
-            handle.max = max(last, 1)
-        self._at.content = timeline_words(state)
-
-    def _scrub(self, frame: int) -> None:
-        """Look at an iteration; at the end of a refinement that runs, follow it."""
-        state = self._controller.state
-        follows = state.job is not None and state.trace is not None and frame >= len(state.trace) - 1
-        self._controller.scrub(None if follows else frame)
-
-    def _playing(self, playing: bool) -> None:
-        self._play.label = "Stop playing" if playing else "Play"
+        self._timeline.close()
+        self._plot.close()
 
 
 def unused(settings: Any) -> set[str]:
@@ -173,35 +148,19 @@ def outcome_words(outcome: Outcome) -> str:
     count, seconds = int(outcome.iterations[0]), float(outcome.wall_s[0])
     head = f"**{status.label.capitalize()}** after {count} iterations, {seconds:.1f} s"
     advice = f"\n\n{plain(status.advice)}" if status.advice else ""
-    return f"{head}{advice}\n\n| | before | after |\n|---|---|---|\n{table}"
-
-
-def timeline_words(state: State) -> str:
-    """The numbers of the iteration that is shown."""
-    trace = state.trace
-    if trace is None:
-        return "Iterations of a refinement can be looked at here."
-    k = len(trace) - 1 if state.frame is None else min(state.frame, len(trace) - 1)
-    if state.frame is None and state.job is None and not _same(state.pose, trace.pose(k)):
-        return "The hand was moved since; drag the timeline to see the refinement again."
-    return f"{trace.label[k]}: contact error {_mm(trace.contact_error, k)}, penetration {_mm(trace.penetration, k)}"
-
-
-def millimetres(metres: float) -> str:
-    """A length in mm without its unit; NaN is unknown."""
-    if np.isnan(metres):
-        return "-"
-    return "< 0.001" if 0.0 < metres < 1e-6 else f"{1e3 * metres:.3f}" if metres < 1e-3 else f"{1e3 * metres:.2f}"
-
-
-def _mm(values: np.ndarray, k: int) -> str:
-    return f"{millimetres(float(values[k]))} mm"
+    return f"{head}{advice}\n\n| | before | after |\n|:---|---:|---:|\n{table}"
 
 
 def _as_it_came(state: State) -> bool:
     """Whether there is nothing to reset."""
-    return state.trace is None and np.array_equal(state.T_world_object, np.eye(4)) and _same(state.pose, state.initial)
+    return (
+        state.trace is None
+        and np.array_equal(state.T_world_object, np.eye(4))
+        and same_pose(state.pose, state.initial)
+        and _aims(state.targets) == _aims(targets_of(state.scene))
+    )
 
 
-def _same(one: Pose, other: Pose) -> bool:
-    return one is other or (np.array_equal(one.T, other.T) and np.array_equal(one.q, other.q))
+def _aims(targets: tuple[Target, ...]) -> list[tuple[str, list[float], list[float]]]:
+    """Targets as values that can be compared."""
+    return [(target.link, target.point_link.tolist(), target.point_object.tolist()) for target in targets]

@@ -35,7 +35,7 @@ def test_the_settings_of_the_command_line_have_a_widget_each():
         "iterations": "text",
     }
     assert SETTINGS["solver"].choices == ("levenberg-marquardt", "descent", "adam")
-    assert SETTINGS["max_move"].label == "max move"
+    assert SETTINGS["max_move"].label == "Max move"
 
 
 def test_what_the_command_line_leaves_out_is_left_out():

@@ -98,7 +98,7 @@ def test_what_is_half_typed_is_left_alone(shown: Shown):
 
 def test_text_that_is_no_number_is_refused_in_words(shown: Shown):
     shown.change("margin", "one")
-    assert until(lambda: shown.errors) == ["margin needs a number, got 'one'"]
+    assert until(lambda: shown.errors) == ["Margin needs a number, got 'one'"]
     assert shown["margin"].value == "0" and shown.changes == []
     until(lambda: shown.page.told(shown["margin"]) == ["0"])
 

@@ -14,7 +14,7 @@ import pytest
 from grasp_refine.apps.viewer import saving
 from grasp_refine.apps.viewer.pose import Pose
 from grasp_refine.apps.viewer.saving import Saved, grasp_file, grasp_set
-from grasp_refine.apps.viewer.state import Target
+from grasp_refine.apps.viewer.target import Target
 
 from grasp_refine.errors import GraspFileError
 from grasp_refine.formats.agreement import fingertip_distances
@@ -99,7 +99,7 @@ def test_our_format_holds_all_of_it(unpacked: Callable[[Saved], Path]):
 def test_the_stages_are_those_that_simulation_closes_with():
     own, grasps = hand("allegro"), shown("allegro")
     pose = Pose(exp_se3(np.array([0.02, -0.01, 0.11, 0.4, -1.2, 0.7])), np.clip(own.rest + 0.1, own.lower, own.upper))
-    scene = Scene(own, load_object("sphere:0.03", candidates=64), pose.T[None], pose.q[None])
+    scene = Scene(own, load_object("sphere:0.03", candidates=64), pose.T_object_root[None], pose.q[None])
     motion = closing(scene)
     assert grasps.pregrasp is not None and grasps.squeeze is not None
     np.testing.assert_array_equal(grasps.pregrasp.q, motion.q[:, 0])

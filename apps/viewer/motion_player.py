@@ -12,7 +12,7 @@ RATE = 25.0
 """Most frames in a second that are asked for."""
 
 
-class Player:
+class MotionPlayer:
     """Plays one motion at a time, at the speed at which it happened; ends by itself."""
 
     def __init__(self, show: Callable[[int], None], ended: Callable[[], None]) -> None:
@@ -38,7 +38,7 @@ class Player:
         with self._lock:
             self._pause()
             self._stop = stop
-        threading.Thread(target=self._run, args=(motion, first, stop), name="viewer player", daemon=True).start()
+        threading.Thread(target=self._run, args=(motion, first, stop), name="viewer motion", daemon=True).start()
 
     def pause(self) -> None:
         """Stay at the present frame; no further one is shown after this."""

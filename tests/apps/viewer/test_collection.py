@@ -1,0 +1,188 @@
+"""Collections: which grasp is which, and what their files say of each."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from grasp_refine.apps.viewer.collection import Collection
+from grasp_refine.apps.viewer.listing import Listing
+from grasp_refine.apps.viewer.marks import marks_path
+from grasp_refine.apps.viewer.table import table_html
+from made_results import STATUSES, save_example_results, save_made_up
+
+from grasp_refine.assets import resource_dir
+from grasp_refine.commands.inputs import Inputs
+from grasp_refine.commands.sources import Sources
+from grasp_refine.errors import GraspFileError
+from grasp_refine.grasps import load_grasps
+from grasp_refine.hand import load_hand
+from grasp_refine.se3 import transform_from_pose
+
+EXAMPLE = resource_dir("robots") / "allegro" / "example_mug.npz"
+
+
+def opened(path: Path, **options: object) -> Collection:
+    return Collection.of(Sources(**options).load_from(path, 0, lambda text: None))
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_example_results(tmp_path_factory.mktemp("results") / "allegro_mug.npz", 20)
+
+
+def test_a_grasp_file_is_what_it_holds() -> None:
+    grasps, collection = load_grasps(EXAMPLE), opened(EXAMPLE)
+    assert len(collection) == len(grasps) == 4
+    assert not collection.columns
+    assert not collection.refined.any()
+    for i in range(4):
+        scene = collection.scene(i)
+        assert len(scene.q) == len(scene.T_world_root) == 1
+        assert np.allclose(scene.T_world_root[0], transform_from_pose(grasps.hand_pose[i]), atol=1e-12)
+        assert (scene.q[0] == grasps.q[i]).all()
+        T, q = collection.initial(i)
+        assert (T == scene.T_world_root[0]).all()
+        assert (q == scene.q[0]).all()
+    assert collection.label(3) == "mug 3"
+    assert collection.hand.name == "allegro"
+
+
+def test_grasps_keep_the_order_that_was_asked_for(results: Path) -> None:
+    collection = opened(results, index=(5, 0, 19))
+    assert [collection.label(i) for i in range(3)] == ["mug 5", "mug 0", "mug 19"]
+    assert collection.row.tolist() == [5, 0, 19]
+    assert np.allclose(collection.columns["contact_error_after"].values, [5e-6, 0.0, 19e-6], atol=1e-12)
+
+
+def test_a_result_file_says_where_grasps_were_and_what_they_are_worth(results: Path) -> None:
+    collection = opened(results)
+    with np.load(results, allow_pickle=False) as entries:
+        pose, q = entries["initial_pose"], entries["initial_q"]
+    assert collection.refined.all()
+    for i in (0, 7):
+        T, joints = collection.initial(i)
+        assert np.allclose(T, transform_from_pose(pose[i]), atol=1e-12)
+        assert (joints == q[i]).all()
+        assert np.linalg.norm(T[:3, 3] - collection.scene(i).T_world_root[0, :3, 3]) > 1e-3
+    columns = collection.columns
+    assert np.allclose(columns["quality_after"].values, 7 * np.arange(20) % 20 / 20)
+    assert np.allclose(columns["quality_before"].values, columns["quality_after"].values / 2)
+    assert columns["penetration_after"].text(10) == "0.50"
+    assert columns["status"].values.tolist() == [STATUSES[i % 4].label for i in range(20)]
+    # Contacts have distances in such a file, too: that is no measure of a grasp.
+    assert "finger_gap" not in columns
+    assert (collection.motion(3, "file").q[0] == collection.scene(3).q[0]).all()
+
+
+def test_grasps_of_several_objects_keep_their_own_object_and_targets(tmp_path: Path) -> None:
+    """The files of a folder are one collection; each row is found in its own file."""
+    folder = tmp_path / "out"
+    for name, count in (("mug", 3), ("bottle", 4)):
+        save_example_results(folder / f"allegro_{name}.npz", count, name)
+    collection = opened(folder)
+    assert [path.name for path in collection.files] == ["allegro_bottle.npz", "allegro_mug.npz"]
+    assert collection.objects.tolist() == ["bottle"] * 4 + ["mug"] * 3
+    assert collection.file_of.tolist() == [0] * 4 + [1] * 3
+    assert collection.row.tolist() == [0, 1, 2, 3, 0, 1, 2]
+    assert collection.label(5) == "mug 1"
+    assert collection.scene(5).object.name == "mug"
+    errors = collection.columns["contact_error_after"].values
+    assert np.allclose(errors, [0, 1e-6, 2e-6, 3e-6, 0, 1e-6, 2e-6], atol=1e-12)
+    collection = collection.with_mark(5, "good")
+    collection.save_marks(5)
+    assert marks_path(folder / "allegro_mug.npz").is_file()
+    assert not marks_path(folder / "allegro_bottle.npz").exists()
+    assert [opened(folder / f"allegro_{name}.npz").mark(1) for name in ("mug", "bottle")] == ["good", ""]
+
+
+def test_marks_are_there_again_and_survive_a_subset(results: Path, tmp_path: Path) -> None:
+    path = tmp_path / "mine.npz"
+    path.write_bytes(results.read_bytes())
+    collection = opened(path).with_mark(4, "bad").with_mark(6, "good")
+    collection.save_marks(4)
+    again = opened(path, index=(6, 8))
+    assert [again.mark(i) for i in range(2)] == ["good", ""]
+    again.with_mark(1, "bad").save_marks(1)
+    whole = opened(path)
+    assert {i: whole.mark(i) for i in range(20) if whole.mark(i)} == {4: "bad", 6: "good", 8: "bad"}
+    assert collection.mark(8) == ""
+
+
+def test_drawn_grasps_have_no_file_and_no_marks_to_save() -> None:
+    inputs = Inputs(hand="allegro", object="box:0.06,0.06,0.06", grasps=Path("sample:2"))
+    collection = Collection.of(inputs.load(0, lambda text: None))
+    marked = collection.with_mark(0, "good")
+    assert marked.mark(0) == "good"
+    with pytest.raises(GraspFileError, match="these grasps lie in none"):
+        marked.save_marks(0)
+    assert not collection.files
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"initial_q": np.zeros((2, 16))}, "initial_pose and initial_q must have the shapes of hand_pose and q"),
+        ({"initial_pose": np.zeros((20, 7))}, "initial_pose row 0 has no unit quaternion: its norm is 0"),
+        ({"initial_q": np.full((20, 16), np.nan)}, "initial_q must be finite; row 0 is not"),
+        ({"quality_after": np.zeros(3)}, r"quality_after must be one value or one per grasp, \(20,\); it has \(3,\)"),
+        ({"loss": np.array(["a"])}, "loss must hold numbers"),
+        ({"status": np.array(["\x1b[2J"] * 20)}, "status holds letters that no text has"),
+    ],
+)
+def test_damaged_results_are_named(results: Path, tmp_path: Path, change: dict[str, np.ndarray], said: str) -> None:
+    path = tmp_path / "damaged.npz"
+    with np.load(results, allow_pickle=False) as entries:
+        np.savez(path, **{**entries, **change})
+    with pytest.raises(GraspFileError, match=said):
+        opened(path)
+
+
+def test_entries_of_other_programs_mean_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "other.npz"
+    with np.load(EXAMPLE, allow_pickle=False) as entries:
+        np.savez(path, **entries, loss=np.zeros((3, 3)), status=np.array(7))
+    assert not opened(path).columns
+
+
+def test_older_results_do_not_say_where_grasps_were(results: Path, tmp_path: Path) -> None:
+    path = tmp_path / "old.npz"
+    with np.load(results, allow_pickle=False) as entries:
+        np.savez(path, **{key: entries[key] for key in entries.files if not key.startswith("initial")})
+    collection = opened(path)
+    assert not collection.refined.any()
+    assert (collection.initial(2)[1] == collection.scene(2).q[0]).all()
+    assert collection.columns["quality_before"].known.all()
+
+
+def test_verdicts_of_a_simulation_are_columns(results: Path) -> None:
+    collection = opened(results)
+    held, known = np.arange(20) % 2 == 0, np.arange(20) < 10
+    collection = collection.with_simulation(held, np.full(20, "slipped in +x"), known)
+    assert collection.columns["held"].values[:3].tolist() == ["held", "failed", "held"]
+    assert collection.columns["reason"].values[:3].tolist() == ["", "slipped in +x", ""]
+    assert not collection.columns["held"].known[10:].any()
+    # What is simulated later comes on top.
+    later = np.arange(20) == 12
+    collection = collection.with_simulation(later, np.full(20, ""), later)
+    assert collection.columns["held"].known.nonzero()[0].tolist() == [*range(10), 12]
+
+
+def test_five_hundred_grasps_open_within_three_seconds(shared_assets: Path, tmp_path: Path) -> None:
+    """File, hand, three objects, collection and table; caches are warm, as after a first look."""
+    grasps = load_grasps(shared_assets / "grasps" / "normalised" / "dexgraspnet_shadow.npz")
+    shadow = shared_assets / "hands" / "shadow"
+    path = save_made_up(tmp_path / "shadow.npz", load_hand(str(shadow), base_link=grasps.base_link), grasps, 500)
+    sources = {"hand": str(shadow), "objects": shared_assets / "objects"}
+    opened(path, **sources, index=(0,), object_name=str(grasps.object[0]))
+    best = float("inf")
+    for _ in range(2):
+        began = time.process_time()
+        collection = opened(path, **sources)
+        html = table_html(collection, Listing(), Listing().numbers(collection), 0, 0, "widget")
+        best = min(best, time.process_time() - began)
+    assert len(collection) == 500
+    assert html.count("<tr data-do=") == 15
+    assert best < 3.0, f"{best:.2f} s of CPU"

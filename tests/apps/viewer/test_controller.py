@@ -1,0 +1,327 @@
+"""The controller, without viser: commands in, states out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from open_viewer import controller, example, settled, until
+
+from grasp_refine.apps.viewer.controller import Controller
+from grasp_refine.apps.viewer.marks import marks_path
+from grasp_refine.apps.viewer.pose import Pose
+from grasp_refine.chain import Chain
+from grasp_refine.commands.settings import Settings
+from grasp_refine.hand_object import HandObject
+from grasp_refine.problem import Problem
+from grasp_refine.refine import refine
+from grasp_refine.se3 import exp_so3, inverse, transform, transform_points
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return example()
+
+
+@pytest.fixture(scope="module")
+def prepared(problem: Problem) -> HandObject:
+    return HandObject.of(problem.groups[0].scene)
+
+
+@pytest.fixture
+def viewer(problem: Problem, prepared: HandObject) -> Iterator[Controller]:
+    made = controller(problem)
+    made._prepared = prepared  # which takes a second
+    yield made
+    made.close()
+
+
+def same(one: Pose, other: Pose) -> bool:
+    return np.array_equal(one.T_object_root, other.T_object_root) and np.array_equal(one.q, other.q)
+
+
+# refining
+
+
+def test_a_refinement_ends_where_the_command_line_ends(viewer: Controller) -> None:
+    states = []
+    viewer.listen(states.append)
+    viewer.start()
+    settled(viewer)
+    state = viewer.state
+    alone = refine(state.collection.scene(0), Settings().config())
+    np.testing.assert_array_equal(state.pose.T_object_root, alone.T_world_root[0])
+    np.testing.assert_array_equal(state.pose.q, alone.q[0])
+    trace = state.trace
+    assert trace is not None and len(trace) > 20 and len(trace.label) == len(trace)
+    assert same(trace.pose(len(trace) - 1), state.pose)
+    np.testing.assert_array_equal(trace.pose(0).T_object_root, state.initial.T_object_root)
+    assert trace.contact_error[0] > 5e-3 and trace.contact_error[-1] < 1e-5
+    assert trace.penetration[0] > 1e-3 and trace.penetration[-1] < 1e-5
+    assert state.outcome is not None and state.outcome.quality[0, 1] > 0.95 > state.outcome.quality[0, 0]
+    assert trace.contact_error[0] == pytest.approx(state.outcome.worst_error[0, 0], abs=1e-9)
+    # It was seen while it ran.
+    seen = [state for state in states if state.job is not None and state.job.kind == "refine" and state.trace]
+    assert len({len(state.trace) for state in seen}) > 3
+    assert [state.change for state in states] == sorted({state.change for state in states})
+
+
+def test_stop_takes_effect_within_a_fifth_of_a_second_and_keeps_what_was_reached(viewer: Controller) -> None:
+    viewer.set_settings(Settings(solver="descent", iterations=100_000, tolerance=0.0))
+    viewer.start()
+    until(lambda: viewer.state.trace is not None and len(viewer.state.trace) > 3)
+    began = time.monotonic()
+    viewer.stop()
+    assert viewer.state.job is None
+    viewer._worker.close()
+    assert time.monotonic() - began < 0.2
+    assert viewer.state.trace is not None
+    assert same(viewer.state.pose, viewer.state.trace.pose(len(viewer.state.trace) - 1))
+
+
+def test_fifty_clicks_on_start_and_stop_leave_it_usable(viewer: Controller) -> None:
+    for _ in range(50):
+        viewer.start()
+        viewer.stop()
+    assert viewer.state.job is None
+    viewer.start()
+    viewer.start()
+    settled(viewer)
+    assert viewer.state.outcome is not None and viewer.state.notice is None
+
+
+def test_pause_holds_step_does_one_iteration_and_start_goes_on(viewer: Controller) -> None:
+    def count() -> int:
+        return 0 if viewer.state.trace is None else len(viewer.state.trace)
+
+    viewer.step_once()
+    until(lambda: count() == 1)
+    time.sleep(0.05)
+    assert count() == 1 and viewer.state.job.paused
+    viewer.step_once()
+    until(lambda: count() == 2)
+    viewer.pause()
+    until(lambda: not viewer.state.job or not viewer.state.job.paused)
+    settled(viewer)
+    assert count() > 20
+
+
+def test_scrubbing_shows_an_iteration_and_starting_begins_there(viewer: Controller) -> None:
+    viewer.start()
+    settled(viewer)
+    trace, end = viewer.state.trace, viewer.state.pose
+    viewer.scrub(3)
+    assert same(viewer.state.shown, trace.pose(3)) and same(viewer.state.pose, end)
+    viewer.scrub(10_000)
+    assert viewer.state.frame == len(trace) - 1
+    viewer.scrub(None)
+    assert same(viewer.state.shown, end)
+    viewer.scrub(3)
+    viewer.start()
+    settled(viewer)
+    assert same(viewer.state.trace.pose(0), trace.pose(3))
+    viewer.undo()
+    assert same(viewer.state.pose, trace.pose(3))
+
+
+def test_options_that_cannot_be_are_told_and_nothing_begins(viewer: Controller) -> None:
+    viewer.set_settings(Settings(margin=-1.0))
+    viewer.start()
+    notice = viewer.state.notice
+    assert viewer.state.job is None and notice is not None and notice.bad and "--margin must be" in notice.text
+    viewer.set_settings(Settings(contacts=("no_link",)))
+    viewer.start()
+    settled(viewer)
+    assert viewer.state.notice.number == notice.number + 1 and "no_link" in viewer.state.notice.text
+
+
+def test_reset_goes_back_to_the_grasp_as_it_came(viewer: Controller) -> None:
+    first = viewer.state.pose
+    viewer.start()
+    settled(viewer)
+    refined = viewer.state.pose
+    viewer.reset()
+    assert same(viewer.state.pose, first) and viewer.state.trace is None and viewer.state.outcome is None
+    viewer.undo()
+    assert same(viewer.state.pose, refined)
+
+
+# steering
+
+
+def test_joints_stay_within_their_limits_and_a_drag_is_one_step(viewer: Controller) -> None:
+    hand, first = viewer.state.collection.hand, viewer.state.pose
+    for value in (0.1, 0.2, 99.0):
+        viewer.set_joint(2, value)
+    assert viewer.state.pose.q[2] == hand.upper[2]
+    assert np.array_equal(np.delete(viewer.state.pose.q, 2), np.delete(first.q, 2))
+    viewer.undo()
+    assert same(viewer.state.pose, first) and not viewer.state.can_undo
+    viewer.redo()
+    assert viewer.state.pose.q[2] == hand.upper[2]
+
+
+def test_moving_the_object_leaves_the_hand_where_it_is_drawn(viewer: Controller) -> None:
+    before = viewer.state.pose.T_object_root
+    T = transform(exp_so3(np.array([0.1, -0.2, 0.3])), np.array([0.01, 0.02, -0.03]))
+    viewer.move_object(T)
+    state = viewer.state
+    np.testing.assert_allclose(state.T_world_object @ state.pose.T_object_root, before, atol=1e-12)
+    np.testing.assert_allclose(state.pose.T_object_root, inverse(T) @ before, atol=1e-12)
+    viewer.undo()
+    np.testing.assert_array_equal(viewer.state.T_world_object, np.eye(4))
+
+
+def test_steering_ends_what_is_being_refined(viewer: Controller) -> None:
+    viewer.set_settings(Settings(solver="descent", iterations=100_000, tolerance=0.0))
+    viewer.start()
+    until(lambda: viewer.state.trace is not None)
+    viewer.set_joint(0, 0.1)
+    assert viewer.state.job is None and viewer.state.pose.q[0] == 0.1
+    time.sleep(0.1)
+    assert viewer.state.pose.q[0] == 0.1
+
+
+# targets
+
+
+def test_a_target_set_by_clicks_is_reached(viewer: Controller) -> None:
+    viewer.aim_nearest()
+    near = {target.link: target for target in viewer.state.targets}
+    viewer.clear_targets()
+    assert viewer.state.targets == ()
+    link = next(iter(near))
+    viewer.set_picking(True)
+    viewer.pick_object(near[link].point_object)
+    assert "click a link of the hand first" in viewer.state.notice.text
+    for name, target in near.items():
+        viewer.pick_link(name, target.point_link)
+        assert viewer.state.picked[0] == name
+        # On the side of the mug, a bit higher.
+        viewer.pick_object(target.point_object + (np.array([0.0, 0.0, 0.004]) if name == link else 0.0))
+    assert [target.link for target in viewer.state.targets] == list(near) and viewer.state.picked is None
+    viewer.start()
+    settled(viewer, 60.0)
+    state = viewer.state
+    chain = Chain(state.collection.hand, [target.link for target in state.targets])
+    T = chain(state.pose.T_object_root[None], state.pose.q[None]).T_world_link[0]
+    reached = transform_points(T, np.array([target.point_link for target in state.targets]))
+    wanted = np.array([target.point_object for target in state.targets])
+    assert np.linalg.norm(reached - wanted, axis=1).max() < 1.5e-3
+
+
+def test_targets_are_moved_replaced_deleted_and_brought_back(viewer: Controller) -> None:
+    viewer.set_picking(True)
+    for place in (0.0, 0.01):
+        viewer.pick_link("link_3.0_tip", np.zeros(3))
+        viewer.pick_object(np.array([place, 0.0, 0.0]))
+    assert len(viewer.state.targets) == 1 and viewer.state.targets[0].point_object[0] == 0.01
+    viewer.move_target(0, np.array([0.0, 0.02, 0.0]))
+    assert viewer.state.targets[0].point_object[1] == 0.02
+    viewer.delete_target(0)
+    viewer.delete_target(7)
+    assert viewer.state.targets == ()
+    viewer.undo()
+    assert viewer.state.targets[0].point_object[1] == 0.02
+    viewer.pick_link("no link", np.zeros(3))
+    viewer.pick_object(np.zeros(3))
+    assert viewer.state.notice.bad and len(viewer.state.targets) == 1
+
+
+# proving
+
+
+def test_a_proof_says_what_held_and_its_motion_can_be_watched(viewer: Controller) -> None:
+    viewer.prove("force-closure", 0.15)
+    settled(viewer)
+    proof = viewer.state.proof
+    assert proof is not None and proof.directions == ("+x", "-x", "+y", "-y", "+z", "-z") and not proof.held
+    viewer.watch("+z")
+    settled(viewer)
+    state = viewer.state
+    assert len(state.motion) > 50 and state.motion_frame == 0
+    viewer.show_motion_frame(10_000)
+    assert viewer.state.motion_frame == len(state.motion) - 1
+    assert np.linalg.norm(viewer.state.T_shown_object[:3, 3]) > 0.01
+    viewer.end_motion()
+    assert same(viewer.state.shown, viewer.state.pose) and viewer.state.proof is proof
+    viewer.prove("force-closure", -1.0)
+    assert viewer.state.notice.bad and "friction must be above 0" in viewer.state.notice.text
+
+
+def test_a_proof_is_forgotten_when_the_hand_moves(viewer: Controller) -> None:
+    viewer.prove()
+    settled(viewer)
+    assert viewer.state.proof is not None
+    viewer.set_joint(0, 0.1)
+    assert viewer.state.proof is None
+
+
+# what is open
+
+
+def test_another_grasp_has_a_history_of_its_own(viewer: Controller) -> None:
+    viewer.set_joint(0, 0.1)
+    viewer.set_showing(forces=True)
+    viewer.show(2)
+    state = viewer.state
+    assert state.number == 2 and not state.can_undo and state.showing.forces
+    np.testing.assert_array_equal(state.pose.q, state.collection.scene(2).q[0])
+    viewer.show(99)
+    assert viewer.state.number == 2
+
+
+def test_a_mark_that_cannot_be_written_is_told_and_kept(tmp_path: Path, problem: Problem) -> None:
+    path = tmp_path / "mug.npz"
+    path.write_bytes(problem.files[0].read_bytes())
+    viewer = controller(example(grasps=path))
+    viewer.mark(1, "good")
+    assert viewer.state.collection.mark(1) == "good" and viewer.state.notice is None
+    marks_path(path).unlink()
+    marks_path(path).mkdir()
+    viewer.mark(2, "bad")
+    assert viewer.state.collection.mark(2) == "bad" and viewer.state.notice.bad
+    viewer.close()
+
+
+def test_a_job_that_breaks_is_told_and_the_viewer_lives_on(
+    viewer: Controller, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def work(control: object) -> None:
+        raise RuntimeError("broken")
+
+    viewer.run_job("export", "breaking", work)
+    settled(viewer)
+    assert "RuntimeError: broken" in viewer.state.notice.text and "see the terminal" in viewer.state.notice.text
+    assert "Traceback" in capsys.readouterr().err
+    viewer.start()
+    settled(viewer)
+    assert viewer.state.outcome is not None
+
+
+def test_only_one_thing_is_done_at_a_time_but_measuring_gives_way(viewer: Controller) -> None:
+    def wait(control: object) -> None:
+        while True:
+            control.check()
+            time.sleep(0.002)
+
+    assert viewer.run_job("export", "waiting", wait)
+    viewer.start()
+    assert viewer.state.job.kind == "export"
+    viewer.stop()
+    assert viewer.run_job("measure", "waiting", wait)
+    viewer.start()
+    assert viewer.state.job.kind == "refine"
+    settled(viewer)
+
+
+def test_the_collection_can_grow_while_a_grasp_is_refined(viewer: Controller) -> None:
+    viewer.start()
+    known = replace(viewer.state.collection)
+    viewer.change_collection(known, viewer.state.number)
+    settled(viewer)
+    assert viewer.state.collection is known and viewer.state.outcome is not None

@@ -1,0 +1,101 @@
+"""Marks of grasps: what is written, what is read again, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import os
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from grasp_refine.apps.viewer.marks import HEADER, LARGEST, Marks, marks_path
+
+from grasp_refine.assets import resource_dir
+from grasp_refine.errors import GraspFileError
+
+TOP = ",".join(HEADER)
+
+
+def test_marks_are_read_again_as_they_were_written(tmp_path: Path) -> None:
+    path = tmp_path / "grasps.npz.marks.csv"
+    marks = Marks.read(path)
+    assert not marks.by_row
+    marks = marks.marked(7, "bad", object='a "cup", blue', index=3).marked(2, "good", object="mug", index=2)
+    marks.save()
+    assert Marks.read(path) == marks
+    assert [marks.of(row) for row in (2, 7, 8)] == ["good", "bad", ""]
+    with path.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [(row["row"], row["object"], row["index"], row["mark"]) for row in rows] == [
+        ("2", "mug", "2", "good"),
+        ("7", 'a "cup", blue', "3", "bad"),
+    ]
+    age = datetime.now(UTC) - datetime.fromisoformat(rows[0]["time"])
+    assert timedelta(0) <= age < timedelta(minutes=1)
+    marks.marked(2, "", object="mug", index=2).save()
+    assert list(Marks.read(path).by_row) == [7]
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+def test_marks_lie_beside_the_grasps_but_never_in_the_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert marks_path(tmp_path / "a" / "g.npz") == tmp_path / "a" / "g.npz.marks.csv"
+    assert marks_path(Path("folder")) == tmp_path / "folder.marks.csv"
+    example = resource_dir("robots") / "allegro" / "example_mug.npz"
+    assert marks_path(example) == tmp_path / "example_mug.npz.marks.csv"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "it must begin with the line row,object,index,mark,time"),
+        ("row,mark\n1,good\n", "it must begin with the line row,object,index,mark,time"),
+        (f"{TOP}\n1,mug,0,good\n", "line 2 has 4 values instead of 5"),
+        (f"{TOP}\n1,mug,0,good,\n-1,mug,0,good,\n", "row and index in line 3 must be whole numbers"),
+        (f"{TOP}\n1,mug,²,good,\n", "row and index in line 2 must be whole numbers"),
+        (f"{TOP}\n1,mug,0,<b>,\n", "the mark in line 2 must be good or bad"),
+        (f"{TOP}\n{'9' * 5000},mug,0,good,\n", "row and index in line 2 must be whole numbers"),
+        ("\udcff", "can't decode byte"),
+    ],
+)
+def test_a_damaged_file_of_marks_is_named_and_kept(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "g.npz.marks.csv"
+    path.write_bytes(text.encode(errors="surrogateescape"))
+    with pytest.raises(GraspFileError, match="not a file of marks, .*; mend it or move it away$") as caught:
+        Marks.read(path)
+    assert said in str(caught.value)
+    assert str(path) in str(caught.value)
+    assert path.read_bytes() == text.encode(errors="surrogateescape")
+
+
+def test_a_huge_file_of_marks_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "g.npz.marks.csv"
+    with path.open("wb") as stream:
+        stream.truncate(LARGEST + 1)
+    with pytest.raises(GraspFileError, match="it is larger than 64 MiB"):
+        Marks.read(path)
+
+
+def test_a_folder_in_the_place_of_marks_is_told(tmp_path: Path) -> None:
+    """As root one may write to any folder, so that a read-only one is no test."""
+    path = tmp_path / "g.npz.marks.csv"
+    marks = Marks.read(path).marked(0, "good", object="mug", index=0)
+    (path / "inside").mkdir(parents=True)
+    with pytest.raises(
+        GraspFileError, match="cannot be written .*make the folder writable and mark again, or download"
+    ):
+        marks.save()
+    assert marks.of(0) == "good"
+    with pytest.raises(GraspFileError, match="these grasps lie in none: save them to a file and open it"):
+        Marks(None).marked(0, "good", object="mug", index=0).save()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write to read-only folders")
+def test_a_folder_that_cannot_be_written_to_is_told(tmp_path: Path) -> None:
+    marks = Marks.read(tmp_path / "g.npz.marks.csv").marked(0, "good", object="mug", index=0)
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(GraspFileError, match="cannot be written .*make the folder writable"):
+            marks.save()
+    finally:
+        tmp_path.chmod(0o700)

@@ -1,0 +1,82 @@
+"""Measuring grasps of which no file says what they are worth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from grasp_refine.apps.viewer import measuring
+from grasp_refine.apps.viewer.collection import Collection
+from grasp_refine.apps.viewer.measuring import MEASURED, measured, unmeasured
+from grasp_refine.apps.viewer.worker import Stopped
+from made_results import save_example_results
+
+from grasp_refine.assets import resource_dir
+from grasp_refine.commands.sources import Sources
+from grasp_refine.validation.metrics import metrics
+
+EXAMPLE = resource_dir("robots") / "allegro" / "example_rounded_box.npz"
+
+
+def ignore(*told: object) -> None:
+    """Nothing."""
+
+
+@pytest.fixture(scope="module")
+def collection() -> Collection:
+    return Collection.of(Sources(index=(3, 0, 2, 1)).load_from(EXAMPLE, 0, ignore))
+
+
+def test_measures_are_those_of_validate_each_in_its_place(
+    collection: Collection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(measuring, "TOGETHER", 3)
+    shares = []
+    found = measured(collection, lambda share, what: shares.append(share), ignore)
+    assert shares == [0.0, 0.75]
+    assert not unmeasured(found).any()
+    assert unmeasured(collection).all()
+    for i in range(len(collection)):
+        scene = collection.scene(i)
+        alone = metrics(scene.hand, scene.object, scene.T_world_root, scene.q)
+        for key, name in MEASURED.items():
+            assert found.columns[key].values[i] == pytest.approx(getattr(alone, name)[0], rel=1e-9, abs=1e-12), key
+
+
+def test_what_a_file_says_is_not_measured(tmp_path: Path) -> None:
+    path = save_example_results(tmp_path / "results.npz", 4)
+    collection = Collection.of(Sources().load_from(path, 0, ignore))
+    assert not unmeasured(collection).any()
+    assert measured(collection, ignore, ignore) is collection
+
+
+def test_what_was_measured_before_an_interruption_is_kept(
+    collection: Collection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(measuring, "TOGETHER", 1)
+    checks, kept = [], []
+
+    def check() -> None:
+        checks.append(None)
+        if len(checks) == 3:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        measured(collection, ignore, check, kept.append)
+    (part,) = kept
+    assert unmeasured(part).tolist() == [False, False, True, True]
+    whole = measured(collection, ignore, ignore)
+    rest = measured(part, ignore, ignore)
+    for key in MEASURED:
+        assert np.array_equal(rest.columns[key].values, whole.columns[key].values, equal_nan=True)
+
+
+def test_a_grasp_that_is_not_finite_is_not_measured(collection: Collection) -> None:
+    (group,) = collection.problem.groups
+    scene = replace(group.scene, q=np.where(np.arange(4)[:, None] == 1, np.nan, group.scene.q))
+    problem = replace(collection.problem, groups=(replace(group, scene=scene),))
+    found = measured(replace(collection, problem=problem), ignore, ignore)
+    known = found.columns["quality_after"].known
+    assert np.flatnonzero(~known).tolist() == np.flatnonzero(collection.member == 1).tolist()

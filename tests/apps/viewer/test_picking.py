@@ -1,0 +1,162 @@
+"""Rays hit what is first, and the nearest point of a surface is one that can touch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from grasp_refine.apps.viewer.picking import closest_on_triangles, hit_link, hit_mesh, nearest_on_surface
+from grasp_refine.apps.viewer.shapes import LinkPoses, visual_shapes
+
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.nearest_triangle import distance_to_triangles
+from grasp_refine.geometry.pieces import box, capsule, sphere
+from grasp_refine.hand import load_hand
+from grasp_refine.objects import load_object
+from grasp_refine.se3 import exp_se3, transform_points
+
+CUBE = trimesh.creation.box(extents=(2, 2, 2))
+
+
+def at(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
+    return np.array([x, y, z], dtype=np.float64)
+
+
+def turned(x: float, y: float, z: float) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
+def test_a_ray_hits_the_near_side_first():
+    hit = hit_mesh(at(-5, 0.3, 0.2), at(2, 0, 0), CUBE.vertices, CUBE.faces)
+    assert hit is not None and hit.distance == pytest.approx(4.0)
+    np.testing.assert_allclose(hit.point, [-1, 0.3, 0.2], atol=1e-12)
+    np.testing.assert_allclose(hit.normal, [-1, 0, 0], atol=1e-12)
+
+
+def test_from_inside_the_far_side_is_hit_and_its_normal_looks_back():
+    hit = hit_mesh(at(0, 0.3, 0.2), at(0, 0, 1), CUBE.vertices, CUBE.faces)
+    assert hit is not None
+    np.testing.assert_allclose(hit.point, [0, 0.3, 1], atol=1e-12)
+    np.testing.assert_allclose(hit.normal, [0, 0, -1], atol=1e-12)
+
+
+@pytest.mark.parametrize("ray", [(at(-5, 1.1), at(1)), (at(-5), at(-1)), (at(-5, 1.01), at(1, 0, 0.001))])
+def test_a_ray_can_miss(ray: tuple[np.ndarray, np.ndarray]):
+    assert hit_mesh(*ray, CUBE.vertices, CUBE.faces) is None
+
+
+def test_a_ray_at_an_edge_between_faces_does_not_slip_through():
+    for y in (0.0, 0.5):  # both triangles of a side share its diagonal
+        hit = hit_mesh(at(-5, y, y), at(1), CUBE.vertices, CUBE.faces)
+        assert hit is not None and hit.point[0] == pytest.approx(-1)
+
+
+def test_small_meshes_are_hit_as_well_as_large_ones():
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=1e-5)
+    hit = hit_mesh(at(0.3), at(-1), ball.vertices.astype(np.float32), ball.faces.astype(np.uint32))
+    assert hit is not None and hit.distance == pytest.approx(0.3 - 1e-5, abs=1e-8)
+
+
+def test_the_first_link_on_a_ray_is_hit_in_its_own_frame():
+    hand = load_hand("allegro", candidates=16)
+    shapes = visual_shapes(hand)
+    poses = LinkPoses.of(hand)(exp_se3(np.array([0.1, -0.2, 0.3, 0.4, 0.5, -0.6])), hand.rest)
+    tip = next(shape for shape in shapes if shape.link == "link_7.0_tip")
+    # From 3 mm off the outermost point of the tip, towards it.
+    local = tip.vertices.astype(np.float64)
+    far = local[local[:, 2].argmax()]
+    origin = transform_points(poses[tip.link], far + at(0, 0, 0.003))
+    hit = hit_link(origin, poses[tip.link][:3, :3] @ at(0, 0, -1), shapes, poses)
+    assert hit is not None and hit.link == tip.link
+    np.testing.assert_allclose(hit.on_link.point, far, atol=1e-6)
+    assert hit.on_link.distance == pytest.approx(0.003, abs=1e-6) and hit.on_link.normal[2] > 0.9
+    assert hit_link(origin, poses[tip.link][:3, :3] @ at(0, 0, 1), shapes, poses) is None
+
+
+def test_closest_points_are_as_far_as_distances_say():
+    rng = np.random.default_rng(0)
+    triangles = rng.normal(size=(200, 3, 3))
+    triangles[0, 1] = triangles[0, 0]  # a segment
+    triangles[1] = triangles[1, 0]  # a point
+    for point in 2 * rng.normal(size=(50, 3)):
+        found = closest_on_triangles(point, triangles)
+        np.testing.assert_allclose(
+            np.linalg.norm(found - point, axis=1), distance_to_triangles(point[None], triangles), atol=1e-9
+        )
+        np.testing.assert_allclose(distance_to_triangles(found, triangles), 0.0, atol=1e-7)
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_the_nearest_point_of_a_box(inside: bool):
+    body = build_body("box", [box((2, 2, 2))], candidates=16)
+    found = nearest_on_surface(body, at(0.9 if inside else 1.4, 0.2, -0.3))
+    np.testing.assert_allclose(found.point, [1, 0.2, -0.3], atol=1e-12)
+    np.testing.assert_allclose(found.normal, [1, 0, 0], atol=1e-12)
+    assert found.distance == pytest.approx(0.1 if inside else 0.4)
+
+
+def test_the_nearest_point_beyond_a_corner_is_the_corner():
+    body = build_body("box", [box((2, 2, 2))], candidates=16)
+    np.testing.assert_allclose(nearest_on_surface(body, at(2, 3, 4)).point, [1, 1, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [0.3, 1.7])
+def test_round_pieces_are_exact(scale: float):
+    direction = np.array([0.6, 0.0, 0.8])
+    ball = build_body("ball", [sphere(0.02, (1, 2, 3))], candidates=16)
+    found = nearest_on_surface(ball, at(1, 2, 3) + 0.02 * scale * direction)
+    np.testing.assert_allclose(found.point, at(1, 2, 3) + 0.02 * direction, atol=1e-15)
+    np.testing.assert_allclose(found.normal, direction, atol=1e-12)
+    pill = build_body("pill", [capsule(0.02, (0, -1, 0), (0, 1, 0))], candidates=16)
+    found = nearest_on_surface(pill, at(0, 0.4, 0) + 0.02 * scale * direction)
+    np.testing.assert_allclose(found.point, at(0, 0.4, 0) + 0.02 * direction, atol=1e-15)
+
+
+@pytest.mark.parametrize("piece", [sphere(0.02), capsule(0.02, (0, -1, 0), (0, 1, 0))])
+def test_the_middle_of_a_round_piece_is_as_far_from_everything(piece):
+    found = nearest_on_surface(build_body("round", [piece], candidates=16), np.zeros(3))
+    assert found.distance == pytest.approx(0.02) and np.isfinite(found.normal).all()
+
+
+def two_boxes() -> Body:
+    """A bar from x = -1 to 1, cut at x = 0."""
+    return build_body("bar", [box((1, 1, 1), turned(x, 0, 0)) for x in (-0.5, 0.5)], candidates=64)
+
+
+def test_cuts_between_pieces_are_no_surface():
+    found = nearest_on_surface(two_boxes(), at(0.01, 0, 0.3))
+    np.testing.assert_allclose(found.point, [0.01, 0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(found.normal, [0, 0, 1], atol=1e-12)
+
+
+def test_surfaces_inside_another_piece_do_not_count():
+    body = build_body("both", [box((2, 2, 2)), sphere(0.3), box((1, 1, 1), turned(1, 0, 0))], candidates=64)
+    found = nearest_on_surface(body, at(0.31, 0, 0))
+    # The ball is inside, and the sides of the small box begin at x = 1.
+    assert np.abs(found.point).max() == pytest.approx(1.0) and found.distance == pytest.approx(1.0)
+
+
+def test_the_handle_of_a_mug_and_its_inside_are_surface():
+    mug = load_object("mug", candidates=512).body
+    for point, normal in zip(mug.candidates.points[::8], mug.candidates.normals[::8], strict=True):
+        found = nearest_on_surface(mug, point + 2e-4 * normal)
+        assert found.distance < 2.1e-4
+        assert np.linalg.norm(found.point - point) < 5e-4
+
+
+def test_it_agrees_with_what_collides(shared_assets: Path):
+    """Where a point outside a maker's fingertip is nearest, it is as far from there as trimesh says of the hull."""
+    hand = load_hand(
+        "shadow", urdf=shared_assets / "hands" / "shadow" / "shadow_right.urdf", candidates=64, hull_limit=np.inf
+    )
+    body = hand.links_by_name["thdistal"].body
+    assert body is not None and len(body.pieces) == 1
+    low, high = body.pieces[0].bounds
+    for point in np.random.default_rng(0).uniform(low - 0.01, high + 0.01, (40, 3)):
+        found = nearest_on_surface(body, point)
+        corners = body.pieces[0].vertices[body.pieces[0].faces]
+        assert found.distance == pytest.approx(distance_to_triangles(point[None], corners).min(), abs=1e-9)

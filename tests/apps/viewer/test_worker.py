@@ -1,0 +1,84 @@
+"""Jobs are done one at a time, paused, taken step by step, and stopped at once."""
+
+import threading
+import time
+
+import pytest
+
+from grasp_refine.apps.viewer.worker import Control, Stopped, Worker
+
+
+def nothing(share: float | None, what: str) -> None:
+    pass
+
+
+def test_a_stopped_job_ends_at_its_next_check_and_is_not_heard_any_more() -> None:
+    said: list[str] = []
+    control = Control(lambda share, what: said.append(what))
+    control.tell(0.5, "half")
+    control.check()
+    control.stop()
+    control.tell(0.6, "more")
+    assert said == ["half"] and control.stopped
+    with pytest.raises(Stopped):
+        control.check()
+
+
+def test_a_paused_job_waits_goes_step_by_step_and_goes_on() -> None:
+    control, passed = Control(nothing), []
+    control.pause(True)
+
+    def job() -> None:
+        for k in range(5):
+            control.check()
+            passed.append(k)
+
+    thread = threading.Thread(target=job)
+    thread.start()
+    time.sleep(0.05)
+    assert passed == []
+    control.step()
+    time.sleep(0.05)
+    assert passed == [0]
+    control.step()
+    control.step()
+    time.sleep(0.05)
+    assert passed == [0, 1, 2]
+    control.pause(False)
+    thread.join(1.0)
+    assert passed == [0, 1, 2, 3, 4]
+
+
+def test_a_paused_job_can_be_stopped() -> None:
+    control, ended = Control(nothing), threading.Event()
+    control.pause(True)
+
+    def job() -> None:
+        with pytest.raises(Stopped):
+            control.check()
+        ended.set()
+
+    threading.Thread(target=job).start()
+    control.stop()
+    assert ended.wait(1.0)
+
+
+def test_the_worker_does_jobs_in_order_and_survives_those_that_fail(capsys: pytest.CaptureFixture[str]) -> None:
+    done: list[int] = []
+    failures: list[BaseException] = []
+    worker = Worker()
+
+    def stopped() -> None:
+        raise Stopped
+
+    def broken() -> None:
+        raise ValueError("broken")
+
+    worker.do(lambda: done.append(1), failures.append)
+    worker.do(stopped, failures.append)
+    worker.do(broken, failures.append)
+    worker.do(lambda: done.append(2), failures.append)
+    worker.close()
+    assert done == [1, 2]
+    assert [str(error) for error in failures] == ["broken"]
+    assert "ValueError: broken" in capsys.readouterr().err
