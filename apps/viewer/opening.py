@@ -220,10 +220,9 @@ def _problem(
 ) -> Problem:
     if not any(link.body is not None for link in hand.links):
         raise UploadError(f"{upload.name}: no link of hand '{hand.name}' has collision geometry: nothing can touch")
-    made, index = [], {}
+    made = []
     for name, scale, scene, grasps, rows in groups:
-        start = index.get(name, 0)
-        index[name] = start + len(rows)
-        made.append(Group(name, scale, scene, grasps, rows, np.arange(start, start + len(rows)), rows))
+        same = np.sort(np.concatenate([entry[4] for entry in groups if entry[0] == name]))
+        made.append(Group(name, scale, scene, grasps, rows, np.searchsorted(same, rows), rows))
     said = tuple(dict.fromkeys([*upload.notes, *notes]))
     return Problem(hand, (upload.source,), tuple(made), said, f"upload:{upload.name}" if sampled else "")

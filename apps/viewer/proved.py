@@ -136,7 +136,7 @@ class Proved:
             stayed = f"Holds: the object stayed in the hand while it was lifted by {self.protocol.lift * 1e2:g} cm"
         elif lost:
             names = ", ".join(tried.direction for tried in lost)
-            return f"Does not hold: the object got away in {len(lost)} of {len(self.tried)} directions ({names})"
+            return f"Does not hold: the object was lost in {len(lost)} of {len(self.tried)} directions ({names})"
         else:
             stayed = f"Holds: the object stayed in all {len(self.tried)} directions"
         if self.barely:

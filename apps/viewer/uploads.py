@@ -10,6 +10,7 @@ import re
 import shutil
 import tempfile
 import threading
+import weakref
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Literal
@@ -60,14 +61,10 @@ class Uploads:
     """The uploads of a session, each in a folder of its own below one that is gone at the end; a context manager."""
 
     def __init__(self) -> None:
-        """Make the folder, which nobody else may read."""
-        self._folder = tempfile.TemporaryDirectory(prefix="grasp-refine-uploads-", ignore_cleanup_errors=True)
+        """Make the folder, which nobody else may read; it goes with the process, if nobody closes it."""
+        self.path = Path(tempfile.mkdtemp(prefix="grasp-refine-uploads-")).resolve()
+        self._delete = weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
         self._lock, self._count = threading.Lock(), 0
-
-    @property
-    def path(self) -> Path:
-        """The folder."""
-        return Path(self._folder.name)
 
     def receive(self, name: str, content: bytes) -> Upload:
         """An upload, checked; nothing of one that is refused stays.
@@ -93,7 +90,7 @@ class Uploads:
 
     def close(self) -> None:
         """Delete all of it."""
-        self._folder.cleanup()
+        self._delete()
 
     def __enter__(self) -> Uploads:
         """Nothing more to do."""
@@ -165,10 +162,11 @@ def _of_zip(name: str, folder: Path, files: tuple[Path, ...]) -> Upload:
     if len(meshes) == 1:
         check_mesh_file(meshes[0], f"{name}: {meshes[0].name}")
         return Upload(name, "mesh", folder, meshes[0])
-    found = ", ".join(path.relative_to(folder).as_posix() for path in meshes)[:200]
+    listing = ", ".join(path.relative_to(folder).as_posix() for path in meshes)[:200]
+    found = f"several meshes ({listing})" if meshes else "neither a URDF, nor grasps, nor a mesh"
     raise UploadError(
-        f"{name}: holds {f'several meshes ({found})' if meshes else 'neither a URDF, nor grasps, nor a mesh'}; a zip is "
-        f"a hand (.urdf or {HAND_TOML}, and meshes), grasp files ({', '.join(GRASPS)}), or one mesh"
+        f"{name}: holds {found}; a zip is a hand (.urdf or {HAND_TOML}, and meshes), grasp files "
+        f"({', '.join(GRASPS)}), or one mesh"
     )
 
 

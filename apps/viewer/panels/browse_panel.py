@@ -253,7 +253,7 @@ def _set(widget: viser.GuiInputHandle, value: object) -> None:
         widget.value = value
 
 
-def _show(widget: viser.GuiInputHandle, *, visible: bool) -> None:
+def _show(widget: viser.GuiInputHandle | viser.GuiButtonHandle, *, visible: bool) -> None:
     """Show or hide a widget, if it is not so yet."""
     if widget.visible != visible:
         widget.visible = visible

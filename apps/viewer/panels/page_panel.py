@@ -9,9 +9,23 @@ import numpy as np
 import viser
 
 from grasp_refine.apps.viewer.controller import Controller
+from grasp_refine.apps.viewer.panels.browse_panel import BrowsePanel
 from grasp_refine.apps.viewer.panels.look_panel import LookPanel
+from grasp_refine.apps.viewer.panels.prove_panel import ProvePanel
+from grasp_refine.apps.viewer.panels.refine_panel import RefinePanel
+from grasp_refine.apps.viewer.panels.steer_panel import SteerPanel
 from grasp_refine.apps.viewer.state import State
 from grasp_refine.apps.viewer.view import View
+
+
+PANELS = (
+    ("Refine", RefinePanel),
+    ("Steer", SteerPanel),
+    ("Prove", ProvePanel),
+    ("Browse", BrowsePanel),
+    ("View", LookPanel),
+)
+"""What the tabs are called, and what is in them."""
 
 
 class PagePanel:
@@ -24,7 +38,7 @@ class PagePanel:
         self._told = 0
         tabs = server.gui.add_tab_group()
         self._panels: list[Any] = []
-        for title, kind in (("View", LookPanel),):
+        for title, kind in PANELS:
             with tabs.add_tab(title):
                 self._panels.append(kind(server, controller))
 

@@ -56,14 +56,11 @@ def table(collection: Collection, listing: Listing, page: int = 0, number: int =
 def renamed(collection: Collection, name: str) -> Collection:
     """The same grasps, half of them on an object of another name."""
     (group,) = collection.problem.groups
-    rows = np.arange(len(group.rows))
-    parts = [
-        replace(group, object=text, scene=replace(group.scene, q=group.scene.q[some], T_world_root=T[some]))
-        for text, some in ((name, rows[::2]), ("mug", rows[1::2]))
-        for T in [group.scene.T_world_root]
-    ]
+    number = np.arange(len(group.rows))
+    even, odd = number[::2], number[1::2]
+    parts = [replace(group, object=text, index=group.index[rows]) for text, rows in ((name, even), ("mug", odd))]
     problem = replace(collection.problem, groups=tuple(parts))
-    return replace(collection, problem=problem, group_of=rows % 2, member=rows // 2)
+    return replace(collection, problem=problem, group_of=number % 2, member=number // 2)
 
 
 def test_a_page_lists_its_grasps_in_order(collection: Collection) -> None:

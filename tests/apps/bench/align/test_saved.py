@@ -78,7 +78,7 @@ def test_such_a_file_is_known_by_its_entries(path: Path, tmp_path: Path):
 
 
 def dropped(key: str) -> Callable[[dict[str, np.ndarray]], None]:
-    return lambda entries: entries.pop(key) and None
+    return lambda entries: entries.__delitem__(key)
 
 
 def changed(key: str, change: Callable[[np.ndarray], object]) -> Callable[[dict[str, np.ndarray]], None]:

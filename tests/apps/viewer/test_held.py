@@ -1,0 +1,93 @@
+"""A widget that a user and states move at the same time; and what is drawn now or soon."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from websocket_page import Page, until
+
+viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
+
+from grasp_refine.apps.viewer.panels import held as module  # noqa: E402
+from grasp_refine.apps.viewer.panels.held import Held  # noqa: E402
+from grasp_refine.apps.viewer.panels.paced import Paced  # noqa: E402
+
+
+@pytest.fixture
+def server() -> Iterator[Any]:
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def page(server: Any) -> Iterator[Page]:
+    page = Page(server)
+    yield page
+    page.close()
+
+
+def test_what_a_user_does_is_sent_and_what_states_do_is_not(server: Any, page: Page):
+    sent: list[float] = []
+    slider = Held(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), sent.append)
+    slider.show(3.0)
+    assert slider.handle.value == 3.0 and sent == []
+    page.change(slider.handle, 4)
+    assert until(lambda: sent) == [4.0]
+    assert isinstance(sent[0], float)
+
+
+def test_late_states_do_not_push_a_slider_back(server: Any, page: Page, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(module, "HOLD", 0.3)
+    sent: list[float] = []
+    slider = Held(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), sent.append)
+    for value in range(1, 9):
+        page.change(slider.handle, value)
+        slider.show(value - 1.0)  # what was drawn of the state before
+    until(lambda: sent and sent[-1] == 8.0)
+    assert sent == sorted(sent) and slider.handle.value == 8.0 and page.told(slider.handle) == []
+    # Soon after, the newest state counts again: here somebody undid the movement.
+    slider.show(0.0)
+    assert slider.handle.value == 8.0
+    until(lambda: page.told(slider.handle) == [0.0])
+    slider.close()
+
+
+def test_a_slider_that_is_gone_is_not_moved_later(server: Any, page: Page, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(module, "HOLD", 0.1)
+    slider = Held(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), lambda value: None)
+    page.change(slider.handle, 5)
+    until(lambda: slider.handle.value == 5.0)
+    slider.show(1.0)
+    slider.handle.remove()
+    time.sleep(0.3)  # a thread that raised would fail this test
+    assert slider.handle.value == 5.0
+
+
+def test_what_comes_fast_is_drawn_now_and_then_and_the_last_always():
+    drawn: list[int] = []
+    paced = Paced(0.1, drawn.append)
+    began = time.monotonic()
+    for number in range(50):
+        paced(number)
+        time.sleep(0.005)
+    seconds = time.monotonic() - began
+    until(lambda: drawn[-1] == 49)
+    assert drawn[0] == 0 and drawn == sorted(drawn) and len(drawn) <= seconds / 0.1 + 2
+
+
+def test_what_is_closed_draws_nothing():
+    drawn: list[int] = []
+    paced = Paced(0.05, drawn.append)
+    paced(1)
+    paced(2)
+    paced.close()
+    paced(3)
+    time.sleep(0.15)
+    assert drawn == [1]
+    assert all(thread.name != "Thread-paced" for thread in threading.enumerate())

@@ -1,0 +1,220 @@
+"""The panel that refines, with the real controller, refinement and viser server, on the embedded example."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from grasp_refine.commands.inputs import Inputs
+from grasp_refine.commands.settings import Settings
+from websocket_page import Page, until
+
+viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
+
+from grasp_refine.apps.viewer.collection import Collection  # noqa: E402
+from grasp_refine.apps.viewer.controller import Controller  # noqa: E402
+from grasp_refine.apps.viewer.page import Drawer  # noqa: E402
+from grasp_refine.apps.viewer.panels.plots import LEAST_MM, MOST, curves  # noqa: E402
+from grasp_refine.apps.viewer.panels.refine_panel import RefinePanel, outcome_words, unused, words  # noqa: E402
+from grasp_refine.apps.viewer.panels.timeline import millimetres, numbers  # noqa: E402
+from grasp_refine.apps.viewer.trace import Trace  # noqa: E402
+
+
+def trace_of(count: int, n: int = 2) -> Trace:
+    falling = 0.01 * 0.9 ** np.arange(count)
+    return Trace(
+        np.broadcast_to(np.eye(4), (count, 4, 4)),
+        np.zeros((count, n)),
+        np.ones((count, 1), dtype=bool),
+        falling**2,
+        falling,
+        np.zeros(count),
+        ("slide",) * count,
+    )
+
+
+@dataclass
+class Shown:
+    """A page with the panel."""
+
+    controller: Controller
+    panel: RefinePanel
+    page: Page
+
+    def press(self, name: str) -> None:
+        self.page.change(getattr(self.panel, f"_{name}"), True)
+
+    def disabled(self) -> set[str]:
+        """Names of the buttons that cannot be pressed."""
+        return {
+            name for name in ("start", "pause", "step", "stop", "reset") if getattr(self.panel, f"_{name}").disabled
+        }
+
+    @property
+    def slider(self) -> Any:
+        return self.panel._timeline._slider.handle
+
+
+@pytest.fixture(scope="module")
+def collection() -> Collection:
+    return Collection.of(Inputs().load(0, lambda line: None))
+
+
+@pytest.fixture
+def shown(collection: Collection) -> Iterator[Shown]:
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    controller = Controller(collection, Settings(geometry_only=True))
+    panel = RefinePanel(server, controller)
+    drawer = Drawer([panel], controller.state)
+    controller.listen(drawer.draw)
+    drawer.start()
+    page = Page(server)
+    until(lambda: "pause" in Shown(controller, panel, page).disabled())
+    yield Shown(controller, panel, page)
+    page.close()
+    controller.close()
+    drawer.close()
+    panel.close()
+    server.stop()
+
+
+def test_a_refinement_from_start_to_timeline(shown: Shown):
+    assert shown.disabled() == {"pause", "stop", "reset"}
+    assert shown.slider.disabled and not shown.panel._plot._handle.visible
+    shown.press("start")
+    until(lambda: shown.controller.state.outcome is not None, 60.0)
+    count = len(shown.controller.state.trace)
+    until(lambda: shown.slider.max == count - 1 and shown.slider.value == count - 1)
+    assert until(lambda: shown.disabled() == {"pause", "stop"})
+    assert "**Converged** after" in shown.panel._text.content
+
+    # The plot is drawn at the latest a moment later, to the last iteration.
+    plot = shown.panel._plot._handle
+    until(lambda: plot.visible and plot.data[0][-1] == count - 1)
+    error = plot.data[1]
+    assert error[-1] < 0.01 * error[0]  # mm
+    # A user drags the timeline: the hand is where it was then.
+    shown.page.change(shown.slider, 3)
+    until(lambda: shown.controller.state.frame == 3)
+    assert shown.controller.state.shown.q.tolist() == shown.controller.state.trace.q[3].tolist()
+    until(lambda: plot.data[0][np.nanargmax(plot.data[4])] == 3)
+
+    shown.press("reset")
+    until(lambda: shown.disabled() == {"pause", "stop", "reset"})
+    assert shown.slider.disabled and shown.slider.max == 1
+    until(lambda: not plot.visible)
+
+
+def test_step_by_step(shown: Shown):
+    shown.press("step")
+    until(lambda: shown.controller.state.trace is not None and len(shown.controller.state.trace) == 1, 60.0)
+    assert until(lambda: shown.disabled() == set())
+    assert shown.panel._pause.label == "Resume" and shown.panel._text.content.startswith("**Paused**")
+    shown.press("step")
+    until(lambda: len(shown.controller.state.trace) == 2)
+    until(lambda: shown.slider.value == 1)
+    shown.press("pause")
+    until(lambda: shown.controller.state.outcome is not None, 60.0)
+
+
+def test_a_film_shows_every_iteration_and_ends_by_itself(shown: Shown):
+    seen: list[int | None] = []
+    shown.press("start")
+    until(lambda: shown.controller.state.outcome is not None, 60.0)
+    count = len(shown.controller.state.trace)
+    play = shown.panel._timeline._play
+    until(lambda: not play.disabled)
+    shown.controller.listen(lambda state: seen.append(state.frame))
+    shown.page.change(play, True)
+    until(lambda: play.label == "Stop playing")
+    until(lambda: play.label == "Play", 30.0)
+    assert seen == list(range(count))
+    # Played again from the start; a click in the timeline ends it where that is.
+    shown.page.change(play, True)
+    until(lambda: shown.controller.state.frame == 2)
+    shown.controller.scrub(1)
+    until(lambda: play.label == "Play")
+    assert shown.controller.state.frame == 1
+
+
+def test_settings_go_to_the_controller_and_mistakes_to_the_user(shown: Shown):
+    form = shown.panel._form
+    shown.page.change(form._handles["solver"], "descent")
+    until(lambda: shown.controller.state.settings.solver == "descent")
+    # What only levenberg-marquardt has is hidden, and at its default: `config` would refuse it.
+    assert shown.controller.state.settings == Settings(solver="descent")
+    shown.page.change(form._handles["margin"], "wide")
+    notice = until(lambda: shown.controller.state.notice)
+    assert (notice.text, notice.bad) == ("Margin needs a number, got 'wide'", True)
+    shown.page.change(shown.panel._defaults, True)
+    until(lambda: shown.controller.state.settings == Settings(geometry_only=True))
+    until(lambda: form._handles["solver"].value == "levenberg-marquardt")
+
+
+@pytest.mark.parametrize("solver", ["levenberg-marquardt", "descent", "adam"])
+@pytest.mark.parametrize("change", [{}, {"geometry_only": True}, {"derivative": "analytical"}, {"starts": 9}])
+def test_with_unused_settings_at_their_defaults_nothing_is_refused(solver: str, change: dict[str, Any]):
+    settings = replace(Settings(), solver=solver, **change)
+    plain = Settings()
+    usable = replace(settings, **{name: getattr(plain, name) for name in unused(settings) if "." not in name})
+    usable.config()
+
+
+def test_what_is_unused_is_refused_when_it_is_set():
+    assert {"starts", "weights.wrench"} <= unused(Settings(geometry_only=True))
+    assert "scales" in unused(Settings()) and "neighborhood" in unused(Settings(solver="adam", derivative="analytical"))
+    assert "neighborhood" not in unused(Settings(solver="adam"))
+    assert "starts" in unused(Settings(weights=replace(Settings().weights, wrench=0.0)))
+
+
+def test_curves_are_thin_and_keep_the_shown_iteration():
+    data = curves(trace_of(5000), 1234)
+    x, error, depth, loss, line = data
+    assert len(x) <= MOST and x[0] == 0 and x[-1] == 4999
+    assert np.all(np.diff(x) >= 0) and list(x).count(1234) >= 2
+    # An upright line at the shown iteration: one value, between two without.
+    (at,) = np.flatnonzero(~np.isnan(line))
+    assert x[at - 1] == x[at] == x[at + 1] == 1234
+    np.testing.assert_allclose(error[:2], 10.0 * 0.9 ** x[:2])  # mm
+    np.testing.assert_allclose(loss[0], 10.0)
+    assert np.all(depth == LEAST_MM) and error[-1] == LEAST_MM  # zeros on a logarithmic axis
+
+
+@pytest.mark.parametrize("count, frame", [(1, None), (2, 0), (2, None), (3, 99)])
+def test_short_traces_have_curves_too(count: int, frame: int | None):
+    data = curves(trace_of(count), frame)
+    shown = count - 1 if frame is None else min(frame, count - 1)
+    assert data[0][np.flatnonzero(~np.isnan(data[4]))].tolist() == [shown]
+
+
+@pytest.mark.parametrize(
+    "metres, text",
+    [(0.0, "0.000"), (5e-7, "< 0.001"), (2.34e-5, "0.023"), (0.0123456, "12.35"), (float("nan"), "–")],
+)
+def test_lengths_are_told_in_millimetres(metres: float, text: str):
+    assert millimetres(metres) == text
+
+
+def test_words_say_what_comes_next(collection: Collection):
+    controller = Controller(collection, Settings())
+    state = controller.state
+    assert words(state).startswith("**Start** moves the hand")
+    assert numbers(state) == "Each iteration of a refinement can be looked at here."
+    moved = replace(state, trace=trace_of(4, len(state.pose.q)))
+    assert numbers(moved).startswith("The hand was moved since")
+    assert numbers(replace(moved, frame=2)) == "**Slide**: contact error 8.10 mm, penetration 0.000 mm"
+    assert words(moved).startswith("Stopped, or moved since.")
+    controller.close()
+
+
+def test_the_outcome_is_told_with_advice(shown: Shown):
+    shown.controller.set_settings(Settings(solver="descent", iterations=3))
+    shown.controller.start()
+    outcome = until(lambda: shown.controller.state.outcome, 60.0)
+    text = outcome_words(outcome)
+    assert text.startswith("**Budget** after 3 iterations,")
+    assert "raise iterations\n" in text and "| quality, 0 to 1 |" in text
