@@ -30,6 +30,9 @@ FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-
 NOISE = ("Unable to preventDefault inside passive event listener",)
 """What viser's page complains of when nothing is wrong: here, while a node is dragged."""
 
+DETAIL = 0.4
+"""Pixels drawn per pixel of the window, along each axis: without a graphics card a scene takes a second at 1."""
+
 SECONDS = 10.0
 """How long a helper waits for what it was asked for before the test fails."""
 
@@ -126,9 +129,9 @@ class ViserPage:
         """Close the page and forget its session."""
         self.page.context.close()
 
-    def open(self, address: str, seconds: float = 30.0) -> None:
+    def open(self, address: str, detail: float = DETAIL, seconds: float = 30.0) -> None:
         """Load an address and wait until its scene exists; viser's remark on slow graphics is closed."""
-        self.page.goto(address)
+        self.page.goto(f"{address}?fixedDpr={detail:g}")
         self.wait_for("() => window.__viserMutable && window.__viserMutable.nodeRefFromName['']", seconds)
         self.close_notifications()
 

@@ -15,6 +15,7 @@ import trimesh
 from command_line import call, refused
 from grasp_refine.apps.bench.align import tasks
 from grasp_refine.apps.bench.align.presets import PRESETS
+from grasp_refine.apps.bench.align.saved import is_task, load_task
 
 from grasp_refine.cli import main
 
@@ -190,6 +191,28 @@ def test_a_report_is_one_file_that_names_what_was_compared(capfd: pytest.Capture
     assert not re.search(r"""(?:src|href)=["']https?:""", text)
 
 
+def test_a_task_is_saved_as_each_method_went_through_it(capfd: pytest.CaptureFixture[str]):
+    arguments = [*TINY, "--methods", "distance", "rigid", "--margins", "0.002", "--save", "tasks/one.npz"]
+    found = document(*arguments)
+    assert "wrote bench.json, tasks/one.npz" in " ".join(capfd.readouterr().out.split())
+    assert found["config"]["save"] is None and "--save" not in found["invocation"]
+    assert is_task(Path("tasks/one.npz"))
+    task = load_task(Path("tasks/one.npz"))
+    assert [(run.label, len(run), run.margin) for run in task.trajectories] == [
+        ("distance", 41, 0.002), ("rigid", 41, 0.002)
+    ]  # fmt: skip
+    assert task.kind == "convex" and task.target_class in ("vertex-vertex", "face-vertex", "vertex-face")
+    pair = next(row["pair"] for row in found["rows"] if row["pair"] != "all")
+    assert [body.name for body in task.bodies] == [name.split()[0] for name in pair.split(" / ")]
+    # What is saved changes nothing of what is measured.
+    assert timeless(document(*arguments[:-2])) == timeless(found)
+    # The only task of a benchmark goes the same way alone as it went there.
+    alone = [*TINY[:6], "1", "--classes", "vertex-vertex", "--budgets", "40", "--save", "alone.npz"]
+    row = next(row for row in document("bench", "align", *alone[2:])["rows"] if row["pair"] == "all")
+    (run,) = load_task(Path("alone.npz")).trajectories
+    assert run.error[run.result] == pytest.approx(row["d9"], rel=1e-6)
+
+
 # Bad input
 
 
@@ -229,6 +252,7 @@ def test_a_report_is_one_file_that_names_what_was_compared(capfd: pytest.Capture
         ("--meshes nowhere", "--meshes nowhere: no such folder"),
         ("--meshes .", "--meshes .: no meshes in it (.obj"),
         ("--json same --html same", "--json and --html are both same: one would replace the other"),
+        ("--json a --save a", "--json and --save are both a: one would replace the other"),
         ("--json .", ".: is a folder, a file is to be written there"),
         ("--html .", ".: is a folder, a file is to be written there"),
     ],
@@ -242,7 +266,7 @@ def test_a_list_needs_a_value(option: str, capfd: pytest.CaptureFixture[str]):
     assert f"{option}" in refused(capfd, "bench", "align", option)
 
 
-@pytest.mark.parametrize("option", ["--json", "--html"])
+@pytest.mark.parametrize("option", ["--json", "--html", "--save"])
 def test_what_cannot_be_written_is_found_out_first(option: str, capfd: pytest.CaptureFixture[str]):
     Path("file").write_text("a file")
     answer = refused(capfd, *TINY, option, "file/bench")

@@ -78,7 +78,7 @@ class AlignmentScene:
         for name, point, color, mesh in zip("ab", task.targets, POINT_COLORS, meshes, strict=True):
             radius = BALL * self.size
             self.scene.add_icosphere(f"/task/{name}/target", radius=radius, color=color, opacity=0.3, position=point)
-            self.scene.add_label(f"/task/{name}/name", name.upper(), position=mesh.vertices.mean(axis=0))
+            self.scene.add_label(f"/task/{name}/name", name.upper(), position=mesh.bounds.mean(axis=0))
         self.dots = [
             self.scene.add_icosphere(f"/task/closest_{name}", radius=DOT * self.size, color=color)
             for name, color in zip("ab", POINT_COLORS, strict=True)
@@ -142,7 +142,7 @@ class AlignmentScene:
 
     def _upright(self, meshes: list[trimesh.Trimesh]) -> Float[np.ndarray, "3 3"]:
         """A rotation that turns the world so that body B comes to lie on body A."""
-        a, b = (transform_points(T, m.vertices.mean(axis=0)) for T, m in zip(self._best(), meshes, strict=True))
+        a, b = (transform_points(T, m.bounds.mean(axis=0)) for T, m in zip(self._best(), meshes, strict=True))
         up = b - a if np.linalg.norm(b - a) > 1e-9 else np.array([0.0, 0.0, 1.0])
         z = up / np.linalg.norm(up)
         x = np.cross(z, np.eye(3)[np.abs(z).argmin()])

@@ -7,7 +7,7 @@ from types import TracebackType
 import viser
 
 from grasp_refine.apps.viewer.controller import Controller
-from grasp_refine.apps.viewer.page import Drawer, address
+from grasp_refine.apps.viewer.page import Drawer, address, close_server
 from grasp_refine.apps.viewer.panels.page_panel import PagePanel
 from grasp_refine.apps.viewer.view import View
 
@@ -39,4 +39,4 @@ class Viewer:
         """Stop what is being done, and the server."""
         self.controller.close()
         self._drawer.close()
-        self.server.stop()
+        close_server(self.server)

@@ -7,7 +7,7 @@ long is done by one worker thread; whoever listens is told of every new state.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -17,15 +17,18 @@ from grasp_refine.apps.viewer.collection import Collection
 from grasp_refine.apps.viewer.history import History, Steered
 from grasp_refine.apps.viewer.marks import Mark
 from grasp_refine.apps.viewer.pose import Pose
+from grasp_refine.apps.viewer.proved import Proved
 from grasp_refine.apps.viewer.proving import Prover, protocol_of, prove, watch
 from grasp_refine.apps.viewer.refining import nearest_targets, refined, targets_of
-from grasp_refine.apps.viewer.state import Gizmo, Job, JobKind, Notice, Showing, State
+from grasp_refine.apps.viewer.shown_motion import ShownMotion
+from grasp_refine.apps.viewer.state import Gizmo, Job, JobKind, Notice, State
 from grasp_refine.apps.viewer.target import Target
 from grasp_refine.apps.viewer.trace import Trace
 from grasp_refine.apps.viewer.worker import Control, Stopped, Worker
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.grasps import GraspSet
 from grasp_refine.hand_object import HandObject
+from grasp_refine.scene import Scene
 from grasp_refine.se3 import inverse
 
 Change = Callable[[State], State]
@@ -35,12 +38,13 @@ Change = Callable[[State], State]
 class Controller:
     """What can be done with what is open."""
 
-    def __init__(self, collection: Collection, settings: Any) -> None:
+    def __init__(self, collection: Collection, settings: Any, proofs: Mapping[int, Proved] | None = None) -> None:
         """Show the first grasp.
 
         Args:
             collection: What is open.
             settings: The options of refinement (`State.settings`).
+            proofs: What simulation said of the grasps, by number.
         """
         self._lock = threading.RLock()
         self._listeners: list[Callable[[State], None]] = []
@@ -49,7 +53,7 @@ class Controller:
         self._prepared: HandObject | None = None
         self._prover = Prover()
         self._notices = 0
-        self._state = _opened(collection, 0, settings, Showing())
+        self._state = _opened(State(collection, 0, *_grasp(collection, 0), settings, proofs=proofs or {}), 0)
 
     @property
     def state(self) -> State:
@@ -71,14 +75,14 @@ class Controller:
     def change_collection(self, collection: Collection, number: int = 0) -> None:
         """Show something else: after an upload, or when more is known of the same grasps."""
         with self._lock:
-            same = collection.problem is self._state.collection.problem
-            if same and number == self._state.number:
+            same_grasps = collection.problem is self._state.collection.problem
+            if same_grasps and number == self._state.number:
                 self._set(collection=collection)
                 return
             self.stop()
             self._history.clear()
-            now = self._state
-            self._become(_opened(collection, number, now.settings, now.showing, now))
+            now = replace(self._state, collection=collection, proofs=self._state.proofs if same_grasps else {})
+            self._become(_opened(now, number))
 
     def show(self, number: int) -> None:
         """Show another grasp."""
@@ -344,6 +348,10 @@ class Controller:
             if motion is not None:
                 self._set(motion_frame=min(max(frame, 0), len(motion) - 1))
 
+    def show_motion(self, motion: ShownMotion) -> None:
+        """Look at a simulation, from its start."""
+        self._set(motion=motion, motion_frame=0)
+
     def end_motion(self) -> None:
         """Look at the grasp again."""
         self._set(motion=None, motion_frame=0)
@@ -474,19 +482,23 @@ def _came(state: State) -> GraspSet:
     return collection.group(number).grasps.select(collection.member[number : number + 1])
 
 
-def _opened(collection: Collection, number: int, settings: Any, showing: Showing, before: State | None = None) -> State:
-    """The state when a grasp is opened; how things are looked at stays as it was before."""
+def _grasp(collection: Collection, number: int) -> tuple[Scene, Pose, Pose]:
+    """Scene, hand as it came, and hand as the file has it, of a grasp."""
     scene = collection.scene(number)
-    looks = {} if before is None else {name: getattr(before, name) for name in ("side_by_side", "gizmo", "notice")}
+    return scene, Pose(*collection.initial(number)), Pose(scene.T_world_root[0], scene.q[0])
+
+
+def _opened(state: State, number: int) -> State:
+    """The state when a grasp of the same collection is opened; how things are looked at stays."""
+    scene, initial, pose = _grasp(state.collection, number)
+    looks = ("settings", "proofs", "gizmo", "showing", "side_by_side", "notice", "change")
     return State(
-        collection=collection,
+        collection=state.collection,
         number=number,
         scene=scene,
-        initial=Pose(*collection.initial(number)),
-        pose=Pose(scene.T_world_root[0], scene.q[0]),
-        settings=settings,
+        initial=initial,
+        pose=pose,
         targets=targets_of(scene),
-        showing=showing,
-        proof=None,
-        **looks,
+        proof=state.proofs.get(number),
+        **{name: getattr(state, name) for name in looks},
     )

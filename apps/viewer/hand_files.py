@@ -36,7 +36,7 @@ def check_hand(name: str, folder: Path, files: Sequence[Path]) -> Path:
     urdfs = [path for path in files if path.suffix.lower() == ".urdf"]
     for path in (*tomls, *urdfs):
         if (size := path.stat().st_size) > LARGEST_URDF:
-            raise UploadError(f"{name}: {path.name} has {size / 2**20:.0f} MiB, more than {LARGEST_URDF / 2**20:.0f}")
+            raise UploadError(f"{name}: {path.name} has {size >> 10} KiB, more than {LARGEST_URDF >> 10} KiB")
     if len(tomls) > 1 or (not tomls and len(urdfs) != 1):
         found = ", ".join(path.relative_to(folder).as_posix() for path in (tomls or urdfs)) or "none"
         what = f"one {HAND_TOML}" if tomls else "one .urdf file"
@@ -68,9 +68,7 @@ def _named_urdf(name: str, folder: Path, toml: Path) -> Path:
     beside = [path for path in sorted(toml.parent.iterdir()) if path.suffix.lower() == ".urdf"]
     if len(beside) != 1:
         found = ", ".join(path.name for path in beside) or "none"
-        raise UploadError(
-            f"{name}: beside {HAND_TOML} there must be one .urdf file, or it must name one; here: {found}"
-        )
+        raise UploadError(f"{name}: {HAND_TOML} must name a URDF, or lie beside a single one; beside it: {found}")
     return beside[0]
 
 
@@ -108,7 +106,5 @@ def _inside(name: str, folder: Path, place: Path, path: str, what: str) -> Path:
     """The file `path` of the folder `place`, which must not lead out of `folder`."""
     found = Path(os.path.normpath(place / path))
     if "\0" in path or not found.is_relative_to(folder):
-        raise UploadError(
-            f"{name}: {what} lies outside of what was uploaded; pack it and name it relative to that file"
-        )
+        raise UploadError(f"{name}: {what} lies outside of the upload; pack it, and name it relative to that file")
     return found

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import threading
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from typing import Protocol, runtime_checkable
 
 import rich
 import viser
+import websockets.asyncio.server
 
 from grasp_refine.apps.viewer.state import State
 from grasp_refine.errors import GraspRefineError
@@ -19,6 +23,9 @@ RATE = 30.0
 """Most drawings in a second."""
 
 TITLE = "grasp-refine"
+
+LOCAL = ("127.0.0.1", "localhost", "::1")
+"""What this machine calls itself."""
 
 
 @runtime_checkable
@@ -86,16 +93,11 @@ def open_server(host: str, port: int) -> viser.ViserServer:
             raise GraspRefineError(
                 f"cannot listen on {host}:{port} ({reason}): give another --port, or --port 0 for any that is free"
             ) from None
-    # It greets on the terminal, which is ours.
-    console = rich.get_console()
-    quiet, console.quiet = console.quiet, True
-    try:
+    with _silent(), _only_own_pages(host):
         server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
-    finally:
-        console.quiet = quiet
     if port and server.get_port() != port:
-        server.stop()
-        raise GraspRefineError(f"port {port} was taken meanwhile: give another --port, or --port 0 for any that is free")
+        close_server(server)
+        raise GraspRefineError(f"port {port} was taken meanwhile: give another --port, or 0 for any that is free")
     _forbid_sharing(server)
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
     # Beside the scene, not before it.
@@ -112,6 +114,43 @@ def address(server: viser.ViserServer) -> str:
     host = server.get_host()
     name = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     return f"http://{name}:{server.get_port()}"
+
+
+def close_server(server: viser.ViserServer) -> None:
+    """Stop listening."""
+    with _silent():
+        server.stop()
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Viser greets, and says goodbye, on the terminal, which is ours."""
+    console = rich.get_console()
+    quiet, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = quiet
+
+
+@contextmanager
+def _only_own_pages(host: str) -> Iterator[None]:
+    """A server that is started in here lets in pages that come from this machine only, if that is where it listens.
+
+    Otherwise any page that is open in the same browser could talk to it.
+    """
+    if host not in LOCAL:
+        yield
+        return
+    serve = websockets.asyncio.server.serve
+    names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOCAL)
+    # Programs other than browsers send no origin.
+    own = [None, re.compile(rf"https?://({names})(:\d+)?")]
+    websockets.asyncio.server.serve = partial(serve, origins=own)
+    try:
+        yield
+    finally:
+        websockets.asyncio.server.serve = serve
 
 
 def _forbid_sharing(server: viser.ViserServer) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,11 +10,8 @@ from jaxtyping import Float, Integer
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.geometry.sampling import CLEARANCE, internal
-from grasp_refine.se3 import inverse
 
-from .shapes import LinkShape
-
-FIRST = 64
+FIRST = 16
 """So many of the nearest points are looked at before all are."""
 
 
@@ -29,16 +25,6 @@ class SurfacePoint:
     """Unit normal (3,); of a surface that can touch it points outward, of one that was hit towards the eye."""
     distance: float
     """How far it is from where the ray starts, or from the point that was asked about, metres."""
-
-
-@dataclass(frozen=True, eq=False)
-class LinkHit:
-    """Where a ray hits a hand."""
-
-    link: str
-    """Name of the link."""
-    on_link: SurfacePoint
-    """Where, link frame."""
 
 
 def hit_mesh(
@@ -72,36 +58,13 @@ def hit_mesh(
     return SurfacePoint(origin + along[first] * unit, normal, float(along[first]))
 
 
-def hit_link(
-    origin: Float[np.ndarray, " 3"],
-    direction: Float[np.ndarray, " 3"],
-    shapes: Iterable[LinkShape],
-    T_world_link: Mapping[str, Float[np.ndarray, "4 4"]],
-) -> LinkHit | None:
-    """The first link on a ray, and where on it; None if the ray misses all.
-
-    Args:
-        origin: Where the ray starts (3,), in the frame in which the poses are.
-        direction: Where it goes (3,).
-        shapes: What the links look like.
-        T_world_link: Where they are.
-    """
-    best: LinkHit | None = None
-    for shape in shapes:
-        T = inverse(np.asarray(T_world_link[shape.link], dtype=np.float64))
-        hit = hit_mesh(T[:3, :3] @ origin + T[:3, 3], T[:3, :3] @ direction, shape.vertices, shape.faces)
-        if hit is not None and (best is None or hit.distance < best.on_link.distance):
-            best = LinkHit(shape.link, hit)
-    return best
-
-
 def nearest_on_surface(body: Body, point: Float[np.ndarray, " 3"]) -> SurfacePoint:
     """The point nearest to `point` on the surface of a body that can touch, with the outward normal there.
 
     What is shown may differ from the convex pieces that touch; targets belong on these. Surfaces of a piece that lie
     in another one, or on a cut between two, do not count. Spheres and capsules are exact.
     """
-    points, normals, owners = (np.concatenate(parts) for parts in zip(*_nearest(body, point), strict=True))
+    points, normals, owners = _nearest(body, point)
     distance = np.linalg.norm(points - point, axis=1)
     order = np.argsort(distance, kind="stable")
     for some in (order[:FIRST], order):
@@ -114,17 +77,30 @@ def nearest_on_surface(body: Body, point: Float[np.ndarray, " 3"]) -> SurfacePoi
     return SurfacePoint(points[best], normals[best], float(distance[best]))
 
 
-def _nearest(body: Body, point: Float[np.ndarray, " 3"]) -> Iterable[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Of each piece the nearest points (F, 3) on its faces, outward normals (F, 3), and its number (F,)."""
-    for number, piece in enumerate(body.pieces):
-        if piece.radius > 0 and len(piece.vertices) <= 2:
-            points, normals = _round(piece, point)
+def _nearest(
+    body: Body, point: Float[np.ndarray, " 3"]
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], Integer[np.ndarray, " N"]]:
+    """The nearest points (N, 3) on all faces of all pieces, outward normals (N, 3), and the numbers of the pieces."""
+    corners: list[np.ndarray] = [np.zeros((0, 3, 3))]
+    points, normals, owners = [], [np.zeros((0, 3))], [np.zeros(0, dtype=np.int64)]
+    # Round pieces come last, so that all faces are asked about together.
+    for number, piece in sorted(enumerate(body.pieces), key=lambda item: _is_round(item[1])):
+        if _is_round(piece):
+            nearest, outward = _round(piece, point)
+            points.append(nearest)
         else:
             surface = piece if piece.radius == 0 else _polytope(piece)
             solid = surface.normals.any(axis=1)
-            points = closest_on_triangles(point, surface.vertices[surface.faces[solid]])
-            normals = surface.normals[solid]
-        yield points, normals, np.full(len(points), number)
+            corners.append(surface.vertices[surface.faces[solid]])
+            outward = surface.normals[solid]
+        normals.append(outward)
+        owners.append(np.full(len(outward), number))
+    points.insert(0, closest_on_triangles(point, np.concatenate(corners)))
+    return np.concatenate(points), np.concatenate(normals), np.concatenate(owners)
+
+
+def _is_round(piece: Piece) -> bool:
+    return piece.radius > 0 and len(piece.vertices) <= 2
 
 
 def _round(piece: Piece, point: Float[np.ndarray, " 3"]) -> tuple[np.ndarray, np.ndarray]:

@@ -35,7 +35,7 @@ class Recorded:
 
 
 def recorded(problem: Problem) -> Recorded | None:
-    """What is recorded in the files of a problem; None where grasps come from no .npz file.
+    """What is recorded in the files of a problem; None where its grasps are no rows of our grasp files.
 
     Raises:
         GraspFileError: a result file is damaged.
@@ -43,15 +43,17 @@ def recorded(problem: Problem) -> Recorded | None:
     files = row_files(problem)
     if not files:
         return None
-    parts = [_of_file(path, problem) for path in files]
+    loaded = [load_npz(path) for path in files]
+    if not all("hand_pose" in file.entries for file in loaded):
+        return None
+    parts = [_of_file(file, problem) for file in loaded]
+    if sum(len(part.row) for part in parts) <= max(int(group.rows.max()) for group in problem.groups):
+        return None
     return Recorded(
         file=np.repeat(np.arange(len(parts)), [len(part.row) for part in parts]),
         row=np.concatenate([part.row for part in parts]),
         files=files,
-        columns={
-            key: np.concatenate([part.columns[key] for part in parts])
-            for key in dict.fromkeys(key for part in parts for key in part.columns)
-        },
+        columns={key: np.concatenate([part.columns[key] for part in parts]) for key in parts[0].columns},
         T=np.concatenate([part.T for part in parts]),
         q=np.concatenate([part.q for part in parts]),
     )
@@ -66,9 +68,8 @@ def row_files(problem: Problem) -> tuple[Path, ...]:
     return files if all(path.suffix == ".npz" for path in files) else ()
 
 
-def _of_file(path: Path, problem: Problem) -> Recorded:
+def _of_file(file: NpzFile, problem: Problem) -> Recorded:
     """What one file records; every measure has a value for each of its rows, known or not."""
-    file = load_npz(path)
     count = len(file.numbers("hand_pose"))
     columns = {column.key: np.full(count, np.nan) for column in NUMBERS} | {STATUS.key: np.full(count, "")}
     # Other entries of grasp files may be called anything.
@@ -78,7 +79,7 @@ def _of_file(path: Path, problem: Problem) -> Recorded:
             columns[key] = file.per_row(key, value, count)
     T, q = _initial(file, count, problem)
     row = np.arange(count)
-    return Recorded(np.zeros(count, dtype=int), row, (path,), columns, T, q)
+    return Recorded(np.zeros(count, dtype=int), row, (file.path,), columns, T, q)
 
 
 def _initial(file: NpzFile, count: int, problem: Problem) -> tuple[np.ndarray, np.ndarray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -107,6 +108,8 @@ class State:
     """A link that was clicked, and the point on it (3,) in its frame; it waits for a point on the object."""
     proof: Proved | None = None
     """What simulation said of the grasp."""
+    proofs: Mapping[int, Proved] = field(default_factory=dict)
+    """What it said of the grasps of the collection as their file has them, by number, where a document tells."""
     motion: ShownMotion | None = None
     """The simulation that is looked at."""
     motion_frame: int = 0

@@ -72,7 +72,7 @@ class Inputs(Sources):
         if self.targets not in (AUTO, NEAREST):
             raise GraspRefineError(f"--targets {self.targets}: has no rows for the grasps of --grasps {asked}")
         self._check_numbers()
-        hand = self._simulated(self._load_hand(self.hand, self.base_link, say))
+        hand = self._simulated(self.load_hand(self.hand, self.base_link, say))
         source = chosen_object(self.object, say)
         scale = self.scale * (1.0 if source.asset is None else source.asset.scale)
         obj, table = self._object(source, scale, seed, say), self._table()

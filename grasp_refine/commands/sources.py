@@ -81,9 +81,12 @@ class Sources:
         Raises:
             GraspRefineError: something is missing, cannot be used, or does not fit the rest.
         """
-        self._check_numbers()
         path = _fetched(path, say)
-        read = self._read(path, say)
+        return self.load_read(self._read(path, say), path, seed, say)
+
+    def load_read(self, read: Reading, path: Path, seed: int, say: Callable[[str], None]) -> Problem:
+        """The same for grasps that were read from `path` already."""
+        self._check_numbers()
         grasps = read.grasps
         names = self._names(grasps, path)
         chosen = {name: choose_rows(grasps, object_name=name, index=self.index or None) for name in names}
@@ -140,9 +143,9 @@ class Sources:
         """The grasps of a file, or of a folder, of any format."""
         # Ours name their joints; for others the hand may have to say what their columns are.
         known = self.hand is None or path.suffix == ".npz"
-        return reading(path, format=self.format, hand=None if known else self._load_hand(self.hand, None, say))
+        return reading(path, format=self.format, hand=None if known else self.load_hand(self.hand, None, say))
 
-    def _load_hand(self, source: str, base_link: str | None, say: Callable[[str], None]) -> Hand:
+    def load_hand(self, source: str, base_link: str | None, say: Callable[[str], None]) -> Hand:
         """A hand, of the files that the options name."""
         return load_hand(
             source, base_link=base_link, urdf=self.urdf, mjcf=self.mjcf, hull_limit=self.hull_limit, progress=say
@@ -161,7 +164,7 @@ class Sources:
         source = self.hand or grasps.hand
         if self.hand is None:
             check_known(source, path)
-        load = cache(partial(self._load_hand, source, say=say))
+        load = cache(partial(self.load_hand, source, say=say))
         try:
             hand = load(grasps.base_link)
         except HandError:

@@ -6,17 +6,32 @@ import os
 import sys
 import time
 import webbrowser
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.commands.inputs import Inputs
 from grasp_refine.commands.settings import Settings
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.formats.listing import OURS
+from grasp_refine.formats.reading import Reading
+from grasp_refine.grasps import GraspSet
+from grasp_refine.hand import Hand
+from grasp_refine.replay.replay import Stage
 from grasp_refine.report.progress import Reporter
 from grasp_refine.report.screen import screen
+from grasp_refine.se3 import pose_from_transform
+
+if TYPE_CHECKING:
+    import viser
+
+    from grasp_refine.apps.viewer.controller import Controller
+    from grasp_refine.apps.viewer.shown_motion import ShownMotion
 
 
 @dataclass(frozen=True)
@@ -39,8 +54,11 @@ class View:
     files, the example grasps of the embedded hand on the embedded mug. The page stays until Ctrl-C.
     """
 
-    files: Annotated[Positional[tuple[Path, ...]], arg(metavar="[FILE ...]", help_behavior_hint="(default: an example)")] = ()
-    """Result files or grasp files, instead of --grasps."""
+    files: Annotated[
+        Positional[tuple[Path, ...]], arg(metavar="[FILE ...]", help_behavior_hint="(default: an example)")
+    ] = ()
+    """A grasp file or a folder of them, instead of --grasps, and with it, if you like, what `validate --json` or
+    `run --json` wrote about it; or a replay of `validate --replays`; or a task of `bench align --save`."""
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
     serving: Annotated[Serving, arg(name="")] = field(default_factory=Serving)
@@ -51,30 +69,101 @@ class View:
         Raises:
             GraspRefineError: what should be opened cannot be used, the port is taken, or viser is not installed.
         """
-        from grasp_refine.apps.viewer.page import open_server
+        if find_spec("viser") is None:
+            raise GraspRefineError("the viewer needs viser: pip install 'grasp-refine[viewer]'")
+        from grasp_refine.apps.viewer.page import address, close_server, open_server
 
+        # First, so that a browser can load the page while the rest is being loaded.
         server = open_server(self.serving.host, self.serving.port)
         try:
-            from grasp_refine.apps.viewer.app import Viewer
-            from grasp_refine.apps.viewer.collection import Collection
-            from grasp_refine.apps.viewer.controller import Controller
-
-            self.settings.config()
-            with Reporter(screen(stderr=True)) as reporter:
-                inputs = self.inputs if not self.files else replace(self.inputs, grasps=self.files[0])
-                problem = inputs.load(self.settings.seed, reporter.say, reporter.wait)
-                for note in problem.notes:
-                    reporter.say(f"note: {note}")
-            with Viewer(server, Controller(Collection.of(problem), self.settings)) as viewer:
-                screen().print(f"{viewer.address} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
+            with self._shown(server):
+                screen().print(f"{address(server)} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
                 if self.serving.open and _has_screen():
-                    webbrowser.open(viewer.address)
+                    webbrowser.open(address(server))
                 while True:
                     time.sleep(3600.0)
         except KeyboardInterrupt:
             return 0
         finally:
-            server.stop()
+            close_server(server)
+
+    def _shown(self, server: viser.ViserServer) -> AbstractContextManager[Any]:
+        """What the files mean, on the page.
+
+        Raises:
+            GraspRefineError: they cannot be opened, or not together.
+        """
+        from grasp_refine.apps.bench.align.saved import is_task, load_task
+
+        if any(is_task(path) for path in self.files):
+            if len(self.files) > 1 or self.inputs != Inputs() or self.settings != Settings():
+                raise GraspRefineError("a task of bench align is opened alone: leave other files and options out")
+            from grasp_refine.apps.viewer.alignment import AlignmentPage
+
+            return closing(AlignmentPage(server, load_task(self.files[0])))
+        from grasp_refine.apps.viewer.app import Viewer
+
+        return Viewer(server, self._controller())
+
+    def _controller(self) -> Controller:
+        """The grasps that the files mean, with what documents say of them."""
+        from grasp_refine.apps.viewer.collection import Collection
+        from grasp_refine.apps.viewer.controller import Controller
+        from grasp_refine.apps.viewer.proofs import read_proofs, with_proofs
+        from grasp_refine.apps.viewer.shown_motion import is_replay
+
+        self.settings.config()
+        documents = [read_proofs(path) for path in self.files if path.suffix.lower() == ".json"]
+        grasps = [path for path in self.files if path.suffix.lower() != ".json"]
+        if len(grasps) > 1 or (grasps and self.inputs.grasps is not None):
+            raise GraspRefineError(
+                "one grasp file at a time, or a folder of them, such as the one that run wrote; "
+                f"got {', '.join(map(str, [*grasps, *filter(None, [self.inputs.grasps])]))}"
+            )
+        inputs = self.inputs if not grasps else replace(self.inputs, grasps=grasps[0])
+        with Reporter(screen(stderr=True)) as reporter:
+            if grasps and is_replay(grasps[0]):
+                return self._replayed(grasps[0], reporter)
+            if documents and inputs.grasps is None:
+                raise GraspRefineError(f"{documents[0].path}: give the grasp file that it is about, too")
+            problem = inputs.load(self.settings.seed, reporter.say, reporter.wait)
+            for note in problem.notes:
+                reporter.say(f"note: {note}")
+        collection, proofs = Collection.of(problem), {}
+        for document in documents:
+            proofs |= document.of(collection)
+        return Controller(with_proofs(collection, proofs) if proofs else collection, self.settings, proofs)
+
+    def _replayed(self, path: Path, reporter: Reporter) -> Controller:
+        """The grasp of a replay, with its motion."""
+        from grasp_refine.apps.viewer.collection import Collection
+        from grasp_refine.apps.viewer.controller import Controller
+        from grasp_refine.apps.viewer.shown_motion import shown_motion
+        from grasp_refine.replay.replay import load_replay
+        from grasp_refine.validation.validate import model_of
+
+        replay = load_replay(path)
+        hand = self.inputs.load_hand(self.inputs.hand or replay.hand, None, reporter.say)
+        motion = shown_motion(hand, model_of(hand), replay)
+        problem = self.inputs.load_read(_grasp_of(motion, hand), path, self.settings.seed, reporter.say)
+        controller = Controller(Collection.of(problem), self.settings)
+        controller.show_motion(motion)
+        return controller
+
+
+def _grasp_of(motion: ShownMotion, hand: Hand) -> Reading:
+    """The grasp that a simulation closed to: where the hand was when it began to squeeze."""
+    at = max(int(np.searchsorted(motion.stage, Stage.SQUEEZE)) - 1, 0)
+    grasps = GraspSet(
+        hand=motion.hand,
+        base_link=hand.base_link,
+        joint_names=hand.joint_names,
+        object=np.array([motion.object]),
+        scale=np.ones(1),
+        hand_pose=pose_from_transform(motion.T_root[at : at + 1]),
+        q=motion.q[at : at + 1],
+    )
+    return Reading(grasps, OURS, (), ())
 
 
 def _has_screen() -> bool:

@@ -21,6 +21,7 @@ from ..worker import Control
 from ..worth import worth_html
 
 PREVIOUS, NEXT, RANDOM, WORST = "◀ Previous", "Next ▶", "Random", "Worst"
+MEASURE = "Measure all"
 GOOD, BAD, NO = "Good", "Bad", "None"
 ALL = "all"
 """What the filters call no filter."""
@@ -57,7 +58,7 @@ class BrowsePanel:
         self._clicks = gui.add_text("click", "", visible=False)
         self._table = gui.add_html("")
         self._measure = gui.add_button(
-            "Measure all", hint="Find quality and penetration of the grasps of which the file does not say them"
+            MEASURE, hint="Find quality and penetration of the grasps of which the file does not say them"
         )
         with gui.add_folder("Sort and filter", expand_by_default=False):
             self._key = gui.add_dropdown("Sort by", (IN_FILE,), hint="Or click a header of the table")
@@ -66,7 +67,7 @@ class BrowsePanel:
                 "object": gui.add_dropdown("Object", (ALL,), hint="List grasps of this object only"),
                 "status": gui.add_dropdown("Status", (ALL,), hint="How the refinement ended"),
                 "held": gui.add_dropdown("Simulation", (ALL, HELD_TEXT, FAILED_TEXT), hint="What MuJoCo said"),
-                "mark": gui.add_dropdown("Mark", (ALL, *MARKS, NO_MARK), hint="What you thought of them"),
+                "mark": gui.add_dropdown("Marked", (ALL, *MARKS, NO_MARK), hint="What you thought of them"),
             }
             self._download = gui.add_button("Download marks", hint="All marks as a table of comma-separated values")
         self._connect()
@@ -110,7 +111,7 @@ class BrowsePanel:
 
     # what is listed
 
-    def _list(self, *, page: int | None = 0, **changes: object) -> None:
+    def _list(self, **changes: object) -> None:
         """List other grasps, or in another order."""
         with self._lock:
             if self._collection is None:
@@ -156,18 +157,19 @@ class BrowsePanel:
     def _go(self, where: str) -> None:
         """Open another grasp of the list."""
         with self._lock:
-            if self._collection is None:
-                return
-            if where == WORST:
-                number = worst(self._collection, self._listed)
-                if number is None and len(self._listed):
-                    self._controller.say("which grasp is the worst is not known yet: press Measure all", bad=True)
-            elif where == RANDOM:
-                number = any_other(self._listed, self._number, self._random)
-            else:
-                number = step(self._listed, self._number, 1 if where == NEXT else -1)
-        if number is not None:
-            self._controller.show(number)
+            collection, listed, number = self._collection, self._listed, self._number
+        if collection is None or not len(listed):
+            return
+        if where == WORST:
+            found = worst(collection, listed)
+        elif where == RANDOM:
+            found = any_other(listed, number, self._random)
+        else:
+            found = step(listed, number, 1 if where == NEXT else -1)
+        if found is None:
+            self._controller.say(f"which grasp is the worst is not known yet: press {MEASURE} first", bad=True)
+        else:
+            self._controller.show(found)
 
     def _mark(self, what: str) -> None:
         """Mark the grasp that is shown."""

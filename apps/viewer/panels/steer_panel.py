@@ -30,7 +30,7 @@ class SteerPanel:
         gui = server.gui
         self._undo = gui.add_button("Undo", icon="arrow-back-up", hint="Take the last change back")
         self._redo = gui.add_button("Redo", icon="arrow-forward-up", hint="Do again what was undone")
-        self._reset = gui.add_button("As it came", icon="rotate", hint="Hand, object and targets as they were opened")
+        self._reset = gui.add_button("Reset", icon="rotate", hint="Hand, object and targets as they were opened")
         in_a_row(gui, (self._undo, self._redo, self._reset))
         for button, act in (
             (self._undo, controller.undo),
@@ -137,5 +137,5 @@ def target_words(state: State, poses: LinkPoses) -> str:
         miss = np.linalg.norm(transform_points(T[target.link], target.point_link) - target.point_object)
         x, y, z = (f"{1e3 * value:.0f}" for value in target.point_object)
         rows.append(f"| {target.link} | {millimetres(float(miss))} | {x}, {y}, {z} |")
-    lines.append("\n".join(("| link | missed, mm | point of the object, mm |", "|:---|---:|---:|", *rows)))
+    lines.append("\n".join(("| link | miss, mm | on object, mm |", "|:---|---:|---:|", *rows)))
     return "\n\n".join(lines)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import io
+from collections.abc import Callable
 from typing import get_args
 
 import numpy as np
@@ -16,11 +17,11 @@ from grasp_refine.geometry.units import NAMES
 
 from ..animation import animation_html
 from ..collection import Collection
-from ..controller import Change, Controller
+from ..controller import Controller
 from ..film import film_of
 from ..opening import MeshOptions, opened
 from ..saving import Saved, grasp_file, grasp_set
-from ..state import State
+from ..state import JobKind, State
 from ..upload_limit import MOST_AT_ONCE, limit_uploads
 from ..uploads import ENDINGS, LARGEST_UPLOAD, Uploads, shown_name, too_large
 from ..worker import Control
@@ -109,7 +110,7 @@ class TakePanel:
         """Check and open what a browser sent."""
         file = event.target.value
         units = {name: unit for unit, name in NAMES.items()}
-        options = MeshOptions(units.get(self._unit.value), HOLES[self._holes.value])
+        options = MeshOptions(units.get(self._unit.value), HOLES.get(self._holes.value, "refuse"))
         now, shown = self._controller.state, shown_name(file.name)
         pose = now.pose if now.motion is not None else now.shown
 
@@ -178,7 +179,7 @@ class TakePanel:
         if client is not None:
             self._run("export", "making the animation", work)
 
-    def _run(self, kind: str, what: str, work: Change) -> None:
+    def _run(self, kind: JobKind, what: str, work: Callable[[Control], None]) -> None:
         if not self._controller.run_job(kind, what, work):
             self._controller.say(BUSY, bad=True)
 

@@ -22,7 +22,6 @@ from made_results import save_example_results
 from grasp_refine.assets import resource_dir
 from grasp_refine.commands.settings import Settings
 from grasp_refine.commands.sources import Sources
-from grasp_refine.grasps import load_grasps
 
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
@@ -121,9 +120,9 @@ def test_a_table_of_a_hundred_is_sorted_opened_and_marked(
     page.click("Good")
     page.wait_for_text("marked good")
     page.folder("Sort and filter")
-    page.choose("Mark", "good")
+    page.choose("Marked", "good")
     until(lambda: [row[0] for row in rows(page)] == ["57"], "the only good one")
-    page.choose("Mark", "all")
+    page.choose("Marked", "all")
     page.choose("Status", "stalled")
     # Every fourth from 2 on; 28 hundredths is 4, which did converge, so 2 + 4 k with the lowest 7 i mod 100 is first.
     stalled = sorted(range(2, 100, 4), key=lambda i: 7 * i % 100)
@@ -202,17 +201,17 @@ def test_raw_grasps_are_measured_on_request(
     until(lambda: not page.button("Measure all").is_visible(), "nothing left to measure")
 
 
-def test_five_hundred_grasps_are_in_the_page_within_three_seconds(
+def test_a_table_of_five_hundred_opens_within_three_seconds(
     show: Callable[[Collection], Shown], open_page: Callable[..., ViserPage], tmp_path: Path
 ) -> None:
+    """From the file to the rows in the page: hand, object, collection and table; caches are warm."""
     path = save_example_results(tmp_path / "results.npz", 500)
-    opened(path)
-    page = open_page(show(opened(path)).address)
+    shown = show(opened(resource_dir("robots") / "allegro" / "example_mug.npz"))
+    page = open_page(shown.address)
+    page.wait_for_text("1 to 4 of 4")
     began = time.monotonic()
-    shown = show(opened(path))
-    page.page.goto(shown.address)
-    page.page.wait_for_selector(".gr-table tbody tr")
+    shown.controller.change_collection(opened(path))
+    page.wait_for_text("1 to 15 of 500")
     took = time.monotonic() - began
-    assert "1 to 15 of 500" in page.text()
-    assert len(load_grasps(path)) == 500
+    assert rows(page)[14][0] == "14"
     assert took < 3.0, f"{took:.2f} s"

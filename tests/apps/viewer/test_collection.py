@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -186,3 +187,16 @@ def test_five_hundred_grasps_open_within_three_seconds(shared_assets: Path, tmp_
     assert len(collection) == 500
     assert html.count("<tr data-do=") == 15
     assert best < 3.0, f"{best:.2f} s of CPU"
+
+
+def test_files_that_are_no_grasp_files_record_nothing(results: Path, tmp_path: Path) -> None:
+    """The grasp of a replay lies in no row of its file."""
+    problem = Sources(index=(3,)).load_from(results, 0, lambda text: None)
+    path = tmp_path / "replay.npz"
+    for entries in ({"time": np.zeros(3)}, {"hand_pose": np.zeros((3, 7)), "provenance": np.array("{}")}):
+        np.savez(path, **entries)
+        collection = Collection.of(replace(problem, files=(path,)))
+        assert collection.files == (path,)
+        assert collection.row.tolist() == [3]
+        assert not collection.columns
+        assert not collection.refined.any()

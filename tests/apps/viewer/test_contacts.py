@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from grasp_refine.apps.viewer.contacts import Contacts, contacts_of
+from grasp_refine.apps.viewer.target import Target
 
 from grasp_refine.assets import resource_dir
 from grasp_refine.description.hand_toml import Contact
@@ -42,15 +43,6 @@ group = "left"
 link = "right"
 group = "right"
 """
-
-
-@dataclass
-class Aim:
-    """A target."""
-
-    link: str
-    point_link: np.ndarray
-    point_object: np.ndarray
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +111,7 @@ def test_nothing_near_is_no_contact(clamp: HandObject):
 
 
 def test_targets_are_seen_in_the_frame_of_the_object_and_their_misses_count(clamp: HandObject):
-    aim = Aim("left", np.array([0.0, 0.01, 0.0]), np.array([0.0, 0.0, 0.05]))
+    aim = Target("left", np.array([0.0, 0.01, 0.0]), np.array([0.0, 0.0, 0.05]))
     found = at(clamp, 0.001, 0.001, targets=(aim,))
     assert found.link == ("left",)
     np.testing.assert_allclose(found.target_link, [[0.061, 0.01, 0.0]], atol=1e-12)
@@ -129,15 +121,15 @@ def test_targets_are_seen_in_the_frame_of_the_object_and_their_misses_count(clam
 
 
 def test_a_target_of_a_link_that_cannot_touch_keeps_its_place(clamp: HandObject):
-    nothing = Aim("base", np.zeros(3), np.array([0.0, 0.05, 0.0]))
-    found = at(clamp, 0.0, 0.0, targets=(nothing, Aim("right", np.array([0.01, 0, 0]), np.array([-0.05, 0, 0]))))
+    nothing = Target("base", np.zeros(3), np.array([0.0, 0.05, 0.0]))
+    found = at(clamp, 0.0, 0.0, targets=(nothing, Target("right", np.array([0.01, 0, 0]), np.array([-0.05, 0, 0]))))
     assert np.isnan(found.target_link[0]).all() and np.isfinite(found.target_link[1]).all()
     assert found.link == ("left", "right") and found.contact_error < 1e-6
     np.testing.assert_array_equal(found.should, [False, True])
 
 
 def test_a_link_with_two_contact_points_is_shown_once(clamp: HandObject):
-    contacts = (*clamp.hand.contacts, Contact("left", "left", np.zeros(3), np.array([1.0, 0.0, 0.0])))
+    contacts = (*clamp.hand.contacts, Contact("left", "left", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
     twice = HandObject(replace(clamp.hand, contacts=contacts), clamp.object)
     assert twice.chain.links == ("left", "right", "left", "far")
     assert at(twice, 0.002, 0.002).link == ("left", "right")

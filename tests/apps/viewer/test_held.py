@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
-
 from websocket_page import Page, until
 
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
@@ -90,4 +88,3 @@ def test_what_is_closed_draws_nothing():
     paced(3)
     time.sleep(0.15)
     assert drawn == [1]
-    assert all(thread.name != "Thread-paced" for thread in threading.enumerate())

@@ -7,15 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from grasp_refine.apps.viewer.picking import closest_on_triangles, hit_link, hit_mesh, nearest_on_surface
-from grasp_refine.apps.viewer.shapes import LinkPoses, visual_shapes
+from grasp_refine.apps.viewer.picking import closest_on_triangles, hit_mesh, nearest_on_surface
 
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.nearest_triangle import distance_to_triangles
 from grasp_refine.geometry.pieces import box, capsule, sphere
 from grasp_refine.hand import load_hand
 from grasp_refine.objects import load_object
-from grasp_refine.se3 import exp_se3, transform_points
 
 CUBE = trimesh.creation.box(extents=(2, 2, 2))
 
@@ -59,22 +57,6 @@ def test_small_meshes_are_hit_as_well_as_large_ones():
     ball = trimesh.creation.icosphere(subdivisions=4, radius=1e-5)
     hit = hit_mesh(at(0.3), at(-1), ball.vertices.astype(np.float32), ball.faces.astype(np.uint32))
     assert hit is not None and hit.distance == pytest.approx(0.3 - 1e-5, abs=1e-8)
-
-
-def test_the_first_link_on_a_ray_is_hit_in_its_own_frame():
-    hand = load_hand("allegro", candidates=16)
-    shapes = visual_shapes(hand)
-    poses = LinkPoses.of(hand)(exp_se3(np.array([0.1, -0.2, 0.3, 0.4, 0.5, -0.6])), hand.rest)
-    tip = next(shape for shape in shapes if shape.link == "link_7.0_tip")
-    # From 3 mm off the outermost point of the tip, towards it.
-    local = tip.vertices.astype(np.float64)
-    far = local[local[:, 2].argmax()]
-    origin = transform_points(poses[tip.link], far + at(0, 0, 0.003))
-    hit = hit_link(origin, poses[tip.link][:3, :3] @ at(0, 0, -1), shapes, poses)
-    assert hit is not None and hit.link == tip.link
-    np.testing.assert_allclose(hit.on_link.point, far, atol=1e-6)
-    assert hit.on_link.distance == pytest.approx(0.003, abs=1e-6) and hit.on_link.normal[2] > 0.9
-    assert hit_link(origin, poses[tip.link][:3, :3] @ at(0, 0, 1), shapes, poses) is None
 
 
 def test_closest_points_are_as_far_as_distances_say():
