@@ -207,8 +207,8 @@ def test_a_task_is_saved_as_each_method_went_through_it(capfd: pytest.CaptureFix
     # What is saved changes nothing of what is measured.
     assert timeless(document(*arguments[:-2])) == timeless(found)
     # The only task of a benchmark goes the same way alone as it went there.
-    alone = [*TINY[:6], "1", "--classes", "vertex-vertex", "--budgets", "40", "--save", "alone.npz"]
-    row = next(row for row in document("bench", "align", *alone[2:])["rows"] if row["pair"] == "all")
+    alone = "--targets 1 --classes vertex-vertex --budgets 40 --save alone.npz"
+    row = pooled(document(*TINY[:6], *alone.split()))[0]
     (run,) = load_task(Path("alone.npz")).trajectories
     assert run.error[run.result] == pytest.approx(row["d9"], rel=1e-6)
 

@@ -132,7 +132,8 @@ class Proved:
         lost = [tried for tried in self.tried if not tried.held]
         if self.protocol.tabletop:
             if lost:
-                return f"Does not hold: while it was lifted, the object {self.words(lost[0])}"
+                whose = "" if lost[0].reason == Reason.UNSTABLE else "while it was lifted, the object "
+                return f"Does not hold: {whose}{self.words(lost[0])}"
             stayed = f"Holds: the object stayed in the hand while it was lifted by {self.protocol.lift * 1e2:g} cm"
         elif lost:
             names = ", ".join(tried.direction for tried in lost)
@@ -177,7 +178,7 @@ class Proved:
         if tried.reason == Reason.TURNED:
             return f"turned by {turned}{tried.after}, {left}"
         if tried.reason == Reason.UNSTABLE:
-            return f"the simulation became unstable{tried.after}, which says nothing good"
+            return f"the simulation became unstable{tried.after}"
         if tried.reason == Reason.PENETRATES and not isnan(self.penetration_m):
             return (
                 f"hand and object overlap by {self.penetration_m * 1e3:.1f} mm before the hand closes, which would "

@@ -50,6 +50,8 @@ class Output:
     """Write what was measured of each grasp to this file, in SI units."""
     verbose: bool = False
     """List all grasps, also when there are more than 40."""
+    view: bool = False
+    """Show what came out in a browser, as `refine-grasp view` does."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,17 @@ class Run:
         written = [*paths.values(), *([self.output.json] if self.output.json else [])]
         between = " " if len(written) == 1 else "\n  "
         console.print(f"{wall:.1f} s; wrote", *written, sep=between, soft_wrap=True, markup=False)
-        return 0
+        return self._viewed(paths) if self.output.view else 0
+
+    def _viewed(self, paths: dict[str, Path]) -> int:
+        """Show the result of the first object until interrupted."""
+        from grasp_refine.commands.view import View
+
+        first, path = next(iter(paths.items()))
+        if len(paths) > 1:
+            screen().print(f"showing {first}; refine-grasp view {self.output.out} shows all", soft_wrap=True)
+        inputs = replace(self.inputs, grasps=path, index=(), targets=Inputs.targets, scale=1.0, format=None)
+        return View(inputs=inputs, settings=self.settings).execute()
 
     def _check_used(self, problem: Problem, config: Config) -> None:
         """Refuse options that would mean nothing for these grasps.

@@ -2,69 +2,75 @@
 
 from __future__ import annotations
 
+from asyncio import TimerHandle
 from collections.abc import Callable
-from threading import Lock, Timer
+from threading import Lock
 from time import monotonic
 from typing import Any
+
+import viser
 
 HOLD = 0.5
 """Seconds after a user's last movement during which states do not move the widget: they may be older."""
 
 
 class Held:
-    """Shows values in a slider or another input and sends what a user makes of it; late states do not push it back."""
+    """Shows values in a slider or another input and sends what a user makes of it; late states do not push it back.
 
-    def __init__(self, handle: Any, send: Callable[[Any], None]) -> None:
+    The widget is moved in viser's own thread, where movements of users arrive, too: none is lost between a look at the
+    widget and a change of it.
+    """
+
+    def __init__(self, server: viser.ViserServer, handle: Any, send: Callable[[Any], None]) -> None:
         """Listen to a widget.
 
         Args:
+            server: Whose widget it is.
             handle: The widget.
-            send: Gets its value when a user moved it; must return at once and not wait for what calls `show`.
+            send: Gets its value when a user moved it; must return at once.
         """
         self.handle, self._send = handle, send
-        self._lock = Lock()
+        self._loop = server.get_event_loop()
+        self._sending = Lock()
         self._known = self._shown = handle.value
         self._until = float("-inf")
-        self._timer: Timer | None = None
+        self._timer: TimerHandle | None = None
+        self._closed = False
         handle.on_update(lambda event: self._moved() if event.client is not None else None)
 
     def show(self, value: Any) -> None:
-        """Show a value: now or, if a user is moving the widget, soon after that; the newest counts."""
-        with self._lock:
-            self._shown = value
-            self._show()
+        """Show a value soon or, if a user is moving the widget, soon after that; the newest counts."""
+        self._shown = value
+        if self.handle.value != value:
+            self._loop.call_soon_threadsafe(self._settle)
 
     def close(self) -> None:
         """Show nothing any more: the widget will be removed."""
-        with self._lock:
-            if self._timer is not None:
-                self._timer.cancel()
+        self._closed = True
 
-    def _show(self) -> None:
+    def _settle(self) -> None:
+        """Move the widget, or wait until no user does; in viser's thread."""
+        if self._closed or self.handle._impl.removed:
+            return
         if self.handle.value != self._known:
-            # A user moved it and viser has not told us yet.
+            # A user moved it just now; `_moved` was not called yet.
             self._touched()
         wait = self._until - monotonic()
-        if wait > 0:
-            if self._timer is None:
-                self._timer = Timer(wait, self._late)
-                self._timer.daemon = True
-                self._timer.start()
-            return
-        self.handle.value = self._shown
-        self._known = self.handle.value
+        if wait <= 0:
+            self.handle.value = self._shown
+            self._known = self.handle.value
+        elif self._timer is None:
+            self._timer = self._loop.call_later(wait, self._late)
 
     def _late(self) -> None:
-        with self._lock:
-            self._timer = None
-            if not self.handle._impl.removed:
-                self._show()
+        self._timer = None
+        self._settle()
 
     def _moved(self) -> None:
-        # What the widget shows now, not what it showed when viser made the event: events may overtake each other.
-        with self._lock:
+        """Send what a user did; viser calls this in any of its threads, and not always in turn."""
+        with self._sending:
             self._touched()
-            self._shown = self._known
+            # What the widget shows now, not what it showed when it was moved.
             self._send(self._known)
 
     def _touched(self) -> None:

@@ -23,11 +23,11 @@ PLAY, STOP = "Play", "Stop playing"
 class Timeline:
     """Slider, play button and a line of numbers."""
 
-    def __init__(self, gui: viser.GuiApi, controller: Controller) -> None:
+    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
         """Make the widgets in the container that is open."""
-        self._controller = controller
+        self._controller, gui = controller, server.gui
         handle = gui.add_slider("Iteration", 0, 1, 1, 0, disabled=True, hint="Drag to see the hand in each iteration")
-        self._slider = Held(handle, self._scrub)
+        self._slider = Held(server, handle, self._scrub)
         self._play = gui.add_button(PLAY, icon="movie", hint="Show all iterations like a film")
         self._play.on_click(lambda event: self._toggle())
         self._numbers = gui.add_markdown("")

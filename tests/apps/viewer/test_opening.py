@@ -1,0 +1,214 @@
+"""What becomes of uploads: a new object under the hand, a new hand at the object, grasps on the objects they name."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from grasp_refine.apps.viewer import opening
+from grasp_refine.apps.viewer.collection import Collection
+from grasp_refine.apps.viewer.opening import MeshOptions, opened
+from grasp_refine.apps.viewer.pose import Pose
+from grasp_refine.apps.viewer.saving import grasp_file
+from grasp_refine.apps.viewer.unpacking import UploadError
+from grasp_refine.apps.viewer.uploads import received
+from grasp_refine.apps.viewer.worker import Stopped
+from uploaded import gripper, gripper_zip, zipped
+
+from grasp_refine.grasps import GraspSet, Targets
+from grasp_refine.hand import load_hand
+from grasp_refine.objects import load_object
+from grasp_refine.plane import Plane
+from grasp_refine.problem import Problem
+from grasp_refine.scene import Scene
+from grasp_refine.se3 import exp_se3, pose_from_transform
+
+T = exp_se3(np.array([0.02, -0.01, 0.11, 0.4, -1.2, 0.7]))
+
+
+@cache
+def present() -> tuple[Scene, Pose]:
+    """The Allegro hand at a ball, above a table, steered elsewhere than the scene has it."""
+    hand = load_hand("allegro", candidates=16)
+    scene = Scene(hand, load_object("sphere:0.03", candidates=64), np.eye(4)[None], hand.rest[None], table=Plane())
+    return scene, Pose(T, hand.rest + 0.01)
+
+
+def put(name: str, content: bytes, folder: Path, options: MeshOptions | None = None) -> Problem:
+    folder = folder / str(len(list(folder.iterdir())))
+    folder.mkdir()
+    return opened(received(name, content, folder), *present(), options=options)
+
+
+def box(*sides: float) -> trimesh.Trimesh:
+    return trimesh.creation.box(sides)
+
+
+def test_a_mesh_takes_the_place_of_the_object(tmp_path: Path):
+    problem = put("My Box.stl", box(0.04, 0.05, 0.06).export(file_type="stl"), tmp_path)
+    scene, pose = present()
+    (group,) = problem.groups
+    assert problem.hand is scene.hand and group.object == "My_Box" and group.scale == 1.0
+    np.testing.assert_allclose(group.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
+    np.testing.assert_array_equal(group.scene.T_world_root[0], pose.T_object_root)
+    np.testing.assert_array_equal(group.scene.q[0], pose.q)
+    assert group.scene.table is scene.table
+    collection = Collection.of(problem)
+    assert len(collection) == 1 and collection.label(0) == "My_Box 0"
+    # Nothing is to be written beside what was uploaded.
+    assert collection.files == ()
+
+
+def test_a_mesh_of_an_unlikely_size_asks_for_its_unit(tmp_path: Path):
+    content = box(40, 50, 60).export(file_type="stl")
+    with pytest.raises(UploadError) as raised:
+        put("box.stl", content, tmp_path)
+    text = str(raised.value)
+    assert text.startswith("box.stl: is 40 x 50 x 60 m if its numbers are metres, which is no size for a hand")
+    assert "Unit mm if it is 40 x 50 x 60 mm" in text and "--" not in text and str(tmp_path) not in text
+    (group,) = put("box.stl", content, tmp_path, MeshOptions(unit="mm")).groups
+    np.testing.assert_allclose(group.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
+    assert group.scale == 0.001
+
+
+def test_a_mesh_with_holes_says_how_to_close_them(tmp_path: Path):
+    ball = trimesh.creation.icosphere(2, 0.03)
+    ball.update_faces(ball.triangles_center[:, 2] < 0.01)
+    content = ball.export(file_type="stl")
+    with pytest.raises(UploadError) as raised:
+        put("bowl.stl", content, tmp_path)
+    text = str(raised.value)
+    assert text.startswith("bowl.stl: bowl: not watertight") or text.startswith("bowl: not watertight")
+    assert "Holes: hull" in text and "--" not in text
+    (group,) = put("bowl.stl", content, tmp_path, MeshOptions(holes="hull")).groups
+    assert group.scene.object.mesh.is_watertight
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "at least 4 points"),
+        (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 3 4\nf 1 2 4\nf 2 3 4\n", "not finite"),
+        (b"f 1 2 3\n", "cannot be read as a mesh|empty"),
+        (b"v 0 0 0\nf 9 9 9\n", "cannot be read as a mesh"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_bad_meshes_say_what_is_wrong(content: bytes, said: str, tmp_path: Path):
+    with pytest.raises(UploadError, match=f"bad.obj: .*({said})") as raised:
+        put("bad.obj", content, tmp_path)
+    assert str(tmp_path) not in str(raised.value)
+
+
+def test_a_hand_gets_grasps_on_the_present_object(tmp_path: Path):
+    problem = put("gripper.zip", gripper_zip(), tmp_path)
+    assert problem.hand.name == "gripper" and problem.sampled == "upload:gripper.zip"
+    (group,) = problem.groups
+    assert group.scene.object is present()[0].object
+    assert 1 <= len(problem) <= opening.SAMPLED
+    # They are the same whenever the hand is uploaded.
+    again = put("gripper.zip", gripper_zip(), tmp_path)
+    np.testing.assert_array_equal(again.groups[0].scene.T_world_root, group.scene.T_world_root)
+    assert len(Collection.of(problem)) == len(problem)
+
+
+def test_a_hand_that_lacks_a_mesh_says_which(tmp_path: Path):
+    content = zipped({"gripper/gripper.urdf": gripper("meshes/tip.stl")})
+    with pytest.raises(UploadError, match=r"gripper.zip: .*mesh 'meshes/tip.stl' not found") as raised:
+        put("gripper.zip", content, tmp_path)
+    assert str(tmp_path) not in str(raised.value)
+
+
+def test_the_user_can_stop_the_opening_of_a_hand(tmp_path: Path):
+    def stop() -> None:
+        raise Stopped
+
+    with pytest.raises(Stopped):
+        opened(received("gripper.zip", gripper_zip(), tmp_path), *present(), check=stop)
+
+
+def grasps(count: int = 3, **changes: object) -> GraspSet:
+    """Grasps of the Allegro hand on two boxes and on something that is nowhere."""
+    hand = present()[0].hand
+    entries: dict[str, object] = {
+        "hand": "allegro",
+        "base_link": hand.base_link,
+        "joint_names": hand.joint_names,
+        "object": np.array(["box:0.04,0.05,0.06", "vase", "box:0.04,0.05,0.06"])[:count],
+        "scale": np.array([1.0, 0.5, 0.5])[:count],
+        "hand_pose": np.repeat(pose_from_transform(T[None]), count, axis=0),
+        "q": hand.rest + 0.01 * np.arange(count)[:, None],
+    }
+    return GraspSet(**{**entries, **changes})
+
+
+def test_grasps_are_opened_on_the_objects_that_they_name(tmp_path: Path):
+    own = present()[0].hand
+    saved = grasp_file(own, grasps(), "ours")
+    problem = put(saved.name, saved.content, tmp_path)
+    assert problem.hand is own and not problem.sampled
+    collection = Collection.of(problem)
+    assert [collection.label(i) for i in range(3)] == ["box:0.04,0.05,0.06 0", "vase 0", "box:0.04,0.05,0.06 1"]
+    np.testing.assert_allclose(collection.scene(2).object.mesh.extents, [0.02, 0.025, 0.03])
+    assert collection.scene(1).object is present()[0].object
+    assert "object 'vase' is not here: its grasps are shown on 'sphere:0.03'; upload its mesh" in problem.notes
+    for i in range(3):
+        np.testing.assert_allclose(collection.scene(i).q[0], own.rest + 0.01 * i, atol=1e-12)
+        np.testing.assert_allclose(collection.scene(i).T_world_root[0], T, atol=1e-12)
+
+
+def test_targets_come_with_grasps(tmp_path: Path):
+    own = present()[0].hand
+    link = own.contacts[2].link
+    targets = Targets((link,), np.full((1, 1, 3), 0.01), np.full((1, 1, 3), 0.02))
+    saved = grasp_file(own, grasps(1, targets=targets), "ours")
+    scene = Collection.of(put(saved.name, saved.content, tmp_path)).scene(0)
+    assert scene.target_object is not None and scene.links[2] == link
+    np.testing.assert_array_equal(scene.target_object[0, 2], [0.02] * 3)
+    assert np.isnan(np.delete(scene.target_object[0], 2, axis=0)).all()
+
+
+@pytest.mark.parametrize("to", ["dexgraspbench", "bodex"])
+def test_a_zip_of_another_format_comes_back(to: str, tmp_path: Path):
+    own = present()[0].hand
+    saved = grasp_file(own, grasps(1), to)
+    collection = Collection.of(put(saved.name, saved.content, tmp_path))
+    assert len(collection) == 1
+    order = [collection.hand.joint_names.index(name) for name in own.joint_names]
+    np.testing.assert_allclose(collection.scene(0).q[0, order], own.rest, atol=1e-6)
+
+
+def test_grasps_of_a_hand_that_is_not_here_are_refused(tmp_path: Path):
+    """A name in a file is never a path on this machine."""
+    saved = grasp_file(present()[0].hand, grasps(hand="../../home/me/hand"), "ours")
+    with pytest.raises(UploadError, match="is for hand '../../home/me/hand', which is neither the present one"):
+        put("grasps.npz", saved.content, tmp_path)
+
+
+def test_names_of_objects_are_no_paths(tmp_path: Path):
+    box(0.04, 0.05, 0.06).export(tmp_path / "secret.stl")
+    named = grasps(1, object=np.array([str(tmp_path / "secret.stl")]))
+    saved = grasp_file(present()[0].hand, named, "ours")
+    assert Collection.of(put("grasps.npz", saved.content, tmp_path)).scene(0).object is present()[0].object
+
+
+def test_numbers_of_grasps_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    saved = grasp_file(present()[0].hand, grasps(), "ours")
+    monkeypatch.setattr(opening, "MOST_OBJECTS", 2)
+    with pytest.raises(UploadError, match="grasps.npz: has grasps on 3 objects and scales, more than 2"):
+        put("grasps.npz", saved.content, tmp_path)
+    monkeypatch.setattr(opening, "MOST_GRASPS", 2)
+    with pytest.raises(UploadError, match="grasps.npz: has 3 grasps, more than 2"):
+        put("grasps.npz", saved.content, tmp_path)
+
+
+def test_what_is_no_grasp_file_says_so(tmp_path: Path):
+    with pytest.raises(UploadError, match="^bad.npy: ") as raised:
+        put("bad.npy", b"\x93NUMPY" + bytes(100), tmp_path)
+    assert str(tmp_path) not in str(raised.value)
+    # Pickles that would run something are refused by their reader.
+    with pytest.raises(UploadError, match="^bad.pkl: .*system"):
+        put("bad.pkl", b"cos\nsystem\n(S'true'\ntR.", tmp_path)
