@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import rich
 import viser
-from jaxtyping import Float
-
 from grasp_refine.apps.viewer.film import Film, Frame
 from grasp_refine.apps.viewer.nodes import Lines, Meshes, place
 from grasp_refine.apps.viewer.pose import Pose
+from jaxtyping import Float
 
 SECONDS = 6.0
 """How long a film plays."""

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
-from grasp_refine.apps.viewer.target import Target
 from grasp_refine.chain import Frames
 from grasp_refine.collision.query import Witness, query
 from grasp_refine.hand_object import HandObject
@@ -18,6 +17,8 @@ from grasp_refine.se3 import transform_points
 from grasp_refine.squeeze import contacts
 from grasp_refine.targets import Touching
 from grasp_refine.wrench import PLANNING_FRICTION, center_of_mass, contact_forces
+
+from .target import Target
 
 TOUCHING = Touching()
 """Which links should touch where nobody says."""

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
-
 from grasp_refine.apps.viewer.camera import FirstCamera, first_camera_of
 from grasp_refine.apps.viewer.colors import distance_colors
 from grasp_refine.apps.viewer.contacts import contacts_of
@@ -18,6 +16,8 @@ from grasp_refine.apps.viewer.shown_motion import ShownMotion
 from grasp_refine.apps.viewer.state import State
 from grasp_refine.apps.viewer.target import Target
 from grasp_refine.apps.viewer.trace import Trace
+from jaxtyping import Float, Int, UInt8
+
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand import Hand
 from grasp_refine.hand_object import HandObject
@@ -90,7 +90,9 @@ def refinement_film(hand: Hand, obj: Object, trace: Trace, targets: Sequence[Tar
         frames.append(Frame(pose, caption, lines.astype(float), distance_colors(found.distance)))
     assert found is not None, "a trace has an iteration"
     title = f"{hand.name} and {obj.name}: refinement"
-    return Film(title, visual_shapes(hand), LinkPoses.of(hand), object_shapes(obj, "mesh"), frames, first_camera_of(found))
+    return Film(
+        title, visual_shapes(hand), LinkPoses.of(hand), object_shapes(obj, "mesh"), frames, first_camera_of(found)
+    )
 
 
 def motion_film(hand: Hand, obj: Object, motion: ShownMotion) -> Film:
@@ -100,7 +102,9 @@ def motion_film(hand: Hand, obj: Object, motion: ShownMotion) -> Film:
     ]
     first = contacts_of(HandObject(hand, obj), frames[0].pose.T_object_root, frames[0].pose.q)
     title = f"{hand.name} and {obj.name}: simulation, {motion.direction}, {motion.reason}"
-    return Film(title, visual_shapes(hand), LinkPoses.of(hand), object_shapes(obj, "mesh"), frames, first_camera_of(first))
+    return Film(
+        title, visual_shapes(hand), LinkPoses.of(hand), object_shapes(obj, "mesh"), frames, first_camera_of(first)
+    )
 
 
 def thinned(count: int, most: int = MOST) -> Int[np.ndarray, " k"]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -84,8 +84,16 @@ class HandMeshes(Meshes):
         """Make a node for each link; `looks` as for `Meshes`."""
         super().__init__(scene, name, shapes, **looks)
         self.links = tuple(shape.link for shape in shapes)
+        self._own = tuple(shape.color for shape in shapes)
         self._poses = poses
         self._at: Pose | None = None
+
+    def tint(self, links: Collection[str], color: Color) -> None:
+        """Give some links a touch of another colour, and the others their own."""
+        for link, node, own in zip(self.links, self.nodes, self._own, strict=True):
+            wanted = own if link not in links else tuple((2 * a + 3 * b) // 5 for a, b in zip(own, color, strict=True))
+            if tuple(node.color) != wanted:
+                node.color = wanted
 
     def move(self, pose: Pose) -> None:
         """Put the hand at a pose in the frame of its parent."""

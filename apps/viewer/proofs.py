@@ -73,9 +73,8 @@ class Proofs:
                 raise self._error(f"is about another file than {opened['path']}, or it was changed since then")
         written = self.command == "run" and STATUS.key in collection.columns
         when: When = "after" if written or self.command == "validate" else "before"
-        found = {
-            n: entry.proved[when] for n, entry in self._matched(collection, written=written) if when in entry.proved
-        }
+        matched = self._matched(collection, file, written=written)
+        found = {number: entry.proved[when] for number, entry in matched if when in entry.proved}
         if not found:
             simulated = any(entry.proved for entry in self.entries)
             raise self._error(

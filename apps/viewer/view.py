@@ -21,7 +21,7 @@ from grasp_refine.apps.viewer.state import Showing, State
 from grasp_refine.hand import Hand
 from grasp_refine.hand_object import HandObject
 from grasp_refine.objects import Object
-from grasp_refine.se3 import inverse, transform, transform_from_pose, transform_points
+from grasp_refine.se3 import inverse, tangents, transform, transform_from_pose, transform_points
 
 GRASP = "/grasp"
 """Everything that is told in the object's frame hangs below this node."""
@@ -37,8 +37,14 @@ GHOST_COLOR, TARGET_COLOR, FORCE_COLOR, DEEP_COLOR, PICKED_COLOR = (
     (250, 130, 20),
 )
 
+TABLE = 0.004
+"""How thick a table is drawn, metres."""
+
 NEAR, FAR = 0.005, 50.0
 """Clipping planes of the cameras, metres."""
+
+ASPECT = 1.1
+"""Width of the scene over its height, beside the panel on a common screen."""
 
 BESIDE = 1.3
 """The grasp as it came stands beside at so many times the width of hand and object."""
@@ -84,7 +90,7 @@ class View:
         if not (np.isfinite(shown.T_object_root).all() and np.isfinite(shown.q).all()):
             return
         found = contacts_of(self._parts.prepared, shown.T_object_root, shown.q)
-        camera = first_camera_of(found, state.T_world_object)
+        camera = first_camera_of(found, state.T_world_object, aspect=ASPECT)
         for holder in (self.server.initial_camera, *(client.camera for client in self.server.get_clients().values())):
             holder.fov, holder.near, holder.far = camera.field_of_view, NEAR, FAR
             if holder is self.server.initial_camera:
@@ -106,7 +112,10 @@ class _Parts:
         self._scene, self._controller, self._showing = scene, controller, showing
         self._root = scene.add_frame(GRASP, show_axes=False)
         poses = LinkPoses.of(hand)
-        self.shapes = visual_shapes(hand) if showing.hand == "visual" else collision_shapes(hand)
+        unread: list[str] = []
+        self.shapes = visual_shapes(hand, unread.append) if showing.hand == "visual" else collision_shapes(hand)
+        if unread and before is None:
+            controller.say("; ".join(unread))
         self.hand = HandMeshes(scene, f"{GRASP}/hand", self.shapes, poses)
         looks = {"opacity": GHOST_OPACITY, "color": GHOST_COLOR, "shadow": False}
         self.ghost = HandMeshes(scene, f"{GRASP}/ghost", self.shapes, poses, **looks)
@@ -195,6 +204,8 @@ class _Parts:
         found = contacts_of(self.prepared, shown.T_object_root, shown.q, touching=touching, targets=state.targets)
         self.contacts = found
         on = self._showing.contacts
+        deep = [link for link, is_deep in zip(found.link, found.deep, strict=True) if on and is_deep]
+        self.hand.tint(deep, DEEP_COLOR)
         none = np.zeros((0, 3))
         colors = distance_colors(found.distance) if on else none
         on_link, on_object = (found.point_link, found.point_object) if on else (none, none)
@@ -283,10 +294,10 @@ class _Parts:
         if table is None:
             return None
         normal = np.asarray(table.normal, dtype=float)
-        T = np.eye(4)
-        T[:3, 3] = (table.offset - 0.002) * normal
+        R = np.column_stack([tangents(normal), normal])
+        T = transform(R, (table.offset - 0.5 * TABLE) * normal)
         node = self._scene.add_box(
-            f"{GRASP}/table", dimensions=(6 * self.size, 6 * self.size, 0.004), color=(200, 190, 175), opacity=0.8,
+            f"{GRASP}/table", dimensions=(6 * self.size, 6 * self.size, TABLE), color=(200, 190, 175), opacity=0.8,
             cast_shadow=False,
         )  # fmt: skip
         place(node, T)

@@ -109,7 +109,8 @@ class View:
         """The grasps that the files mean, with what documents say of them."""
         from grasp_refine.apps.viewer.collection import Collection
         from grasp_refine.apps.viewer.controller import Controller
-        from grasp_refine.apps.viewer.proofs import read_proofs, with_proofs
+        from grasp_refine.apps.viewer.proof_document import read_proofs
+        from grasp_refine.apps.viewer.proofs import with_proofs
         from grasp_refine.apps.viewer.shown_motion import is_replay
 
         self.settings.config()

@@ -8,8 +8,6 @@ from threading import Lock
 from time import monotonic
 from typing import Any
 
-import viser
-
 HOLD = 0.5
 """Seconds after a user's last movement during which states do not move the widget: they may be older."""
 
@@ -21,16 +19,15 @@ class Held:
     widget and a change of it.
     """
 
-    def __init__(self, server: viser.ViserServer, handle: Any, send: Callable[[Any], None]) -> None:
+    def __init__(self, handle: Any, send: Callable[[Any], None]) -> None:
         """Listen to a widget.
 
         Args:
-            server: Whose widget it is.
             handle: The widget.
             send: Gets its value when a user moved it; must return at once.
         """
         self.handle, self._send = handle, send
-        self._loop = server.get_event_loop()
+        self._loop = handle._impl.gui_api._event_loop
         self._sending = Lock()
         self._known = self._shown = handle.value
         self._until = float("-inf")

@@ -21,10 +21,10 @@ STEP = 0.1
 class Joints:
     """One slider for each independent joint; built anew for another hand."""
 
-    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+    def __init__(self, gui: viser.GuiApi, controller: Controller) -> None:
         """Make them in the container that is open."""
-        self._server, self._gui, self._controller = server, server.gui, controller
-        self._folder = server.gui.add_folder("Joints")
+        self._gui, self._controller = gui, controller
+        self._folder = gui.add_folder("Joints")
         self._hand: Hand | None = None
         self._parts: list[viser.GuiFolderHandle] = []
         self._sliders: list[Held] = []
@@ -71,7 +71,7 @@ class Joints:
             disabled=bool(hand.lower[i] == hand.upper[i]),
             hint=f"{'mm' if kind == 'prismatic' else 'degrees'}, from {lower:g} to {upper:g}",
         )
-        return Held(self._server, handle, partial(self._set, i, scale))
+        return Held(handle, partial(self._set, i, scale))
 
     def _set(self, i: int, scale: float, value: float) -> None:
         self._controller.set_joint(i, value / scale)

@@ -7,9 +7,9 @@ from typing import Any, get_args, get_type_hints
 
 import viser
 
-from grasp_refine.apps.viewer.colors import distance_legend
 from grasp_refine.apps.viewer.controller import Controller
 from grasp_refine.apps.viewer.state import Showing, State
+from grasp_refine.apps.viewer.view import DEEP_COLOR, FORCE_COLOR, GHOST_COLOR, TARGET_COLOR
 
 WORDS = {
     "hand": ("Hand", "What its maker drew, or the convex pieces that can touch."),
@@ -57,14 +57,12 @@ class LookPanel:
 
 def _legend() -> str:
     rows = [
-        (color, text)
-        for text, color in [
-            *distance_legend(),
-            ("hand as it came", (110, 130, 170)),
-            ("target: where a link should touch", (170, 60, 200)),
-            ("contact force", (30, 90, 200)),
-            ("push in a simulation", (220, 20, 40)),
-        ]
+        ((242, 184, 102), "links that are meant to touch"),
+        ((220, 90, 80), "links that are inside the object"),
+        (GHOST_COLOR, "the hand as it came"),
+        (TARGET_COLOR, "target: where a link should touch"),
+        (FORCE_COLOR, "contact forces, in their friction cones"),
+        (DEEP_COLOR, "the push in a simulation"),
     ]
     swatch = "display:inline-block;width:0.9em;height:0.9em;border-radius:50%;margin-right:0.5em;vertical-align:middle"
     lines = "".join(

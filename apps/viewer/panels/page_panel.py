@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import viser
 
+from grasp_refine.apps.viewer.colors import distance_legend
 from grasp_refine.apps.viewer.controller import Controller
 from grasp_refine.apps.viewer.panels.browse_panel import BrowsePanel
 from grasp_refine.apps.viewer.panels.look_panel import LookPanel
@@ -71,4 +72,21 @@ def _heading(state: State, view: View) -> str:
     elif found is not None:
         error = "no contact" if np.isnan(found.contact_error) else f"{1e3 * found.contact_error:.2f} mm"
         lines.append(f"contact error {error} &nbsp; penetration {1e3 * found.penetration:.2f} mm")
-    return f'<div style="padding:0.3em 1em;line-height:1.5;font-size:0.9em">{"<br>".join(lines)}</div>'
+    style = "padding:0.3em 1em;line-height:1.5;font-size:0.9em;overflow-wrap:anywhere"
+    return f'<div style="{style}">{"<br>".join(lines)}{SCALE}</div>'
+
+
+def _scale() -> str:
+    """The colours of distances, in one line."""
+    swatch = "display:inline-block;width:0.8em;height:0.8em;border-radius:50%;vertical-align:-0.05em"
+    parts = [
+        f'<span><span style="{swatch};background:rgb{color}"></span> {text}</span>' for text, color in distance_legend()
+    ]
+    return (
+        '<div style="display:flex;justify-content:space-between;font-size:0.78em;opacity:0.85;margin-top:0.2em">'
+        f"{''.join(parts)}</div>"
+    )
+
+
+SCALE = _scale()
+"""What the colours of points and lines between links and object mean."""

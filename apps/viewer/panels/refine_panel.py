@@ -55,7 +55,7 @@ class RefinePanel:
         self._bar = gui.add_progress_bar(0.0)
         self._plot = Plot(gui)
         with gui.add_folder("Timeline"):
-            self._timeline = Timeline(server, controller)
+            self._timeline = Timeline(gui, controller)
         with gui.add_folder("Settings, from the next start on"):
             self._form = Form(
                 gui,

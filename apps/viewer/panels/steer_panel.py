@@ -41,7 +41,6 @@ class SteerPanel:
         with gui.add_folder("Move with the mouse"):
             self._gizmos = {
                 what: Held(
-                    server,
                     gui.add_checkbox(f"{what.capitalize()}", False, hint=f"Arrows and rings that move the {what}"),
                     lambda shown, what=what: controller.set_gizmo(what if shown else "none"),
                 )
@@ -49,7 +48,6 @@ class SteerPanel:
             }
         with gui.add_folder("Targets"):
             self._picking = Held(
-                server,
                 gui.add_checkbox("Set by clicks", False, hint="Click a link of the hand, then the object"),
                 controller.set_picking,
             )
@@ -65,16 +63,14 @@ class SteerPanel:
             self._nearest.on_click(lambda event: controller.aim_nearest())
         with gui.add_folder("Hand pose", expand_by_default=False):
             self._position = Held(
-                server,
                 gui.add_vector3("Position, mm", (0.0, 0.0, 0.0), step=0.1, hint="Of the base link, object frame"),
                 self._move,
             )
             self._rotation = Held(
-                server,
                 gui.add_vector3("Rotation, °", (0.0, 0.0, 0.0), step=0.1, hint="Axis times angle, object frame"),
                 self._turn,
             )
-        self._joints = Joints(server, controller)
+        self._joints = Joints(gui, controller)
         self._numbers = Paced(PERIOD, self._draw_numbers)
         self._poses: tuple[Hand, LinkPoses] | None = None
 

@@ -23,11 +23,11 @@ PLAY, STOP = "Play", "Stop playing"
 class Timeline:
     """Slider, play button and a line of numbers."""
 
-    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+    def __init__(self, gui: viser.GuiApi, controller: Controller) -> None:
         """Make the widgets in the container that is open."""
-        self._controller, gui = controller, server.gui
+        self._controller = controller
         handle = gui.add_slider("Iteration", 0, 1, 1, 0, disabled=True, hint="Drag to see the hand in each iteration")
-        self._slider = Held(server, handle, self._scrub)
+        self._slider = Held(handle, self._scrub)
         self._play = gui.add_button(PLAY, icon="movie", hint="Show all iterations like a film")
         self._play.on_click(lambda event: self._toggle())
         self._numbers = gui.add_markdown("")
@@ -38,12 +38,9 @@ class Timeline:
         """Show a state."""
         handle, trace = self._slider.handle, state.trace
         last = 0 if trace is None else len(trace) - 1
-        most = max(last, 1)
         handle.disabled = self._play.disabled = last == 0
-        # The slider is never beyond its end, also while that moves.
-        handle.max = max(most, handle.value)
+        handle.max = max(last, 1)
         self._slider.show(last if state.frame is None else min(state.frame, last))
-        handle.max = max(most, handle.value)
         self._numbers.content = numbers(state)
 
     def close(self) -> None:

@@ -32,7 +32,7 @@ def page(server: Any) -> Iterator[Page]:
 
 def test_what_a_user_does_is_sent_and_what_states_do_is_not(server: Any, page: Page):
     sent: list[float] = []
-    slider = Held(server, server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), sent.append)
+    slider = Held(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), sent.append)
     slider.show(3.0)
     until(lambda: slider.handle.value == 3.0)
     assert sent == []
@@ -44,7 +44,7 @@ def test_what_a_user_does_is_sent_and_what_states_do_is_not(server: Any, page: P
 def test_late_states_do_not_push_a_slider_back(server: Any, page: Page, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(module, "HOLD", 0.3)
     sent: list[float] = []
-    slider = Held(server, server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), sent.append)
+    slider = Held(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), sent.append)
     for value in range(1, 9):
         page.change(slider.handle, value)
         slider.show(value - 1.0)  # what was drawn of the state before
@@ -60,7 +60,7 @@ def test_late_states_do_not_push_a_slider_back(server: Any, page: Page, monkeypa
 
 def test_a_slider_that_is_gone_is_not_moved_later(server: Any, page: Page, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(module, "HOLD", 0.1)
-    slider = Held(server, server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), lambda value: None)
+    slider = Held(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), lambda value: None)
     page.change(slider.handle, 5)
     until(lambda: slider.handle.value == 5.0)
     slider.show(1.0)

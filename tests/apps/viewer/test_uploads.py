@@ -11,7 +11,7 @@ import trimesh
 from grasp_refine.apps.viewer import uploads
 from grasp_refine.apps.viewer.unpacking import UploadError
 from grasp_refine.apps.viewer.uploads import Uploads, received, shown_name
-from uploaded import TIP, gripper, gripper_zip, opened_files, zipped
+from uploaded import TIP, gripper_zip, opened_files, zipped
 
 from grasp_refine.objects import load_object
 
@@ -89,7 +89,7 @@ def test_what_is_refused_says_what_can_be_uploaded(name: str, content: bytes, sa
     [
         ("../../etc/cron.d/evil.obj", "evil.obj", "evil.obj"),
         ("C:\\Users\\me\\my mug.obj", "my mug.obj", "my_mug.obj"),
-        ("..obj", "..obj", None),
+        ("..obj", "..obj", "upload.obj"),
         (".obj", ".obj", None),
         ("a\0b\n\x1b[31m.obj", "a?b??[31m.obj", "a_b_31m.obj"),
         ("ä" * 300 + ".OBJ", "ä" * 100 + ".OBJ", "upload.obj"),
@@ -127,9 +127,7 @@ def test_a_session_has_a_limit_and_leaves_nothing(monkeypatch: pytest.MonkeyPatc
             session.receive("b.zip", b"PK\x03\x04")
         assert len(list(session.path.iterdir())) == 2
         session.receive("c.obj", OBJ)
-        with pytest.raises(
-            UploadError, match="MiB would have been uploaded in all, more than .* start the viewer again"
-        ):
+        with pytest.raises(UploadError, match="MiB would have been uploaded in all, more than .*; start"):
             session.receive("d.obj", OBJ)
     assert not session.path.exists()
 
@@ -151,7 +149,7 @@ def test_a_mesh_reads_no_other_file(tmp_path: Path):
         for name, content in secrets.items():
             (folder / name).write_bytes(content)
     named = ("../secret", str(tmp_path / "secret"), "secret", "file://secret")
-    ply = BALL.export(file_type="ply", encoding="ascii").decode() if hasattr(BALL, "export") else ""
+    ply = BALL.export(file_type="ply", encoding="ascii").decode()
     with opened_files() as opened:
         for at, name in enumerate(named):
             content = f"mtllib {name}.mtl\nusemtl a\n".encode() + OBJ
@@ -161,8 +159,3 @@ def test_a_mesh_reads_no_other_file(tmp_path: Path):
     outside = [path for path in opened if path.startswith(str(tmp_path)) and Path(path).parent != tmp_path / "in"]
     assert not outside
     assert not [path for path in opened if path.endswith(".mtl")]
-
-
-def test_a_urdf_alone_needs_its_meshes(tmp_path: Path):
-    with pytest.raises(UploadError, match=r"gripper.urdf: mesh 'package://gripper/.*' in gripper.urdf"):
-        received("gripper.urdf", gripper("package://gripper/../tip.stl").encode(), tmp_path)
