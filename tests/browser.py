@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 import time
+from base64 import b64decode
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -147,10 +148,14 @@ class ViserPage:
         return left, top, width, height
 
     def picture(self) -> np.ndarray:
-        """The pixels of the 3D scene as a person sees them, (height, width, 3) uint8."""
-        left, top, width, height = self.canvas_box()
-        png = self.page.screenshot(clip={"x": left, "y": top, "width": width, "height": height})
-        return np.asarray(Image.open(BytesIO(png)).convert("RGB"))
+        """The pixels of the 3D scene as drawn, on white, (height, width, 3) uint8: what lies above it is left out."""
+        # A screenshot of the page would wait until the browser has nothing else to draw.
+        address = self.page.evaluate("() => window.__viserMutable.canvas.toDataURL('image/png')")
+        drawn = Image.open(BytesIO(b64decode(address.split(",")[1]))).convert("RGBA")
+        white = Image.new("RGBA", drawn.size, "white")
+        _, _, width, height = self.canvas_box()
+        size = round(width), round(height)
+        return np.asarray(Image.alpha_composite(white, drawn).convert("RGB").resize(size, Image.Resampling.NEAREST))
 
     def wait_for_scene(self, share: float = 0.01, seconds: float = 30.0) -> np.ndarray:
         """The picture, as soon as more than `share` of its pixels differ from the white background."""

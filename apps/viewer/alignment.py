@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, get_args
 
@@ -18,6 +19,8 @@ PLAYED = 10.0
 """Seconds that a whole trajectory takes to be played, unless it is short."""
 FASTEST, SLOWEST = 0.04, 0.4
 """Seconds between two pictures that are played."""
+CHART_EVERY = 0.25
+"""Seconds between two drawings of the chart while something is scrubbed or played."""
 BUTTONS = ("start", "best", "end")
 """Where one can jump to."""
 LAYERS = tuple(one.name for one in fields(Layers))
@@ -56,6 +59,8 @@ class AlignmentPage:
         self.charts = {against: Chart(task, against) for against in get_args(Against)}
         self.scene = AlignmentScene(server, task)
         self._drawn: Shown | None = None
+        self._charted: Shown | None = None
+        self._charted_at = 0.0
         self._changed = threading.Condition()
         self._closed = False
         self._make_widgets()
@@ -84,7 +89,7 @@ class AlignmentPage:
 
     def _make_widgets(self) -> None:
         gui, labels = self.server.gui, self._labels()
-        gui.add_html(words.intro(self.task))
+        gui.add_html(words.STYLE + words.intro(self.task))
         self.method = gui.add_dropdown(
             "Method", labels, initial_value=labels[self.shown.method], hint="Whose run is shown: how body B is moved."
         )
@@ -161,13 +166,22 @@ class AlignmentPage:
         while True:
             with self._changed:
                 if self.shown is self._drawn:
-                    self._changed.wait(self._pause() if self.shown.playing else None)
+                    self._changed.wait(self._patience())
                 if self._closed:
                     return
                 if self.shown is self._drawn and self.shown.playing:
                     self.shown = self._next(self.shown)
                 shown = self.shown
-            self._draw(shown)
+            if shown is not self._drawn:
+                self._draw(shown)
+            if shown is not self._charted and time.monotonic() - self._charted_at >= CHART_EVERY:
+                self._draw_chart(shown)
+
+    def _patience(self) -> float | None:
+        """Seconds until something is to be drawn if nothing changes; None: nothing is."""
+        if self.shown.playing:
+            return self._pause()
+        return None if self._charted is self._drawn else CHART_EVERY
 
     def _draw(self, shown: Shown) -> None:
         before, frame = self._drawn, self.frame(shown)
@@ -183,7 +197,8 @@ class AlignmentPage:
                 self.play.label = "Stop" if shown.playing else "Play"
                 self.play.icon = viser.Icon.PLAYER_PAUSE if shown.playing else viser.Icon.PLAYER_PLAY
             self.where.content = words.where(self.task, shown.method, frame)
-            self._draw_chart(before, shown, frame)
+            if before is None or (before.method, before.against) != (shown.method, shown.against):
+                self._draw_chart(shown)
         self._drawn = shown
 
     def _values(self, shown: Shown) -> list[tuple[Any, Any]]:
@@ -197,13 +212,16 @@ class AlignmentPage:
             *layers,
         ]
 
-    def _draw_chart(self, before: Shown | None, shown: Shown, frame: int) -> None:
-        chart = self.charts[shown.against]
-        if before is not None and before.against != shown.against:
-            self.plot.scales, self.plot.axes = chart.scales(), chart.axes()
-        if before is None or (before.method, before.against) != (shown.method, shown.against):
-            self.plot.series = chart.series(shown.method)
-        self.plot.data = chart.data(shown.method, frame)
+    def _draw_chart(self, shown: Shown) -> None:
+        """Show curves and the present iterate, which costs a browser more than the scene does."""
+        before, chart = self._charted, self.charts[shown.against]
+        with self.server.atomic():
+            if before is None or before.against != shown.against:
+                self.plot.scales, self.plot.axes = chart.scales(), chart.axes()
+            if before is None or (before.method, before.against) != (shown.method, shown.against):
+                self.plot.series = chart.series(shown.method)
+            self.plot.data = chart.data(shown.method, self.frame(shown))
+        self._charted, self._charted_at = shown, time.monotonic()
 
     def _pause(self) -> float:
         """Seconds between two pictures that are played."""

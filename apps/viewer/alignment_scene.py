@@ -131,7 +131,7 @@ class AlignmentScene:
 
     def _add_mesh(self, name: str, mesh: trimesh.Trimesh, color: Color, opacity: float) -> viser.MeshHandle:
         return self.scene.add_mesh_simple(
-            name, np.asarray(mesh.vertices), np.asarray(mesh.faces), color=color, opacity=opacity, side="double"
+            name, np.asarray(mesh.vertices), np.asarray(mesh.faces), color=color, opacity=opacity
         )
 
     def _best(self) -> Float[np.ndarray, "2 4 4"]:

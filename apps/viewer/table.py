@@ -43,8 +43,8 @@ STYLE = """<style>
 .gr-table table{border-collapse:collapse;width:100%;table-layout:fixed}
 .gr-table th,.gr-table td{padding:2px 3px;text-align:right;white-space:nowrap;overflow:hidden;text-overflow:ellipsis}
 .gr-table th{cursor:pointer;user-select:none;border-bottom:1px solid rgba(128,128,128,.5);font-weight:600}
-.gr-table th{vertical-align:top;width:39px}.gr-table th:first-child{width:auto}.gr-table th.gr-wide{width:45px}
-.gr-table th.gr-word{width:62px}
+.gr-table th{vertical-align:top;width:42px}.gr-table th.gr-named{width:auto}.gr-table th.gr-wide{width:53px}
+.gr-table th.gr-word{width:72px}
 .gr-table th small{display:block;min-height:1.4em}
 .gr-table small{font-weight:400;opacity:.65}
 .gr-table th:first-child,.gr-table td:first-child{text-align:left}
@@ -99,8 +99,8 @@ def table_html(
     columns = shown_columns(collection)
     here = numbers[page * ROWS : (page + 1) * ROWS]
     several = len(collection.problem.groups) > 1 and len(set(collection.objects.tolist())) > 1
-    head = _header(Column(NUMBER, "Grasp", "as in the file", np.zeros(0)), listing)
-    head += "".join(_header(column, listing) for column in columns)
+    first = _header(Column(NUMBER, "Grasp", "as in the file", np.zeros(0)), listing, "gr-named" if several else "")
+    head = first + "".join(_header(column, listing, WIDE.get(column.key, "")) for column in columns)
     body = "".join(_row(collection, columns, n, several=several, opened=n == number) for n in here.tolist())
     if not len(here):
         body = f'<tr><td colspan="{len(columns) + 1}">no grasp passes the filters</td></tr>'
@@ -119,11 +119,10 @@ def _click(widget: str) -> str:
     )
 
 
-def _header(column: Column, listing: Listing) -> str:
+def _header(column: Column, listing: Listing, wide: str) -> str:
     label = SHORT.get(column.key, column.label)
     arrow = ("▼ " if listing.descending else "▲ ") if column.key == listing.key else ""
     hint = f"{column.label}: {column.hint}; click to sort"
-    wide = WIDE.get(column.key, "")
     return (
         f'<th class="{wide}" data-do="sort {escape(column.key)}" title="{escape(hint)}">{escape(label)}'
         f"<small>{arrow}{escape(column.unit)}</small></th>"

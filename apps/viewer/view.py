@@ -233,6 +233,7 @@ class _Parts:
         motion, none = state.motion, np.zeros((0, 3))
         assert motion is not None
         points = motion.contacts[state.motion_frame] if motion.contacts and self._showing.contacts else none
+        self.hand.tint((), DEEP_COLOR)
         self._lines.draw(np.zeros((0, 2, 3)), none)
         self._on_link.draw(none, none)
         self._on_object.draw(points, np.full((len(points), 3), distance_colors(np.zeros(1))[0]))
@@ -243,16 +244,17 @@ class _Parts:
         self._clear_forces()
 
     def _draw_push(self, state: State) -> None:
-        """The push of a simulation, from the object's side."""
+        """The push of a simulation, from the middle of the object outwards."""
         motion = state.motion
         if motion is None or not motion.pushed[state.motion_frame]:
             if self._drawn is not None and self._drawn.motion is not None:
                 self._push.draw(np.zeros((0, 2, 3)), FORCE_COLOR)
             return
         direction = motion.force / np.linalg.norm(motion.force)
+        points = transform_points(state.T_shown_object, self.prepared.object.body.candidates.points)
         middle = transform_points(state.T_shown_object, np.mean(self.prepared.box, axis=0))
-        start = middle + 0.55 * self.size * direction
-        self._push.draw(np.stack([start, start + 1.5 * self._length * direction])[None], DEEP_COLOR)
+        reach = ((points - middle) @ direction).max()
+        self._push.draw(np.stack([middle, middle + (reach + 0.6 * self._length) * direction])[None], DEEP_COLOR)
 
     def _draw_forces(self, found: Contacts) -> None:
         """Contact forces as arrows into the object, normals, and friction cones."""

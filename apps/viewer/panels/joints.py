@@ -24,7 +24,7 @@ class Joints:
     def __init__(self, gui: viser.GuiApi, controller: Controller) -> None:
         """Make them in the container that is open."""
         self._gui, self._controller = gui, controller
-        self._folder = gui.add_folder("Joints")
+        self._folder = gui.add_folder("Joints, degrees or mm")
         self._hand: Hand | None = None
         self._parts: list[viser.GuiFolderHandle] = []
         self._sliders: list[Held] = []
@@ -52,7 +52,8 @@ class Joints:
         sliders: dict[int, Held] = {}
         scales = units(hand)
         for finger in dict.fromkeys(fingers):
-            self._parts.append(self._gui.add_folder(finger, expand_by_default=not self._parts))
+            title = finger.capitalize() if finger.isalpha() else finger
+            self._parts.append(self._gui.add_folder(title, expand_by_default=not self._parts))
             with self._parts[-1]:
                 for i, name in enumerate(hand.joint_names):
                     if fingers[i] == finger:

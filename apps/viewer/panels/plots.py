@@ -18,7 +18,7 @@ LEAST_MM = 1e-3
 
 _GRID = {"stroke": "rgba(128, 128, 128, 0.15)", "width": 1}
 _SERIES = (("contact error", "#1c7ed6"), ("penetration", "#e8590c"), ("√loss", "#2b8a3e"))
-_SHOWN = {"label": "shown now", "stroke": "#212529", "width": 1, "points": {"show": False}}
+_SHOWN = {"label": "shown now", "stroke": "#868e96", "width": 2, "points": {"show": False}}
 
 
 class Plot:

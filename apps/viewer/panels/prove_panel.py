@@ -33,7 +33,7 @@ class ProvePanel:
 
     def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
         """Make the widgets inside the tab or folder that is open."""
-        self._controller = controller
+        self._server, self._controller = server, controller
         self._lock = threading.RLock()
         self._player = MotionPlayer(controller.show_motion_frame, self._ended)
         self._proof: Proved | None = None
@@ -154,16 +154,18 @@ class ProvePanel:
         _put(self._watch, visible=proof is not None and proof.watchable)
 
     def _draw_motion(self, motion: ShownMotion | None, frame: int) -> None:
-        """The frame that is seen, in words; a new motion is played at once."""
+        """The frame that is seen, in words; a new motion is played at once, if anybody sees it."""
         if motion is not self._motion:
             self._motion = motion
             self._player.pause()
             for widget in (self._line, self._slider, self._play, self._close):
                 _put(widget, visible=motion is not None)
             if motion is not None:
+                watched = bool(self._server.get_clients())
                 _put(self._slider, max=round(motion.seconds, 2))
-                _put(self._play, label=PAUSE)
-                self._player.play(motion)
+                _put(self._play, label=PAUSE if watched else PLAY)
+                if watched:
+                    self._player.play(motion, frame)
         if motion is None:
             return
         self._frame = min(frame, len(motion) - 1)

@@ -178,6 +178,7 @@ def test_the_chart_shows_the_errors(shown: AlignmentPage, visitor: Page, task: A
     visitor.change(shown.method, shown.method.options[DISTANCE])
     visitor.change(shown.slider, 30)
     drawn(shown, method=DISTANCE, iteration=30)
+    until(lambda: shown._charted is shown._drawn)
     x, *lines, each, here, solved = shown.plot.data
     run = task.trajectories[DISTANCE]
     at = int(np.flatnonzero(np.isfinite(here))[0])

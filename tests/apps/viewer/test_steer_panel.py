@@ -76,7 +76,7 @@ def shown(collection: Collection) -> Iterator[Shown]:
 def test_there_is_a_slider_for_each_joint_by_finger_within_its_limits(shown: Shown):
     hand = shown.controller.state.collection.hand
     assert [slider.label for slider in shown.sliders] == list(hand.joint_names)
-    assert [part.label for part in shown.panel._joints._parts] == ["index", "middle", "ring", "thumb"]
+    assert [part.label for part in shown.panel._joints._parts] == ["Index", "Middle", "Ring", "Thumb"]
     degrees = np.degrees([hand.lower, hand.upper])
     np.testing.assert_allclose([slider.min for slider in shown.sliders], degrees[0], atol=0.051)
     np.testing.assert_allclose([slider.max for slider in shown.sliders], degrees[1], atol=0.051)

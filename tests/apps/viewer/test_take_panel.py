@@ -4,35 +4,34 @@ from __future__ import annotations
 
 import io
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from grasp_refine.apps.viewer.collection import Collection
+from grasp_refine.apps.viewer.controller import Controller
 from PIL import Image
 from uploaded import gripper_zip
+
+from grasp_refine.commands.settings import Settings
+from grasp_refine.grasps import GraspSet, load_grasps
+from grasp_refine.hand import load_hand
+from grasp_refine.objects import load_object
+from grasp_refine.problem import Group, Problem
+from grasp_refine.scene import Scene
+from grasp_refine.se3 import exp_se3, pose_from_transform
 
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
 from grasp_refine.apps.viewer import upload_limit  # noqa: E402
-from grasp_refine.apps.viewer.collection import Collection  # noqa: E402
-from grasp_refine.apps.viewer.controller import Controller  # noqa: E402
 from grasp_refine.apps.viewer.panels import take_panel  # noqa: E402
 from grasp_refine.apps.viewer.panels.take_panel import TakePanel, open_html, png  # noqa: E402
 from grasp_refine.apps.viewer.uploads import LARGEST_UPLOAD  # noqa: E402
 from viser_client import Client  # noqa: E402
-
-from grasp_refine.commands.settings import Settings  # noqa: E402
-from grasp_refine.grasps import (
-    GraspSet,  # noqa: E402
-    load_grasps,  # noqa: E402
-)
-from grasp_refine.hand import load_hand  # noqa: E402
-from grasp_refine.objects import load_object  # noqa: E402
-from grasp_refine.problem import Group, Problem  # noqa: E402
-from grasp_refine.scene import Scene  # noqa: E402
-from grasp_refine.se3 import exp_se3, pose_from_transform  # noqa: E402
+from websocket_page import until  # noqa: E402
 
 BOX = trimesh.creation.box((0.04, 0.05, 0.06)).export(file_type="stl")
 
@@ -66,26 +65,11 @@ class Shown:
     one: Client
     other: Client
 
-    def uuid(self, name: str) -> str:
-        """What the page calls a widget of the panel."""
-        return getattr(self.panel, f"_{name}")._impl.uuid
-
     def notice(self, text: str) -> str:
         """What the user is told, once it holds a text."""
 
-        def said() -> str:
-            notice = self.controller.state.notice
-            return notice.text if notice is not None and text in notice.text else ""
-
-        return until(said)
-
-
-def until(ready: Callable[[], object], seconds: float = 30.0) -> object:
-    end = time.monotonic() + seconds
-    while not (found := ready()):
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.02)
-    return found
+        until(lambda: self.controller.state.notice is not None and text in self.controller.state.notice.text, 60.0)
+        return self.controller.state.notice.text
 
 
 @pytest.fixture
@@ -95,8 +79,7 @@ def shown(collection: Collection) -> Iterator[Shown]:
     panel = TakePanel(server, controller)
     controller.listen(panel.draw)
     panel.draw(controller.state)
-    with Client(server.get_port()) as one, Client(server.get_port()) as other:
-        until(lambda: len(server.get_clients()) == 2)
+    with Client(server) as one, Client(server) as other:
         yield Shown(server, controller, panel, one, other)
     controller.close()
     panel.close()
@@ -106,7 +89,7 @@ def shown(collection: Collection) -> Iterator[Shown]:
 
 def test_an_uploaded_mesh_takes_the_place_of_the_object(shown: Shown):
     before = shown.controller.state
-    shown.one.upload(shown.uuid("upload"), "My Box.stl", BOX, part=300)
+    shown.one.upload(shown.panel._upload, "My Box.stl", BOX, part=300)
     assert shown.notice("is open") == "My Box.stl is open: 1 grasp of allegro on My_Box"
     now = shown.controller.state
     np.testing.assert_allclose(now.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
@@ -116,65 +99,66 @@ def test_an_uploaded_mesh_takes_the_place_of_the_object(shown: Shown):
 
 
 def test_a_bad_mesh_is_told_of_and_the_next_one_opened(shown: Shown):
-    shown.one.upload(shown.uuid("upload"), "bad.stl", b"solid nothing", key="1")
+    shown.one.upload(shown.panel._upload, "bad.stl", b"solid nothing", key="1")
     assert shown.notice("bad.stl: ") and shown.controller.state.notice.bad
     assert shown.controller.state.scene.object.name == "sphere:0.03"
     assert [*shown.panel._uploads.path.iterdir()] == [shown.panel._uploads.path / "1"]
-    shown.one.upload(shown.uuid("upload"), "box.stl", BOX, key="2")
+    shown.one.upload(shown.panel._upload, "box.stl", BOX, key="2")
     assert shown.notice("box.stl is open")
 
 
 def test_the_unit_is_chosen_in_the_panel(shown: Shown):
     large = trimesh.creation.box((40, 50, 60)).export(file_type="stl")
-    shown.one.upload(shown.uuid("upload"), "box.stl", large, key="1")
+    shown.one.upload(shown.panel._upload, "box.stl", large, key="1")
     assert "Unit mm if it is 40 x 50 x 60 mm" in shown.notice("which is no size for a hand")
-    shown.one.send("GuiUpdateMessage", uuid=shown.uuid("unit"), updates={"value": "millimetres"})
+    shown.one.change(shown.panel._unit, "millimetres")
     until(lambda: shown.panel._unit.value == "millimetres")
-    shown.one.upload(shown.uuid("upload"), "box.stl", large, key="2")
+    shown.one.upload(shown.panel._upload, "box.stl", large, key="2")
     assert shown.notice("box.stl is open")
     np.testing.assert_allclose(shown.controller.state.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
 
 
 def test_an_uploaded_hand_comes_with_grasps(shown: Shown):
-    shown.one.upload(shown.uuid("upload"), "gripper.zip", gripper_zip())
+    shown.one.upload(shown.panel._upload, "gripper.zip", gripper_zip())
     assert "of gripper on sphere:0.03" in shown.notice("gripper.zip is open")
     assert shown.controller.state.collection.hand.joint_names == ("left_hinge", "right_hinge")
 
 
-def test_the_shown_grasp_goes_to_the_browser_that_asks(shown: Shown):
+def test_the_shown_grasp_goes_to_the_browser_that_asks(shown: Shown, tmp_path: Path):
     T = exp_se3(np.array([0.01, 0.02, 0.12, 0.1, 0.2, 0.3]))
     shown.controller.move_root(T)
-    shown.one.click(shown.uuid("save"))
-    files = shown.one.wait(lambda client: client.downloads())
-    ((name, content),) = files.items()
+    shown.one.change(shown.panel._save, True)
+    name, content = shown.one.download()
     assert name == "allegro_sphere_0.03_ours.npz"
-    grasps = load_grasps_of(content)
+    (tmp_path / name).write_bytes(content)
+    grasps = load_grasps(tmp_path / name)
     np.testing.assert_allclose(grasps.hand_pose, pose_from_transform(T[None]), atol=1e-12)
     assert grasps.pregrasp is not None and grasps.squeeze is not None
     assert not shown.other.downloads()
 
 
 def test_a_format_that_cannot_hold_it_says_so(shown: Shown):
-    shown.one.send("GuiUpdateMessage", uuid=shown.uuid("format"), updates={"value": "leap_cache"})
+    shown.one.change(shown.panel._format, "leap_cache")
     until(lambda: shown.panel._format.value == "leap_cache")
-    shown.one.click(shown.uuid("save"))
+    shown.one.change(shown.panel._save, True)
     assert shown.notice("format leap_cache cannot hold grasps of hand 'allegro'")
     assert shown.controller.state.notice.bad and not shown.one.downloads()
 
 
 def test_the_animation_needs_something_to_show(shown: Shown):
-    shown.one.click(shown.uuid("animation"))
+    shown.one.change(shown.panel._animation, True)
     assert "refine the grasp" in shown.notice("nothing to animate")
 
 
 def test_a_picture_comes_as_the_browser_drew_it(shown: Shown):
-    shown.one.click(shown.uuid("picture"))
-    (asked,) = shown.one.wait(lambda client: client.of("GetRenderRequestMessage"))
-    assert (asked["height"], asked["width"], asked["format"]) == (48, 64, "image/png")
+    shown.one.change(shown.panel._picture, True)
+    until(lambda: shown.one.of("GetRenderRequestMessage"))
+    (asked,) = shown.one.of("GetRenderRequestMessage")
+    assert (asked["height"], asked["width"], asked["format"]) == (600, 800, "image/png")
     drawn = io.BytesIO()
     Image.new("RGBA", (64, 48), (255, 0, 0, 0)).save(drawn, "PNG")
-    shown.one.send("GetRenderResponseMessage", payload=drawn.getvalue(), render_uuid=asked["render_uuid"])
-    ((name, content),) = shown.one.wait(lambda client: client.downloads()).items()
+    shown.one.draw(asked, drawn.getvalue())
+    name, content = shown.one.download()
     assert name == "allegro_sphere_0.03_0.png"
     picture = Image.open(io.BytesIO(content))
     # What is transparent is white.
@@ -183,14 +167,13 @@ def test_a_picture_comes_as_the_browser_drew_it(shown: Shown):
 
 def test_a_browser_that_draws_nothing_holds_nothing_up(shown: Shown, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(take_panel, "PATIENCE", 0.3)
-    shown.one.click(shown.uuid("picture"))
+    shown.one.change(shown.panel._picture, True)
     assert shown.notice("there is no picture: the browser drew none")
     # One that leaves meanwhile is not missed.
     monkeypatch.setattr(take_panel, "PATIENCE", 60.0)
     told = shown.controller.state.notice
-    shown.one.told.clear()
-    shown.one.click(shown.uuid("picture"))
-    shown.one.wait(lambda client: client.of("GetRenderRequestMessage"))
+    shown.one.change(shown.panel._picture, True)
+    until(lambda: len(shown.one.of("GetRenderRequestMessage")) == 2)
     shown.one.close()
     until(lambda: len(shown.server.get_clients()) == 1)
     time.sleep(0.5)
@@ -199,39 +182,28 @@ def test_a_browser_that_draws_nothing_holds_nothing_up(shown: Shown, monkeypatch
 
 def test_too_large_uploads_are_refused_before_they_come(shown: Shown):
     states = shown.server.gui._current_file_upload_states
-    shown.one.upload(shown.uuid("upload"), "big.stl", bytes(2**20), said=LARGEST_UPLOAD + 1)
+    shown.one.upload(shown.panel._upload, "big.stl", bytes(2**20), said=LARGEST_UPLOAD + 1)
     assert shown.notice("big.stl: has 64 MiB, more than the 64 MiB that can be uploaded")
     # The browser is told that it is over, or it would wait for ever.
-    ack = shown.one.wait(lambda client: client.of("FileTransferPartAck"))[-1]
+    until(lambda: shown.one.of("FileTransferPartAck"))
+    ack = shown.one.of("FileTransferPartAck")[-1]
     assert ack["transferred_bytes"] == ack["total_bytes"] == LARGEST_UPLOAD + 1
     assert not states
 
 
 def test_more_bytes_than_were_announced_are_dropped(shown: Shown):
-    states = shown.server.gui._current_file_upload_states
-    button = shown.uuid("upload")
-    start = dict(source_component_uuid=button, transfer_uuid="1", filename="a.stl", mime_type="")
-    shown.one.send("FileTransferStartUpload", **start, part_count=100, size_bytes=1000)
+    states, button = shown.server.gui._current_file_upload_states, shown.panel._upload
+    shown.one.announce(button, "a.stl", 1000, 100)
     until(lambda: "1" in states)
-    part = dict(source_component_uuid=button, transfer_uuid="1")
-    shown.one.send("FileTransferPart", **part, part_index=0, content=bytes(900))
-    shown.one.send("FileTransferPart", **part, part_index=1, content=bytes(900))
+    shown.one.send_part(button, 0, bytes(900))
+    shown.one.send_part(button, 1, bytes(900))
     until(lambda: not states)
 
 
 def test_many_uploads_at_once_are_refused(shown: Shown):
     states = shown.server.gui._current_file_upload_states
-    button = shown.uuid("upload")
     for number in range(upload_limit.MOST_AT_ONCE + 3):
-        shown.one.send(
-            "FileTransferStartUpload",
-            source_component_uuid=button,
-            transfer_uuid=str(number),
-            filename="a.stl",
-            mime_type="",
-            part_count=2,
-            size_bytes=1000,
-        )
+        shown.one.announce(shown.panel._upload, "a.stl", 1000, 2, str(number))
     assert shown.notice("a.stl: 4 files are being uploaded already; wait for them")
     assert len(states) == upload_limit.MOST_AT_ONCE
     # They go with the browser.
@@ -249,12 +221,3 @@ def test_half_transparent_is_half_white():
     image = np.zeros((2, 3, 4), dtype=np.uint8)
     image[..., 3] = 128
     assert Image.open(io.BytesIO(png(image))).getpixel((0, 0)) == (127, 127, 127)
-
-
-def load_grasps_of(content: bytes) -> GraspSet:
-    import tempfile
-    from pathlib import Path
-
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "a.npz").write_bytes(content)
-        return load_grasps(Path(folder) / "a.npz")
