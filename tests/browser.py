@@ -114,6 +114,7 @@ class ViserPage:
     def __init__(self, browser: Browser, size: tuple[int, int] = VIEWPORT):
         context = browser.new_context(viewport={"width": size[0], "height": size[1]}, accept_downloads=True)
         self.page: Page = context.new_page()
+        self._detail = DETAIL
         self.errors: list[str] = []
         """What went wrong in the page: errors of the console and exceptions that nothing caught."""
         self.requests: list[str] = []
@@ -132,9 +133,14 @@ class ViserPage:
 
     def open(self, address: str, detail: float = DETAIL, seconds: float = 30.0) -> None:
         """Load an address and wait until its scene exists; viser's remark on slow graphics is closed."""
+        self._detail = detail
         self.page.goto(f"{address}?fixedDpr={detail:g}")
         self.wait_for("() => window.__viserMutable && window.__viserMutable.nodeRefFromName['']", seconds)
         self.close_notifications()
+
+    def reload(self) -> None:
+        """Load the page again, in the same window."""
+        self.open(self.page.url.split("?")[0], self._detail)
 
     def wait_for(self, script: str, seconds: float = SECONDS) -> None:
         """Wait until a JavaScript function returns something true."""

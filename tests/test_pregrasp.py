@@ -13,11 +13,12 @@ from grasp_refine.hand import Hand, load_hand
 from grasp_refine.hand_object import HandObject
 from grasp_refine.objects import load_object
 from grasp_refine.plane import Plane
-from grasp_refine.pregrasp import CLEARANCE, CLEARANCE_OTHERS, _Padded, clearances, opened
+from grasp_refine.pregrasp import CLEARANCE, CLEARANCE_OTHERS, Gloved, clearances, opened
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import exp_se3, transform_from_pose
 from grasp_refine.self_collision import self_penetration, touching_pairs
 from grasp_refine.validation.geometry import measure, movement
+from grasp_refine.validation.motion import closing
 
 PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 LIMIT = '<limit lower="-0.1" upper="0.1" effort="1" velocity="1"/>'
@@ -69,7 +70,7 @@ def test_contact_links_open_wider_than_the_others(clamp: Hand) -> None:
 def test_gloves_are_as_thick_as_the_clearances(mugs: Scene) -> None:
     """The distance of a gloved link is that of the bare one less its clearance, and links meet bare."""
     bare = HandObject.of(mugs)
-    gloved = _Padded(mugs.hand, mugs.object, bare)
+    gloved = Gloved.over(bare)
     T = bare.chain(mugs.T_world_root, mugs.q).T_world_link
     T_object = np.broadcast_to(np.eye(4), T.shape)
     without, within = (query(pairs, T, T_object).distance for pairs in (bare.pairs, gloved.pairs))
@@ -85,6 +86,28 @@ def test_hands_open_around_a_mug(mugs: Scene) -> None:
     assert self_penetration(mugs.hand, touching_pairs(mugs.hand), q).max() < 1e-4
     moved = movement(mugs.T_world_root, mugs.q, T, q)
     assert moved.palm_m.max() < 0.02 and moved.joints_rad.max() < 0.6
+
+
+def test_gloves_that_are_kept_change_nothing(mugs: Scene) -> None:
+    gloved = Gloved.over(HandObject.of(mugs))
+    fresh = closing(mugs)
+    for _ in range(2):
+        again = closing(mugs, gloved)
+        np.testing.assert_allclose(again.T_world_root, fresh.T_world_root, atol=1e-9)
+        # Squeezes are pressed by bare hands.
+        np.testing.assert_allclose(again.q, fresh.q, atol=1e-9)
+
+
+def test_opening_can_be_ended(mugs: Scene) -> None:
+    heard: list[int] = []
+
+    def progress(finished: int, iteration: int, loss: float) -> None:
+        heard.append(iteration)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        closing(mugs, None, progress)
+    assert heard == [1]
 
 
 def test_an_open_hand_stays(mugs: Scene) -> None:

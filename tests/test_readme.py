@@ -73,7 +73,7 @@ def test_the_table_of_grasp_files_is_complete():
     section = TEXT.partition("## Grasp files")[2].partition("\n## ")[0]
     listed = set(re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in section.splitlines() if "|" in line)))
     stages = {f"{stage}_{key}" for stage in OTHER_STAGES for key in ("pose", "q")}
-    assert listed == {*REQUIRED, *TARGET_KEYS, *stages, "schema"}
+    assert listed == {*REQUIRED, *TARGET_KEYS, *stages, "schema", "initial_pose", "initial_q"}
 
 
 def test_the_links_and_places_exist():

@@ -20,7 +20,7 @@ BODY_COLORS: tuple[Color, Color] = ((143, 184, 237), (245, 173, 92))
 """Bodies A and B."""
 POINT_COLORS: tuple[Color, Color] = ((11, 79, 156), (166, 60, 0))
 """Their targets and closest points."""
-SEE_THROUGH = 0.55
+SEE_THROUGH = 0.65
 """Opacity of bodies that do not hide what is behind them."""
 GHOST = 0.25
 """Opacity of what other methods did."""

@@ -37,6 +37,7 @@ class Viewer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Stop what is being done, and the server."""
+        self.panel.close()
         self.controller.close()
         self._drawer.close()
         close_server(self.server)

@@ -11,7 +11,7 @@ from grasp_refine.errors import GraspRefineError, MeshError
 from grasp_refine.formats.reading import reading
 from grasp_refine.geometry.mesh import Holes
 from grasp_refine.geometry.shapes import EMBEDDED, primitive_pieces
-from grasp_refine.geometry.units import UNITS, Unit
+from grasp_refine.geometry.units import NAMES, UNITS, Unit
 from grasp_refine.grasp_sampling import sample_grasps
 from grasp_refine.grasps import GraspSet, choose_rows, match_joints
 from grasp_refine.hand import Hand, load_hand
@@ -29,9 +29,12 @@ from .uploads import Upload
 SAMPLED = 8
 """How many grasps are drawn for a hand that comes without any."""
 MOST_GRASPS = 20_000
-"""Grasps of an upload; the table of the viewer holds so many."""
+"""Grasps of an upload; each is listed, and measured where its file does not say what it is worth."""
 MOST_OBJECTS = 32
 """Objects and scales among them; each is loaded and cut into pieces."""
+
+HOLES: dict[Holes, str] = {"refuse": "refuse", "cap": "cap flat holes", "hull": "use convex hull"}
+"""What becomes of holes, and what the page calls it."""
 
 
 @dataclass(frozen=True)
@@ -50,28 +53,26 @@ def opened(
     pose: Pose,
     *,
     options: MeshOptions | None = None,
-    table: bool = True,
     tell: Callable[[str], None] = lambda line: None,
     check: Callable[[], None] = lambda: None,
 ) -> Problem:
     """The grasps that are open once an upload was opened.
 
     A mesh takes the place of the object, and the hand stays where it is; a hand gets grasps that are drawn on the
-    present object; grasps are opened with the hand and the object that they name, else with the present ones.
+    present object; grasps are opened with the hand and the objects that they name, or with the present ones. The table
+    stays.
 
     Args:
         upload: What was uploaded.
         scene: What is open now.
         pose: Where its hand is.
         options: How a mesh is read; None: as it comes.
-        table: Whether the table of the scene stays.
         tell: Hears what is being done.
         check: Called between steps; what it raises ends the opening.
 
     Raises:
         GraspRefineError: it cannot be read, or does not fit; names no folder of this machine.
     """
-    scene = scene if table else replace(scene, table=None)
     try:
         if upload.kind == "mesh":
             return _with_object(upload, scene, pose, options or MeshOptions(), tell)
@@ -87,8 +88,11 @@ def _said(text: str, upload: Upload) -> str:
     for path, name in ((upload.source, upload.name), (upload.folder, "")):
         text = text.replace(str(path) + "/", "").replace(str(path), name)
     if upload.kind == "mesh":
-        for option, widget in (("--unit ", "Unit "), ("--holes ", "Holes: "), (", or another --scale", "")):
-            text = text.replace(option, widget)
+        for unit, words in NAMES.items():
+            text = text.replace(f"--unit {unit} ", f'Mesh unit "{words}" ')
+        for holes, words in HOLES.items():
+            text = text.replace(f"--holes {holes}", f'Mesh holes "{words}"')
+        text = text.replace(", or another --scale", "")
     return text if text.startswith(upload.name) else f"{upload.name}: {text}"
 
 

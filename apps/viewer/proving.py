@@ -15,6 +15,7 @@ from grasp_refine.hand import Hand
 from grasp_refine.hand_object import HandObject
 from grasp_refine.objects import Object
 from grasp_refine.plane import Plane
+from grasp_refine.pregrasp import Gloved
 from grasp_refine.replay.record import record
 from grasp_refine.scene import Scene
 from grasp_refine.validation.hand_model import HandModel
@@ -65,6 +66,7 @@ class Prover:
         """Nothing is made yet."""
         self._model = lru_cache(HANDS)(model_of)
         self._world = lru_cache(WORLDS)(self._built)
+        self._gloved = lru_cache(HANDS)(Gloved.over)
 
     def model(self, hand: Hand) -> HandModel:
         """The hand.
@@ -81,6 +83,10 @@ class Prover:
             GraspRefineError: MuJoCo cannot make the hand or the world.
         """
         return self._world(scene.hand, scene.object, protocol, scene.table if protocol.tabletop else None)
+
+    def gloved(self, scene: Scene, prepared: HandObject | None = None) -> Gloved:
+        """What opening the hand of a scene needs; the same for the same `prepared`, which None makes anew."""
+        return self._gloved(prepared or HandObject.of(scene))
 
     def _built(self, hand: Hand, obj: Object, protocol: Protocol, table: Plane | None) -> World:
         return build_world(self._model(hand), obj, protocol, table)
@@ -116,7 +122,8 @@ def prove(
     check()
     world = prover.world(scene, protocol)
     check()
-    motion, owners = stages(scene, pose, came=came, prepared=prepared, check=check)
+    gloved = prover.gloved(scene, prepared)
+    motion, owners = stages(scene, pose, came=came, prepared=gloved, check=check)
     pushing = "lifting the object" if protocol.tabletop else f"pushing in {len(protocol.directions)} directions"
     seen = watcher(protocol, pushing, tell, check)
     closed = close(world, motion, Conditions.nominal(world, 1), watch=seen)
@@ -160,7 +167,8 @@ def watch(
     world = prover.world(scene, proved.protocol)
     motion = proved.motion
     if motion is None:
-        motion, _ = stages(scene, pose, came=came, prepared=prepared, check=check)
+        gloved = prover.gloved(scene, prepared)
+        motion, _ = stages(scene, pose, came=came, prepared=gloved, check=check)
     pushing = "lifting the object" if proved.protocol.tabletop else f"pushing along {direction}"
     replay = record(
         world,

@@ -50,7 +50,7 @@ class Upload:
     kind: Kind
     """What it holds."""
     folder: Path
-    """Its own folder; all its files are in it."""
+    """The folder that all its files are in, and nothing else."""
     source: Path
     """What its reader is to be given: a file or a folder in it."""
     notes: tuple[str, ...] = ()
@@ -123,6 +123,9 @@ def received(name: str, content: bytes, folder: Path) -> Upload:
     if (suffix in (".zip", ".npz")) != content.startswith(ZIPS):
         raise UploadError(f"{shown}: its content is not what its ending {suffix} says; name it as what it is")
     if suffix == ".zip":
+        # Hands are called like the folder of their hand.toml.
+        folder /= PurePosixPath(_name_on_disk(shown)).stem
+        folder.mkdir()
         return _of_zip(shown, folder, unpack(shown, content, folder))
     path = folder / _name_on_disk(shown)
     path.write_bytes(content)

@@ -13,7 +13,7 @@ TOLD = ("quality", "contact_error", "penetration", "wrench_residual")
 
 
 STYLE = """<style>
-.gr-worth{font:13px/1.45 system-ui,sans-serif;margin:.2em .8em .6em}
+.gr-worth{font:13px/1.45 system-ui,sans-serif;margin:.2em .8em .6em;overflow-wrap:anywhere}
 .gr-worth table{border-collapse:collapse}
 .gr-worth td{padding:0 14px 0 0}.gr-worth td:nth-child(n+2){text-align:right}
 .gr-worth td:last-child{font-weight:600}

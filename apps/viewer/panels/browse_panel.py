@@ -38,7 +38,7 @@ class BrowsePanel:
         self._lock = threading.RLock()
         self._listing, self._page = Listing(), 0
         self._collection: Collection | None = None
-        self._number = -1
+        self._number, self._last_click = -1, ""
         self._listed: np.ndarray = np.zeros(0, dtype=int)
         self._kept: Collection | None = None
         self._random = np.random.default_rng()
@@ -87,6 +87,8 @@ class BrowsePanel:
                 self._draw_choices(state.collection)
             if other or self._number != state.number:
                 self._page = page_of(self._listed, state.number)
+            # A grasp that is marked may leave the list.
+            self._page = min(self._page, pages(self._listed) - 1)
             self._number = state.number
             if self._beside.value != state.side_by_side:
                 self._beside.value = state.side_by_side
@@ -146,6 +148,10 @@ class BrowsePanel:
         what, _, rest = click.partition(" ")
         value = rest.split(" ")[0]
         with self._lock:
+            # Two clicks at once may both be told as the second.
+            if click == self._last_click:
+                return
+            self._last_click = click
             if what == "sort" and value in self._keys().values():
                 self._sort(value)
             elif what == "page" and value.isascii() and value.isdigit():

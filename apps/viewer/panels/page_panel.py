@@ -15,6 +15,7 @@ from grasp_refine.apps.viewer.panels.look_panel import LookPanel
 from grasp_refine.apps.viewer.panels.prove_panel import ProvePanel
 from grasp_refine.apps.viewer.panels.refine_panel import RefinePanel
 from grasp_refine.apps.viewer.panels.steer_panel import SteerPanel
+from grasp_refine.apps.viewer.panels.take_panel import TakePanel
 from grasp_refine.apps.viewer.state import State
 from grasp_refine.apps.viewer.view import View
 
@@ -24,6 +25,7 @@ PANELS = (
     ("Steer", SteerPanel),
     ("Prove", ProvePanel),
     ("Browse", BrowsePanel),
+    ("Files", TakePanel),
     ("View", LookPanel),
 )
 """What the tabs are called, and what is in them."""
@@ -42,6 +44,12 @@ class PagePanel:
         for title, kind in PANELS:
             with tabs.add_tab(title):
                 self._panels.append(kind(server, controller))
+
+    def close(self) -> None:
+        """End what panels do by themselves, such as films."""
+        for panel in self._panels:
+            if hasattr(panel, "close"):
+                panel.close()
 
     def draw(self, state: State) -> None:
         """Show a state."""

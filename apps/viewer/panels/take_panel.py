@@ -5,21 +5,19 @@ from __future__ import annotations
 import html
 import io
 from collections.abc import Callable
-from typing import get_args
 
 import numpy as np
 import viser
 from PIL import Image
 
 from grasp_refine.formats.listing import FORMATS
-from grasp_refine.geometry.mesh import Holes
 from grasp_refine.geometry.units import NAMES
 
 from ..animation import animation_html
 from ..collection import Collection
 from ..controller import Controller
 from ..film import film_of
-from ..opening import MeshOptions, opened
+from ..opening import HOLES, MeshOptions, opened
 from ..saving import Saved, grasp_file, grasp_set
 from ..state import JobKind, State
 from ..upload_limit import MOST_AT_ONCE, limit_uploads
@@ -28,8 +26,6 @@ from ..worker import Control
 
 ASK = "ask me"
 """The unit that nobody has said."""
-HOLES: dict[str, Holes] = dict(zip(("refuse", "cap flat holes", "use convex hull"), get_args(Holes), strict=True))
-"""What the list calls each way to treat holes."""
 PATIENCE = 15.0
 """Seconds in which a browser must have drawn a picture; one that is hidden or hangs never does."""
 LARGEST_PICTURE = 4096
@@ -65,7 +61,7 @@ class TakePanel:
                 "Mesh unit", (ASK, *NAMES.values()), hint="Unit of the numbers in an uploaded mesh"
             )
             self._holes = gui.add_dropdown(
-                "Mesh holes", tuple(HOLES), hint="What to do with an uploaded mesh that is not closed"
+                "Mesh holes", tuple(HOLES.values()), hint="What to do with an uploaded mesh that is not closed"
             )
         with gui.add_folder("Take away"):
             self._format = gui.add_dropdown(
@@ -109,8 +105,8 @@ class TakePanel:
     def _uploaded(self, event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
         """Check and open what a browser sent."""
         file = event.target.value
-        units = {name: unit for unit, name in NAMES.items()}
-        options = MeshOptions(units.get(self._unit.value), HOLES.get(self._holes.value, "refuse"))
+        units, holes = ({words: key for key, words in known.items()} for known in (NAMES, HOLES))
+        options = MeshOptions(units.get(self._unit.value), holes.get(self._holes.value, "refuse"))
         now, shown = self._controller.state, shown_name(file.name)
         pose = now.pose if now.motion is not None else now.shown
 

@@ -16,6 +16,8 @@ from browser import ViserPage, until
 from grasp_refine.apps.viewer.collection import Collection
 from grasp_refine.apps.viewer.columns import STATUS
 from grasp_refine.apps.viewer.controller import Controller
+from grasp_refine.apps.viewer.listing import NO_MARK
+from grasp_refine.apps.viewer.marks import marks_path
 from grasp_refine.apps.viewer.measuring import unmeasured
 from made_results import save_example_results
 
@@ -170,6 +172,37 @@ def test_clicks_that_nobody_made_do_nothing(show: Callable[[Collection], Shown],
         shown.panel._clicked(click)
         assert shown.controller.state.number == 0
         assert shown.panel._table.content == before
+
+
+def test_one_click_that_is_told_twice_sorts_once(show: Callable[[Collection], Shown], tmp_path: Path) -> None:
+    shown = show(opened(save_example_results(tmp_path / "results.npz", 5)))
+    for _ in range(2):
+        shown.panel._clicked("sort quality_after 7.5")
+    assert "▼" in shown.panel._table.content
+    shown.panel._clicked("sort quality_after 8.5")
+    assert "▲" in shown.panel._table.content
+
+
+def test_the_last_page_goes_when_its_last_grasp_leaves_the_list(
+    show: Callable[[Collection], Shown], tmp_path: Path
+) -> None:
+    shown = show(opened(save_example_results(tmp_path / "results.npz", 16)))
+    shown.panel._list(mark=NO_MARK)
+    shown.controller.show(15)
+    assert "16 to 16 of 16" in shown.panel._table.content
+    shown.controller.mark(15, "bad")
+    assert "1 to 15 of 15 listed, 16 in all" in shown.panel._table.content
+
+
+def test_marks_that_cannot_be_written_are_told_and_kept(show: Callable[[Collection], Shown], tmp_path: Path) -> None:
+    path = save_example_results(tmp_path / "results.npz", 5)
+    shown = show(opened(path))
+    (marks_path(path) / "inside").mkdir(parents=True)
+    shown.controller.mark(2, "good")
+    state = shown.controller.state
+    assert state.collection.mark(2) == "good"
+    assert state.notice.bad
+    assert "make the folder writable and mark again, or download the marks" in state.notice.text
 
 
 def test_names_in_files_run_no_scripts(

@@ -40,20 +40,25 @@ def refused(content: bytes, folder: Path, name: str = "hand.zip") -> str:
 
 def test_a_ros_package_is_a_hand(folder: Path):
     upload = received("gripper.zip", gripper_zip(), folder)
-    assert (upload.kind, upload.source) == ("hand", folder / URDF)
+    assert (upload.kind, upload.source) == ("hand", folder / "gripper" / URDF)
     with opened_files() as opened:
         hand = load_hand(upload.source)
     assert hand.joint_names == ("left_hinge", "right_hinge")
-    assert str(folder / MESH) in opened
+    assert str(folder / "gripper" / MESH) in opened
     # A tip of 2 cm, 4 cm from its hinge.
     assert hand.links_by_name["left"].body.pieces[0].bounds[1] == pytest.approx([0.01, 0.01, 0.065])
+
+
+def test_a_hand_at_the_top_of_a_zip_is_called_like_the_zip(folder: Path):
+    files = {"hand.toml": "", "a.urdf": gripper("tip.stl"), "tip.stl": TIP}
+    assert load_hand(received("my gripper.zip", zipped(files), folder).source).name == "my_gripper"
 
 
 def test_a_hand_toml_says_which_urdf(folder: Path):
     toml = 'name = "pincers"\nurdf = "urdf/gripper.urdf"\n'
     content = gripper_zip(**{"gripper/hand.toml": toml, "gripper/urdf/other.urdf": "<robot/>"})
     upload = received("gripper.zip", content, folder)
-    assert upload.source == folder / "gripper"
+    assert upload.source == folder / "gripper/gripper"
     assert load_hand(upload.source).name == "pincers"
 
 
@@ -61,6 +66,7 @@ def test_a_hand_toml_says_which_urdf(folder: Path):
     "mesh",
     [
         "../../../../secret.stl",
+        "../../../../../secret.stl",
         "../meshes/../../../../secret.stl",
         "{root}/secret.stl",
         "file://{root}/secret.stl",

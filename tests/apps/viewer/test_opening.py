@@ -68,7 +68,7 @@ def test_a_mesh_of_an_unlikely_size_asks_for_its_unit(tmp_path: Path):
         put("box.stl", content, tmp_path)
     text = str(raised.value)
     assert text.startswith("box.stl: is 40 x 50 x 60 m if its numbers are metres, which is no size for a hand")
-    assert "Unit mm if it is 40 x 50 x 60 mm" in text and "--" not in text and str(tmp_path) not in text
+    assert 'Mesh unit "millimetres" if it is 40 x 50 x 60 mm' in text and "--" not in text and str(tmp_path) not in text
     (group,) = put("box.stl", content, tmp_path, MeshOptions(unit="mm")).groups
     np.testing.assert_allclose(group.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
     assert group.scale == 0.001
@@ -82,7 +82,7 @@ def test_a_mesh_with_holes_says_how_to_close_them(tmp_path: Path):
         put("bowl.stl", content, tmp_path)
     text = str(raised.value)
     assert text.startswith("bowl.stl: bowl: not watertight") or text.startswith("bowl: not watertight")
-    assert "Holes: hull" in text and "--" not in text
+    assert 'Mesh holes "use convex hull"' in text and "--" not in text
     (group,) = put("bowl.stl", content, tmp_path, MeshOptions(holes="hull")).groups
     assert group.scene.object.mesh.is_watertight
 

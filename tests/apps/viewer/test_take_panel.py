@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -110,7 +111,7 @@ def test_a_bad_mesh_is_told_of_and_the_next_one_opened(shown: Shown):
 def test_the_unit_is_chosen_in_the_panel(shown: Shown):
     large = trimesh.creation.box((40, 50, 60)).export(file_type="stl")
     shown.one.upload(shown.panel._upload, "box.stl", large, key="1")
-    assert "Unit mm if it is 40 x 50 x 60 mm" in shown.notice("which is no size for a hand")
+    assert 'Mesh unit "millimetres" if it is 40 x 50 x 60 mm' in shown.notice("which is no size for a hand")
     shown.one.change(shown.panel._unit, "millimetres")
     until(lambda: shown.panel._unit.value == "millimetres")
     shown.one.upload(shown.panel._upload, "box.stl", large, key="2")
@@ -148,6 +149,32 @@ def test_a_format_that_cannot_hold_it_says_so(shown: Shown):
 def test_the_animation_needs_something_to_show(shown: Shown):
     shown.one.change(shown.panel._animation, True)
     assert "refine the grasp" in shown.notice("nothing to animate")
+
+
+def test_an_animation_goes_to_the_browser_that_asks(shown: Shown):
+    shown.controller.start()
+    until(lambda: shown.controller.state.outcome is not None and shown.controller.state.job is None, 60.0)
+    shown.one.change(shown.panel._animation, True)
+    name, content = shown.one.download()
+    assert name == "allegro_sphere_0.03_0.html" and b"<html" in content[:1000].lower()
+    assert not shown.other.downloads()
+
+
+def test_one_thing_at_a_time(shown: Shown):
+    ended = threading.Event()
+    assert shown.controller.run_job("load", "something long", lambda control: ended.wait(60.0) and None)
+    shown.one.change(shown.panel._save, True)
+    assert shown.notice("something else is being done: wait until it ends") and not shown.one.downloads()
+    ended.set()
+
+
+def test_a_browser_that_left_gets_nothing(shown: Shown):
+    """The job ends all the same, and the others see nothing of it."""
+    shown.one.change(shown.panel._save, True)
+    until(lambda: shown.controller.state.job is not None)
+    shown.one.close()
+    until(lambda: shown.controller.state.job is None, 60.0)
+    assert shown.controller.state.notice is None and not shown.other.downloads()
 
 
 def test_a_picture_comes_as_the_browser_drew_it(shown: Shown):

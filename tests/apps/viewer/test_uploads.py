@@ -49,10 +49,10 @@ def test_zips_are_what_is_in_them(tmp_path: Path):
         upload = received(f"{name}.zip", content, tmp_path / name)
         kinds[name] = (upload.kind, upload.source.relative_to(tmp_path).as_posix())
     assert kinds == {
-        "hand": ("hand", "hand/gripper/urdf/gripper.urdf"),
-        "grasps": ("grasps", "grasps"),
-        "one": ("grasps", "one/a/grasps.npz"),
-        "mesh": ("mesh", "mesh/ball/ball.obj"),
+        "hand": ("hand", "hand/hand/gripper/urdf/gripper.urdf"),
+        "grasps": ("grasps", "grasps/grasps"),
+        "one": ("grasps", "one/one/a/grasps.npz"),
+        "mesh": ("mesh", "mesh/mesh/ball/ball.obj"),
     }
 
 

@@ -1,0 +1,114 @@
+"""`refine-grasp view` from the command to what a person sees: the embedded example in a real browser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from browser import ViserPage, until
+from viewer_process import Viewer
+
+FINGERTIP = "/grasp/hand/20"
+"""The last link of the embedded hand: a tip that should touch."""
+
+
+def oranges_and_blues(picture: np.ndarray) -> tuple[int, int]:
+    """How many pixels have the colours of links that should touch, and of the object."""
+    red, _, blue = picture.astype(int).transpose(2, 0, 1)
+    return int((red > blue + 50).sum()), int((blue > red + 15).sum())
+
+
+def contact_errors(page: ViserPage) -> np.ndarray:
+    """The contact errors in the chart, mm; none without a chart."""
+    return next((plot.lines["contact error"] for plot in page.plots() if "contact error" in plot.lines), np.zeros(0))
+
+
+def marked(page: ViserPage) -> int:
+    """At which iteration the chart has its upright line."""
+    (plot,) = page.plots()
+    return int(plot.x[np.isfinite(plot.lines["shown now"])][0])
+
+
+def heading(page: ViserPage) -> str:
+    """The line that says how good the shown grasp is."""
+    return next(line for line in page.text().splitlines() if line.startswith("contact error "))
+
+
+@pytest.fixture(scope="module")
+def viewer(start_viewer: Callable[..., Viewer]) -> Viewer:
+    return start_viewer()
+
+
+@pytest.fixture
+def page(viewer: Viewer, open_page: Callable[..., ViserPage]) -> ViserPage:
+    """The example as it came, in a new page."""
+    page = open_page(viewer.address)
+    page.wait_for_node(FINGERTIP)
+    if page.button("Reset").is_enabled():
+        page.click("Reset")
+    page.wait_for_text("contact error 7.66 mm")
+    return page
+
+
+def refine(page: ViserPage) -> np.ndarray:
+    """Click Start and wait for the end; returns the contact errors in the chart, mm."""
+    page.click("Start")
+    page.wait_for_text("Converged after", 60.0)
+    until(lambda: len(contact_errors(page)) > 20, "a chart of all iterations")
+    return contact_errors(page)
+
+
+def test_hand_and_object_are_seen(viewer: Viewer, page: ViserPage):
+    picture = page.wait_for_scene()
+    orange, blue = oranges_and_blues(picture)
+    assert orange > 3000 and blue > 3000
+    assert page.visible(FINGERTIP) and page.visible("/grasp/object/mesh/0")
+    assert not page.visible("/grasp/ghost/20"), "it is where it came"
+    assert viewer.output().strip() == f"{viewer.address} shows it; Ctrl-C ends it"
+
+
+def test_a_click_refines_the_grasp_and_the_plotted_contact_error_falls(page: ViserPage):
+    came = page.pose(FINGERTIP)
+    errors = refine(page)
+    assert errors[0] == pytest.approx(7.66, abs=0.01)
+    assert errors[-1] < 0.1 and np.nanmin(errors) < 0.01
+    assert (np.diff(np.fmin.accumulate(errors)) <= 0).all()
+    assert heading(page).startswith("contact error 0.00 mm")
+    until(lambda: np.linalg.norm(page.pose(FINGERTIP)[:3, 3] - came[:3, 3]) > 0.003, "the fingertip moved")
+    np.testing.assert_allclose(page.pose("/grasp/ghost/20"), came, atol=1e-5)
+    assert page.visible("/grasp/ghost/20")
+
+
+def test_the_timeline_moves_the_hand(page: ViserPage):
+    came = page.pose(FINGERTIP)
+    count = len(refine(page)) - 1
+    until(lambda: page.value("Iteration") != "0", "the timeline stands at the end")
+    end = page.pose(FINGERTIP)
+
+    page.drag_slider("Iteration", 0.98, 0.5, 0.0)
+    until(lambda: page.value("Iteration") == "0", "the first iteration")
+    until(lambda: np.allclose(page.pose(FINGERTIP), came, atol=1e-6), "the hand as it came")
+    until(lambda: heading(page).startswith("contact error 7.66 mm"), "its numbers")
+    until(lambda: marked(page) == 0, "the line in the chart")
+
+    page.enter("Iteration", 5)
+    until(lambda: not np.allclose(page.pose(FINGERTIP), came, atol=1e-4), "the fifth iteration")
+    assert not np.allclose(page.pose(FINGERTIP), end, atol=1e-4)
+    page.drag_slider("Iteration", 0.1, 1.0)
+    until(lambda: np.allclose(page.pose(FINGERTIP), end, atol=1e-5), f"iteration {count}, the last")
+
+
+def test_a_reload_keeps_the_state(page: ViserPage):
+    refine(page)
+    end = page.pose(FINGERTIP)
+    page.enter("Iteration", 3)
+    until(lambda: marked(page) == 3, "the line in the chart at that iteration")
+    until(lambda: not np.allclose(page.pose(FINGERTIP), end, atol=1e-4), "the hand of that iteration")
+    shown, words, errors = page.pose(FINGERTIP), heading(page), contact_errors(page)
+    page.reload()
+    page.wait_for_node(FINGERTIP)
+    page.wait_for_text(words)
+    until(lambda: np.allclose(page.pose(FINGERTIP), shown, atol=1e-6), "the same hand")
+    assert page.value("Iteration") == "3"
+    until(lambda: np.array_equal(contact_errors(page), errors), "the same chart")
