@@ -6,13 +6,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import torch
 
+from grasp_refine.chain import Chain
 from grasp_refine.errors import GraspFileError
 from grasp_refine.grasps import GraspSet, Stage, match_joints
 from grasp_refine.hand import Hand
-from grasp_refine.kinematics import Kinematics
-from grasp_refine.se3 import pose_from_transform, transform_from_pose
+from grasp_refine.se3 import inverse, pose_from_transform, transform_from_pose
 
 
 def rebased(grasps: GraspSet, base_link: str, load: Callable[[str], Hand]) -> GraspSet:
@@ -41,15 +40,15 @@ def rebased(grasps: GraspSet, base_link: str, load: Callable[[str], Hand]) -> Gr
             f"the grasps begin at link '{grasps.base_link}', from which link '{base_link}' does not hang, nor the "
             "other way round: they cannot be told for it"
         )
-    inner = Kinematics(whole, (grasps.base_link if upwards else base_link,))
+    inner = Chain(whole, (grasps.base_link if upwards else base_link,))
     columns = [whole.joint_names.index(name) for name in new.joint_names]
 
     def moved(stage: Stage) -> Stage:
         q, _ = match_joints(grasps.at(stage), whole)
-        T_object_root = torch.as_tensor(transform_from_pose(stage.hand_pose))
-        T_root_link = inner(torch.eye(4, dtype=torch.float64).expand(len(q), 4, 4), torch.as_tensor(q))[:, 0]
-        T = T_object_root @ (torch.linalg.inv(T_root_link) if upwards else T_root_link)
-        return Stage(pose_from_transform(np.asarray(T)), q[:, columns])
+        T_object_root = transform_from_pose(stage.hand_pose)
+        T_root_link = inner(np.broadcast_to(np.eye(4), (len(q), 4, 4)), q).T_world_link[:, 0]
+        T = T_object_root @ (inverse(T_root_link) if upwards else T_root_link)
+        return Stage(pose_from_transform(T), q[:, columns])
 
     grasp = moved(Stage(grasps.hand_pose, grasps.q))
     return replace(

@@ -13,9 +13,7 @@ from grasp_refine.goal import Goal, goal_of
 from grasp_refine.grasp_problem import GraspProblem
 from grasp_refine.hand_object import HandObject
 from grasp_refine.holding import hold
-from grasp_refine.objective import Objective
 from grasp_refine.scene import Scene
-from grasp_refine.solvers.first_order import descend
 from grasp_refine.solvers.least_squares import Minimum, Point, Progress, minimise
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.solvers.status import Status
@@ -173,6 +171,10 @@ def _first_order(
     watch: Watch | None,
 ) -> Minimum:
     """By descent or Adam."""
+    # With pytorch-kinematics, which takes a second to load.
+    from grasp_refine.objective import Objective
+    from grasp_refine.solvers.first_order import descend
+
     return descend(
         Objective(scene, goal, config, prepared),
         Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper)),

@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float
 
+from grasp_refine.chain import Chain
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.errors import CollisionError, HandError
 from grasp_refine.geometry import cache as disk
 from grasp_refine.hand import Hand
-from grasp_refine.kinematics import Kinematics
 
 LinkPair = tuple[str, str]
 """Names of two links."""
@@ -231,7 +230,7 @@ def _distances(
     if not pairs:
         return np.zeros((len(q), 0))
     names = sorted({name for pair in pairs for name in pair})
-    kinematics = Kinematics(hand, names)
+    chain = Chain(hand, names)
     for name in names:
         if hand.links_by_name[name].body is None:
             raise HandError(f"hand {hand.name}: link '{name}' has no collision geometry")
@@ -240,8 +239,10 @@ def _distances(
     table = Pairs(tuple(bodies[i] for i in first), tuple(bodies[i] for i in second))
     distance = np.empty((len(q), len(pairs)))
     for start in range(0, len(q), _BLOCK):
-        block = torch.tensor(q[start : start + _BLOCK], dtype=torch.float64)
-        T = kinematics(torch.eye(4, dtype=torch.float64).expand(len(block), 4, 4), block).numpy()
+        block = q[start : start + _BLOCK]
+        # What is not finite has no answer.
+        with np.errstate(invalid="ignore"):
+            T = chain(np.broadcast_to(np.eye(4), (len(block), 4, 4)), block).T_world_link
         distance[start : start + _BLOCK] = query(table, T[:, first], T[:, second], cutoff=cutoff).distance
     return distance
 

@@ -31,7 +31,7 @@ FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-
 NOISE = ("Unable to preventDefault inside passive event listener",)
 """What viser's page complains of when nothing is wrong: here, while a node is dragged."""
 
-DETAIL = 0.4
+DETAIL = 0.2
 """Pixels drawn per pixel of the window, along each axis: without a graphics card a scene takes a second at 1."""
 
 SECONDS = 10.0
@@ -270,7 +270,7 @@ class ViserPage:
         box.blur()
         self._let_it_send()
 
-    def drag_slider(self, label: str, *shares: float, steps: int = 20) -> None:
+    def drag_slider(self, label: str, *shares: float, steps: int = 8) -> None:
         """Hold a slider and move it through `shares` of its way, 0 left, 1 right, in `steps` each."""
         box = self.row(label).locator(".mantine-Slider-track").bounding_box(timeout=1000 * SECONDS)
         assert box is not None, f"slider {label} is not shown"
@@ -298,6 +298,14 @@ class ViserPage:
         with self.page.expect_file_chooser(timeout=1000 * SECONDS) as chosen:
             self.click(label)
         chosen.value.set_files(file)
+
+    def download(self, label: str, folder: Path, seconds: float = 60.0) -> Path:
+        """Click a button that sends a file; returns where in `folder` it was put."""
+        with self.page.expect_download(timeout=1000 * seconds) as coming:
+            self.click(label)
+        file = folder / coming.value.suggested_filename
+        coming.value.save_as(file)
+        return file
 
     # What is said.
 

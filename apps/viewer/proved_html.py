@@ -10,6 +10,15 @@ from .proved import Proved, Tried
 AXIS_COLORS = {"x": "#e03131", "y": "#2f9e44", "z": "#1c7ed6"}
 """Colours of the axes, as frames in the scene have them."""
 
+COLUMNS = {
+    "Push": "axis of the object along which it is pushed",
+    "Result": "whether the object stayed; if not, why, and when after the push began",
+    "Moved": "how far the object was from where it lay, then or at the end",
+    "Turned": "by how much it had turned",
+    "Links": "links of the hand that still touched it",
+}
+"""Headers of the table, and what they mean."""
+
 STYLE = """<style>
 .gr-proof{font:13px/1.45 system-ui,sans-serif;margin:.3em .9em .5em}
 .gr-proof table{font-size:12px}
@@ -53,10 +62,9 @@ def _sentence(text: str) -> str:
 
 
 def _table(proved: Proved) -> str:
-    head = "<tr><th>Push</th><th>Result</th><th>Moved</th><th>Turned</th><th>Links</th></tr>"
-    return (
-        f"<table><thead>{head}</thead><tbody>{''.join(_row(proved, tried) for tried in proved.tried)}</tbody></table>"
-    )
+    head = "".join(f'<th title="{hint}">{label}</th>' for label, hint in COLUMNS.items())
+    body = "".join(_row(proved, tried) for tried in proved.tried)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
 def _row(proved: Proved, tried: Tried) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from tyro.conf import DisallowNone, Positional, arg
+from tyro.conf import Positional, arg
 
 from grasp_refine.commands.inputs import Inputs
 from grasp_refine.commands.settings import Settings

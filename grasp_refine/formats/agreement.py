@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
+from grasp_refine.chain import Chain
 from grasp_refine.formats.format import Load
 from grasp_refine.grasps import OTHER_STAGES, GraspSet, match_joints
 from grasp_refine.hand import Hand
-from grasp_refine.kinematics import Kinematics
 from grasp_refine.se3 import transform_from_pose, transform_points
 
 
@@ -41,7 +40,7 @@ def fingertips(grasps: GraspSet, hand: Hand) -> Float[np.ndarray, "N points 3"]:
     q, _ = match_joints(grasps, hand)
     T_object_root = transform_from_pose(np.asarray(grasps.hand_pose, dtype=float))
     links = [contact.link for contact in hand.contacts]
-    T = Kinematics(hand, links)(torch.as_tensor(T_object_root), torch.as_tensor(q)).numpy()
+    T = Chain(hand, links)(T_object_root, q).T_world_link
     points = np.array([contact.point or _middle(hand, contact.link) for contact in hand.contacts])
     return np.concatenate([T[..., :3, 3], transform_points(T, points)], axis=1)
 

@@ -8,11 +8,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import torch
 
+from grasp_refine.chain import Chain
 from grasp_refine.description.urdf import joints_fixed_and_mimicking, links_with_visuals
 from grasp_refine.hand import Hand, Joint
-from grasp_refine.kinematics import Kinematics
 from grasp_refine.se3 import transform_points
 from grasp_refine.self_collision import Judged, judged_pairs
 from grasp_refine.validation.messages import complaint, unlogged
@@ -156,8 +155,8 @@ def _size(hand: Hand) -> tuple[float, ...]:
     solid = [link for link in hand.links if link.body is not None]
     if not solid:
         return ()
-    kinematics = Kinematics(hand, [link.name for link in solid])
-    poses = kinematics(torch.eye(4, dtype=torch.float64)[None], torch.tensor(hand.rest[None]))[0].numpy()
+    chain = Chain(hand, [link.name for link in solid])
+    poses = chain(np.eye(4)[None], hand.rest[None]).T_world_link[0]
     ends = []
     for link, T in zip(solid, poses, strict=True):
         for piece in link.body.pieces:

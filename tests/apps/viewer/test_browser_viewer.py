@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -112,3 +113,46 @@ def test_a_reload_keeps_the_state(page: ViserPage):
     until(lambda: np.allclose(page.pose(FINGERTIP), shown, atol=1e-6), "the same hand")
     assert page.value("Iteration") == "3"
     until(lambda: np.array_equal(contact_errors(page), errors), "the same chart")
+
+
+def test_fifty_clicks_on_start_and_stop_leave_a_page_that_refines(page: ViserPage):
+    start, stop = page.button("Start"), page.button("Stop")
+    for k in range(50):
+        (start, stop)[k % 2].dispatch_event("click")
+    until(lambda: page.button("Start").is_enabled(), "nothing is being refined", 30.0)
+    page.click("Reset")
+    until(lambda: heading(page).startswith("contact error 7.66 mm"), "the grasp as it came")
+    assert refine(page)[-1] < 0.1
+
+
+def test_two_pages_see_the_same_and_a_closed_one_stops_nothing(
+    viewer: Viewer, page: ViserPage, open_page: Callable[..., ViserPage]
+):
+    other = open_page(viewer.address)
+    other.wait_for_node(FINGERTIP)
+    came = other.pose(FINGERTIP)
+    page.click("Start")
+    page.close()
+    other.wait_for_text("Converged after", 60.0)
+    until(lambda: not np.allclose(other.pose(FINGERTIP), came, atol=1e-3), "the hand that the other page refined")
+    assert heading(other).startswith("contact error 0.00 mm")
+    assert viewer.process.poll() is None
+
+
+def test_the_animation_that_is_downloaded_plays(page: ViserPage, tmp_path: Path, open_page: Callable[..., ViserPage]):
+    refine(page)
+    page.tab("Files")
+    file = page.download("Animation (HTML)", tmp_path)
+    assert file.suffix == ".html" and file.stat().st_size < 3e6
+    page.close()
+    film = open_page(file.as_uri(), size=(480, 360))
+    film.wait_for_node("/hand/20")
+    poses = [film.pose("/hand/20")]
+
+    def moved() -> bool:
+        poses.append(film.pose("/hand/20"))
+        return np.ptp([pose[:3, 3] for pose in poses], axis=0).max() > 0.003
+
+    until(moved, "the fingertip moves", 60.0)
+    assert oranges_and_blues(film.wait_for_scene())[0] > 300
+    assert film.requests[0].startswith("file://") and len(film.requests) == 1
