@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 
 from grasp_refine.apps.viewer.collection import Collection
 from grasp_refine.apps.viewer.controller import Controller
+
 from grasp_refine.commands.inputs import Inputs
 from grasp_refine.commands.settings import Settings
 from grasp_refine.problem import Problem
@@ -36,5 +36,3 @@ def until(holds: object, seconds: float = 30.0) -> None:
     while not holds():  # type: ignore[operator]
         assert time.monotonic() < end
         time.sleep(0.002)
-
-

@@ -87,7 +87,7 @@ def test_the_links_and_places_exist():
 
 def test_the_options_are_those_of_the_commands():
     known = set()
-    for command in ("run", "validate", "hands", "convert", "assets fetch", *BENCHES):
+    for command in ("run", "validate", "view", "hands", "convert", "assets fetch", *BENCHES):
         code = f"from grasp_refine.cli import main; main([*{command.split()}, '--help'])"
         result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
         known |= set(re.findall(r"--[a-z][\w.-]*", result.stdout))

@@ -9,10 +9,10 @@ import pytest
 from gripper import around, ball, gripper
 
 from grasp_refine.assets import resource_dir
-from grasp_refine.problem import Group
 from grasp_refine.commands.recording import Recording
 from grasp_refine.commands.sources import Sources
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.problem import Group
 from grasp_refine.replay.replay import load_replay
 from grasp_refine.validation.protocol import FORCE_CLOSURE, TABLETOP
 from grasp_refine.validation.simulation import simulate

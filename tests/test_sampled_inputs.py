@@ -11,8 +11,8 @@ from plate_gripper import URDF
 from grasp_refine import grasp_sampling
 from grasp_refine.cli import main
 from grasp_refine.commands.inputs import Inputs
-from grasp_refine.problem import Problem
 from grasp_refine.errors import GraspFileError, GraspRefineError
+from grasp_refine.problem import Problem
 
 BOX = "box:0.5,0.6,0.7"
 HELD = ("--hand", "HAND", "--object", BOX)

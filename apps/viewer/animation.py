@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import rich
 import viser
-from grasp_refine.apps.viewer.film import Film, Frame
-from grasp_refine.apps.viewer.nodes import Lines, Meshes, place
-from grasp_refine.apps.viewer.pose import Pose
 from jaxtyping import Float
+
+from .film import Film, Frame
+from .nodes import Lines, Meshes, place
+from .pose import Pose
 
 SECONDS = 6.0
 """How long a film plays."""

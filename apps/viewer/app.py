@@ -6,10 +6,10 @@ from types import TracebackType
 
 import viser
 
-from grasp_refine.apps.viewer.controller import Controller
-from grasp_refine.apps.viewer.page import Drawer, address, close_server
-from grasp_refine.apps.viewer.panels.page_panel import PagePanel
-from grasp_refine.apps.viewer.view import View
+from .controller import Controller
+from .page import Drawer, address, close_server
+from .panels.page_panel import PagePanel
+from .view import View
 
 
 class Viewer:
@@ -23,6 +23,8 @@ class Viewer:
         self._drawer = Drawer([self.view, self.panel], controller.state)
         controller.listen(self._drawer.draw)
         self._drawer.start()
+        # In the worker, and only until something else is asked for.
+        controller.measure()
 
     @property
     def address(self) -> str:

@@ -13,23 +13,25 @@ from typing import Any
 
 import numpy as np
 
-from grasp_refine.apps.viewer.collection import Collection
-from grasp_refine.apps.viewer.history import History, Steered
-from grasp_refine.apps.viewer.marks import Mark
-from grasp_refine.apps.viewer.pose import Pose
-from grasp_refine.apps.viewer.proved import Proved
-from grasp_refine.apps.viewer.proving import Prover, protocol_of, prove, watch
-from grasp_refine.apps.viewer.refining import nearest_targets, refined, targets_of
-from grasp_refine.apps.viewer.shown_motion import ShownMotion
-from grasp_refine.apps.viewer.state import Gizmo, Job, JobKind, Notice, State
-from grasp_refine.apps.viewer.target import Target
-from grasp_refine.apps.viewer.trace import Trace
-from grasp_refine.apps.viewer.worker import Control, Stopped, Worker
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.grasps import GraspSet
 from grasp_refine.hand_object import HandObject
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import inverse
+
+from .collection import Collection
+from .history import History, Steered
+from .marks import Mark
+from .measuring import measured, unmeasured
+from .pose import Pose
+from .proved import Proved
+from .proving import Prover, protocol_of, prove, watch
+from .refining import nearest_targets, refined, targets_of
+from .shown_motion import ShownMotion
+from .state import Gizmo, Job, JobKind, Notice, State
+from .target import Target
+from .trace import Trace
+from .worker import Control, Stopped, Worker
 
 Change = Callable[[State], State]
 """Makes the next state of the present one."""
@@ -113,6 +115,25 @@ class Controller:
                 collection.save_marks(number)
             except GraspRefineError as error:
                 self.say(f"{error}; the mark is kept until the viewer ends", bad=True)
+
+    def measure(self) -> None:
+        """Find out what the grasps are worth of which no file tells; whatever the user wants done comes first."""
+        with self._lock:
+            collection = self._state.collection
+            if not unmeasured(collection).any():
+                return
+
+            def work(control: Control) -> None:
+                measured(collection, control.tell, control.check, self._know)
+
+            self.run_job("measure", "measuring grasps", work)
+
+    def _know(self, found: Collection) -> None:
+        """Keep what was measured, also when measuring was stopped."""
+        with self._lock:
+            now = self._state.collection
+            if now.problem is found.problem:
+                self._set(collection=now.with_columns(*found.columns.values()))
 
     # refining
 
@@ -260,7 +281,9 @@ class Controller:
                 return
             link, point_link = self._state.picked
             if link not in self._state.scene.links:
-                self.say(f"link {link} has no collision geometry: it cannot touch anything; click another one", bad=True)
+                self.say(
+                    f"link {link} has no collision geometry: it cannot touch anything; click another one", bad=True
+                )
                 self._set(picked=None)
                 return
             others = tuple(target for target in self._state.targets if target.link != link)

@@ -6,22 +6,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from grasp_refine.apps.viewer.camera import FirstCamera, first_camera_of
-from grasp_refine.apps.viewer.colors import distance_colors
-from grasp_refine.apps.viewer.contacts import contacts_of
-from grasp_refine.apps.viewer.glyphs import segments
-from grasp_refine.apps.viewer.pose import Pose
-from grasp_refine.apps.viewer.shapes import LinkPoses, LinkShape, Shape, object_shapes, visual_shapes
-from grasp_refine.apps.viewer.shown_motion import ShownMotion
-from grasp_refine.apps.viewer.state import State
-from grasp_refine.apps.viewer.target import Target
-from grasp_refine.apps.viewer.trace import Trace
 from jaxtyping import Float, Int, UInt8
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand import Hand
 from grasp_refine.hand_object import HandObject
 from grasp_refine.objects import Object
+
+from .camera import FirstCamera, first_camera_of
+from .colors import distance_colors
+from .contacts import contacts_of
+from .glyphs import segments
+from .pose import Pose
+from .shapes import LinkPoses, LinkShape, Shape, object_shapes, visual_shapes
+from .shown_motion import ShownMotion
+from .state import State
+from .target import Target
+from .trace import Trace
 
 MOST = 200
 """Most frames of a film."""

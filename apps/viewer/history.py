@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_refine.apps.viewer.pose import Pose
-from grasp_refine.apps.viewer.target import Target
+from .pose import Pose
+from .target import Target
 
 MOST = 200
 """Steps that can be undone."""

@@ -9,9 +9,10 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from grasp_refine.apps.viewer.pose import Pose
-from grasp_refine.apps.viewer.shapes import Color, LinkPoses, LinkShape, Shape
 from grasp_refine.se3 import pose_from_transform
+
+from .pose import Pose
+from .shapes import Color, LinkPoses, LinkShape, Shape
 
 Clicked = Callable[[np.ndarray, np.ndarray], None]
 """Gets the origin (3,) and the direction (3,) of the ray through a click, world frame."""

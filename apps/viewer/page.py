@@ -16,8 +16,9 @@ import rich
 import viser
 import websockets.asyncio.server
 
-from grasp_refine.apps.viewer.state import State
 from grasp_refine.errors import GraspRefineError
+
+from .state import State
 
 RATE = 30.0
 """Most drawings in a second."""

@@ -8,10 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from grasp_refine.apps.viewer.pose import Pose
-from grasp_refine.apps.viewer.target import Target
-from grasp_refine.apps.viewer.trace import Recorder, Trace
-from grasp_refine.apps.viewer.worker import Control
 from grasp_refine.config import Config
 from grasp_refine.glimpse import Glimpse
 from grasp_refine.goal import goal_of
@@ -22,6 +18,11 @@ from grasp_refine.refine import refine
 from grasp_refine.report.outcome import Outcome, compare
 from grasp_refine.scene import Scene
 from grasp_refine.validation.motion import closing
+
+from .pose import Pose
+from .target import Target
+from .trace import Recorder, Trace
+from .worker import Control
 
 SHOWN_EVERY = 0.04
 """Seconds between two states that are shown while a refinement runs."""
@@ -116,7 +117,12 @@ def aimed(scene: Scene, pose: Pose, targets: tuple[Target, ...]) -> Scene:
             at = scene.links.index(target.link)
             points[:, 0, at] = target.point_link, target.point_object
     return replace(
-        scene, T_world_root=pose.T_object_root[None], q=pose.q[None], target_link=points[0], target_object=points[1], direction=None
+        scene,
+        T_world_root=pose.T_object_root[None],
+        q=pose.q[None],
+        target_link=points[0],
+        target_object=points[1],
+        direction=None,
     )
 
 

@@ -9,16 +9,17 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.apps.viewer.collection import Collection
-from grasp_refine.apps.viewer.pose import Pose
-from grasp_refine.apps.viewer.target import Target
-from grasp_refine.apps.viewer.trace import Trace
 from grasp_refine.report.outcome import Outcome
 from grasp_refine.scene import Scene
 
+from .collection import Collection
+from .pose import Pose
+from .target import Target
+from .trace import Trace
+
 if TYPE_CHECKING:
-    from grasp_refine.apps.viewer.proved import Proved
-    from grasp_refine.apps.viewer.shown_motion import ShownMotion
+    from .proved import Proved
+    from .shown_motion import ShownMotion
 
 JobKind = Literal["load", "measure", "refine", "prove", "replay", "export"]
 Gizmo = Literal["none", "hand", "object"]

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from grasp_refine.apps.viewer.contacts import contacts_of
-from grasp_refine.apps.viewer.pose import Pose
-from grasp_refine.apps.viewer.target import Target
 from grasp_refine.glimpse import Glimpse
 from grasp_refine.hand_object import HandObject
+
+from .contacts import contacts_of
+from .pose import Pose
+from .target import Target
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,20 +8,21 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from grasp_refine.apps.viewer.camera import first_camera_of
-from grasp_refine.apps.viewer.colors import distance_colors
-from grasp_refine.apps.viewer.contacts import Contacts, contacts_of
-from grasp_refine.apps.viewer.controller import Controller
-from grasp_refine.apps.viewer.glyphs import force_arrows, friction_cones, segments
-from grasp_refine.apps.viewer.nodes import Arrows, Balls, HandMeshes, Lines, Meshes, place
-from grasp_refine.apps.viewer.picking import hit_mesh, nearest_on_surface
-from grasp_refine.apps.viewer.pose import Pose
-from grasp_refine.apps.viewer.shapes import LinkPoses, collision_shapes, object_shapes, visual_shapes
-from grasp_refine.apps.viewer.state import Showing, State
 from grasp_refine.hand import Hand
 from grasp_refine.hand_object import HandObject
 from grasp_refine.objects import Object
 from grasp_refine.se3 import inverse, tangents, transform, transform_from_pose, transform_points
+
+from .camera import first_camera_of
+from .colors import distance_colors
+from .contacts import Contacts, contacts_of
+from .controller import Controller
+from .glyphs import force_arrows, friction_cones, segments
+from .nodes import Arrows, Balls, HandMeshes, Lines, Meshes, place
+from .picking import hit_mesh, nearest_on_surface
+from .pose import Pose
+from .shapes import LinkPoses, collision_shapes, object_shapes, visual_shapes
+from .state import Showing, State
 
 GRASP = "/grasp"
 """Everything that is told in the object's frame hangs below this node."""
@@ -316,7 +317,9 @@ class _Parts:
         T = state.T_world_object if state.gizmo == "object" else state.T_world_object @ state.shown.T_object_root
         node = self._gizmos.get(state.gizmo)
         if node is None:
-            node = self._scene.add_transform_controls(f"/gizmo_{state.gizmo}", scale=1.2 * self._length, depth_test=False)
+            node = self._scene.add_transform_controls(
+                f"/gizmo_{state.gizmo}", scale=1.2 * self._length, depth_test=False
+            )
             place(node, T)
             node.on_update(self._drag_hand if state.gizmo == "hand" else self._drag_object)
             self._gizmos[state.gizmo] = node

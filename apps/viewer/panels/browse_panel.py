@@ -14,10 +14,9 @@ from ..columns import FAILED_TEXT, HELD, HELD_TEXT, STATUS
 from ..controller import Controller
 from ..listing import MARK, NO_MARK, NUMBER, Listing, any_other, first_descending, step, worst
 from ..marks import MARKS
-from ..measuring import measured, unmeasured
+from ..measuring import unmeasured
 from ..state import State
 from ..table import page_of, pages, table_html
-from ..worker import Control
 from ..worth import worth_html
 
 PREVIOUS, NEXT, RANDOM, WORST = "◀ Previous", "Next ▶", "Random", "Worst"
@@ -40,7 +39,6 @@ class BrowsePanel:
         self._collection: Collection | None = None
         self._number, self._last_click = -1, ""
         self._listed: np.ndarray = np.zeros(0, dtype=int)
-        self._kept: Collection | None = None
         self._random = np.random.default_rng()
 
         gui = server.gui
@@ -81,7 +79,7 @@ class BrowsePanel:
                 return
             self._collection = state.collection
             if other:
-                self._listing, self._page, self._kept = Listing(), 0, None
+                self._listing, self._page = Listing(), 0
             if changed:
                 self._listed = self._listing.numbers(state.collection)
                 self._draw_choices(state.collection)
@@ -108,7 +106,7 @@ class BrowsePanel:
             on(widget, lambda event, name=name: self._filter(name, event.target.value))
         self._steps.on_click(lambda event: self._go(event.target.value))
         self._marks.on_click(lambda event: self._mark(event.target.value))
-        self._measure.on_click(lambda event: self._measure_all())
+        self._measure.on_click(lambda event: self._controller.measure())
         self._download.on_click(self._send_marks)
 
     # what is listed
@@ -180,30 +178,6 @@ class BrowsePanel:
     def _mark(self, what: str) -> None:
         """Mark the grasp that is shown."""
         self._controller.mark(self._controller.state.number, "" if what == NO else what.lower())
-
-    def _measure_all(self) -> None:
-        """Measure what nobody has measured; what was found before an interruption is not measured again."""
-        with self._lock:
-            state = self._controller.state
-            kept = self._kept
-            if kept is None or kept.problem is not state.collection.problem:
-                kept = state.collection
-
-        def work(control: Control) -> Callable[[State], State]:
-            found = measured(kept, control.tell, control.check, self._keep)
-
-            def change(now: State) -> State:
-                if now.collection.problem is not found.problem:
-                    return now
-                return replace(now, collection=now.collection.with_columns(*found.columns.values()))
-
-            return change
-
-        self._controller.run_job("measure", "measuring grasps", work)
-
-    def _keep(self, collection: Collection) -> None:
-        with self._lock:
-            self._kept = collection
 
     def _send_marks(self, event: viser.GuiEvent) -> None:
         """Send the marks to the browser that asks for them."""

@@ -7,9 +7,9 @@ from typing import Any, get_args, get_type_hints
 
 import viser
 
-from grasp_refine.apps.viewer.controller import Controller
-from grasp_refine.apps.viewer.state import Showing, State
-from grasp_refine.apps.viewer.view import DEEP_COLOR, FORCE_COLOR, GHOST_COLOR, TARGET_COLOR
+from ..controller import Controller
+from ..state import Showing, State
+from ..view import DEEP_COLOR, FORCE_COLOR, GHOST_COLOR, TARGET_COLOR
 
 WORDS = {
     "hand": ("Hand", "What its maker drew, or the convex pieces that can touch."),
@@ -65,7 +65,5 @@ def _legend() -> str:
         (DEEP_COLOR, "the push in a simulation"),
     ]
     swatch = "display:inline-block;width:0.9em;height:0.9em;border-radius:50%;margin-right:0.5em;vertical-align:middle"
-    lines = "".join(
-        f'<div><span style="{swatch};background:rgb{color}"></span>{text}</div>' for color, text in rows
-    )
+    lines = "".join(f'<div><span style="{swatch};background:rgb{color}"></span>{text}</div>' for color, text in rows)
     return f'<div style="padding:0.2em 1em 0.6em;font-size:0.85em;line-height:1.6">{lines}</div>'

@@ -8,17 +8,16 @@ from typing import Any
 import numpy as np
 import viser
 
-from grasp_refine.apps.viewer.colors import distance_legend
-from grasp_refine.apps.viewer.controller import Controller
-from grasp_refine.apps.viewer.panels.browse_panel import BrowsePanel
-from grasp_refine.apps.viewer.panels.look_panel import LookPanel
-from grasp_refine.apps.viewer.panels.prove_panel import ProvePanel
-from grasp_refine.apps.viewer.panels.refine_panel import RefinePanel
-from grasp_refine.apps.viewer.panels.steer_panel import SteerPanel
-from grasp_refine.apps.viewer.panels.take_panel import TakePanel
-from grasp_refine.apps.viewer.state import State
-from grasp_refine.apps.viewer.view import View
-
+from ..colors import distance_legend
+from ..controller import Controller
+from ..state import State
+from ..view import View
+from .browse_panel import BrowsePanel
+from .look_panel import LookPanel
+from .prove_panel import ProvePanel
+from .refine_panel import RefinePanel
+from .steer_panel import SteerPanel
+from .take_panel import TakePanel
 
 PANELS = (
     ("Refine", RefinePanel),

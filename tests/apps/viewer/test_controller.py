@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from open_viewer import controller, example, settled, until
-
 from grasp_refine.apps.viewer.controller import Controller
 from grasp_refine.apps.viewer.marks import marks_path
 from grasp_refine.apps.viewer.pose import Pose
+from open_viewer import controller, example, settled, until
+
 from grasp_refine.chain import Chain
 from grasp_refine.commands.settings import Settings
 from grasp_refine.hand_object import HandObject

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from grasp_refine.apps.viewer import history
 from grasp_refine.apps.viewer.history import History, Steered
 from grasp_refine.apps.viewer.pose import Pose

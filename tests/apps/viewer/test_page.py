@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import pytest
 import viser
+from grasp_refine.apps.viewer.page import Drawer, address, close_server, open_server
+from grasp_refine.apps.viewer.state import State
 from open_viewer import controller
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from grasp_refine.apps.viewer.page import Drawer, address, close_server, open_server
-from grasp_refine.apps.viewer.state import State
 from grasp_refine.errors import GraspRefineError
 
 
@@ -38,7 +38,9 @@ def test_a_port_of_zero_is_any_that_is_free_and_nothing_is_printed(capfd: pytest
 def test_a_port_that_is_taken_is_said_in_one_line() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(GraspRefineError, match=rf"cannot listen on 127\.0\.0\.1:{port} \(.*\): give another --port"):
+        with pytest.raises(
+            GraspRefineError, match=rf"cannot listen on 127\.0\.0\.1:{port} \(.*\): give another --port"
+        ):
             open_server("127.0.0.1", port)
 
 

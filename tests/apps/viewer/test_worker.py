@@ -4,7 +4,6 @@ import threading
 import time
 
 import pytest
-
 from grasp_refine.apps.viewer.worker import Control, Stopped, Worker
 
 
