@@ -282,7 +282,7 @@ class Controller:
             link, point_link = self._state.picked
             if link not in self._state.scene.links:
                 self.say(
-                    f"link {link} has no collision geometry: it cannot touch anything; click another one", bad=True
+                    f"link {link} cannot touch anything, it has no collision geometry: click another one", bad=True
                 )
                 self._set(picked=None)
                 return

@@ -116,14 +116,8 @@ def aimed(scene: Scene, pose: Pose, targets: tuple[Target, ...]) -> Scene:
         for target in targets:
             at = scene.links.index(target.link)
             points[:, 0, at] = target.point_link, target.point_object
-    return replace(
-        scene,
-        T_world_root=pose.T_object_root[None],
-        q=pose.q[None],
-        target_link=points[0],
-        target_object=points[1],
-        direction=None,
-    )
+    hand = {"T_world_root": pose.T_object_root[None], "q": pose.q[None]}
+    return replace(scene, **hand, target_link=points[0], target_object=points[1], direction=None)
 
 
 def targets_of(scene: Scene) -> tuple[Target, ...]:

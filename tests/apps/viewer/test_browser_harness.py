@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import trimesh
-from browser import ViserPage, share_of, until
+from browser import DETAIL, ViserPage, share_of, until
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -129,7 +129,7 @@ def test_pixels_poses_and_the_camera_agree(page: ViserPage):
     assert share_of(picture[:, :middle], *BLUE) > 0.01 > share_of(picture[:, middle:], *BLUE)
     reds = np.argwhere(((picture >= RED[0]) & (picture <= RED[1])).all(-1))
     corner = np.array(page.pixel((0.1 + HALF, -HALF, -HALF))) - (left, top)
-    assert reds.max(0)[::-1] == pytest.approx(corner, abs=3.0), "the lower right corner of the cube, in front"
+    assert reds.max(0)[::-1] == pytest.approx(corner, abs=1.0 / DETAIL + 1.0), "lower right corner of the cube"
 
     assert position(page, "/there/cube") == pytest.approx((0.1, 0.0, 0.0), abs=1e-6)
     np.testing.assert_allclose(page.pose("/there/cube")[:3, :3], np.eye(3), atol=1e-6)
