@@ -39,6 +39,7 @@ class Meshes:
         shadow: bool = True,
     ) -> None:
         """Make a node for each shape, `name`/0, `name`/1 and so on."""
+        self.shapes = tuple(shapes)
         self.nodes = [
             scene.add_mesh_simple(
                 f"{name}/{k}",
@@ -86,7 +87,7 @@ class HandMeshes(Meshes):
         super().__init__(scene, name, shapes, **looks)
         self.links = tuple(shape.link for shape in shapes)
         self._own = tuple(shape.color for shape in shapes)
-        self._poses = poses
+        self.poses = poses
         self._at: Pose | None = None
 
     def tint(self, links: Collection[str], color: Color) -> None:
@@ -101,7 +102,7 @@ class HandMeshes(Meshes):
         if pose is self._at or not np.isfinite(pose.T_object_root).all() or not np.isfinite(pose.q).all():
             return
         self._at = pose
-        T = self._poses(pose.T_object_root, pose.q)
+        T = self.poses(pose.T_object_root, pose.q)
         for link, node in zip(self.links, self.nodes, strict=True):
             place(node, T[link])
 

@@ -1,45 +1,20 @@
-"""The view: draws a state as a 3D scene; what is clicked and dragged there becomes commands."""
+"""The view: keeps a 3D scene showing the newest state, and cameras where it is seen well."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import viser
-from jaxtyping import Float
 
 from grasp_refine.hand import Hand
-from grasp_refine.hand_object import HandObject
 from grasp_refine.objects import Object
-from grasp_refine.se3 import inverse, tangents, transform, transform_from_pose, transform_points
 
-from .camera import first_camera_of
-from .colors import distance_colors
+from .camera import FirstCamera, first_camera_of
 from .contacts import Contacts, contacts_of
 from .controller import Controller
-from .glyphs import force_arrows, friction_cones, segments
-from .nodes import Arrows, Balls, HandMeshes, Lines, Meshes, place
-from .picking import hit_mesh, nearest_on_surface
-from .pose import Pose
-from .shapes import LinkPoses, collision_shapes, object_shapes, visual_shapes
+from .parts import Parts
 from .state import Showing, State
-
-GRASP = "/grasp"
-"""Everything that is told in the object's frame hangs below this node."""
-
-OPACITY, GHOST_OPACITY = 0.55, 0.22
-"""Of the object, and of the hand as it came."""
-
-GHOST_COLOR, TARGET_COLOR, FORCE_COLOR, DEEP_COLOR, PICKED_COLOR = (
-    (110, 130, 170),
-    (170, 60, 200),
-    (30, 90, 200),
-    (220, 20, 40),
-    (250, 130, 20),
-)
-
-TABLE = 0.004
-"""How thick a table is drawn, metres."""
 
 NEAR, FAR = 0.005, 50.0
 """Clipping planes of the cameras, metres."""
@@ -47,8 +22,8 @@ NEAR, FAR = 0.005, 50.0
 ASPECT = 1.1
 """Width of the scene over its height, beside the panel on a common screen."""
 
-BESIDE = 1.3
-"""The grasp as it came stands beside at so many times the width of hand and object."""
+BOTH = 1.9
+"""How much farther away one stands to see two grasps side by side."""
 
 
 class View:
@@ -56,343 +31,57 @@ class View:
 
     def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
         """Draw nothing yet."""
-        self.server, self.controller = server, controller
-        self._scene = server.scene
+        self.server, self._controller = server, controller
+        self.parts: Parts | None = None
         self._made: tuple[Hand, Object, Showing] | None = None
-        self._parts: _Parts | None = None
-        self._state: State | None = None
+        self._camera: FirstCamera | None = None
+        self._beside = False
 
     @property
     def contacts(self) -> Contacts | None:
         """The contacts that are drawn, for panels that tell about them."""
-        return None if self._parts is None else self._parts.contacts
+        return None if self.parts is None else self.parts.contacts
 
     def draw(self, state: State) -> None:
         """Make the scene show a state."""
-        before, self._state = self._state, state
-        hand, obj = state.scene.hand, state.scene.object
-        if before is not None and (before.scene.hand is not hand or before.scene.object is not obj):
-            self._made = None
+        made, parts = (state.scene.hand, state.scene.object, state.showing), self.parts
         with self.server.atomic():
-            if self._parts is None or self._made is None or self._made[2] != state.showing:
-                new = self._made is None
-                if self._parts is not None:
-                    self._parts.remove()
-                self._parts = _Parts(self._scene, self.controller, state, None if new else self._parts)
-                self._made = hand, obj, state.showing
-                if new:
-                    self._look(state)
-            self._parts.draw(state)
+            if parts is None or self._made != made:
+                same = parts is not None and self._made is not None and self._made[:2] == made[:2]
+                if parts is not None:
+                    parts.remove()
+                parts = self.parts = Parts(self.server.scene, self._controller, state, parts if same else None)
+                self._made = made
+                if not same:
+                    self._look(state, parts)
+            if state.side_by_side != self._beside:
+                self._beside = state.side_by_side
+                self._aim(state, parts)
+            parts.draw(state)
 
-    def _look(self, state: State) -> None:
+    def _look(self, state: State, parts: Parts) -> None:
         """Put all cameras where hand and object are seen whole."""
-        assert self._parts is not None
         shown = state.shown
         if not (np.isfinite(shown.T_object_root).all() and np.isfinite(shown.q).all()):
             return
-        found = contacts_of(self._parts.prepared, shown.T_object_root, shown.q)
-        camera = first_camera_of(found, state.T_world_object, aspect=ASPECT)
-        for holder in (self.server.initial_camera, *(client.camera for client in self.server.get_clients().values())):
-            holder.fov, holder.near, holder.far = camera.field_of_view, NEAR, FAR
-            if holder is self.server.initial_camera:
-                holder.up = camera.up
-            else:
-                holder.up_direction = camera.up
-            holder.position, holder.look_at = camera.position, camera.look_at
+        found = contacts_of(parts.prepared, shown.T_object_root, shown.q)
+        self._camera = first_camera_of(found, state.T_world_object, aspect=ASPECT)
+        across = np.cross(self._camera.look_at - self._camera.position, self._camera.up)
+        parts.right = across / np.linalg.norm(across)
+        self._aim(state, parts)
 
-
-class _Parts:
-    """The nodes of one hand with one object, shown in one way."""
-
-    def __init__(self, scene: viser.SceneApi, controller: Controller, state: State, before: _Parts | None) -> None:
-        """Make all nodes; what was found out `before` of the same hand and object is used again."""
-        hand, obj, showing = state.scene.hand, state.scene.object, state.showing
-        # Not the controller's: queries of two threads would give each other their warm starts.
-        self.prepared = HandObject(hand, obj) if before is None else before.prepared
-        self.contacts: Contacts | None = None
-        self._scene, self._controller, self._showing = scene, controller, showing
-        self._root = scene.add_frame(GRASP, show_axes=False)
-        poses = LinkPoses.of(hand)
-        unread: list[str] = []
-        self.shapes = visual_shapes(hand, unread.append) if showing.hand == "visual" else collision_shapes(hand)
-        if unread and before is None:
-            controller.say("; ".join(unread))
-        self.hand = HandMeshes(scene, f"{GRASP}/hand", self.shapes, poses)
-        looks = {"opacity": GHOST_OPACITY, "color": GHOST_COLOR, "shadow": False}
-        self.ghost = HandMeshes(scene, f"{GRASP}/ghost", self.shapes, poses, **looks)
-        self.object_shapes = object_shapes(obj, "pieces" if showing.object == "pieces" else "mesh")
-        solid = {
-            "opacity": OPACITY if showing.transparent and showing.object != "wireframe" else None,
-            "wireframe": showing.object == "wireframe",
-        }
-        self._object_frame = scene.add_frame(f"{GRASP}/object", show_axes=False)
-        self.object = Meshes(scene, f"{GRASP}/object/mesh", self.object_shapes, **solid)
-        self._beside_frame = scene.add_frame("/beside", show_axes=False, visible=False)
-        self._beside: tuple[HandMeshes, Meshes] | None = None
-        self._beside_looks, self._poses = solid, poses
-        low, high = self.prepared.box
-        self.size = float(np.linalg.norm(high - low))
-        ball = float(np.clip(0.012 * self.size, 8e-4, 3e-3))
-        self._lines = Lines(scene, f"{GRASP}/contacts/lines", 3.0)
-        self._on_link = Balls(scene, f"{GRASP}/contacts/link", ball, (0, 0, 0))
-        self._on_object = Balls(scene, f"{GRASP}/contacts/object", ball, (0, 0, 0))
-        self._targets = Balls(scene, f"{GRASP}/targets/object", 1.8 * ball, TARGET_COLOR, 0.75)
-        self._wanted = Balls(scene, f"{GRASP}/targets/link", 1.3 * ball, TARGET_COLOR)
-        self._target_lines = Lines(scene, f"{GRASP}/targets/lines", 2.0)
-        self._picked = Balls(scene, f"{GRASP}/picked", 1.8 * ball, PICKED_COLOR)
-        length = float(np.clip(0.5 * self.size, 0.02, 0.1))
-        self._forces = Arrows(scene, f"{GRASP}/forces", length)
-        self._length = length
-        self._push = Arrows(scene, f"{GRASP}/push", 1.5 * length)
-        self._cones: Any = None
-        self._axes = [
-            scene.add_frame(f"{GRASP}/{name}", axes_length=0.6 * length, axes_radius=0.02 * length, visible=False)
-            for name in ("frame_of_hand", "frame_of_object")
-        ]
-        self._table = self._table_node(state) if showing.table else None
-        self._gizmos: dict[str, Any] = {}
-        self._picking = False
-        self._drawn: State | None = None
-
-    # drawing
-
-    def draw(self, state: State) -> None:
-        """Move everything to where it is in a state."""
-        shown, showing = state.shown, self._showing
-        place(self._root, state.T_world_object)
-        moving = state.motion is not None
-        self.hand.move(shown)
-        place(self._object_frame, state.T_shown_object)
-        differs = state.initial is not shown and not _same(state.initial, shown)
-        self.ghost.show(showing.ghost and differs and not moving and not state.side_by_side)
-        self.ghost.move(state.initial)
-        self._draw_contacts(state, shown)
-        self._draw_push(state)
-        for node in self._axes:
-            node.visible = showing.frames
-        if showing.frames:
-            place(self._axes[0], shown.T_object_root)
-            place(self._axes[1], state.T_shown_object)
-        self._draw_beside(state)
-        self._draw_gizmos(state)
-        if state.picking != self._picking:
-            self._picking = state.picking
-            self._listen(state.picking)
-        self._drawn = state
-
-    def corners(self, pose: Pose) -> Float[np.ndarray, "N 3"]:
-        """Points (N, 3) on hand and object, object frame, as many as say how large they are."""
-        T = self._poses(pose.T_object_root, pose.q)
-        points = [shape.vertices for shape in self.object_shapes]
-        points += [transform_points(T[shape.link], shape.vertices.astype(float)) for shape in self.shapes]
-        every = max(sum(map(len, points)) // 4000, 1)
-        return np.concatenate(points)[::every].astype(float)
-
-    def _draw_contacts(self, state: State, shown: Pose) -> None:
-        """Witness points, lines between them, targets, and forces."""
-        if state.motion is not None:
-            self._draw_motion_contacts(state)
+    def _aim(self, state: State, parts: Parts) -> None:
+        """Put all cameras where they look best: at one grasp, or at two side by side."""
+        camera = self._camera
+        if camera is None:
             return
-        trace, frame = state.trace, state.frame
-        touching = None if trace is None or state.outcome is None and state.job is None else trace.touching[-1]
-        if trace is not None and frame is not None:
-            touching = trace.touching[frame]
-        elif state.pose is not shown or (trace is not None and not _same(state.pose, trace.pose(len(trace) - 1))):
-            touching = None
-        finite = np.isfinite(shown.T_object_root).all() and np.isfinite(shown.q).all()
-        if not finite:
-            return
-        found = contacts_of(self.prepared, shown.T_object_root, shown.q, touching=touching, targets=state.targets)
-        self.contacts = found
-        on = self._showing.contacts
-        deep = [link for link, is_deep in zip(found.link, found.deep, strict=True) if on and is_deep]
-        self.hand.tint(deep, DEEP_COLOR)
-        none = np.zeros((0, 3))
-        colors = distance_colors(found.distance) if on else none
-        on_link, on_object = (found.point_link, found.point_object) if on else (none, none)
-        self._lines.draw(segments(on_link, on_object), colors)
-        self._on_link.draw(on_link, colors)
-        self._on_object.draw(on_object, colors)
-        wanted = np.isfinite(found.target_link).all(axis=1)
-        if self._targets.draw(found.target_object):
-            self._listen_targets()
-        self._wanted.draw(found.target_link[wanted])
-        ends = segments(found.target_link, found.target_object)
-        self._target_lines.draw(ends, np.full((len(ends), 3), TARGET_COLOR))
-        picked = none
-        if state.picked is not None:
-            T = self._poses(shown.T_object_root, shown.q)[state.picked[0]]
-            picked = transform_points(T, state.picked[1])[None]
-        self._picked.draw(picked)
-        if self._showing.forces and state.job is None:
-            self._draw_forces(found)
-        elif self._drawn is not None and self._drawn.job is None:
-            self._clear_forces()
-
-    def _draw_motion_contacts(self, state: State) -> None:
-        """Where things touch in a simulation."""
-        motion, none = state.motion, np.zeros((0, 3))
-        assert motion is not None
-        points = motion.contacts[state.motion_frame] if motion.contacts and self._showing.contacts else none
-        self.hand.tint((), DEEP_COLOR)
-        self._lines.draw(np.zeros((0, 2, 3)), none)
-        self._on_link.draw(none, none)
-        self._on_object.draw(points, np.full((len(points), 3), distance_colors(np.zeros(1))[0]))
-        self._targets.draw(none)
-        self._wanted.draw(none)
-        self._target_lines.draw(np.zeros((0, 2, 3)), none)
-        self._picked.draw(none)
-        self._clear_forces()
-
-    def _draw_push(self, state: State) -> None:
-        """The push of a simulation, from the middle of the object outwards."""
-        motion = state.motion
-        if motion is None or not motion.pushed[state.motion_frame]:
-            if self._drawn is not None and self._drawn.motion is not None:
-                self._push.draw(np.zeros((0, 2, 3)), FORCE_COLOR)
-            return
-        direction = motion.force / np.linalg.norm(motion.force)
-        points = transform_points(state.T_shown_object, self.prepared.object.body.candidates.points)
-        middle = transform_points(state.T_shown_object, np.mean(self.prepared.box, axis=0))
-        reach = ((points - middle) @ direction).max()
-        self._push.draw(np.stack([middle, middle + (reach + 0.6 * self._length) * direction])[None], DEEP_COLOR)
-
-    def _draw_forces(self, found: Contacts) -> None:
-        """Contact forces as arrows into the object, normals, and friction cones."""
-        forces, body = found.forces, self.prepared.object.body
-        self._forces.draw(force_arrows(forces.point, forces.force, body), FORCE_COLOR)
-        vertices, faces = friction_cones(forces.point, forces.normal, forces.friction, body)
-        self._clear_cones()
-        if len(faces):
-            self._cones = self._scene.add_mesh_simple(
-                f"{GRASP}/cones", vertices, faces, color=FORCE_COLOR, opacity=0.2, side="double",
-                cast_shadow=False, receive_shadow=False,
-            )  # fmt: skip
-
-    def _clear_forces(self) -> None:
-        self._forces.draw(np.zeros((0, 2, 3)), FORCE_COLOR)
-        self._clear_cones()
-
-    def _clear_cones(self) -> None:
-        if self._cones is not None:
-            self._cones.remove()
-            self._cones = None
-
-    def _draw_beside(self, state: State) -> None:
-        """The grasp as it came, with an object of its own, beside."""
-        if state.side_by_side and self._beside is None:
-            hand = HandMeshes(self._scene, "/beside/hand", self.shapes, self._poses)
-            self._beside = hand, Meshes(self._scene, "/beside/object", self.object_shapes, **self._beside_looks)
-        if self._beside is None:
-            return
-        self._beside_frame.visible = state.side_by_side
         if state.side_by_side:
-            self._beside[0].move(state.initial)
-            width = np.ptp(self.corners(state.initial), axis=0).max()
-            place(self._beside_frame, transform(np.eye(3), np.array([0.0, BESIDE * width, 0.0])) @ state.T_world_object)
-
-    def _table_node(self, state: State) -> Any:
-        """A table below the object."""
-        table = state.scene.table
-        if table is None:
-            return None
-        normal = np.asarray(table.normal, dtype=float)
-        R = np.column_stack([tangents(normal), normal])
-        T = transform(R, (table.offset - 0.5 * TABLE) * normal)
-        node = self._scene.add_box(
-            f"{GRASP}/table", dimensions=(6 * self.size, 6 * self.size, TABLE), color=(200, 190, 175), opacity=0.8,
-            cast_shadow=False,
-        )  # fmt: skip
-        place(node, T)
-        return node
-
-    # what the user does in the scene
-
-    def _draw_gizmos(self, state: State) -> None:
-        """Handles to drag the hand or the object with."""
-        for kind in [kind for kind in self._gizmos if kind != state.gizmo]:
-            self._gizmos.pop(kind).remove()
-        if state.gizmo == "none" or state.motion is not None:
-            return
-        T = state.T_world_object if state.gizmo == "object" else state.T_world_object @ state.shown.T_object_root
-        node = self._gizmos.get(state.gizmo)
-        if node is None:
-            node = self._scene.add_transform_controls(
-                f"/gizmo_{state.gizmo}", scale=1.2 * self._length, depth_test=False
-            )
-            place(node, T)
-            node.on_update(self._drag_hand if state.gizmo == "hand" else self._drag_object)
-            self._gizmos[state.gizmo] = node
-        elif not np.allclose(_pose_of(node), T, atol=1e-9):
-            place(node, T)
-
-    def _drag_hand(self, event: Any) -> None:
-        if event.client is not None:
-            now = self._controller.state
-            self._controller.move_root(inverse(now.T_world_object) @ _pose_of(event.target))
-
-    def _drag_object(self, event: Any) -> None:
-        if event.client is not None:
-            self._controller.move_object(_pose_of(event.target))
-
-    def _listen(self, picking: bool) -> None:
-        """Let links and object be clicked, or no more."""
-        links = [lambda origin, ray, k=k: self._clicked_link(k, origin, ray) for k in range(len(self.shapes))]
-        self.hand.on_click(links if picking else None)
-        self.object.on_click([self._clicked_object] * len(self.object_shapes) if picking else None)
-
-    def _listen_targets(self) -> None:
-        """Let targets be dragged along the object."""
-        for k, node in enumerate(self._targets.nodes):
-            node.on_drag(lambda event, k=k: self._drag_target(k, event))
-
-    def _clicked_link(self, k: int, origin: np.ndarray, direction: np.ndarray) -> None:
-        state, shape = self._controller.state, self.shapes[k]
-        T = state.T_world_object @ self._poses(state.shown.T_object_root, state.shown.q)[shape.link]
-        hit = hit_mesh(*_seen_from(T, origin, direction), shape.vertices, shape.faces)
-        body = state.scene.hand.links_by_name[shape.link].body
-        if hit is not None:
-            # What is seen may lie beside what touches.
-            point = hit.point if body is None else nearest_on_surface(body, hit.point).point
-            self._controller.pick_link(shape.link, point)
-
-    def _clicked_object(self, origin: np.ndarray, direction: np.ndarray) -> None:
-        point = self._on_surface(self._controller.state, origin, direction)
-        if point is not None:
-            self._controller.pick_object(point)
-
-    def _drag_target(self, k: int, event: Any) -> None:
-        eye = np.array(event.client.camera.position)
-        point = self._on_surface(self._controller.state, eye, np.array(event.end_position) - eye)
-        if point is not None:
-            self._controller.move_target(k, point)
-
-    def _on_surface(self, state: State, origin: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
-        """Where a ray in the world meets the object first (3,), object frame."""
-        ray = _seen_from(state.T_world_object, origin, direction)
-        hits = [hit_mesh(*ray, shape.vertices, shape.faces) for shape in self.object_shapes]
-        known = [hit for hit in hits if hit is not None]
-        if not known:
-            return None
-        first = min(known, key=lambda hit: hit.distance)
-        return nearest_on_surface(state.scene.object.body, first.point).point
-
-    def remove(self) -> None:
-        """Take all nodes away."""
-        self._root.remove()
-        self._beside_frame.remove()
-        for node in self._gizmos.values():
-            node.remove()
-
-
-def _same(one: Pose, other: Pose) -> bool:
-    return np.array_equal(one.T_object_root, other.T_object_root) and np.array_equal(one.q, other.q)
-
-
-def _pose_of(node: Any) -> Float[np.ndarray, "4 4"]:
-    return transform_from_pose(np.concatenate([node.position, node.wxyz])[None])[0]
-
-
-def _seen_from(T: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A ray in the frame whose pose (4, 4) is T."""
-    return transform_points(inverse(T), origin), T[:3, :3].T @ direction
+            middle = camera.look_at + 0.5 * parts.beside(state)
+            camera = replace(camera, position=middle + BOTH * (camera.position - camera.look_at), look_at=middle)
+        first = self.server.initial_camera
+        first.fov, first.near, first.far, first.up = camera.field_of_view, NEAR, FAR, camera.up
+        first.position, first.look_at = camera.position, camera.look_at
+        for client in self.server.get_clients().values():
+            here = client.camera
+            here.fov, here.near, here.far, here.up_direction = camera.field_of_view, NEAR, FAR, camera.up
+            here.position, here.look_at = camera.position, camera.look_at

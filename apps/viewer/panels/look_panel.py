@@ -8,8 +8,8 @@ from typing import Any, get_args, get_type_hints
 import viser
 
 from ..controller import Controller
+from ..parts import DEEP_COLOR, FORCE_COLOR, GHOST_COLOR, TARGET_COLOR
 from ..state import Showing, State
-from ..view import DEEP_COLOR, FORCE_COLOR, GHOST_COLOR, TARGET_COLOR
 
 WORDS = {
     "hand": ("Hand", "What its maker drew, or the convex pieces that can touch."),

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from grasp_refine.apps.viewer.controller import Controller
 from grasp_refine.apps.viewer.page import close_server, open_server
+from grasp_refine.apps.viewer.parts import DEEP_COLOR
 from grasp_refine.apps.viewer.shapes import LinkPoses
-from grasp_refine.apps.viewer.view import DEEP_COLOR, View
+from grasp_refine.apps.viewer.view import View
 from open_viewer import controller, example, settled
 
 from grasp_refine.problem import Problem
@@ -48,7 +49,7 @@ def test_links_stand_where_kinematics_says_and_follow_the_joints(view: View, vie
     for _ in range(2):
         shown = viewer.state.shown
         T = LinkPoses.of(hand)(shown.T_object_root, shown.q)
-        for link, node in zip(view._parts.hand.links, view._parts.hand.nodes, strict=True):
+        for link, node in zip(view.parts.hand.links, view.parts.hand.nodes, strict=True):
             np.testing.assert_allclose(pose(node), T[link], atol=1e-7)
         for joint in range(len(hand.joint_names)):
             viewer.set_joint(joint, shown.q[joint] + 0.1)
@@ -56,7 +57,7 @@ def test_links_stand_where_kinematics_says_and_follow_the_joints(view: View, vie
 
 
 def test_the_first_camera_sees_hand_and_object(view: View, viewer: Controller) -> None:
-    camera, points = view.server.initial_camera, view._parts.corners(viewer.state.shown)
+    camera, points = view.server.initial_camera, view.parts.corners(viewer.state.shown)
     forward = np.array(camera.look_at) - np.array(camera.position)
     distance = np.linalg.norm(forward)
     forward /= distance
@@ -70,7 +71,7 @@ def test_the_first_camera_sees_hand_and_object(view: View, viewer: Controller) -
 
 
 def test_witness_points_are_on_both_surfaces_and_links_inside_are_red(view: View, viewer: Controller) -> None:
-    parts = view._parts
+    parts = view.parts
     found = view.contacts
     assert found is not None and len(found.link) == len(parts._on_link.nodes) == len(parts._on_object.nodes)
     for node, point in zip(parts._on_link.nodes, found.point_link, strict=True):
@@ -84,42 +85,42 @@ def test_witness_points_are_on_both_surfaces_and_links_inside_are_red(view: View
     assert deep and red == deep and len(DEEP_COLOR) == 3
     viewer.set_showing(contacts=False)
     view.draw(viewer.state)
-    assert not view._parts._on_link.nodes
+    assert not view.parts._on_link.nodes
 
 
 def test_scrubbing_moves_the_hand_and_the_ghost_stays(view: View, viewer: Controller) -> None:
-    assert not view._parts.ghost._visible
+    assert not view.parts.ghost._visible
     viewer.start()
     settled(viewer)
     view.draw(viewer.state)
-    tip = view._parts.hand.links.index("link_3.0_tip")
-    ghost = pose(view._parts.ghost.nodes[tip])
-    end = pose(view._parts.hand.nodes[tip])
+    tip = view.parts.hand.links.index("link_3.0_tip")
+    ghost = pose(view.parts.ghost.nodes[tip])
+    end = pose(view.parts.hand.nodes[tip])
     viewer.scrub(0)
     view.draw(viewer.state)
-    first = pose(view._parts.hand.nodes[tip])
+    first = pose(view.parts.hand.nodes[tip])
     assert np.linalg.norm(end[:3, 3] - first[:3, 3]) > 2e-3
     np.testing.assert_allclose(first, ghost, atol=1e-7)
-    assert not view._parts.ghost._visible
+    assert not view.parts.ghost._visible
     viewer.scrub(5)
     view.draw(viewer.state)
-    assert view._parts.ghost._visible
-    np.testing.assert_array_equal(pose(view._parts.ghost.nodes[tip]), ghost)
+    assert view.parts.ghost._visible
+    np.testing.assert_array_equal(pose(view.parts.ghost.nodes[tip]), ghost)
 
 
 def test_other_shapes_and_forces_are_drawn_when_asked_for(view: View, viewer: Controller) -> None:
     obj = viewer.state.scene.object
-    assert len(view._parts.object.nodes) == 1 and view._parts._cones is None
-    prepared = view._parts.prepared
+    assert len(view.parts.object.nodes) == 1 and view.parts._cones is None
+    prepared = view.parts.prepared
     viewer.set_showing(object="pieces", hand="collision", forces=True, frames=True, transparent=False)
     view.draw(viewer.state)
-    parts = view._parts
+    parts = view.parts
     assert len(parts.object.nodes) == len(obj.body.pieces) > 1
     assert parts.object.nodes[0].opacity is None and parts.prepared is prepared
     assert parts._cones is not None and parts._forces._node is not None and all(node.visible for node in parts._axes)
     viewer.set_showing(object="wireframe", forces=False)
     view.draw(viewer.state)
-    assert view._parts.object.nodes[0].wireframe and view._parts._cones is None
+    assert view.parts.object.nodes[0].wireframe and view.parts._cones is None
 
 
 def test_all_goes_with_the_object_and_side_by_side_shows_both(view: View, viewer: Controller) -> None:
@@ -127,7 +128,7 @@ def test_all_goes_with_the_object_and_side_by_side_shows_both(view: View, viewer
     viewer.move_object(T)
     viewer.set_side_by_side(True)
     view.draw(viewer.state)
-    parts = view._parts
+    parts = view.parts
     np.testing.assert_allclose(pose(parts._root), T, atol=1e-7)
     assert parts._beside_frame.visible and not parts.ghost._visible
     apart = pose(parts._beside_frame)[:3, 3] - T[:3, 3]
@@ -141,16 +142,16 @@ def test_clicks_on_a_link_and_on_the_object_set_a_target_on_both_surfaces(view: 
     viewer.move_object(transform(exp_so3(np.array([0.3, 0.0, 0.5])), np.array([0.02, 0.0, 0.01])))
     viewer.set_picking(True)
     view.draw(viewer.state)
-    state, parts = viewer.state, view._parts
+    state, parts = viewer.state, view.parts
     tip = parts.hand.links.index("link_3.0_tip")
     T = state.T_world_object @ LinkPoses.of(state.scene.hand)(state.shown.T_object_root, state.shown.q)["link_3.0_tip"]
     middle = transform_points(T, parts.shapes[tip].vertices.astype(float).mean(axis=0))
     eye = np.array([0.5, 0.4, 0.6])
-    parts._clicked_link(tip, eye, (middle - eye) / np.linalg.norm(middle - eye))
+    parts.interaction._clicked_link(tip, eye, (middle - eye) / np.linalg.norm(middle - eye))
     view.draw(viewer.state)
     assert viewer.state.picked is not None and len(parts._picked.nodes) == 1
     centre = transform_points(state.T_world_object, np.array([0.0, 0.0, 0.05]))
-    parts._clicked_object(eye, (centre - eye) / np.linalg.norm(centre - eye))
+    parts.interaction._clicked_object(eye, (centre - eye) / np.linalg.norm(centre - eye))
     view.draw(viewer.state)
     (target,) = viewer.state.targets
     assert target.link == "link_3.0_tip" and len(parts._targets.nodes) == 1
@@ -159,46 +160,46 @@ def test_clicks_on_a_link_and_on_the_object_set_a_target_on_both_surfaces(view: 
     before = target.point_object
     away = transform_points(state.T_world_object, before + np.array([0.0, 0.0, 0.01]))
     event = SimpleNamespace(client=SimpleNamespace(camera=SimpleNamespace(position=eye)), end_position=away)
-    parts._drag_target(0, event)
+    parts.interaction._drag_target(0, event)
     moved = viewer.state.targets[0].point_object
     assert 5e-3 < np.linalg.norm(moved - before) < 3e-2
     assert np.linalg.norm(moved[:2]) == pytest.approx(0.04, abs=2.5e-3)
     # A ray that meets nothing does nothing.
-    parts._clicked_object(eye, np.array([0.0, 0.0, 1.0]))
+    parts.interaction._clicked_object(eye, np.array([0.0, 0.0, 1.0]))
     assert len(viewer.state.targets) == 1
 
 
 def test_a_gizmo_follows_what_it_moves(view: View, viewer: Controller) -> None:
     viewer.set_gizmo("hand")
     view.draw(viewer.state)
-    node = view._parts._gizmos["hand"]
+    node = view.parts.interaction._gizmos["hand"]
     np.testing.assert_allclose(pose(node), viewer.state.shown.T_object_root, atol=1e-7)
     node.position = np.array(node.position) + np.array([0.01, 0.0, 0.0])
-    view._parts._drag_hand(SimpleNamespace(client=object(), target=node))
+    view.parts.interaction._drag_hand(SimpleNamespace(client=object(), target=node))
     np.testing.assert_allclose(pose(node), viewer.state.shown.T_object_root, atol=1e-7)
     viewer.set_gizmo("object")
     view.draw(viewer.state)
-    assert list(view._parts._gizmos) == ["object"]
+    assert list(view.parts.interaction._gizmos) == ["object"]
     # What Python sets is no drag.
-    view._parts._drag_object(SimpleNamespace(client=None, target=node))
+    view.parts.interaction._drag_object(SimpleNamespace(client=None, target=node))
     np.testing.assert_array_equal(viewer.state.T_world_object, np.eye(4))
 
 
 def test_another_object_takes_the_place_of_the_first(view: View, viewer: Controller) -> None:
-    before = view._parts
+    before = view.parts
     other = controller(example(object="bottle", hand="allegro"))
     viewer.change_collection(other.state.collection)
     other.close()
     view.draw(viewer.state)
-    assert view._parts is not before and view._parts.prepared.object is viewer.state.scene.object
-    assert len(view._parts.object.nodes) == 1
+    assert view.parts is not before and view.parts.prepared.object is viewer.state.scene.object
+    assert len(view.parts.object.nodes) == 1
 
 
 def test_a_pose_that_is_not_finite_is_not_drawn(view: View, viewer: Controller) -> None:
     shown = viewer.state.pose
     bad = replace(viewer.state, pose=replace(shown, q=np.full_like(shown.q, np.nan)))
     view.draw(bad)
-    assert np.isfinite(pose(view._parts.hand.nodes[0])).all()
+    assert np.isfinite(pose(view.parts.hand.nodes[0])).all()
 
 
 def test_a_simulation_moves_the_object_and_shows_the_push(view: View, viewer: Controller) -> None:
@@ -208,7 +209,7 @@ def test_a_simulation_moves_the_object_and_shows_the_push(view: View, viewer: Co
     settled(viewer)
     viewer.show_motion_frame(10_000)
     view.draw(viewer.state)
-    parts = view._parts
+    parts = view.parts
     np.testing.assert_allclose(pose(parts._object_frame), viewer.state.T_shown_object, atol=1e-6)
     assert parts._push._node is not None and not parts.ghost._visible
     viewer.end_motion()
