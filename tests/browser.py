@@ -236,7 +236,8 @@ class ViserPage:
     def row(self, label: str) -> Locator:
         """The row of a widget, by its label; the first if several are shown."""
         text = f"label[normalize-space()={quoted(label)}]"
-        return self.page.locator(f"xpath=//{text}/ancestor::div[contains(@class, 'mantine-Flex-root')][1]").first
+        rows = self.page.locator(f"xpath=//{text}/ancestor::div[contains(@class, 'mantine-Flex-root')][1]")
+        return rows.locator("visible=true").first
 
     def button(self, label: str) -> Locator:
         """A button, by its words."""
