@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import viser
@@ -37,8 +37,9 @@ class Meshes:
         wireframe: bool = False,
         color: Color | None = None,
         shadow: bool = True,
+        side: Literal["front", "double"] = "double",
     ) -> None:
-        """Make a node for each shape, `name`/0, `name`/1 and so on."""
+        """Make a node for each shape, `name`/0, `name`/1 and so on; of open surfaces both sides should be drawn."""
         self.shapes = tuple(shapes)
         self.nodes = [
             scene.add_mesh_simple(
@@ -48,7 +49,7 @@ class Meshes:
                 color=color or shape.color,
                 opacity=opacity,
                 wireframe=wireframe,
-                side="double",
+                side=side,
                 cast_shadow=shadow,
                 receive_shadow=False,
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import socket
 import threading
@@ -94,6 +95,8 @@ def open_server(host: str, port: int) -> viser.ViserServer:
             raise GraspRefineError(
                 f"cannot listen on {host}:{port} ({reason}): give another --port, or --port 0 for any that is free"
             ) from None
+    # Whoever connects without asking for anything would be told on the terminal, with a traceback.
+    logging.getLogger("websockets").addHandler(logging.NullHandler())
     with _silent(), _only_own_pages(host):
         server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
     if port and server.get_port() != port:
@@ -106,7 +109,7 @@ def open_server(host: str, port: int) -> viser.ViserServer:
     server.scene.set_up_direction("+z")
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(True, cast_shadow=False)
-    server.scene.add_light_hemisphere("/light", sky_color=(255, 255, 255), ground_color=(170, 175, 190), intensity=2.0)
+    server.scene.add_light_hemisphere("/light", sky_color=(255, 255, 255), ground_color=(205, 208, 218), intensity=2.4)
     return server
 
 

@@ -61,7 +61,7 @@ class Parts:
         if unread and before is None:
             controller.say("; ".join(unread))
         self.hand = HandMeshes(scene, f"{GRASP}/hand", self.shapes, poses)
-        looks = {"opacity": GHOST_OPACITY, "color": GHOST_COLOR, "shadow": False}
+        looks = {"opacity": GHOST_OPACITY, "color": GHOST_COLOR, "shadow": False, "side": "front"}
         self.ghost = HandMeshes(scene, f"{GRASP}/ghost", self.shapes, poses, **looks)
         self.object_shapes = object_shapes(obj, "pieces" if showing.object == "pieces" else "mesh")
         solid = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import time
 import webbrowser
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     import viser
 
     from grasp_refine.apps.viewer.controller import Controller
+    from grasp_refine.apps.viewer.proofs import Proofs
     from grasp_refine.apps.viewer.shown_motion import ShownMotion
 
 
@@ -73,6 +75,8 @@ class View:
             raise GraspRefineError("the viewer needs viser: pip install 'grasp-refine[viewer]'")
         from grasp_refine.apps.viewer.page import address, close_server, open_server
 
+        # Whoever ends it otherwise than by Ctrl-C wants it to clean up, too.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
         # First, so that a browser can load the page while the rest is being loaded.
         server = open_server(self.serving.host, self.serving.port)
         try:
@@ -126,7 +130,7 @@ class View:
             if grasps and is_replay(grasps[0]):
                 return self._replayed(grasps[0], reporter)
             if documents and inputs.grasps is None:
-                raise GraspRefineError(f"{documents[0].path}: give the grasp file that it is about, too")
+                inputs = replace(inputs, grasps=_told_file(documents[0]))
             problem = inputs.load(self.settings.seed, reporter.say, reporter.wait)
             for note in problem.notes:
                 reporter.say(f"note: {note}")
@@ -150,6 +154,18 @@ class View:
         controller = Controller(Collection.of(problem), self.settings)
         controller.show_motion(motion)
         return controller
+
+
+def _told_file(document: Proofs) -> Path:
+    """The grasp file that a document is about.
+
+    Raises:
+        GraspRefineError: it does not name one that is there.
+    """
+    found = [Path(path) for path in document.files.values() if Path(path).exists()]
+    if len(found) != 1:
+        raise GraspRefineError(f"{document.path}: give the grasp file that it is about, too")
+    return found[0]
 
 
 def _grasp_of(motion: ShownMotion, hand: Hand) -> Reading:
