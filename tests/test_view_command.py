@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import PROGRAM, subprocess_environment
+from grasp_refine.apps.viewer.controller import Controller
 from open_viewer import settled
 
-from grasp_refine.apps.viewer.controller import Controller
 from grasp_refine.cli import main
 from grasp_refine.commands.inputs import Inputs
 from grasp_refine.commands.settings import Settings

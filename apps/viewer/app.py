@@ -20,7 +20,7 @@ class Viewer:
         self.server, self.controller = server, controller
         self.view = View(server, controller)
         self.panel = PagePanel(server, controller, self.view)
-        self._drawer = Drawer([self.view, self.panel], controller.state)
+        self._drawer = Drawer([self.view, self.panel, *self.panel.panels], controller.state)
         controller.listen(self._drawer.draw)
         self._drawer.start()
         # In the worker, and only until something else is asked for.

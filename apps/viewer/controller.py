@@ -26,7 +26,7 @@ from .shown_motion import ShownMotion
 from .state import State
 from .steering import Steering
 from .trace import Trace
-from .worker import Control
+from .worker import Control, Stopped
 
 
 class Controller(Steering):
@@ -42,6 +42,8 @@ class Controller(Steering):
         """
         super().__init__(_opened(State(collection, 0, *_grasp(collection, 0), settings, proofs=proofs or {}), 0))
         self._prover = Prover()
+        self._measuring = False
+        """Whether there are grasps to be measured when nothing else is to be done."""
 
     # what is shown
 
@@ -52,15 +54,20 @@ class Controller(Steering):
             if same_grasps and number == self._state.number:
                 self._set(collection=collection)
                 return
-            self.stop()
+            self._interrupt()
+            if not same_grasps:
+                self._measuring = False
+                if self._state.job is not None and self._state.job.kind == "measure":
+                    self._halt()
             self._history.clear()
             now = replace(self._state, collection=collection, proofs=self._state.proofs if same_grasps else {})
             self._become(_opened(now, number))
 
     def show(self, number: int) -> None:
         """Show another grasp."""
-        if 0 <= number < len(self._state.collection) and number != self._state.number:
-            self.change_collection(self._state.collection, number)
+        with self._lock:
+            if 0 <= number < len(self._state.collection) and number != self._state.number:
+                self.change_collection(self._state.collection, number)
 
     def set_showing(self, **changes: Any) -> None:
         """Show or hide parts of the scene: fields of `Showing`."""
@@ -89,9 +96,27 @@ class Controller(Steering):
                 return
 
             def work(control: Control) -> None:
-                measured(collection, control.tell, control.check, self._know)
+                # What fails now will fail again.
+                self._measuring = False
+                try:
+                    measured(collection, control.tell, control.check, self._know)
+                except Stopped:
+                    self._measuring = collection.problem is self._state.collection.problem
+                    raise
 
+            self._measuring = True
             self.run_job("measure", "measuring grasps", work)
+
+    def stop(self) -> None:
+        """End what is being done; what it has come to stays."""
+        with self._lock:
+            job = self._state.job
+            self._measuring &= job is None or job.kind != "measure"
+            super().stop()
+
+    def _ended(self) -> None:
+        if self._measuring:
+            self.measure()
 
     def _know(self, found: Collection) -> None:
         """Keep what was measured, also when measuring was stopped."""
@@ -123,7 +148,7 @@ class Controller(Steering):
                 self.say(str(error), bad=True)
                 return
             self._push("")
-            pose = self._state.shown
+            pose = self._state.standing
             self._set(pose=pose, trace=None, frame=None, outcome=None, motion=None, picked=None, proof=None)
             scene, targets = self._state.scene, self._state.targets
             name = self._state.collection.group(self._state.number)
@@ -175,7 +200,7 @@ class Controller(Steering):
                 self.say(str(error), bad=True)
                 return
             now = self._state
-            pose, scene, came = now.shown if now.motion is None else now.pose, now.scene, _came(now)
+            pose, scene, came = now.standing, now.scene, _came(now)
 
             def work(control: Control) -> Change:
                 prepared, tell, check = self._hand_object(), control.tell, control.check
@@ -232,9 +257,9 @@ def _grasp(collection: Collection, number: int) -> tuple[Scene, Pose, Pose]:
 
 
 def _opened(state: State, number: int) -> State:
-    """The state when a grasp of the same collection is opened; how things are looked at stays."""
+    """The state when a grasp of the same collection is opened; how things are looked at, and what is done, stays."""
     scene, initial, pose = _grasp(state.collection, number)
-    looks = ("settings", "proofs", "gizmo", "showing", "side_by_side", "notice", "change")
+    looks = ("settings", "proofs", "job", "gizmo", "showing", "side_by_side", "notice", "change")
     return State(
         collection=state.collection,
         number=number,

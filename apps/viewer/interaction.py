@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -79,13 +80,15 @@ class Interaction:
         self._hand.on_click(links if picking else None)
         self._object.on_click([self._clicked_object] * len(self._object.shapes) if picking else None)
 
-    def listen_to_targets(self) -> None:
-        """Let targets be dragged along the object."""
-        for k, node in enumerate(self._targets.nodes):
-            node.on_drag(lambda event, k=k: self._drag_target(k, event))
+    def listen_to_targets(self, new: Iterable[int]) -> None:
+        """Let targets that were not there before be dragged along the object."""
+        for k in new:
+            self._targets.nodes[k].on_drag(lambda event, k=k: self._drag_target(k, event))
 
     def _clicked_link(self, k: int, origin: np.ndarray, direction: np.ndarray) -> None:
         state, shape = self._controller.state, self._hand.shapes[k]
+        if state.motion is not None:
+            return
         T = state.T_world_object @ self._hand.poses(state.shown.T_object_root, state.shown.q)[shape.link]
         hit = hit_mesh(*_seen_from(T, origin, direction), shape.vertices, shape.faces)
         body = state.scene.hand.links_by_name[shape.link].body
@@ -95,7 +98,8 @@ class Interaction:
             self._controller.pick_link(shape.link, point)
 
     def _clicked_object(self, origin: np.ndarray, direction: np.ndarray) -> None:
-        point = self._on_surface(self._controller.state, origin, direction)
+        state = self._controller.state
+        point = None if state.motion is not None else self._on_surface(state, origin, direction)
         if point is not None:
             self._controller.pick_object(point)
 

@@ -26,9 +26,9 @@ class Jobs(Store):
         self._control: Control | None = None
 
     def close(self) -> None:
-        """Stop what is being done, and the worker."""
-        self.stop()
-        self._worker.close()
+        """Stop what is being done, and the worker; what cannot be stopped at once is not waited for long."""
+        self._halt()
+        self._worker.close(1.0)
 
     def run_job(self, kind: JobKind, what: str, work: Callable[[Control], Change | None]) -> bool:
         """Do something long in the worker, unless something else is being done; measuring gives way.
@@ -43,7 +43,7 @@ class Jobs(Store):
         with self._lock:
             if self._state.job is not None and self._state.job.kind != "measure":
                 return False
-            self.stop()
+            self._halt()
             control = Control(lambda share, now: self._if_wanted(control, share=share, what=now))
             self._control = control
             self._set(job=Job(kind, what))
@@ -52,6 +52,12 @@ class Jobs(Store):
 
     def stop(self) -> None:
         """End what is being done; what it has come to stays."""
+        with self._lock:
+            self._halt()
+            self._ended()
+
+    def _halt(self) -> None:
+        """End what is being done, and nothing else."""
         with self._lock:
             control, self._control = self._control, None
             if control is not None:
@@ -73,6 +79,10 @@ class Jobs(Store):
                 raise Stopped
             self._control = None
             self._become(replace(self._state if change is None else change(self._state), job=None))
+            self._ended()
+
+    def _ended(self) -> None:
+        """Nothing is being done any more; called with the lock held."""
 
     def _failed(self, control: Control, error: BaseException) -> None:
         """A job could not be done."""
@@ -83,6 +93,7 @@ class Jobs(Store):
             self._set(job=None)
             known = isinstance(error, GraspRefineError)
             self.say(str(error) if known else f"this failed ({type(error).__name__}: {error}); see the terminal", True)
+            self._ended()
 
     def _if_wanted(self, control: Control, *, share: float | None = None, what: str = "", **changes: Any) -> None:
         """Change the state on behalf of a job, unless it was stopped meanwhile."""

@@ -139,8 +139,8 @@ class Balls:
         self._scene, self._name, self._radius, self._color, self._opacity = scene, name, radius, color, opacity
         self.nodes: list[Any] = []
 
-    def draw(self, points: Float[np.ndarray, "N 3"], colors: np.ndarray | None = None) -> bool:
-        """Draw them at points, in colours (N, 3) or in their own; returns whether nodes were made or taken away."""
+    def draw(self, points: Float[np.ndarray, "N 3"], colors: np.ndarray | None = None) -> range:
+        """Draw them at points, in colours (N, 3) or in their own; returns the numbers of those that are new."""
         before = len(self.nodes)
         while len(self.nodes) > len(points):
             self.nodes.pop().remove()
@@ -162,7 +162,7 @@ class Balls:
                 self.nodes[k].position = point
                 if tuple(self.nodes[k].color) != color:
                     self.nodes[k].color = color
-        return len(points) != before
+        return range(before, len(points))
 
 
 class Arrows:

@@ -153,8 +153,7 @@ class Parts:
         self._on_link.draw(on_link, colors)
         self._on_object.draw(on_object, colors)
         wanted = np.isfinite(found.target_link).all(axis=1)
-        if self._targets.draw(found.target_object):
-            self.interaction.listen_to_targets()
+        self.interaction.listen_to_targets(self._targets.draw(found.target_object))
         self._wanted.draw(found.target_link[wanted])
         ends = segments(found.target_link, found.target_object)
         self._target_lines.draw(ends, np.full((len(ends), 3), TARGET_COLOR))
@@ -163,9 +162,9 @@ class Parts:
             T = self._poses(shown.T_object_root, shown.q)[state.picked[0]]
             picked = transform_points(T, state.picked[1])[None]
         self._picked.draw(picked)
-        if self._showing.forces and state.job is None:
+        if self._showing.forces and not _refining(state):
             self._draw_forces(found)
-        elif self._drawn is not None and self._drawn.job is None:
+        elif self._drawn is not None and not _refining(self._drawn):
             self._clear_forces()
 
     def _draw_motion_contacts(self, state: State) -> None:
@@ -240,7 +239,9 @@ class Parts:
             return None
         normal = np.asarray(table.normal, dtype=float)
         R = np.column_stack([tangents(normal), normal])
-        T = transform(R, (table.offset - 0.5 * TABLE) * normal)
+        middle = np.mean(self.prepared.box, axis=0)
+        below = middle + (table.offset - 0.5 * TABLE - normal @ middle) * normal
+        T = transform(R, below)
         node = self._scene.add_box(
             f"{GRASP}/table", dimensions=(6 * self.size, 6 * self.size, TABLE), color=(200, 190, 175), opacity=0.8,
             cast_shadow=False,
@@ -253,6 +254,10 @@ class Parts:
         self._root.remove()
         self._beside_frame.remove()
         self.interaction.remove()
+
+
+def _refining(state: State) -> bool:
+    return state.job is not None and state.job.kind == "refine"
 
 
 def _same(one: Pose, other: Pose) -> bool:

@@ -95,7 +95,7 @@ def refined(
     outcome = compare(
         scene,
         found,
-        closing(after, prepared),
+        closing(after, prepared, lambda *done: control.check()),
         margin=config.margin,
         name=group.object,
         scale=group.scale,
@@ -113,8 +113,11 @@ def aimed(scene: Scene, pose: Pose, targets: tuple[Target, ...]) -> Scene:
         points = None, None
     else:
         points = np.full((2, 1, len(scene.links), 3), np.nan)
+        columns = list(scene.links)
         for target in targets:
-            at = scene.links.index(target.link)
+            at = columns.index(target.link)
+            # A link with several contact points has as many columns.
+            columns[at] = columns[at] if columns.count(target.link) == 1 else ""
             points[:, 0, at] = target.point_link, target.point_object
     hand = {"T_world_root": pose.T_object_root[None], "q": pose.q[None]}
     return replace(scene, **hand, target_link=points[0], target_object=points[1], direction=None)

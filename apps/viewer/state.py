@@ -138,6 +138,11 @@ class State:
         return self.pose
 
     @property
+    def standing(self) -> Pose:
+        """Where the hand is for whatever is done next: as shown, but for a simulation, which is only looked at."""
+        return self.pose if self.motion is not None else self.shown
+
+    @property
     def T_shown_object(self) -> Float[np.ndarray, "4 4"]:
         """Where the object is (4, 4) in that frame: it moves in simulations only."""
         return np.eye(4) if self.motion is None else self.motion.T_object[self.motion_frame]

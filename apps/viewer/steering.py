@@ -13,11 +13,12 @@ from grasp_refine.hand_object import HandObject
 from grasp_refine.se3 import inverse
 
 from .history import Steered
-from .jobs import Jobs
+from .jobs import Change, Jobs
 from .pose import Pose
 from .refining import nearest_targets, targets_of
 from .state import Gizmo, State
 from .target import Target
+from .worker import Control
 
 
 class Steering(Jobs):
@@ -34,41 +35,35 @@ class Steering(Jobs):
 
     def move_root(self, T_object_root: np.ndarray) -> None:
         """Put the base link of the hand elsewhere (4, 4), object frame."""
+        T = np.array(T_object_root, dtype=float)
         with self._lock:
-            self._steer("hand", pose=Pose(np.array(T_object_root, dtype=float), self._state.shown.q))
+            if np.isfinite(T).all():
+                self._steer("hand", pose=Pose(T, self._state.standing.q))
 
     def set_joint(self, index: int, value: float) -> None:
         """Set one joint, within its limits; radians or metres."""
         with self._lock:
-            hand, shown = self._state.collection.hand, self._state.shown
-            q = shown.q.copy()
-            q[index] = np.clip(value, hand.lower[index], hand.upper[index])
-            self._steer(f"joint {index}", pose=Pose(shown.T_object_root, q))
+            hand, now = self._state.collection.hand, self._state.standing
+            if 0 <= index < len(now.q) and np.isfinite(value):
+                q = now.q.copy()
+                q[index] = np.clip(value, hand.lower[index], hand.upper[index])
+                self._steer(f"joint {index}", pose=Pose(now.T_object_root, q))
 
     def move_object(self, T_world_object: np.ndarray) -> None:
         """Put the object elsewhere (4, 4) while the hand stays where it is drawn."""
+        T = np.array(T_world_object, dtype=float)
         with self._lock:
-            now, T = self._state, np.array(T_world_object, dtype=float)
-            T_hand = inverse(T) @ now.T_world_object @ now.shown.T_object_root
-            self._steer("object", pose=Pose(T_hand, now.shown.q), T_world_object=T)
+            if np.isfinite(T).all():
+                now = self._state
+                T_hand = inverse(T) @ now.T_world_object @ now.standing.T_object_root
+                self._steer("object", pose=Pose(T_hand, now.standing.q), T_world_object=T)
 
     def reset(self) -> None:
         """Put hand, object and targets back to where they were when the grasp was opened, before any refinement."""
         with self._lock:
-            self.stop()
-            self._push("")
             now = self._state
-            self._set(
-                pose=now.initial,
-                targets=targets_of(now.scene),
-                T_world_object=np.eye(4),
-                trace=None,
-                frame=None,
-                outcome=None,
-                proof=None,
-                motion=None,
-                picked=None,
-            )
+            start = {"pose": now.initial, "targets": targets_of(now.scene), "T_world_object": np.eye(4)}
+            self._steer("", **start, trace=None, picked=None)
 
     def undo(self) -> None:
         """Take the last change of pose, object or targets back."""
@@ -134,14 +129,18 @@ class Steering(Jobs):
         with self._lock:
             now = self._state
             try:
-                found = nearest_targets(self._hand_object(), now.scene, now.shown, now.settings.config())
+                config = now.settings.config()
             except GraspRefineError as error:
                 self.say(str(error), bad=True)
                 return
-            if not found:
-                self.say("no link is within reach of the object: move the hand closer", bad=True)
-            else:
-                self._steer("", targets=found)
+
+            def work(control: Control) -> Change | None:
+                found = nearest_targets(self._hand_object(), now.scene, now.standing, config)
+                if not found:
+                    raise GraspRefineError("no link is within reach of the object: move the hand closer")
+                return lambda state: self._steered_to(state, "", targets=found)
+
+            self.run_job("load", "looking for the nearest points", work)
 
     # how
 
@@ -152,36 +151,35 @@ class Steering(Jobs):
             self._prepared = prepared = HandObject.of(scene)
         return prepared
 
-    def _steered(self) -> Steered:
-        now = self._state
-        return Steered(now.shown if now.motion is None else now.pose, now.targets, now.T_world_object)
-
     def _push(self, what: str) -> None:
         """Remember how things are, before something changes them."""
-        self._history.push(self._steered(), what)
+        now = self._state
+        self._history.push(Steered(now.standing, now.targets, now.T_world_object), what)
 
     def _steer(self, what: str, **changes: Any) -> None:
-        """A change by the user, which can be undone; what is being refined or watched ends."""
+        """A change by the user, which can be undone; what is being refined, proved or recorded ends."""
+        self._interrupt()
+        self._become(self._steered_to(self._state, what, **changes))
+
+    def _steered_to(self, state: State, what: str, **changes: Any) -> State:
+        """The state after a change that can be undone; `what` names movements that go on."""
+        self._push(what)
+        # What was found out of another pose is not true of this one.
+        forgotten = {"proof": None, "outcome": None} if "pose" in changes else {}
+        return replace(state, **{"pose": state.standing, "frame": None, "motion": None, **forgotten, **changes})
+
+    def _interrupt(self) -> None:
+        """Stop what is being done with the grasp that is shown; whatever else is being done goes on."""
         job = self._state.job
         if job is not None and job.kind in ("refine", "prove", "replay"):
             self.stop()
-        self._push(what)
-        pose = self._state.shown if self._state.motion is None else self._state.pose
-        self._set(**{"pose": pose, "frame": None, "motion": None, "proof": None, "outcome": None, **changes})
 
     def _exchange(self, take: Callable[[Steered], Steered | None]) -> None:
         with self._lock:
-            found = take(self._steered())
-            if found is None:
-                return
-            self.stop()
-            self._set(
-                pose=found.pose,
-                targets=found.targets,
-                T_world_object=found.T_world_object,
-                frame=None,
-                motion=None,
-                proof=None,
-                outcome=None,
-                picked=None,
-            )
+            now = self._state
+            found = take(Steered(now.standing, now.targets, now.T_world_object))
+            if found is not None:
+                self._interrupt()
+                back = {"pose": found.pose, "targets": found.targets, "T_world_object": found.T_world_object}
+                nothing = dict.fromkeys(("frame", "motion", "proof", "outcome", "picked"))
+                self._set(**back, **nothing)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -45,6 +44,10 @@ class Trace:
         return Pose(self.T[k], self.q[k])
 
 
+ROOM = 256
+"""Iterations that there is room for at first; it is doubled when it is used up."""
+
+
 class Recorder:
     """Builds the trace of the one grasp of a scene while it is refined."""
 
@@ -57,7 +60,8 @@ class Recorder:
             margin: Gap in metres that contacts should keep.
         """
         self._prepared, self._targets, self._margin = prepared, targets, margin
-        self._columns: list[list[Any]] = [[] for _ in fields(Trace)]
+        self._columns: list[np.ndarray] = []
+        self._labels: list[str] = []
 
     def see(self, glimpse: Glimpse) -> None:
         """Keep an iteration; of several starts at once, that with the lowest loss."""
@@ -75,13 +79,18 @@ class Recorder:
             targets=self._targets,
             margin=self._margin,
         )
-        row = (pose.T_object_root, pose.q, touching, loss, found.contact_error, found.penetration, label)
+        row = (pose.T_object_root, pose.q, touching, loss, found.contact_error, found.penetration)
+        count = len(self._labels)
+        if not self._columns:
+            self._columns = [np.empty((ROOM, *np.shape(value)), np.asarray(value).dtype) for value in row]
+        elif count == len(self._columns[0]):
+            # Traces that were given away keep the arrays that they look at.
+            self._columns = [np.concatenate([column, np.empty_like(column)]) for column in self._columns]
         for column, value in zip(self._columns, row, strict=True):
-            column.append(value)
+            column[count] = value
+        self._labels.append(label)
 
     def trace(self) -> Trace | None:
-        """What was kept so far; None: nothing."""
-        if not self._columns[0]:
-            return None
-        *arrays, labels = self._columns
-        return Trace(*(np.array(column) for column in arrays), tuple(labels))
+        """What was kept so far, without copying it; None: nothing."""
+        count = len(self._labels)
+        return Trace(*(column[:count] for column in self._columns), tuple(self._labels)) if count else None

@@ -31,7 +31,7 @@ PANELS = (
 
 
 class PagePanel:
-    """Heading and tabs; draws all of them."""
+    """Heading and tabs; draws the heading, and tells what is to be told."""
 
     def __init__(self, server: viser.ViserServer, controller: Controller, view: View) -> None:
         """Make all widgets."""
@@ -39,14 +39,15 @@ class PagePanel:
         self._heading = server.gui.add_html("")
         self._told = 0
         tabs = server.gui.add_tab_group()
-        self._panels: list[Any] = []
+        self.panels: list[Any] = []
+        """The panels in the tabs; each draws for itself."""
         for title, kind in PANELS:
             with tabs.add_tab(title):
-                self._panels.append(kind(server, controller))
+                self.panels.append(kind(server, controller))
 
     def close(self) -> None:
         """End what panels do by themselves, such as films."""
-        for panel in self._panels:
+        for panel in self.panels:
             if hasattr(panel, "close"):
                 panel.close()
 
@@ -55,8 +56,6 @@ class PagePanel:
         text = _heading(state, self._view)
         if self._heading.content != text:
             self._heading.content = text
-        for panel in self._panels:
-            panel.draw(state)
         notice = state.notice
         if notice is not None and notice.number != self._told:
             self._told = notice.number

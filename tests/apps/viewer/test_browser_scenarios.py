@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import trimesh
 from browser import ViserPage, share_of, until
-from command_line import call
 from viewer_process import Viewer
 
 if TYPE_CHECKING:
@@ -165,15 +164,6 @@ def test_a_small_window_keeps_scene_and_panel(page: ViserPage):
     assert share_of(page.wait_for_scene(), (0, 0, 0), (235, 235, 235)) > 0.05
 
 
-def test_a_port_that_is_taken_is_said_in_one_line(viewer: Viewer):
-    again = call("view", "--port", str(viewer.port), "--no-open")
-    assert (again.returncode, again.stdout) == (2, "")
-    assert again.stderr.splitlines() == [
-        f"refine-grasp: error: cannot listen on 127.0.0.1:{viewer.port} (Address already in use): give another --port, "
-        "or --port 0 for any that is free"
-    ]
-
-
 def test_shadow_from_its_maker_is_refined_scrubbed_and_interrupted(
     start_viewer: Callable[..., Viewer], open_page: Callable[..., ViserPage], shared_assets: Path
 ):
@@ -206,5 +196,5 @@ def test_shadow_from_its_maker_is_refined_scrubbed_and_interrupted(
     began = time.monotonic()
     viewer.process.send_signal(signal.SIGINT)
     assert viewer.process.wait(10.0) == 0
-    print(time.monotonic()-began, viewer.output())
+    assert time.monotonic() - began < 5.0
     assert "Traceback" not in viewer.output()
