@@ -96,13 +96,15 @@ class Controller(Steering):
                 return
 
             def work(control: Control) -> None:
-                # What fails now will fail again.
-                self._measuring = False
+                # What was stopped goes on later; what fails now would fail again.
+                again = False
                 try:
                     measured(collection, control.tell, control.check, self._know)
                 except Stopped:
-                    self._measuring = collection.problem is self._state.collection.problem
+                    again = True
                     raise
+                finally:
+                    self._measuring &= again
 
             self._measuring = True
             self.run_job("measure", "measuring grasps", work)
