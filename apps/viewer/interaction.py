@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from typing import Any
 
@@ -15,6 +16,9 @@ from .controller import Controller
 from .nodes import Balls, HandMeshes, Meshes, place
 from .picking import hit_mesh, nearest_on_surface
 from .state import State
+
+HELD = 0.5
+"""So many seconds after it was dragged last a handle stays where the user put it: states that are drawn may be older."""
 
 
 class Interaction:
@@ -43,6 +47,7 @@ class Interaction:
         self._hand, self._object, self._targets = hand, obj, targets
         self._gizmos: dict[str, Any] = {}
         self._picking = False
+        self._dragged = -np.inf
 
     def draw(self, state: State) -> None:
         """Listen as a state says, and put the handles where it says."""
@@ -62,16 +67,18 @@ class Interaction:
             place(node, T)
             node.on_update(self._drag_hand if state.gizmo == "hand" else self._drag_object)
             self._gizmos[state.gizmo] = node
-        elif not np.allclose(_pose_of(node), T, atol=1e-9):
+        elif time.monotonic() - self._dragged > HELD and not np.allclose(_pose_of(node), T, atol=1e-9):
             place(node, T)
 
-    def _drag_hand(self, event: Any) -> None:
+    # Asynchronous, so that they are called at once and in order, before anybody moves the handle.
+    async def _drag_hand(self, event: Any) -> None:
         if event.client is not None:
-            now = self._controller.state
-            self._controller.move_root(inverse(now.T_world_object) @ _pose_of(event.target))
+            self._dragged = time.monotonic()
+            self._controller.move_root(inverse(self._controller.state.T_world_object) @ _pose_of(event.target))
 
-    def _drag_object(self, event: Any) -> None:
+    async def _drag_object(self, event: Any) -> None:
         if event.client is not None:
+            self._dragged = time.monotonic()
             self._controller.move_object(_pose_of(event.target))
 
     def _listen(self, picking: bool) -> None:
