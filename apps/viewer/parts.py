@@ -24,7 +24,7 @@ from .state import State
 GRASP = "/grasp"
 """Everything that is told in the object's frame hangs below this node."""
 
-OPACITY, GHOST_OPACITY = 0.55, 0.22
+OPACITY, GHOST_OPACITY = 0.55, 0.16
 """Of the object, and of the hand as it came."""
 
 GHOST_COLOR, TARGET_COLOR, FORCE_COLOR, DEEP_COLOR, PICKED_COLOR = (
@@ -86,7 +86,7 @@ class Parts:
         length = float(np.clip(0.5 * self.size, 0.02, 0.1))
         self._forces = Arrows(scene, f"{GRASP}/forces", length)
         self._length = length
-        self._push = Arrows(scene, f"{GRASP}/push", 1.5 * length)
+        self._push = Arrows(scene, f"{GRASP}/push", length)
         self._cones: Any = None
         self._axes = [
             scene.add_frame(f"{GRASP}/{name}", axes_length=0.6 * length, axes_radius=0.02 * length, visible=False)
@@ -193,7 +193,7 @@ class Parts:
         points = transform_points(state.T_shown_object, self.prepared.object.body.candidates.points)
         middle = transform_points(state.T_shown_object, np.mean(self.prepared.box, axis=0))
         reach = ((points - middle) @ direction).max()
-        self._push.draw(np.stack([middle, middle + (reach + 0.6 * self._length) * direction])[None], DEEP_COLOR)
+        self._push.draw(np.stack([middle, middle + (reach + 0.4 * self._length) * direction])[None], DEEP_COLOR)
 
     def _draw_forces(self, found: Contacts) -> None:
         """Contact forces as arrows into the object, normals, and friction cones."""

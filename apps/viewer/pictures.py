@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 FOLDER = Path(__file__).parent
 SIZE = {"width": 1400, "height": 900}
 """Pixels of the window."""
-COLORS = 128
-"""Colours of the pictures; more make larger files and look the same."""
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 """Chromium draws without a graphics card."""
 FRICTION = "0.15"
@@ -33,7 +31,7 @@ def save(page: Page, name: str) -> None:
     """Write what is seen."""
     page.wait_for_timeout(3000)
     image = Image.open(io.BytesIO(page.screenshot()))
-    image.convert("RGB").quantize(COLORS, dither=Image.Dither.NONE).save(FOLDER / name, optimize=True)
+    image.convert("RGB").save(FOLDER / name, optimize=True)
     print(f"wrote {FOLDER / name}")
 
 
@@ -43,14 +41,14 @@ def take(page: Page) -> None:
     close = page.locator(".mantine-Notification-closeButton")
     if close.count():
         close.first.click()
-    page.get_by_text("Start", exact=True).click()
+    page.get_by_role("button", name="Start").click()
     page.get_by_text("Converged", exact=True).wait_for()
     save(page, "overview.png")
-    page.get_by_text("Reset", exact=True).first.click()
+    page.get_by_role("button", name="Reset").first.click()
     page.get_by_text("Prove", exact=True).click()
     page.locator("xpath=//label[normalize-space(.)='Friction']/following::input[1]").fill(FRICTION)
     page.wait_for_timeout(500)
-    page.get_by_text("Test in MuJoCo", exact=True).click()
+    page.get_by_role("button", name="Test in MuJoCo").click()
     page.get_by_text("Does not hold", exact=False).wait_for()
     page.get_by_text("+z", exact=True).last.click()
     page.get_by_text("it is lost", exact=False).first.wait_for(timeout=60_000)

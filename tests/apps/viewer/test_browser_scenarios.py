@@ -172,7 +172,7 @@ def test_shadow_from_its_maker_is_refined_scrubbed_and_interrupted(
         *("--hand", "shadow", "--urdf", shared_assets / "hands/shadow/shadow_right.urdf"),
         *("--objects", shared_assets / "grasps/bodex_shadow/example_object", "--index", "0", "1"),
     )
-    page, thumb = open_page(viewer.address), "/grasp/hand/22"
+    page, thumb = open_page(viewer.address, size=(900, 900)), "/grasp/hand/22"
     page.wait_for_node(thumb, 30.0)
     assert share_of(page.wait_for_scene(), (0, 0, 0), (235, 235, 235)) > 0.05
     page.wait_for_text("contact error 2.91 mm")
