@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+import traceback
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, get_args
 
@@ -172,10 +173,14 @@ class AlignmentPage:
                 if self.shown is self._drawn and self.shown.playing:
                     self.shown = self._next(self.shown)
                 shown = self.shown
-            if shown is not self._drawn:
-                self._draw(shown)
-            if shown is not self._charted and time.monotonic() - self._charted_at >= CHART_EVERY:
-                self._draw_chart(shown)
+            try:
+                if shown is not self._drawn:
+                    self._draw(shown)
+                if shown is not self._charted and time.monotonic() - self._charted_at >= CHART_EVERY:
+                    self._draw_chart(shown)
+            except Exception:  # noqa: BLE001 - one state that cannot be drawn must not be the last
+                traceback.print_exc()
+                self._drawn = self._charted = shown
 
     def _patience(self) -> float | None:
         """Seconds until something is to be drawn if nothing changes; None: nothing is."""

@@ -23,6 +23,7 @@ class Viewer:
         self._drawer = Drawer([self.view, self.panel, *self.panel.panels], controller.state)
         controller.listen(self._drawer.draw)
         self._drawer.start()
+        server.on_client_connect(lambda client: self._drawer.draw(controller.state))
         # In the worker, and only until something else is asked for.
         controller.measure()
 

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.grasps import GraspSet
 from grasp_refine.scene import Scene
@@ -159,7 +161,7 @@ class Controller(Steering):
                 def show(trace: Trace) -> None:
                     self._if_wanted(control, pose=trace.pose(len(trace) - 1), trace=trace)
 
-                found = refined(self._hand_object(), scene, pose, targets, config, control, show, name)
+                found = refined(self._hand_object(scene), scene, pose, targets, config, control, show, name)
                 return lambda state: replace(state, pose=found.pose, trace=found.trace, outcome=found.outcome)
 
             self.run_job("refine", "refining", work)
@@ -202,16 +204,22 @@ class Controller(Steering):
                 self.say(str(error), bad=True)
                 return
             now = self._state
-            pose, scene, came = now.standing, now.scene, _came(now)
+            pose, scene, came, number = now.standing, now.scene, _came(now), now.number
 
             def work(control: Control) -> Change:
-                prepared, tell, check = self._hand_object(), control.tell, control.check
+                prepared, tell, check = self._hand_object(scene), control.tell, control.check
                 found = prove(self._prover, scene, pose, protocol, came=came, prepared=prepared, tell=tell, check=check)
-                return lambda state: replace(state, proof=found)
+                return lambda state: replace(state, proof=found, proofs=self._proofs(state, number, pose, found))
 
             if self.run_job("prove", "testing in MuJoCo", work):
                 # What is proved is what was shown, and stays so.
                 self._set(pose=pose, frame=None, motion=None, proof=None)
+
+    def _proofs(self, state: State, number: int, pose: Pose, found: Proved) -> Mapping[int, Proved]:
+        """What is known of the grasps as their file has them, with what was found of one."""
+        scene = state.collection.scene(number)
+        as_it_came = np.array_equal(pose.q, scene.q[0]) and np.array_equal(pose.T_object_root, scene.T_world_root[0])
+        return {**state.proofs, number: found} if as_it_came else state.proofs
 
     def watch(self, direction: str) -> None:
         """Simulate one direction of the proof once more, to be looked at."""
@@ -222,7 +230,7 @@ class Controller(Steering):
             pose, scene, came = now.pose, now.scene, _came(now)
 
             def work(control: Control) -> Change:
-                prepared, tell, check = self._hand_object(), control.tell, control.check
+                prepared, tell, check = self._hand_object(scene), control.tell, control.check
                 found = watch(
                     self._prover, scene, pose, proof, direction, came=came, prepared=prepared, tell=tell, check=check
                 )

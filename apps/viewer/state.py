@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from .proved import Proved
     from .shown_motion import ShownMotion
 
-JobKind = Literal["load", "measure", "refine", "prove", "replay", "export"]
+JobKind = Literal["load", "measure", "aim", "refine", "prove", "replay", "export"]
 Gizmo = Literal["none", "hand", "object"]
 
 

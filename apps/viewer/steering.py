@@ -10,6 +10,7 @@ import numpy as np
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand_object import HandObject
+from grasp_refine.scene import Scene
 from grasp_refine.se3 import inverse
 
 from .history import Steered
@@ -81,7 +82,8 @@ class Steering(Jobs):
 
     def pick_link(self, link: str, point_link: np.ndarray) -> None:
         """The user clicked a link at a point (3,) of its frame: it should touch the object where that is clicked."""
-        if self._state.picking:
+        # A click on a hand that is not there any more may come late.
+        if self._state.picking and link in self._state.scene.hand.links_by_name:
             self._set(picked=(link, np.array(point_link, dtype=float)))
 
     def pick_object(self, point_object: np.ndarray) -> None:
@@ -135,18 +137,18 @@ class Steering(Jobs):
                 return
 
             def work(control: Control) -> Change | None:
-                found = nearest_targets(self._hand_object(), now.scene, now.standing, config)
+                found = nearest_targets(self._hand_object(now.scene), now.scene, now.standing, config)
                 if not found:
                     raise GraspRefineError("no link is within reach of the object: move the hand closer")
                 return lambda state: self._steered_to(state, "", targets=found)
 
-            self.run_job("load", "looking for the nearest points", work)
+            self.run_job("aim", "looking for the nearest points", work)
 
     # how
 
-    def _hand_object(self) -> HandObject:
-        """What refinement and simulation need of the present hand and object, built once; for the worker."""
-        scene, prepared = self._state.scene, self._prepared
+    def _hand_object(self, scene: Scene) -> HandObject:
+        """What refinement and simulation need of the hand and object of a scene, built once; for the worker."""
+        prepared = self._prepared
         if prepared is None or prepared.hand is not scene.hand or prepared.object is not scene.object:
             self._prepared = prepared = HandObject.of(scene)
         return prepared
@@ -164,14 +166,15 @@ class Steering(Jobs):
     def _steered_to(self, state: State, what: str, **changes: Any) -> State:
         """The state after a change that can be undone; `what` names movements that go on."""
         self._push(what)
+        pose = changes.pop("pose", state.standing)
         # What was found out of another pose is not true of this one.
-        forgotten = {"proof": None, "outcome": None} if "pose" in changes else {}
-        return replace(state, **{"pose": state.standing, "frame": None, "motion": None, **forgotten, **changes})
+        forgotten = {} if pose is state.pose else {"proof": None, "outcome": None}
+        return replace(state, **{"pose": pose, "frame": None, "motion": None, **forgotten, **changes})
 
     def _interrupt(self) -> None:
         """Stop what is being done with the grasp that is shown; whatever else is being done goes on."""
         job = self._state.job
-        if job is not None and job.kind in ("refine", "prove", "replay"):
+        if job is not None and job.kind in ("aim", "refine", "prove", "replay"):
             self.stop()
 
     def _exchange(self, take: Callable[[Steered], Steered | None]) -> None:

@@ -50,6 +50,7 @@ class View:
                 same = parts is not None and self._made is not None and self._made[:2] == made[:2]
                 if parts is not None:
                     parts.remove()
+                    self.parts = self._made = None
                 parts = self.parts = Parts(self.server.scene, self._controller, state, parts if same else None)
                 self._made = made
                 if not same:

@@ -138,13 +138,14 @@ class Run:
 
     def _viewed(self, paths: dict[str, Path]) -> int:
         """Show the result of the first object until interrupted."""
-        from grasp_refine.commands.view import View
+        from grasp_refine.commands.view import Serving, View
 
         first, path = next(iter(paths.items()))
         if len(paths) > 1:
             screen().print(f"showing {first}; refine-grasp view {self.output.out} shows all", soft_wrap=True)
         inputs = replace(self.inputs, grasps=path, index=(), targets=Inputs.targets, scale=1.0, format=None)
-        return View(inputs=inputs, settings=self.settings).execute()
+        # Not to fail now because some port is taken.
+        return View(inputs=inputs, settings=self.settings, serving=Serving(port=0)).execute()
 
     def _check_used(self, problem: Problem, config: Config) -> None:
         """Refuse options that would mean nothing for these grasps.

@@ -38,9 +38,12 @@ class Joints:
             self._hand, self._parts, self._sliders = hand, [], []
             with self._folder:
                 self._build(hand)
-        for slider, value, scale in zip(self._sliders, q, units(hand), strict=True):
+        for i, (slider, value, scale) in enumerate(zip(self._sliders, q, units(hand), strict=True)):
             handle = slider.handle
-            slider.show(float(np.clip(round(value * scale, 1), handle.min, handle.max)))
+            shown = value * scale
+            if not np.isfinite(hand.upper[i]) and hand.joints_by_name[hand.joint_names[i]].kind != "prismatic":
+                shown = (shown + 180.0) % 360.0 - 180.0
+            slider.show(float(np.clip(round(shown, 1), handle.min, handle.max)))
 
     def close(self) -> None:
         """Show nothing any more."""

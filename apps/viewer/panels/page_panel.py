@@ -57,9 +57,11 @@ class PagePanel:
         if self._heading.content != text:
             self._heading.content = text
         notice = state.notice
-        if notice is not None and notice.number != self._told:
+        clients = self._server.get_clients().values()
+        # What is said before anybody looks is told to the first who does.
+        if notice is not None and notice.number != self._told and clients:
             self._told = notice.number
-            for client in self._server.get_clients().values():
+            for client in clients:
                 client.add_notification(
                     "This did not work" if notice.bad else "grasp-refine",
                     notice.text,
@@ -76,8 +78,9 @@ def _heading(state: State, view: View) -> str:
     if state.motion is not None:
         lines.append(html.escape(state.motion.text(state.motion_frame)))
     elif found is not None:
-        error = "no contact" if np.isnan(found.contact_error) else f"{1e3 * found.contact_error:.2f} mm"
-        lines.append(f"contact error {error} &nbsp; penetration {1e3 * found.penetration:.2f} mm")
+        error = f"contact error {1e3 * found.contact_error:.2f} mm"
+        error = "nothing near enough to touch" if np.isnan(found.contact_error) else error
+        lines.append(f"{error} &nbsp; penetration {1e3 * found.penetration:.2f} mm")
     style = "padding:0.3em 1em;line-height:1.5;font-size:0.9em;overflow-wrap:anywhere"
     return f'<div style="{style}">{"<br>".join(lines)}{SCALE}</div>'
 

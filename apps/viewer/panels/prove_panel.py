@@ -70,6 +70,11 @@ class ProvePanel:
         self._notes = gui.add_html("")
         self._connect()
 
+    def close(self) -> None:
+        """End what is played."""
+        self._player.pause()
+        self._seconds.close()
+
     def draw(self, state: State) -> None:
         """Show a state."""
         with self._lock:

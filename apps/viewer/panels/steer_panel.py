@@ -111,12 +111,12 @@ class SteerPanel:
             self._controller.delete_target(links.index(link))
 
     def _move(self, position: tuple[float, float, float]) -> None:
-        T = self._controller.state.shown.T_object_root.copy()
+        T = self._controller.state.standing.T_object_root.copy()
         T[:3, 3] = 1e-3 * np.array(position)
         self._controller.move_root(T)
 
     def _turn(self, rotation: tuple[float, float, float]) -> None:
-        T = self._controller.state.shown.T_object_root.copy()
+        T = self._controller.state.standing.T_object_root.copy()
         T[:3, :3] = exp_so3(np.radians(np.array(rotation)))
         self._controller.move_root(T)
 

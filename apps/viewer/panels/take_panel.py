@@ -108,7 +108,7 @@ class TakePanel:
         units, holes = ({words: key for key, words in known.items()} for known in (NAMES, HOLES))
         options = MeshOptions(units.get(self._unit.value), holes.get(self._holes.value, "refuse"))
         now, shown = self._controller.state, shown_name(file.name)
-        pose = now.pose if now.motion is not None else now.shown
+        pose = now.standing
 
         def work(control: Control) -> None:
             control.tell(None, f"checking {shown}")
@@ -122,7 +122,6 @@ class TakePanel:
             problem = opened(upload, now.scene, pose, options=options, tell=tell, check=control.check)
             found = Collection.of(problem)
             control.check()
-            # The job ends with this.
             self._controller.change_collection(found)
             self._controller.say(f"{shown} is open: {_sentence(found)}")
 
@@ -133,7 +132,7 @@ class TakePanel:
     def _save_grasp(self, event: viser.GuiEvent) -> None:
         """Send the grasp that is shown, as a file."""
         now, to, client = self._controller.state, self._format.value, event.client
-        pose = now.pose if now.motion is not None else now.shown
+        pose = now.standing
         group = now.collection.group(now.number)
 
         def work(control: Control) -> None:

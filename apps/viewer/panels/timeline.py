@@ -64,8 +64,8 @@ class Timeline:
                 self._stop.set()
                 return
             self._stop = Event()
+            self._play.label = STOP
             Thread(target=self._run, args=(self._stop,), name="viewer timeline", daemon=True).start()
-        self._play.label = STOP
 
     def _run(self, stop: Event) -> None:
         """Play until the end, a stop, or somebody else moves the timeline."""
