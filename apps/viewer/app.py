@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import Timer
 from types import TracebackType
 
 import viser
@@ -12,20 +13,26 @@ from .panels.page_panel import PagePanel
 from .view import View
 
 
+PATIENCE = 4.0
+"""Seconds until grasps are measured that nobody asks for: browsers load the page first, with the same processor."""
+
+
 class Viewer:
     """A server that shows what a controller has; a context manager that closes both."""
 
     def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
-        """Put scene and panels on the page."""
+        """Put scene and panels on the page, the scene first."""
         self.server, self.controller = server, controller
         self.view = View(server, controller)
+        self.view.draw(controller.state)
         self.panel = PagePanel(server, controller, self.view)
         self._drawer = Drawer([self.view, self.panel, *self.panel.panels], controller.state)
         controller.listen(self._drawer.draw)
         self._drawer.start()
         server.on_client_connect(lambda client: self._drawer.draw(controller.state))
-        # In the worker, and only until something else is asked for.
-        controller.measure()
+        self._measuring = Timer(PATIENCE, controller.measure)
+        self._measuring.daemon = True
+        self._measuring.start()
 
     @property
     def address(self) -> str:
@@ -40,6 +47,7 @@ class Viewer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Stop what is being done, and the server."""
+        self._measuring.cancel()
         self.panel.close()
         self.controller.close()
         self._drawer.close()

@@ -81,7 +81,7 @@ def first_camera(
     for (step, elevation), azimuth in product(enumerate(ELEVATIONS), AZIMUTHS):
         towards = _direction(azimuth, elevation)
         hidden = _hidden(wanted, hand, towards) + OBJECT_HIDES * _hidden(wanted, obj, towards)
-        cameras.append(_fitted(every, middle, towards, aspect, field_of_view))
+        cameras.append(fitted(every, middle, towards, aspect, field_of_view))
         cost.append(hidden.mean() + STEEP * step)
     distance = np.array([np.linalg.norm(camera.position - middle) for camera in cameras])
     total = np.array(cost) + FAR * (distance / distance.min() - 1.0)
@@ -130,14 +130,17 @@ def _hidden(
     return np.minimum((near * (away[2] > IN_FRONT)).sum(axis=1), 1.0)
 
 
-def _fitted(
+def fitted(
     points: Float[np.ndarray, "N 3"],
     middle: Float[np.ndarray, " 3"],
     towards: Float[np.ndarray, " 3"],
     aspect: float,
     field_of_view: float,
 ) -> FirstCamera:
-    """From where points (N, 3) just fill the picture of a camera that looks against `towards`, at `middle`'s depth."""
+    """From where points (N, 3) just fill the picture of a camera that looks against `towards`, at `middle`'s depth.
+
+    `towards` (3,) is a unit vector that is not vertical.
+    """
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
     above = np.cross(towards, right)

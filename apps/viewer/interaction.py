@@ -18,7 +18,7 @@ from .picking import hit_mesh, nearest_on_surface
 from .state import State
 
 HELD = 0.5
-"""So many seconds after it was dragged last a handle stays where the user put it: states that are drawn may be older."""
+"""Seconds for which a handle stays where the user dragged it: states that are drawn may be older."""
 
 
 class Interaction:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import re
 import socket
@@ -92,9 +93,12 @@ def open_server(host: str, port: int) -> viser.ViserServer:
             probe.bind((host, port))
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise GraspRefineError(
-                f"cannot listen on {host}:{port} ({reason}): give another --port, or --port 0 for any that is free"
-            ) from None
+            advice = "give another --port, or --port 0 for any that is free"
+            if isinstance(error, OverflowError):
+                reason, advice = "no such port", "give a --port from 0 to 65535"
+            elif isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+                advice = "give a --host of this machine, such as 127.0.0.1, or 0.0.0.0 for all"
+            raise GraspRefineError(f"cannot listen on {host}:{port} ({reason}): {advice}") from None
     # Whoever connects without asking for anything would be told on the terminal, with a traceback.
     logging.getLogger("websockets").addHandler(logging.NullHandler())
     with _silent(), _only_own_pages(host):

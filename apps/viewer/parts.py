@@ -72,6 +72,7 @@ class Parts:
         self.object = Meshes(scene, f"{GRASP}/object/mesh", self.object_shapes, **solid)
         self._beside_frame = scene.add_frame("/beside", show_axes=False, visible=False)
         self._beside: tuple[HandMeshes, Meshes] | None = None
+        self._labelled: Any = None
         self._beside_looks, self._poses = solid, poses
         low, high = self.prepared.box
         self.size = float(np.linalg.norm(high - low))
@@ -221,9 +222,12 @@ class Parts:
         if state.side_by_side and self._beside is None:
             hand = HandMeshes(self._scene, "/beside/hand", self.shapes, self._poses)
             self._beside = hand, Meshes(self._scene, "/beside/object", self.object_shapes, **self._beside_looks)
+            above = self.corners(state.initial).max(axis=0) * np.array([0.0, 0.0, 1.0]) + 0.1 * self._length
+            self._scene.add_label("/beside/label", "as it came", position=above)
+            self._labelled = self._scene.add_label(f"{GRASP}/label", "now", position=above)
         if self._beside is None:
             return
-        self._beside_frame.visible = state.side_by_side
+        self._beside_frame.visible = self._labelled.visible = state.side_by_side
         if state.side_by_side:
             self._beside[0].move(state.initial)
             place(self._beside_frame, transform(np.eye(3), self.beside(state)) @ state.T_world_object)

@@ -1,7 +1,7 @@
 """Take the README's pictures of the viewer: a refined grasp, and a push that the hand does not withstand.
 
 Run `python -m grasp_refine.apps.viewer.pictures` after anything that changes how the viewer looks. It writes
-apps/viewer/overview.png and apps/viewer/replay.png, and needs playwright, which the extra 'test' installs, and chromium.
+apps/viewer/overview.png and apps/viewer/replay.png. It needs playwright, which the extra 'test' installs, and chromium.
 """
 
 from __future__ import annotations

@@ -88,9 +88,12 @@ class ShownMotion:
 
     @property
     def lost(self) -> Bool[np.ndarray, " T"]:
-        """In which frames (T,) the object is lost: it has once been too far away, or turned too far."""
+        """In which frames (T,) the object is lost, if it is: it has once been too far away, or turned too far.
+
+        A trial is judged at its checks; in between the object may swing farther, and come back.
+        """
         beyond = (self.displacement_m >= Protocol.farthest) | (self.angle_rad >= Protocol.steepest)
-        return np.logical_or.accumulate(beyond)
+        return np.logical_or.accumulate(beyond & (not self.held))
 
     @property
     def pushed(self) -> Bool[np.ndarray, " T"]:

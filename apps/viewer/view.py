@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import viser
 
 from grasp_refine.hand import Hand
 from grasp_refine.objects import Object
+from grasp_refine.se3 import transform_points
 
-from .camera import FirstCamera, first_camera_of
+from .camera import FirstCamera, first_camera_of, fitted
 from .contacts import Contacts, contacts_of
 from .controller import Controller
 from .parts import Parts
@@ -21,9 +20,6 @@ NEAR, FAR = 0.005, 50.0
 
 ASPECT = 1.1
 """Width of the scene over its height, beside the panel on a common screen."""
-
-BOTH = 1.9
-"""How much farther away one stands to see two grasps side by side."""
 
 
 class View:
@@ -77,8 +73,12 @@ class View:
         if camera is None:
             return
         if state.side_by_side:
-            middle = camera.look_at + 0.5 * parts.beside(state)
-            camera = replace(camera, position=middle + BOTH * (camera.position - camera.look_at), look_at=middle)
+            points = transform_points(state.T_world_object, parts.corners(state.shown))
+            other = transform_points(state.T_world_object, parts.corners(state.initial)) + parts.beside(state)
+            back = camera.position - camera.look_at
+            back /= np.linalg.norm(back)
+            both = np.concatenate([points, other])
+            camera = fitted(both, both.mean(axis=0), back, ASPECT, camera.field_of_view)
         first = self.server.initial_camera
         first.fov, first.near, first.far, first.up = camera.field_of_view, NEAR, FAR, camera.up
         first.position, first.look_at = camera.position, camera.look_at

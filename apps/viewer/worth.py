@@ -23,7 +23,7 @@ STYLE = """<style>
 
 def worth_html(collection: Collection, number: int) -> str:
     """Name, status, verdict and measures of a grasp; of a refined one, before and after."""
-    heading = [f"<b>{escape(collection.label(number))}</b>"]
+    heading = [f"<b>{escape(collection.label(number))}</b> as in its file"]
     status, held, reason = (collection.columns.get(column.key) for column in (STATUS, HELD, REASON))
     if status is not None and status.known[number]:
         heading.append(escape(status.text(number)))

@@ -114,8 +114,8 @@ class Inputs(Sources):
             return examples.get(EXAMPLE_OBJECT) or next(iter(examples.values()))
         if wanted not in examples:
             raise GraspRefineError(
-                f"--grasps FILE is needed: there are no example grasps of hand '{hand}' on '{wanted}', "
-                f"only on {', '.join(examples) or 'nothing'}"
+                f"--grasps FILE is needed, or --grasps {SAMPLE}16 for new ones: there are no example grasps of hand "
+                f"'{hand}' on '{wanted}', only on {', '.join(examples) or 'nothing'}"
             )
         return examples[wanted]
 

@@ -153,6 +153,7 @@ class View:
         problem = self.inputs.load_read(_grasp_of(motion, hand), path, self.settings.seed, reporter.say)
         controller = Controller(Collection.of(problem), self.settings)
         controller.show_motion(motion)
+        controller.say("this is a simulation: play it in the tab Prove")
         return controller
 
 

@@ -50,6 +50,7 @@ class LookPanel:
         """Show what is seen."""
         for name, widget in self._widgets.items():
             value = getattr(state.showing, name)
+            value = value and state.scene.table is not None if name == "table" else value
             if widget.value != value:
                 widget.value = value
         self._widgets["table"].disabled = state.scene.table is None

@@ -200,7 +200,7 @@ def open_html(collection: Collection) -> str:
     if problem.notes:
         notes = "".join(f"<li>{html.escape(note)}</li>" for note in problem.notes)
         text += (
-            f"<details><summary>{len(problem.notes)} notes</summary>"
+            f"<details><summary>{len(problem.notes)} note{'' if len(problem.notes) == 1 else 's'}</summary>"
             f'<ul style="margin:0.3em 0;padding-left:1.2em">{notes}</ul></details>'
         )
     style = "padding:0.5em 1em;line-height:1.5;font-size:0.85em;overflow-wrap:anywhere;max-height:18em;overflow:auto"
