@@ -11,8 +11,8 @@ from grasp_refine.solvers.adam import Adam
 from grasp_refine.solvers.descent import Descent
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.targets import Touching
-from grasp_refine.witness.autograd import Derivative
 from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.derivative import Derivative
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,8 @@ from .page import Drawer, address, close_server
 from .panels.page_panel import PagePanel
 from .view import View
 
-
 PATIENCE = 4.0
-"""Seconds until grasps are measured that nobody asks for: browsers load the page first, with the same processor."""
+"""Seconds until something is done that nobody asked for: browsers load the page first, with the same processor."""
 
 
 class Viewer:
@@ -30,9 +29,15 @@ class Viewer:
         controller.listen(self._drawer.draw)
         self._drawer.start()
         server.on_client_connect(lambda client: self._drawer.draw(controller.state))
-        self._measuring = Timer(PATIENCE, controller.measure)
+        self._measuring = Timer(PATIENCE, self._prepare)
         self._measuring.daemon = True
         self._measuring.start()
+
+    def _prepare(self) -> None:
+        """Do what the first refinement would wait for, and measure what no file tells."""
+        import grasp_refine.kinematics  # noqa: F401 - loads PyTorch
+
+        self.controller.measure()
 
     @property
     def address(self) -> str:

@@ -1,12 +1,16 @@
 """Adam (Kingma and Ba 2015) on root pose and joint values."""
 
-from dataclasses import dataclass
+from __future__ import annotations
 
-import torch
-from torch import Tensor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.solvers.schedule import Schedule
+
+if TYPE_CHECKING:
+    # It takes seconds to load, and options are made of this class.
+    import torch
 
 
 @dataclass(frozen=True)
@@ -34,13 +38,20 @@ class Adam(Schedule):
                 f"adam: first and second must be at least 0 and below 1, got {self.first:g} and {self.second:g}"
             )
 
-    def memory(self, gradient: Tensor) -> Tensor:
+    def memory(self, gradient: torch.Tensor) -> torch.Tensor:
         """What is remembered at first: no averages, after no steps."""
         return gradient.new_zeros(len(gradient), 2 * gradient.shape[1] + 1)
 
     def step(
-        self, T: Tensor, q: Tensor, gradient: Tensor, memory: Tensor, stage: Tensor, lower: Tensor, upper: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
+        self,
+        T: torch.Tensor,
+        q: torch.Tensor,
+        gradient: torch.Tensor,
+        memory: torch.Tensor,
+        stage: torch.Tensor,
+        lower: torch.Tensor,
+        upper: torch.Tensor,
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """The next root poses, joint values and averages.
 
         Args:
@@ -52,6 +63,8 @@ class Adam(Schedule):
             lower: Lower joint limits (n,); a joint within its limits never leaves them.
             upper: Upper joint limits (n,).
         """
+        import torch
+
         dof = gradient.shape[1]
         average = self.first * memory[:, :dof] + (1.0 - self.first) * gradient
         squares = self.second * memory[:, dof : 2 * dof] + (1.0 - self.second) * gradient.square()

@@ -1,12 +1,16 @@
 """Normalised gradient descent, the solver of arXiv 2511.06267 in its grasp application."""
 
-from dataclasses import dataclass
+from __future__ import annotations
 
-import torch
-from torch import Tensor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.solvers.schedule import Schedule
+
+if TYPE_CHECKING:
+    # It takes seconds to load, and options are made of this class.
+    import torch
 
 
 @dataclass(frozen=True)
@@ -31,13 +35,20 @@ class Descent(Schedule):
         if not 0.0 <= self.momentum < 1.0:
             raise GraspRefineError(f"descent: momentum must be at least 0 and below 1, got {self.momentum:g}")
 
-    def memory(self, gradient: Tensor) -> Tensor:
+    def memory(self, gradient: torch.Tensor) -> torch.Tensor:
         """What is remembered at first: no average."""
-        return torch.zeros_like(gradient)
+        return gradient.new_zeros(gradient.shape)
 
     def step(
-        self, T: Tensor, q: Tensor, gradient: Tensor, memory: Tensor, stage: Tensor, lower: Tensor, upper: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
+        self,
+        T: torch.Tensor,
+        q: torch.Tensor,
+        gradient: torch.Tensor,
+        memory: torch.Tensor,
+        stage: torch.Tensor,
+        lower: torch.Tensor,
+        upper: torch.Tensor,
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """The next root poses, joint values and averaged gradients.
 
         Args:
@@ -50,11 +61,13 @@ class Descent(Schedule):
             upper: Upper joint limits (n,).
         """
         average = self.momentum * memory + (1.0 - self.momentum) * gradient
-        unit = torch.cat([_unit(average[:, :3]), _unit(average[:, 3:6]), _unit(average[:, 6:])], dim=1)
+        unit = average.clone()
+        for part in (slice(0, 3), slice(3, 6), slice(6, None)):
+            unit[:, part] = _unit(average[:, part])
         return *self.moved(T, q, unit, stage, lower, upper), average
 
 
-def _unit(vector: Tensor) -> Tensor:
+def _unit(vector: torch.Tensor) -> torch.Tensor:
     """Vectors (batch, n) at unit length; zero stays zero."""
     norm = vector.norm(dim=1, keepdim=True)
-    return torch.where(norm > 0, vector / torch.where(norm > 0, norm, torch.ones_like(norm)), torch.zeros_like(vector))
+    return vector / norm.where(norm > 0, norm.new_ones(()))

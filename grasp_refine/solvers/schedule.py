@@ -1,11 +1,16 @@
 """What first-order solvers have in common: lengths of steps, and how they shrink."""
 
-from dataclasses import dataclass
+from __future__ import annotations
 
-from torch import Tensor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.se3 import retract
+
+if TYPE_CHECKING:
+    # It takes seconds to load, and options are made of this class.
+    import torch
 
 
 @dataclass(frozen=True)
@@ -51,8 +56,14 @@ class Schedule:
         return sum(iteration >= share * self.iterations for share in self.shares)
 
     def moved(
-        self, T: Tensor, q: Tensor, direction: Tensor, stage: Tensor, lower: Tensor, upper: Tensor
-    ) -> tuple[Tensor, Tensor]:
+        self,
+        T: torch.Tensor,
+        q: torch.Tensor,
+        direction: torch.Tensor,
+        stage: torch.Tensor,
+        lower: torch.Tensor,
+        upper: torch.Tensor,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Root poses and joint values after steps against `direction`, in units of the step lengths.
 
         Args:

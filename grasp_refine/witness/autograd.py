@@ -5,7 +5,7 @@ of a derivative method with the incoming gradients. This file holds the only aut
 """
 
 from dataclasses import replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,28 +14,11 @@ from torch.autograd.function import once_differentiable
 
 from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.se3 import ambient_gradient
+from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.neighborhood import Surfaces
 from grasp_refine.witness.patch import Patch
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
-
-
-@runtime_checkable
-class Derivative(Protocol):
-    """A derivative method: how witness points and normals follow the motion of the two bodies."""
-
-    def pull_back(
-        self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Covectors on the bodies' spatial twists (f, m) (batch, pair, 6): dL = f . v + m . w.
-
-        Args:
-            scene: Poses and the witness points found there.
-            force_a: dL/dx_a (batch, pair, 3), world frame.
-            force_b: dL/dx_b.
-            force_n: dL/dn, or None where the loss does not look at the normal.
-        """
-        ...
 
 
 class WitnessLayer:

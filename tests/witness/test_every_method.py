@@ -13,8 +13,9 @@ from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import box, capsule, sphere
 from grasp_refine.se3 import cross, inverse, transform_points
 from grasp_refine.witness.analytical import Analytical
-from grasp_refine.witness.autograd import Derivative, WitnessLayer
+from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.finite_difference import FiniteDifference

@@ -22,7 +22,8 @@ from torch import Tensor
 from grasp_refine.collision.query import Pairs, Witness
 from grasp_refine.losses import contact_targets
 from grasp_refine.se3 import body_gradient, retract
-from grasp_refine.witness.autograd import Derivative, WitnessLayer
+from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.patch import Patch
 from grasp_refine.witness.transport import EquivalentTransport
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from grasp_refine.collision.narrowphase import Closest, NarrowPhase
 from grasp_refine.collision.query import Pairs
-from grasp_refine.witness.autograd import Derivative
+from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.neighborhood import Neighborhood, Neighbors
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import Sides, WitnessScene

@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 
 from grasp_refine.witness.analytical import Analytical
-from grasp_refine.witness.autograd import Derivative
 from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.finite_difference import FiniteDifference

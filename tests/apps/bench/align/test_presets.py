@@ -12,7 +12,7 @@ from apps.bench.align.presets import BASELINE, EPSILON, MARGINS, OURS, PRESETS, 
 from apps.bench.align.tasks import CLASSES
 from apps.bench.align.variants import FEW_TARGETS, MethodName, Variant
 from grasp_refine.commands.bench_align import PresetName
-from grasp_refine.witness.autograd import Derivative
+from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.patch import Patch
 
