@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 import time
 import webbrowser
-from contextlib import AbstractContextManager, closing
+from contextlib import AbstractContextManager, closing, suppress
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -34,6 +35,10 @@ if TYPE_CHECKING:
     from grasp_refine.apps.viewer.controller import Controller
     from grasp_refine.apps.viewer.proofs import Proofs
     from grasp_refine.apps.viewer.shown_motion import ShownMotion
+
+
+LONGEST_END = 5.0
+"""Seconds that cleaning up may take at the end."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +89,15 @@ class View:
                 screen().print(f"{address(server)} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
                 if self.serving.open and _has_screen():
                     webbrowser.open(address(server))
-                while True:
-                    time.sleep(3600.0)
+                _wait()
         except KeyboardInterrupt:
+            # While it was still being loaded.
             return 0
         finally:
             close_server(server)
+        sys.stdout.flush()
+        # A thread that is in the middle of a computation would keep Python from ending, or make it crash.
+        os._exit(0)
 
     def _shown(self, server: viser.ViserServer) -> AbstractContextManager[Any]:
         """What the files mean, on the page.
@@ -182,6 +190,16 @@ def _grasp_of(motion: ShownMotion, hand: Hand) -> Reading:
         q=motion.q[at : at + 1],
     )
     return Reading(grasps, OURS, (), ())
+
+
+def _wait() -> None:
+    """Return when the user has had enough; then there are so many seconds to clean up."""
+    with suppress(KeyboardInterrupt):
+        while True:
+            time.sleep(3600.0)
+    last = threading.Timer(LONGEST_END, os._exit, (0,))
+    last.daemon = True
+    last.start()
 
 
 def _has_screen() -> bool:
