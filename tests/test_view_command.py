@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import socket
 import subprocess
@@ -113,11 +114,13 @@ def test_without_viser_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_it_ends_when_asked_and_leaves_nothing(tmp_path: Path, ending: signal.Signals) -> None:
     environment = {**subprocess_environment(), "TMPDIR": str(tmp_path)}
-    command = [sys.executable, "-c", PROGRAM, "view", "--port", "0"]
+    told = tmp_path.with_suffix(".json")
+    command = [sys.executable, "-c", PROGRAM, "view", "--port", "0", "--json", str(told)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
     try:
         assert "Ctrl-C ends it" in process.stdout.readline()
         time.sleep(0.2)
+        assert json.loads(told.read_text())["address"].startswith("http://127.0.0.1:")
         began = time.monotonic()
         process.send_signal(ending)
         _, error = process.communicate(timeout=20.0)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from tyro.conf import Positional, arg
+from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.commands.inputs import Inputs
 from grasp_refine.commands.settings import Settings
@@ -27,7 +27,9 @@ from grasp_refine.hand import Hand
 from grasp_refine.replay.replay import Stage
 from grasp_refine.report.progress import Reporter
 from grasp_refine.report.screen import screen
+from grasp_refine.report.writing import SCHEMA, check_writable, save_json
 from grasp_refine.se3 import pose_from_transform
+from grasp_refine.versions import versions
 
 if TYPE_CHECKING:
     import viser
@@ -51,6 +53,8 @@ class Serving:
     """Port to listen on; 0: any that is free."""
     open: bool = True
     """Open the page in a browser, where there is a screen."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write to this file, once the page is there, where it is."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,8 @@ class View:
             raise GraspRefineError("the viewer needs viser: pip install 'grasp-refine[viewer]'")
         from grasp_refine.apps.viewer.page import address, close_server, open_server
 
+        if self.serving.json is not None:
+            check_writable(self.serving.json)
         # Whoever ends it otherwise than by Ctrl-C wants it to clean up, too.
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         # First, so that a browser can load the page while the rest is being loaded.
@@ -87,6 +93,11 @@ class View:
         try:
             with self._shown(server):
                 screen().print(f"{address(server)} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
+                if self.serving.json is not None:
+                    where = {"address": address(server), "host": server.get_host(), "port": server.get_port()}
+                    save_json(
+                        self.serving.json, {"schema": SCHEMA, "command": "view", "versions": versions(), **where}
+                    )
                 if self.serving.open and _has_screen():
                     webbrowser.open(address(server))
                 _wait()

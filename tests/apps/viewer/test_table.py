@@ -140,7 +140,7 @@ def test_a_refined_grasp_is_told_before_and_after(collection: Collection) -> Non
         np.zeros(100, bool), np.full(100, "slipped in +x"), np.arange(100) == 13
     )
     html = worth_html(marked, 13)
-    assert "<b>mug 13</b> · converged · failed in simulation (slipped in +x) · marked bad" in html
+    assert "<b>mug 13</b> as in its file · converged · failed in simulation (slipped in +x) · marked bad" in html
     # Quality 7 * 13 = 91 hundredths, and half of it before.
     assert Parsed(html).cells[:9] == [
         "",
