@@ -24,7 +24,11 @@ class Viewer:
         self.server, self.controller = server, controller
         self.view = View(server, controller)
         self.view.draw(controller.state)
-        self.panel = PagePanel(server, controller, self.view)
+        # Nobody should see buttons that cannot be used yet.
+        with server.atomic():
+            self.panel = PagePanel(server, controller, self.view)
+            for part in (self.panel, *self.panel.panels):
+                part.draw(controller.state)
         self._drawer = Drawer([self.view, self.panel, *self.panel.panels], controller.state)
         controller.listen(self._drawer.draw)
         self._drawer.start()

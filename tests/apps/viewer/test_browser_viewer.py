@@ -46,6 +46,7 @@ def page(viewer: Viewer, open_page: Callable[..., ViserPage]) -> ViserPage:
     """The example as it came, in a new page."""
     page = open_page(viewer.address)
     page.wait_for_node(FINGERTIP)
+    page.wait_for_text("contact error")
     if page.button("Reset").is_enabled():
         page.click("Reset")
     page.wait_for_text("contact error 7.66 mm")

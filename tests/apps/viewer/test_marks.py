@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -88,14 +87,3 @@ def test_a_folder_in_the_place_of_marks_is_told(tmp_path: Path) -> None:
     assert marks.of(0) == "good"
     with pytest.raises(GraspFileError, match="these grasps lie in none: save them to a file and open it"):
         Marks(None).marked(0, "good", object="mug", index=0).save()
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write to read-only folders")
-def test_a_folder_that_cannot_be_written_to_is_told(tmp_path: Path) -> None:
-    marks = Marks.read(tmp_path / "g.npz.marks.csv").marked(0, "good", object="mug", index=0)
-    tmp_path.chmod(0o500)
-    try:
-        with pytest.raises(GraspFileError, match="cannot be written .*make the folder writable"):
-            marks.save()
-    finally:
-        tmp_path.chmod(0o700)
