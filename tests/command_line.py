@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,11 @@ PROGRAM = "import sys; from grasp_refine.cli import main; sys.exit(main())"
 
 def subprocess_environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(Path(grasp_refine.__file__).parents[1])}
+
+
+def interruptible() -> None:
+    """For `preexec_fn`: tests that run in the background of a script inherit that interrupts are ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def call(*arguments: str) -> subprocess.CompletedProcess[str]:

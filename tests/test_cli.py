@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from command_line import PROGRAM, call, refused, subprocess_environment
+from command_line import PROGRAM, call, interruptible, refused, subprocess_environment
 
 import grasp_refine
 from grasp_refine.assets import resource_dir
@@ -506,8 +506,7 @@ def test_ctrl_c_leaves_one_line_and_no_files():
     process = subprocess.Popen(
         [*command, "--descent.patience", "100000", "--iterations", "1000000"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=subprocess_environment(),
-        # Tests that run in the background of a script inherit that interrupts are ignored.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=interruptible,
     )  # fmt: skip
     assert process.stderr is not None and process.stderr.readline().startswith("refining 4 grasps")
     process.send_signal(signal.SIGINT)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import PROGRAM, subprocess_environment
+from command_line import PROGRAM, interruptible, subprocess_environment
 from grasp_refine.apps.viewer.controller import Controller
 from open_viewer import settled
 
@@ -116,7 +116,9 @@ def test_it_ends_when_asked_and_leaves_nothing(tmp_path: Path, ending: signal.Si
     environment = {**subprocess_environment(), "TMPDIR": str(tmp_path)}
     told = tmp_path.with_suffix(".json")
     command = [sys.executable, "-c", PROGRAM, "view", "--port", "0", "--json", str(told)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, preexec_fn=interruptible
+    )
     try:
         assert "Ctrl-C ends it" in process.stdout.readline()
         time.sleep(0.2)
@@ -127,6 +129,7 @@ def test_it_ends_when_asked_and_leaves_nothing(tmp_path: Path, ending: signal.Si
         assert time.monotonic() - began < 6.0
     finally:
         process.kill()
+        process.communicate()
     assert process.returncode == 0 and error == ""
     assert not list(tmp_path.iterdir())
 
@@ -140,5 +143,3 @@ def test_settings_of_the_command_line_are_those_of_the_page() -> None:
         assert "gaps close" not in controller.state.trace.label
     finally:
         controller.close()
-
-

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.request import urlopen
 
-from command_line import PROGRAM, subprocess_environment
+from command_line import PROGRAM, interruptible, subprocess_environment
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,12 @@ def start_viewer_process(folder: Path, *arguments: str | Path, seconds: float = 
     command = [sys.executable, "-c", PROGRAM, "view", *map(str, arguments), "--port", str(port), "--no-open"]
     with log.open("wb") as stream:
         process = subprocess.Popen(
-            command, stdout=stream, stderr=subprocess.STDOUT, env=subprocess_environment(), cwd=folder
+            command,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+            env=subprocess_environment(),
+            cwd=folder,
+            preexec_fn=interruptible,
         )
     viewer = Viewer(f"http://127.0.0.1:{port}", port, process, log, started)
     while not answers(port):
