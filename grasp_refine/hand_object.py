@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float
 
 from grasp_refine.chain import Chain
 from grasp_refine.collision.culling import bounding_ball
@@ -17,6 +18,9 @@ from grasp_refine.objects import Object
 from grasp_refine.scene import Scene, links_of
 from grasp_refine.self_collision import touching_pairs
 from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatures
+
+CLEARANCE, CLEARANCE_OTHERS = 0.008, 0.003
+"""How far contact links, and all other links, are from the object at least, in metres."""
 
 POINT = 1e-6
 """Radius in metres of the balls that stand for points."""
@@ -85,3 +89,49 @@ class HandObject:
         """Each link and a point, and the object and a point as often: what tells how far points are off surfaces."""
         point = build_body("point", [sphere(POINT)], candidates=16)
         return Pairs.against(self.bodies, point), Pairs.against((self.object.body,) * len(self.bodies), point)
+
+    @cached_property
+    def gloved(self) -> Gloved:
+        """The same in gloves, for opening the hand."""
+        return Gloved(self.hand, self.object, self)
+
+
+@dataclass(frozen=True, eq=False)
+class Gloved(HandObject):
+    """A hand in thick gloves: where these do not penetrate the object, the links keep their clearances.
+
+    A piece is a core and a ball around it, so that a thicker glove is a larger ball, and distances stay exact. Links
+    meet each other without gloves.
+    """
+
+    bare: HandObject
+    """The same without gloves."""
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """Each gloved link and the object."""
+        return Pairs.against(self._gloved, self.object.body)
+
+    @cached_property
+    def balls(self) -> np.ndarray:
+        """Centre and radius (L, 4) of a ball around each gloved link."""
+        return np.array([bounding_ball(body) for body in self._gloved])
+
+    @cached_property
+    def own_pairs(self) -> Pairs | None:
+        """Pairs of bare links."""
+        return self.bare.own_pairs
+
+    @cached_property
+    def _gloved(self) -> tuple[Body, ...]:
+        links = links_of(self.hand)
+        return tuple(_thicker(body, by) for body, by in zip(self.bodies, clearances(self.hand, links), strict=True))
+
+
+def clearances(hand: Hand, links: tuple[str, ...]) -> Float[np.ndarray, " L"]:
+    """How far each link (L,) is from the object at least when the hand is open, in metres."""
+    return np.where(np.isin(links, [contact.link for contact in hand.contacts]), CLEARANCE, CLEARANCE_OTHERS)
+
+
+def _thicker(body: Body, by: float) -> Body:
+    return replace(body, pieces=tuple(replace(piece, radius=piece.radius + by) for piece in body.pieces))

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
 from grasp_refine.apps.viewer.collection import Collection
 from grasp_refine.apps.viewer.controller import Controller
@@ -10,6 +13,9 @@ from grasp_refine.apps.viewer.controller import Controller
 from grasp_refine.commands.inputs import Inputs
 from grasp_refine.commands.settings import Settings
 from grasp_refine.problem import Problem
+
+if TYPE_CHECKING:
+    from websocket_page import Page
 
 
 def example(**options: object) -> Problem:
@@ -22,17 +28,31 @@ def controller(problem: Problem | None = None, settings: Settings | None = None)
     return Controller(Collection.of(problem or example()), settings or Settings())
 
 
+@contextmanager
+def shown_panel(kind: type, made: Controller) -> Iterator[tuple[Any, Page]]:
+    """A panel of this kind that shows what a controller has, and a page on it; all closed at the end."""
+    # The controller's tests need no viser.
+    import viser
+    from grasp_refine.apps.viewer.page import Drawer
+    from websocket_page import Page
+
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    panel = kind(server, made)
+    drawer = Drawer([panel], made.state)
+    made.listen(drawer.draw)
+    drawer.start()
+    page = Page(server)
+    yield panel, page
+    page.close()
+    made.close()
+    drawer.close()
+    panel.close()
+    server.stop()
+
+
 def settled(viewer: Controller, seconds: float = 30.0) -> None:
     """Wait until nothing is being done any more."""
     end = time.monotonic() + seconds
     while viewer.state.job is not None:
         assert time.monotonic() < end, f"still doing {viewer.state.job}"
         time.sleep(0.005)
-
-
-def until(holds: object, seconds: float = 30.0) -> None:
-    """Wait until a function returns something true."""
-    end = time.monotonic() + seconds
-    while not holds():  # type: ignore[operator]
-        assert time.monotonic() < end
-        time.sleep(0.002)

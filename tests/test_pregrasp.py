@@ -10,10 +10,10 @@ from grasp_refine.assets import resource_dir
 from grasp_refine.collision.query import query
 from grasp_refine.grasps import load_grasps
 from grasp_refine.hand import Hand, load_hand
-from grasp_refine.hand_object import HandObject
+from grasp_refine.hand_object import CLEARANCE, CLEARANCE_OTHERS, HandObject, clearances
 from grasp_refine.objects import load_object
 from grasp_refine.plane import Plane
-from grasp_refine.pregrasp import CLEARANCE, CLEARANCE_OTHERS, Gloved, clearances, opened
+from grasp_refine.pregrasp import opened
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import exp_se3, transform_from_pose
 from grasp_refine.self_collision import self_penetration, touching_pairs
@@ -70,7 +70,7 @@ def test_contact_links_open_wider_than_the_others(clamp: Hand) -> None:
 def test_gloves_are_as_thick_as_the_clearances(mugs: Scene) -> None:
     """The distance of a gloved link is that of the bare one less its clearance, and links meet bare."""
     bare = HandObject.of(mugs)
-    gloved = Gloved.over(bare)
+    gloved = bare.gloved
     T = bare.chain(mugs.T_world_root, mugs.q).T_world_link
     T_object = np.broadcast_to(np.eye(4), T.shape)
     without, within = (query(pairs, T, T_object).distance for pairs in (bare.pairs, gloved.pairs))
@@ -89,10 +89,10 @@ def test_hands_open_around_a_mug(mugs: Scene) -> None:
 
 
 def test_gloves_that_are_kept_change_nothing(mugs: Scene) -> None:
-    gloved = Gloved.over(HandObject.of(mugs))
+    prepared = HandObject.of(mugs)
     fresh = closing(mugs)
     for _ in range(2):
-        again = closing(mugs, gloved)
+        again = closing(mugs, prepared)
         np.testing.assert_allclose(again.T_world_root, fresh.T_world_root, atol=1e-9)
         # Squeezes are pressed by bare hands.
         np.testing.assert_allclose(again.q, fresh.q, atol=1e-9)

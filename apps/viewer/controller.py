@@ -10,8 +10,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.grasps import GraspSet
 from grasp_refine.scene import Scene
@@ -217,9 +215,8 @@ class Controller(Steering):
 
     def _proofs(self, state: State, number: int, pose: Pose, found: Proved) -> Mapping[int, Proved]:
         """What is known of the grasps as their file has them, with what was found of one."""
-        scene = state.collection.scene(number)
-        as_it_came = np.array_equal(pose.q, scene.q[0]) and np.array_equal(pose.T_object_root, scene.T_world_root[0])
-        return {**state.proofs, number: found} if as_it_came else state.proofs
+        _, _, as_it_came = _grasp(state.collection, number)
+        return {**state.proofs, number: found} if pose.same(as_it_came) else state.proofs
 
     def watch(self, direction: str) -> None:
         """Simulate one direction of the proof once more, to be looked at."""

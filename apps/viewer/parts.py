@@ -73,6 +73,7 @@ class Parts:
         self._beside_frame = scene.add_frame("/beside", show_axes=False, visible=False)
         self._beside: tuple[HandMeshes, Meshes] | None = None
         self._labelled: Any = None
+        self._wide: tuple[Pose, float] | None = None
         self._beside_looks, self._poses = solid, poses
         low, high = self.prepared.box
         self.size = float(np.linalg.norm(high - low))
@@ -106,7 +107,7 @@ class Parts:
         moving = state.motion is not None
         self.hand.move(shown)
         place(self._object_frame, state.T_shown_object)
-        differs = state.initial is not shown and not _same(state.initial, shown)
+        differs = not state.initial.same(shown)
         self.ghost.show(showing.ghost and differs and not moving and not state.side_by_side)
         self.ghost.move(state.initial)
         self._draw_contacts(state, shown)
@@ -133,16 +134,12 @@ class Parts:
         if state.motion is not None:
             self._draw_motion_contacts(state)
             return
-        trace, frame = state.trace, state.frame
-        touching = None if trace is None or state.outcome is None and state.job is None else trace.touching[-1]
-        if trace is not None and frame is not None:
-            touching = trace.touching[frame]
-        elif state.pose is not shown or (trace is not None and not _same(state.pose, trace.pose(len(trace) - 1))):
-            touching = None
         finite = np.isfinite(shown.T_object_root).all() and np.isfinite(shown.q).all()
         if not finite:
             return
-        found = contacts_of(self.prepared, shown.T_object_root, shown.q, touching=touching, targets=state.targets)
+        found = contacts_of(
+            self.prepared, shown.T_object_root, shown.q, touching=_touching(state), targets=state.targets
+        )
         self.contacts = found
         on = self._showing.contacts
         deep = [link for link, is_deep in zip(found.link, found.deep, strict=True) if on and is_deep]
@@ -234,7 +231,9 @@ class Parts:
 
     def beside(self, state: State) -> Float[np.ndarray, " 3"]:
         """How far beside that is (3,), world frame."""
-        return -BESIDE * np.ptp(self.corners(state.initial), axis=0).max() * self.right
+        if self._wide is None or self._wide[0] is not state.initial:
+            self._wide = state.initial, float(np.ptp(self.corners(state.initial), axis=0).max())
+        return -BESIDE * self._wide[1] * self.right
 
     def _table_node(self, state: State) -> Any:
         """A table below the object."""
@@ -260,9 +259,16 @@ class Parts:
         self.interaction.remove()
 
 
+def _touching(state: State) -> np.ndarray | None:
+    """Which links (L,) should touch in what is shown, by the refinement that led to it; None: none did."""
+    trace = state.trace
+    if trace is None:
+        return None
+    if state.frame is not None:
+        return trace.touching[state.frame]
+    known = state.outcome is not None or state.job is not None
+    return trace.touching[-1] if known and state.pose.same(trace.pose(len(trace) - 1)) else None
+
+
 def _refining(state: State) -> bool:
     return state.job is not None and state.job.kind == "refine"
-
-
-def _same(one: Pose, other: Pose) -> bool:
-    return np.array_equal(one.T_object_root, other.T_object_root) and np.array_equal(one.q, other.q)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 
-import numpy as np
 from mujoco.batch import Batch
 
 from grasp_refine.errors import GraspRefineError
@@ -15,7 +14,6 @@ from grasp_refine.hand import Hand
 from grasp_refine.hand_object import HandObject
 from grasp_refine.objects import Object
 from grasp_refine.plane import Plane
-from grasp_refine.pregrasp import Gloved
 from grasp_refine.replay.record import record
 from grasp_refine.scene import Scene
 from grasp_refine.validation.hand_model import HandModel
@@ -66,7 +64,6 @@ class Prover:
         """Nothing is made yet."""
         self._model = lru_cache(HANDS)(model_of)
         self._world = lru_cache(WORLDS)(self._built)
-        self._gloved = lru_cache(HANDS)(Gloved.over)
 
     def model(self, hand: Hand) -> HandModel:
         """The hand.
@@ -83,10 +80,6 @@ class Prover:
             GraspRefineError: MuJoCo cannot make the hand or the world.
         """
         return self._world(scene.hand, scene.object, protocol, scene.table if protocol.tabletop else None)
-
-    def gloved(self, scene: Scene, prepared: HandObject | None = None) -> Gloved:
-        """What opening the hand of a scene needs; the same for the same `prepared`, which None makes anew."""
-        return self._gloved(prepared or HandObject.of(scene))
 
     def _built(self, hand: Hand, obj: Object, protocol: Protocol, table: Plane | None) -> World:
         return build_world(self._model(hand), obj, protocol, table)
@@ -122,8 +115,7 @@ def prove(
     check()
     world = prover.world(scene, protocol)
     check()
-    gloved = prover.gloved(scene, prepared)
-    motion, owners = stages(scene, pose, came=came, prepared=gloved, check=check)
+    motion, owners = stages(scene, pose, came=came, prepared=prepared, check=check)
     pushing = "lifting the object" if protocol.tabletop else f"pushing in {len(protocol.directions)} directions"
     seen = watcher(protocol, pushing, tell, check)
     closed = close(world, motion, Conditions.nominal(world, 1), watch=seen)
@@ -167,8 +159,7 @@ def watch(
     world = prover.world(scene, proved.protocol)
     motion = proved.motion
     if motion is None:
-        gloved = prover.gloved(scene, prepared)
-        motion, _ = stages(scene, pose, came=came, prepared=gloved, check=check)
+        motion, _ = stages(scene, pose, came=came, prepared=prepared, check=check)
     pushing = "lifting the object" if proved.protocol.tabletop else f"pushing along {direction}"
     replay = record(
         world,
@@ -201,7 +192,7 @@ def stages(
         prepared: Of this hand and object; None: built here.
         check: Its exceptions end the work.
     """
-    as_it_came = np.array_equal(pose.T_object_root, scene.T_world_root[0]) and np.array_equal(pose.q, scene.q[0])
+    as_it_came = pose.same(Pose(scene.T_world_root[0], scene.q[0]))
     owners = {
         name: "file" if as_it_came and came is not None and getattr(came, name) is not None else "own"
         for name in OTHER_STAGES

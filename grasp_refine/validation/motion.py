@@ -12,7 +12,7 @@ from grasp_refine.errors import GraspFileError
 from grasp_refine.grasps import OTHER_STAGES, GraspSet, match_joints
 from grasp_refine.hand import Hand
 from grasp_refine.hand_object import HandObject
-from grasp_refine.pregrasp import Gloved, opened
+from grasp_refine.pregrasp import opened
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import transform_from_pose
 from grasp_refine.solvers.least_squares import Progress
@@ -44,16 +44,15 @@ def closing(scene: Scene, prepared: HandObject | None = None, progress: Progress
 
     Args:
         scene: Hand, object and grasps.
-        prepared: Of this hand and object, `Gloved` or not; None: built here.
+        prepared: Of this hand and object; None: built here.
         progress: As for `opened`.
     """
     prepared = prepared or HandObject.of(scene)
-    bare = prepared.bare if isinstance(prepared, Gloved) else prepared
     finite = np.isfinite(scene.T_world_root).all(axis=(1, 2)) & np.isfinite(scene.q).all(axis=1)
     T = np.where(finite[:, None, None], scene.T_world_root, np.nan)
     T_open, q_open = opened(scene, prepared, progress)
     q = np.where(finite[:, None], scene.q, np.nan)
-    return Motion(np.stack([T_open, T, T], axis=1), np.stack([q_open, q, squeezed(scene, bare)], axis=1))
+    return Motion(np.stack([T_open, T, T], axis=1), np.stack([q_open, q, squeezed(scene, prepared)], axis=1))
 
 
 def motion_of(grasps: GraspSet, hand: Hand, own: Motion | None = None) -> Motion:

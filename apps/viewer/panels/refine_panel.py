@@ -19,7 +19,7 @@ from ..state import State
 from ..target import Target
 from .plots import Plot
 from .rows import in_a_row
-from .timeline import Timeline, millimetres, same_pose
+from .timeline import Timeline, millimetres
 
 FIRST = (
     "solver",
@@ -161,7 +161,7 @@ def _as_it_came(state: State) -> bool:
     return (
         state.trace is None
         and np.array_equal(state.T_world_object, np.eye(4))
-        and same_pose(state.pose, state.initial)
+        and state.pose.same(state.initial)
         and _aims(state.targets) == _aims(targets_of(state.scene))
     )
 

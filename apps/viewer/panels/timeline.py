@@ -9,7 +9,6 @@ import numpy as np
 import viser
 
 from ..controller import Controller
-from ..pose import Pose
 from ..state import State
 from .held import Held
 
@@ -92,7 +91,7 @@ def numbers(state: State) -> str:
     if trace is None:
         return "Each iteration of a refinement can be looked at here."
     k = len(trace) - 1 if state.frame is None else min(state.frame, len(trace) - 1)
-    if state.frame is None and state.job is None and not same_pose(state.pose, trace.pose(k)):
+    if state.frame is None and state.job is None and not state.pose.same(trace.pose(k)):
         return "The hand was moved since: drag the timeline to see the refinement again."
     error, depth = (millimetres(float(values[k])) for values in (trace.contact_error, trace.penetration))
     return f"**{_capital(trace.label[k])}**: contact error {error} mm, penetration {depth} mm"
@@ -100,11 +99,6 @@ def numbers(state: State) -> str:
 
 def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
-
-
-def same_pose(one: Pose, other: Pose) -> bool:
-    """Whether two hands are at the very same place."""
-    return np.array_equal(one.T_object_root, other.T_object_root) and np.array_equal(one.q, other.q)
 
 
 def millimetres(metres: float) -> str:

@@ -13,7 +13,8 @@ from grasp_refine.apps.viewer.controller import Controller
 from grasp_refine.apps.viewer.marks import marks_path
 from grasp_refine.apps.viewer.measuring import unmeasured
 from grasp_refine.apps.viewer.pose import Pose
-from open_viewer import controller, example, settled, until
+from open_viewer import controller, example, settled
+from websocket_page import until
 
 from grasp_refine.chain import Chain
 from grasp_refine.commands.settings import Settings

@@ -9,16 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from open_viewer import controller, example, shown_panel
 from websocket_page import Page, until
 
-from grasp_refine.commands.inputs import Inputs
-from grasp_refine.commands.settings import Settings
+from grasp_refine.problem import Problem
 
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
-from grasp_refine.apps.viewer.collection import Collection  # noqa: E402
 from grasp_refine.apps.viewer.controller import Controller  # noqa: E402
-from grasp_refine.apps.viewer.page import Drawer  # noqa: E402
 from grasp_refine.apps.viewer.panels.prove_panel import PAUSE, PLAY, ProvePanel  # noqa: E402
 
 
@@ -48,24 +46,15 @@ class Shown:
 
 
 @pytest.fixture(scope="module")
-def collection() -> Collection:
-    return Collection.of(Inputs().load(0, lambda line: None))
+def problem() -> Problem:
+    return example()
 
 
 @pytest.fixture
-def shown(collection: Collection) -> Iterator[Shown]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    controller = Controller(collection, Settings())
-    panel = ProvePanel(server, controller)
-    drawer = Drawer([panel], controller.state)
-    controller.listen(drawer.draw)
-    drawer.start()
-    page = Page(server)
-    yield Shown(controller, panel, page)
-    page.close()
-    controller.close()
-    drawer.close()
-    server.stop()
+def shown(problem: Problem) -> Iterator[Shown]:
+    made = controller(problem)
+    with shown_panel(ProvePanel, made) as (panel, page):
+        yield Shown(made, panel, page)
 
 
 def test_a_grasp_that_fails_is_tested_and_its_failure_is_watched(shown: Shown) -> None:

@@ -8,16 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from open_viewer import controller, example, shown_panel
 from websocket_page import Page, until
 
-from grasp_refine.commands.inputs import Inputs
 from grasp_refine.commands.settings import Settings
+from grasp_refine.problem import Problem
 
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
-from grasp_refine.apps.viewer.collection import Collection  # noqa: E402
 from grasp_refine.apps.viewer.controller import Controller  # noqa: E402
-from grasp_refine.apps.viewer.page import Drawer  # noqa: E402
 from grasp_refine.apps.viewer.panels.plots import LEAST_MM, MOST, curves  # noqa: E402
 from grasp_refine.apps.viewer.panels.refine_panel import RefinePanel, outcome_words, unused, words  # noqa: E402
 from grasp_refine.apps.viewer.panels.timeline import millimetres, numbers  # noqa: E402
@@ -60,26 +59,16 @@ class Shown:
 
 
 @pytest.fixture(scope="module")
-def collection() -> Collection:
-    return Collection.of(Inputs().load(0, lambda line: None))
+def problem() -> Problem:
+    return example()
 
 
 @pytest.fixture
-def shown(collection: Collection) -> Iterator[Shown]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    controller = Controller(collection, Settings(geometry_only=True))
-    panel = RefinePanel(server, controller)
-    drawer = Drawer([panel], controller.state)
-    controller.listen(drawer.draw)
-    drawer.start()
-    page = Page(server)
-    until(lambda: "pause" in Shown(controller, panel, page).disabled())
-    yield Shown(controller, panel, page)
-    page.close()
-    controller.close()
-    drawer.close()
-    panel.close()
-    server.stop()
+def shown(problem: Problem) -> Iterator[Shown]:
+    made = controller(problem, Settings(geometry_only=True))
+    with shown_panel(RefinePanel, made) as (panel, page):
+        until(lambda: "pause" in Shown(made, panel, page).disabled())
+        yield Shown(made, panel, page)
 
 
 def test_a_refinement_from_start_to_timeline(shown: Shown):
@@ -106,7 +95,8 @@ def test_a_refinement_from_start_to_timeline(shown: Shown):
 
     shown.press("reset")
     until(lambda: shown.disabled() == {"pause", "stop", "reset"})
-    assert shown.slider.disabled and shown.slider.max == 1
+    # Buttons are drawn before the timeline.
+    assert until(lambda: shown.slider.disabled and shown.slider.max == 1)
     until(lambda: not plot.visible)
 
 
@@ -200,16 +190,16 @@ def test_lengths_are_told_in_millimetres(metres: float, text: str):
     assert millimetres(metres) == text
 
 
-def test_words_say_what_comes_next(collection: Collection):
-    controller = Controller(collection, Settings())
-    state = controller.state
+def test_words_say_what_comes_next(problem: Problem):
+    made = controller(problem)
+    state = made.state
     assert words(state).startswith("**Start** moves the hand")
     assert numbers(state) == "Each iteration of a refinement can be looked at here."
     moved = replace(state, trace=trace_of(4, len(state.pose.q)))
     assert numbers(moved).startswith("The hand was moved since")
     assert numbers(replace(moved, frame=2)) == "**Slide**: contact error 8.10 mm, penetration 0.000 mm"
     assert words(moved).startswith("Stopped, or moved since.")
-    controller.close()
+    made.close()
 
 
 def test_the_outcome_is_told_with_advice(shown: Shown):

@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from open_viewer import controller, example, shown_panel
 from plate_gripper import URDF
 from websocket_page import Page, until
 
 from grasp_refine.commands.inputs import Inputs
-from grasp_refine.commands.settings import Settings
 from grasp_refine.hand import load_hand
+from grasp_refine.problem import Problem
 from grasp_refine.se3 import exp_so3
 
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
 from grasp_refine.apps.viewer.collection import Collection  # noqa: E402
 from grasp_refine.apps.viewer.controller import Controller  # noqa: E402
-from grasp_refine.apps.viewer.page import Drawer  # noqa: E402
 from grasp_refine.apps.viewer.panels.joints import limits, units  # noqa: E402
 from grasp_refine.apps.viewer.panels.steer_panel import SteerPanel, target_words  # noqa: E402
 from grasp_refine.apps.viewer.shapes import LinkPoses  # noqa: E402
@@ -51,26 +51,16 @@ class Shown:
 
 
 @pytest.fixture(scope="module")
-def collection() -> Collection:
-    return Collection.of(Inputs().load(0, lambda line: None))
+def problem() -> Problem:
+    return example()
 
 
 @pytest.fixture
-def shown(collection: Collection) -> Iterator[Shown]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    controller = Controller(collection, Settings())
-    panel = SteerPanel(server, controller)
-    drawer = Drawer([panel], controller.state)
-    controller.listen(drawer.draw)
-    drawer.start()
-    page = Page(server)
-    until(lambda: panel._joints._sliders)
-    yield Shown(controller, panel, page)
-    page.close()
-    controller.close()
-    drawer.close()
-    panel.close()
-    server.stop()
+def shown(problem: Problem) -> Iterator[Shown]:
+    made = controller(problem)
+    with shown_panel(SteerPanel, made) as (panel, page):
+        until(lambda: panel._joints._sliders)
+        yield Shown(made, panel, page)
 
 
 def test_there_is_a_slider_for_each_joint_by_finger_within_its_limits(shown: Shown):
@@ -160,13 +150,13 @@ def test_another_hand_has_other_sliders(shown: Shown, tmp_path: Path):
     until(lambda: abs(shown.q[1] + 0.0125) < 1e-9)
 
 
-def test_how_far_a_target_is_missed(collection: Collection):
-    controller = Controller(collection, Settings())
-    state, poses = controller.state, LinkPoses.of(collection.hand)
+def test_how_far_a_target_is_missed(problem: Problem):
+    made = controller(problem)
+    state, poses = made.state, LinkPoses.of(problem.hand)
     T = poses(state.pose.T_object_root, state.pose.q)[TIP]
     there = Target(TIP, np.array([0.0, 0.0, 0.01]), T[:3, 3] + 0.01 * T[:3, 2] + np.array([0.003, 0.0, 0.004]))
     assert f"| {TIP} | 5.00 |" in target_words(replace(state, targets=(there,)), poses)
-    controller.close()
+    made.close()
 
 
 def test_sliders_without_end_and_in_millimetres(tmp_path: Path):
