@@ -157,8 +157,13 @@ def test_a_small_window_keeps_scene_and_panel(page: ViserPage):
     until(lambda: page.canvas_box()[2:] == (312.0, 500.0), "a scene beside the panel")
     assert share_of(page.wait_for_scene(), (0, 0, 0), (235, 235, 235)) > 0.05
     page.tab("Refine")
-    box = page.button("Start").bounding_box()
-    assert box is not None and box["x"] > 312 and box["x"] + box["width"] < 700
+
+    def whole() -> bool:
+        box = page.button("Start").bounding_box()
+        return box is not None and box["x"] > 312 and box["x"] + box["width"] < 700
+
+    # The panel is laid out after the scene.
+    until(whole, "a button as wide as the panel")
     page.page.set_viewport_size(size)
     until(lambda: page.canvas_box()[2:] == (1012.0, 900.0), "a scene as large as before")
     assert share_of(page.wait_for_scene(), (0, 0, 0), (235, 235, 235)) > 0.05
