@@ -49,6 +49,7 @@ class Chain:
         self.joints, self._numbers = _build(hand, self.links)
         self._converted: dict[tuple[Any, Any], _Numbers] = {}
 
+    @stage("kinematics")
     def __call__(self, T_world_root: Array, q: Array) -> Frames:
         """Poses and joint axes at root poses (batch, 4, 4) and independent joint values (batch, n).
 

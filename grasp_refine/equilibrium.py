@@ -17,6 +17,7 @@ from grasp_refine.chain import Chain, Frames
 from grasp_refine.collision.query import Witness
 from grasp_refine.hand import Hand
 from grasp_refine.se3 import cross, hat, matvec
+from grasp_refine.stopwatch import stage
 from grasp_refine.witness.contact_kinematics import slide
 from grasp_refine.wrench import (
     EDGES,
@@ -90,6 +91,7 @@ class Equilibrium:
         """That of a hand's grasps."""
         return Equilibrium(chain, center, _impossible(hand, chain) / LEVER, LOADS, friction)
 
+    @stage("forces")
     def forces(self, touching: Bool[np.ndarray, "M L"], witness: Witness, frames: Frames) -> Balance:
         """The best forces of the links that touch, over the columns of all links.
 

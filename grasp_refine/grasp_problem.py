@@ -34,6 +34,7 @@ from grasp_refine.se3 import matvec, tangents, transform_points
 from grasp_refine.solvers.least_squares import Linear, Point
 from grasp_refine.solvers.levenberg_marquardt import bounded_step
 from grasp_refine.solvers.rows import NEAR, Rows
+from grasp_refine.stopwatch import stage
 from grasp_refine.wrench import center_of_mass
 
 ROOT_TURN, JOINT_TURN = 0.05, 0.04
@@ -122,6 +123,7 @@ class GraspProblem:
         loss = np.where(unknown, np.nan, loss)
         return Known(loss, asked, T, frames.axes, witness, own, forces)
 
+    @stage("derivative")
     def linearize(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> Linear:
         """Residuals (M, m) and their derivatives; of what must not penetrate, only what is near has a row."""
         weights = self.config.weights
@@ -207,6 +209,7 @@ class GraspProblem:
 
     # queries
 
+    @stage("broad phase")
     def _against_object(self, member: np.ndarray, T: np.ndarray, previous: Known | None) -> Witness:
         """Witness points of links and object; pairs that need no answer, or are surely apart, are FAR."""
         touching = self.goal.touching[member]
@@ -223,6 +226,7 @@ class GraspProblem:
         T_object = np.broadcast_to(np.eye(4), T.shape)
         return query_near(self.pairs, bound, T, T_object, np.where(touching, np.inf, NEAR), before)
 
+    @stage("broad phase")
     def _against_itself(self, T: np.ndarray, previous: Known | None, rejected: np.ndarray) -> Witness:
         """Witness points of the pairs of links that are near, but for grasps that are rejected (M,)."""
         if self.own_pairs is None:

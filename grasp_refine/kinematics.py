@@ -16,6 +16,7 @@ from torch import Tensor
 
 from grasp_refine.errors import HandError
 from grasp_refine.hand import Hand
+from grasp_refine.stopwatch import stage
 
 
 class Kinematics:
@@ -68,6 +69,7 @@ class Kinematics:
         self._offset = torch.as_tensor(np.asarray(offset)[rows], dtype=dtype, device=device)
         self._chain.to(dtype=dtype, device=device)
 
+    @stage("kinematics")
     def __call__(self, T_world_root: Tensor, q: Tensor) -> Tensor:
         """Poses T_world_link (batch, links, 4, 4) of the chosen links, in their order.
 

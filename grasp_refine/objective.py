@@ -28,6 +28,7 @@ from grasp_refine.losses import (
 )
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import body_gradient, transform_points
+from grasp_refine.stopwatch import stage
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.transport import EquivalentTransport
 
@@ -86,7 +87,8 @@ class Objective:
             )
             loss = loss + self.config.weights.self_penetration * penetration(own).square().sum(1)
         loss = loss + self._of_posture(member, T_world_root, q)
-        G, q_gradient = torch.autograd.grad(loss.sum(), (T_world_root, q), allow_unused=True)
+        with stage("derivative"):
+            G, q_gradient = torch.autograd.grad(loss.sum(), (T_world_root, q), allow_unused=True)
         twist = body_gradient(T_world_root.detach(), torch.zeros_like(T_world_root) if G is None else G)
         q_gradient = torch.zeros_like(q) if q_gradient is None else q_gradient
         # A pair that no query could answer counts nothing above: what the grasp is worth is not known.

@@ -17,6 +17,7 @@ from grasp_refine.scene import Scene
 from grasp_refine.solvers.least_squares import Minimum, Point, Progress, minimise
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.solvers.status import Status
+from grasp_refine.stopwatch import stage
 
 __all__ = ["Config", "Refinement", "Scene", "refine"]
 
@@ -52,6 +53,7 @@ class Refinement:
     """From how many starts each grasp was tried (N,)."""
 
 
+@stage("solver")
 def refine(
     scene: Scene,
     config: Config | None = None,

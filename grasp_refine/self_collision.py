@@ -67,6 +67,7 @@ class Sampling:
             raise CollisionError(f"{self}: margin must be at least 0 m and finite, always must be between 0 and 1")
 
 
+@stage("loading")
 def touching_pairs(
     hand: Hand, sampling: Sampling = Sampling(), *, cache: Path | Literal["user"] | None = "user"
 ) -> tuple[LinkPair, ...]:

@@ -7,6 +7,9 @@ The only file that imports coal. What it guards against (measured with coal 3.0.
 - EPA at tight tolerances sometimes ends with a wild number: an answer that is not finite or lies below the
   signed bounding-sphere bound is asked again with a looser tolerance, and reported as failed if that fails too.
 - More than 255 neighbours at a vertex raise: such a hull is triangulated again with few edges at each vertex.
+- A query object starts its search for support points where its last query ended, so that an answer depends on what
+  was asked before, by millimetres where witness points are not unique. Only a request with a cached guess resets
+  that start: every request has one, the default guess where there is nothing better.
 """
 
 from collections.abc import Sequence
@@ -16,6 +19,7 @@ import coal
 import numpy as np
 
 from grasp_refine.geometry.pieces import Piece
+from grasp_refine.stopwatch import stage
 
 _WILD = 1e300
 """A distance beyond this, either way, is no answer."""
@@ -70,10 +74,10 @@ class NarrowPhase:
             self._pairs.append((coal.ComputeDistance(shape_a, shape_b), T_a or identity, T_b))
         self._request = _request(tolerances.gjk, tolerances.epa)
         self._warm_request = _request(tolerances.gjk, tolerances.epa)
-        self._warm_request.gjk_initial_guess = coal.GJKInitialGuess.CachedGuess
         self._loose_request = _request(tolerances.retry, tolerances.retry)
         self._slack = tolerances.slack
 
+    @stage("narrow phase")
     def closest(
         self,
         R: np.ndarray,
@@ -154,6 +158,9 @@ def _request(gjk_tolerance: float, epa_tolerance: float) -> coal.DistanceRequest
     request = coal.DistanceRequest()
     request.gjk_tolerance = gjk_tolerance
     request.epa_tolerance = epa_tolerance
+    request.gjk_initial_guess = coal.GJKInitialGuess.CachedGuess
+    request.cached_gjk_guess = np.array([1.0, 0.0, 0.0])
+    request.cached_support_func_guess = np.zeros(2, dtype=np.int32)
     return request
 
 

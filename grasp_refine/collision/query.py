@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.collision.engine import Engine, chosen
 from grasp_refine.collision.narrowphase import Closest, NarrowPhase, Tolerances
 from grasp_refine.collision.search import Search, Warm
 from grasp_refine.collision.table import PieceTable
@@ -15,6 +16,7 @@ from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.se3 import matvec
+from grasp_refine.stopwatch import count_queries, stage
 
 
 class QueryStatus(IntEnum):
@@ -95,10 +97,13 @@ class Pairs:
     """Second body of each pair."""
     tolerances: Tolerances = Tolerances()
     """Of the narrow phase."""
+    engine: Engine = "auto"
+    """Who answers (see `collision.engine`)."""
 
     def __post_init__(self) -> None:
         if len(self.a) != len(self.b) or not self.a:
             raise CollisionError(f"pairs need equally many bodies on both sides, got {len(self.a)} and {len(self.b)}")
+        chosen(self.engine)
 
     @staticmethod
     def against(bodies: Sequence[Body], other: Body) -> "Pairs":
@@ -109,12 +114,13 @@ class Pairs:
         return len(self.a)
 
     @cached_property
+    @stage("loading")
     def _table(self) -> PieceTable:
         return PieceTable.of(self.a, self.b)
 
     def take(self, index: np.ndarray) -> "Pairs":
         """Some of the pairs."""
-        return Pairs(tuple(self.a[p] for p in index), tuple(self.b[p] for p in index), self.tolerances)
+        return Pairs(tuple(self.a[p] for p in index), tuple(self.b[p] for p in index), self.tolerances, self.engine)
 
     @property
     def piece_pairs(self) -> tuple[list[Piece], list[Piece]]:
@@ -127,6 +133,7 @@ class Pairs:
         return self._table.id[:, 0]
 
     @cached_property
+    @stage("loading")
     def narrow_phase(self) -> NarrowPhase:
         """The narrow phase over all piece pairs of all body pairs."""
         table = self._table
@@ -166,6 +173,7 @@ def query(
     return found.reshape(*shape)
 
 
+@stage("broad phase")
 def query_items(
     pairs: Pairs,
     pair: np.ndarray,
@@ -204,6 +212,7 @@ def query_items(
     bound[~finite] = np.inf
     search = Search(table, pairs.narrow_phase, pair, R, t, limit)
     found = search.minimum(bound, column, _warm(previous, T_a, table))
+    count_queries(found.asked)
     return _witness(found, T_a, limit, finite)
 
 

@@ -21,6 +21,7 @@ from grasp_refine.hand import list_hands, load_hand, needs_urdf
 from grasp_refine.problem import Group, Problem
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import transform_from_pose
+from grasp_refine.stopwatch import stage
 
 AUTO, NEAREST = "auto", "nearest"
 """Values of --targets: those of the grasp file, if any; or the points where links are nearest to the object."""
@@ -48,6 +49,7 @@ class Inputs(Sources):
     """Where links should touch: a grasp file with targets; auto: as --grasps says, else anywhere; or nearest: where
     they are nearest to the object at first."""
 
+    @stage("loading")
     def load(self, seed: int, say: Callable[[str], None], wait: Callable[[str], None] = lambda what: None) -> Problem:
         """The grasps that the options mean, as `load_from`; `wait` hears what takes a while.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Annotated
@@ -16,25 +15,23 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
 from grasp_refine.commands.inputs import NEAREST, Inputs
+from grasp_refine.commands.refining import proved, refined
 from grasp_refine.commands.settings import Settings
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand_object import HandObject
 from grasp_refine.holding import most_iterations
 from grasp_refine.losses import Weights
-from grasp_refine.problem import Group, Problem
-from grasp_refine.refine import refine
+from grasp_refine.problem import Problem
 from grasp_refine.report.document import run_document, settings
-from grasp_refine.report.outcome import Outcome, compare
+from grasp_refine.report.outcome import Outcome
 from grasp_refine.report.progress import Reporter
 from grasp_refine.report.proof import Proof, proof_lines
 from grasp_refine.report.results import fingerprint, result_paths, save_results
 from grasp_refine.report.screen import screen
 from grasp_refine.report.table import grasp_table
 from grasp_refine.report.writing import check_no_input, check_writable, save_json
-from grasp_refine.se3 import transform_from_pose
 from grasp_refine.targets import Touching
-from grasp_refine.validation.motion import Motion, closing
 from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
 from grasp_refine.validation.trials import Trials
 from grasp_refine.versions import versions
@@ -106,7 +103,10 @@ class Run:
             held = config.holds and not _aimed(problem, config)
             most = most_iterations(config) if held else config.solver.iterations
             reporter.start(problem.hand.name, len(problem), most, config.starts if held else 0)
-            parts = [_refined(group, config, reporter) for group in problem.groups]
+            parts = [
+                refined(group, config, reporter.group(group.object, len(group.rows)), HandObject.of(group.scene))
+                for group in problem.groups
+            ]
             proof = None if protocol is None else _proved(problem, parts, protocol, reporter)
             outcome = Outcome.join(parts).select(problem.order)
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
@@ -117,7 +117,7 @@ class Run:
             "protocol": settings(protocol),
         }
         if outcome.usable.any():
-            self._save(problem, outcome, paths, {"seed": config.seed, "config": described})
+            self._save(problem, outcome, paths, {"seed": config.seed, "config": described}, proof)
         if self.output.json is not None:
             save_json(
                 self.output.json,
@@ -172,7 +172,14 @@ class Run:
             check_no_input(path, problem.files, "the results would overwrite an input; give another --out or --json")
         return paths
 
-    def _save(self, problem: Problem, outcome: Outcome, paths: dict[str, Path], provenance: dict[str, object]) -> None:
+    def _save(
+        self,
+        problem: Problem,
+        outcome: Outcome,
+        paths: dict[str, Path],
+        provenance: dict[str, object],
+        proof: Proof | None,
+    ) -> None:
         source = fingerprint(problem.files[0])
         # Which grasps were drawn depends on the hand, the object and the seed.
         source = {"sampled": problem.sampled, "hand": source} if problem.sampled else source
@@ -181,7 +188,8 @@ class Run:
         links = problem.groups[0].scene.links
         for name, path in paths.items():
             rows = np.flatnonzero(outcome.object == name)
-            save_results(path, problem.hand, links, outcome.select(rows), provenance)
+            trials = None if proof is None else (proof.before.select(rows), proof.after.select(rows))
+            save_results(path, problem.hand, links, outcome.select(rows), provenance, trials)
 
 
 def _aimed(problem: Problem, config: Config) -> bool:
@@ -189,39 +197,19 @@ def _aimed(problem: Problem, config: Config) -> bool:
     return config.nearest or any(group.scene.target_link is not None for group in problem.groups)
 
 
-def _refined(group: Group, config: Config, reporter: Reporter) -> Outcome:
-    """The grasps of a group before and after."""
-    scene, prepared = group.scene, HandObject.of(group.scene)
-    refinement = refine(scene, config, reporter.group(group.object, len(group.rows)), prepared=prepared)
-    refined = replace(scene, T_world_root=refinement.T_world_root, q=refinement.q)
-    return compare(
-        scene,
-        refinement,
-        closing(refined, prepared),
-        margin=config.margin,
-        name=group.object,
-        scale=group.scale,
-        row=group.rows,
-        index=group.index,
-    )
-
-
 def _proved(problem: Problem, parts: Sequence[Outcome], protocol: Protocol, reporter: Reporter) -> Proof:
     """What simulation says of all grasps before and after, in the order in which they were asked for."""
-    from grasp_refine.validation.simulation import simulate
     from grasp_refine.validation.validate import model_of
     from grasp_refine.validation.world import build_world
 
     model = model_of(problem.hand)
     for note in model.notes:
         reporter.say(f"note: {note}")
-    before, after = [], []
+    trials = []
     for group, part in zip(problem.groups, parts, strict=True):
         world = build_world(model, group.scene.object, protocol, group.scene.table)
-        tell = reporter.telling(group.object, len(part))
-        refined = Motion(transform_from_pose(part.stage_pose), part.stage_q)
-        before.append(simulate(world, group.motion(), progress=partial(tell, "simulating, before")))
-        after.append(simulate(world, refined, progress=partial(tell, "simulating, after")))
+        trials.append(proved(group, part, world, reporter.telling(group.object, len(part))))
+    before, after = zip(*trials, strict=True)
     return Proof(
         protocol,
         Trials.join(before).select(problem.order),

@@ -132,6 +132,7 @@ class Outcome:
         return join(*parts)
 
 
+@stage("measuring")
 def compare(
     scene: Scene,
     refinement: Refinement,

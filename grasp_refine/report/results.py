@@ -17,6 +17,7 @@ from grasp_refine.report.outcome import Outcome
 from grasp_refine.report.writing import dumps
 from grasp_refine.solvers.status import Status
 from grasp_refine.validation.motion import STAGES
+from grasp_refine.validation.trials import Reason, Trials
 
 
 def result_paths(folder: Path, hand: str, objects: tuple[str, ...]) -> dict[str, Path]:
@@ -31,7 +32,12 @@ def result_paths(folder: Path, hand: str, objects: tuple[str, ...]) -> dict[str,
 
 
 def save_results(
-    path: Path, hand: Hand, links: tuple[str, ...], outcome: Outcome, provenance: Mapping[str, Any]
+    path: Path,
+    hand: Hand,
+    links: tuple[str, ...],
+    outcome: Outcome,
+    provenance: Mapping[str, Any],
+    proof: tuple[Trials, Trials] | None = None,
 ) -> None:
     """Write the grasps of one object, whole or not at all, as a grasp file that holds more.
 
@@ -42,6 +48,7 @@ def save_results(
         contact_normal                      (N, K, 3)  unit normal from link to object, object frame
         contact_distance                    (N, K)     signed distance, metres
         contact_error_before, _after        (N,)       worst of gap and target misses, metres
+        contact_error_mean_before, _after   (N,)       their mean over the contacts, metres
         penetration_before, _after          (N,)       deepest of all links, metres
         self_penetration_before, _after     (N,)       deepest of links in each other, metres
         wrench_residual_before, _after      (N,)       what contact forces leave unbalanced, without unit
@@ -49,10 +56,30 @@ def save_results(
         starts                              (N,)       from how many starts the grasp was tried
         status                              (N,)       how the refinement ended
         iterations                          (N,)
+        queries                             (N,)       narrow-phase queries
         loss                                (N,)       after refinement, m^2
+        limits_violated                     (N,)       joint values beyond their limits
+        moved_palm_m, _palm_rad, _joints_rad (N,)      how far base link and joints were moved, metres and radians
+        wall_s, cpu_s                       (N,)       share of the time of the refinement, seconds
         provenance                          ()         JSON: versions, seed, config, source, index and row
 
+    and where grasps were simulated, of the direction that was worst for each, before and after
+
+        simulation_before, _after                (N,)  whether the grasp held, in all directions
+        simulation_reason_before, _after         (N,)  why it did not
+        simulation_direction_before, _after      (N,)  the direction
+        simulation_displacement_m_before, _after (N,)  how far the object was moved at the end
+        simulation_angle_rad_before, _after      (N,)  how far it was turned
+
     NaN stands where a grasp has no such contact or target.
+
+    Args:
+        path: The file.
+        hand: The hand.
+        links: Its links with collision geometry, as in `Scene.links`.
+        outcome: The grasps.
+        provenance: Where they come from.
+        proof: What simulation said of them before and after, if it was asked.
 
     Raises:
         GraspFileError: the file cannot be written.
@@ -76,7 +103,7 @@ def save_results(
             if name in OTHER_STAGES and np.isfinite(outcome.stage_q[:, at]).all()
         },
     )
-    error = outcome.worst_error
+    error, mean = outcome.worst_error, outcome.mean_error
     save_npz(
         path,
         {
@@ -90,6 +117,8 @@ def save_results(
             "contact_distance": outcome.contact_distance[:, touching],
             "contact_error_before": error[:, 0],
             "contact_error_after": error[:, 1],
+            "contact_error_mean_before": mean[:, 0],
+            "contact_error_mean_after": mean[:, 1],
             "penetration_before": outcome.penetration[:, 0],
             "penetration_after": outcome.penetration[:, 1],
             "self_penetration_before": outcome.self_penetration[:, 0],
@@ -101,10 +130,30 @@ def save_results(
             "starts": outcome.starts,
             "status": np.array([Status(status).label for status in outcome.status]),
             "iterations": outcome.iterations,
+            "queries": outcome.queries,
+            "limits_violated": outcome.limits_violated,
+            "moved_palm_m": outcome.palm_m,
+            "moved_palm_rad": outcome.palm_rad,
+            "moved_joints_rad": outcome.joints_rad,
+            "wall_s": outcome.wall_s,
+            "cpu_s": outcome.cpu_s,
+            **(_simulated("before", proof[0]) | _simulated("after", proof[1]) if proof is not None else {}),
             "loss": np.where(np.isfinite(outcome.loss[:, 1]), outcome.loss[:, 1], np.nan),
             "provenance": np.array(dumps({**provenance, "index": outcome.index, "row": outcome.row})),
         },
     )
+
+
+def _simulated(when: str, trials: Trials) -> dict[str, np.ndarray]:
+    """The entries of what simulation said of N grasps; the worst direction stands for each."""
+    rows, worst = np.arange(len(trials)), trials.worst
+    return {
+        f"simulation_{when}": trials.success,
+        f"simulation_reason_{when}": np.array([Reason(reason).label for reason in trials.reason[rows, worst]]),
+        f"simulation_direction_{when}": np.array(trials.directions)[worst],
+        f"simulation_displacement_m_{when}": trials.displacement_m[rows, worst],
+        f"simulation_angle_rad_{when}": trials.angle_rad[rows, worst],
+    }
 
 
 def fingerprint(path: Path) -> dict[str, str]:

@@ -15,6 +15,7 @@ from grasp_refine.solvers.adam import Adam
 from grasp_refine.solvers.descent import Descent
 from grasp_refine.solvers.least_squares import Minimum, Point, Watch
 from grasp_refine.solvers.status import Status
+from grasp_refine.stopwatch import stage
 
 
 @runtime_checkable
@@ -37,6 +38,7 @@ class Differentiable(Protocol):
         ...
 
 
+@stage("solver")
 def descend(
     problem: Differentiable,
     start: Point,

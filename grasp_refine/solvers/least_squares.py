@@ -17,6 +17,7 @@ import numpy as np
 from grasp_refine.batch import choose, join, take
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt, bounded_step
 from grasp_refine.solvers.status import Status
+from grasp_refine.stopwatch import stage
 
 WIDTH = 2048
 """Most members that are worked on at once."""
@@ -150,6 +151,7 @@ class _Slots:
     """Starts so far."""
 
 
+@stage("solver")
 def minimise(
     problem: Problem,
     start: Point,

@@ -43,6 +43,7 @@ class Movement:
     """Largest joint movement (N,), radians (metres for prismatic joints)."""
 
 
+@stage("measuring")
 def measure(
     hand: Hand,
     obj: Object,

@@ -47,6 +47,7 @@ class Closed:
     """How deep hand and object were in each other at the pregrasp (N,), metres."""
 
 
+@stage("simulating")
 def simulate(
     world: World,
     motion: Motion,

@@ -67,6 +67,7 @@ class World:
     """Number of the link that each geom belongs to (g,), or `OBJECT_GEOM`, or `OTHER_GEOM`, such as the table's."""
 
 
+@stage("simulating")
 def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane | None = None) -> World:
     """The world in which grasps of a hand on an object are simulated.
 

@@ -14,6 +14,7 @@ from torch.autograd.function import once_differentiable
 
 from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.se3 import ambient_gradient
+from grasp_refine.stopwatch import stage
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.neighborhood import Surfaces
 from grasp_refine.witness.patch import Patch
@@ -111,6 +112,7 @@ class _WitnessFunction(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
+    @stage("derivative")
     def backward(  # noqa: D102
         ctx: Any,
         grad_a: Tensor | None,

@@ -35,6 +35,7 @@ class PairCurvatures:
     """Floor (P,) of the eigenvalues of K_a + K_b, in 1/m."""
 
     @staticmethod
+    @stage("loading")
     def of(pairs: Pairs, smallest: float) -> PairCurvatures:
         """Ready for some pairs; `smallest` is the floor of K_a + K_b, over the mean of the two bodies' diagonals."""
         both = (*pairs.a, *pairs.b)

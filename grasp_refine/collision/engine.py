@@ -1,0 +1,49 @@
+"""Which engine answers collision queries: the compiled one where it is there, else the one in Python.
+
+Both give the same answers to rounding. The compiled one is built by `pip install` where there is a C++ compiler, and
+for one version of coal's library: with another it is left alone, because the layout of coal's classes may differ.
+"""
+
+import os
+from functools import cache
+from typing import Literal, get_args
+
+from grasp_refine.errors import CollisionError
+
+Engine = Literal["auto", "native", "python"]
+"""The compiled engine, the one in Python, or what is there."""
+
+VARIABLE = "GRASP_REFINE_ENGINE"
+"""Environment variable that says what "auto" means."""
+
+
+def engines() -> tuple[str, ...]:
+    """The engines that are there, the fastest first."""
+    return ("python",) if why_not_native() else ("native", "python")
+
+
+@cache
+def why_not_native() -> str:
+    """Why the compiled engine is not there; empty where it is."""
+    try:
+        from grasp_refine.collision import native
+    except ImportError as error:
+        # Not built, or built for another system.
+        return str(error).strip().splitlines()[0]
+    return native.mismatch()
+
+
+def chosen(engine: Engine) -> str:
+    """The engine that is used where `engine` is asked for: "native" or "python".
+
+    Raises:
+        CollisionError: there is no such engine, or it is not there.
+    """
+    asked, where = engine, "engine"
+    if engine == "auto" and VARIABLE in os.environ:
+        asked, where = os.environ[VARIABLE], VARIABLE
+    if asked not in get_args(Engine):
+        raise CollisionError(f"{where} is '{asked}'; choose {', '.join(get_args(Engine))}")
+    if asked == "native" and why_not_native():
+        raise CollisionError(f"{where} is 'native', which is not there ({why_not_native()}); choose auto or python")
+    return engines()[0] if asked == "auto" else asked

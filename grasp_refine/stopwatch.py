@@ -1,0 +1,172 @@
+"""CPU and wall seconds by stage: where the time of a refinement goes.
+
+A stage is a `with stage("solver"):` or a decorator `@stage("solver")` at a boundary of the program. It counts for the
+stopwatch that runs in its context (`with Stopwatch() as watch:`), and does next to nothing where none does. Stages may
+lie inside each other: a second counts for the innermost one only, so that all stages sum to the whole.
+
+Another thread has a context, and so a stopwatch, of its own. CPU time is that of the process: of all its threads, and
+of its child processes once they ended.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping
+from contextvars import ContextVar, Token
+from dataclasses import dataclass, field
+from functools import wraps
+from types import TracebackType
+from typing import Any, Literal, ParamSpec, TypeVar, get_args
+
+import numpy as np
+
+Stage = Literal[
+    "loading", "kinematics", "broad phase", "narrow phase", "derivative", "solver", "forces", "measuring",
+    "simulating", "other",
+]  # fmt: skip
+"""What the program is at.
+
+- loading: files, convex pieces, and what is built once for a hand and an object.
+- kinematics: poses and joint axes of links.
+- broad phase: which pieces can matter, and what goes into the narrow phase and comes out of it.
+- narrow phase: coal; of the native engine, with the choice of pieces in its loop.
+- derivative: residuals with their Jacobians, and gradients.
+- solver: loss, steps and accounts of the loop.
+- forces: quadratic programs of contact forces.
+- measuring: what is reported of grasps before and after, but for its queries.
+- simulating: MuJoCo.
+- other: everything else, such as writing files.
+"""
+
+STAGES: tuple[Stage, ...] = get_args(Stage)
+
+Arguments, Result = ParamSpec("Arguments"), TypeVar("Result")
+
+
+@dataclass
+class Spent:
+    """What a stage took."""
+
+    cpu_s: float = 0.0
+    """CPU seconds, without those of stages inside it."""
+    wall_s: float = 0.0
+    """Seconds of the clock likewise."""
+    calls: int = 0
+    """How often it began."""
+
+
+@dataclass
+class Stopwatch:
+    """Seconds by stage while it runs; may run again, and then counts on."""
+
+    spent: dict[Stage, Spent] = field(default_factory=lambda: {name: Spent() for name in STAGES})
+    """What each stage took; "other" is what passed outside all of them."""
+    queries: int = 0
+    """Narrow-phase queries."""
+    _open: list[Stage] = field(default_factory=list)
+    _since: tuple[float, float] = (0.0, 0.0)
+    _token: Token | None = None
+
+    def __enter__(self) -> Stopwatch:
+        """Begin to count what happens in this context, instead of a stopwatch that runs in it already."""
+        self._token = _RUNNING.set(self)
+        self._since = _now()
+        self._open.append("other")
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Stop, also in mid-stage."""
+        self._count()
+        self._open.clear()
+        _RUNNING.reset(self._token)
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU seconds of all stages."""
+        return sum(one.cpu_s for one in self.spent.values())
+
+    @property
+    def wall_s(self) -> float:
+        """Wall seconds of all stages."""
+        return sum(one.wall_s for one in self.spent.values())
+
+    def shares(self, names: Mapping[str, tuple[Stage, ...]]) -> dict[str, float]:
+        """Share of the CPU time of each group of stages."""
+        whole = self.cpu_s
+        return {
+            name: sum(self.spent[stage].cpu_s for stage in group) / whole if whole > 0 else 0.0
+            for name, group in names.items()
+        }
+
+    def begin(self, name: Stage) -> None:
+        """A stage begins inside the present one."""
+        self._count()
+        self._open.append(name)
+        self.spent[name].calls += 1
+
+    def end(self) -> None:
+        """The stage ends that began last."""
+        self._count()
+        self._open.pop()
+
+    def _count(self) -> None:
+        """What passed since the last time counts for the present stage."""
+        now, spent = _now(), self.spent[self._open[-1]]
+        spent.cpu_s += now[0] - self._since[0]
+        spent.wall_s += now[1] - self._since[1]
+        self._since = now
+
+
+_RUNNING: ContextVar[Stopwatch | None] = ContextVar("stopwatch", default=None)
+
+
+class stage:  # noqa: N801 - reads as what it is, a context manager and a decorator
+    """Counts what happens inside, or in a function, for a stage of the stopwatch that runs, if any does."""
+
+    __slots__ = ("_name", "_watch")
+
+    def __init__(self, name: Stage) -> None:
+        """The stage's name, one of `STAGES`."""
+        self._name = name
+
+    def __enter__(self) -> None:
+        """Begin."""
+        self._watch = _RUNNING.get()
+        if self._watch is not None:
+            self._watch.begin(self._name)
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """End, also by an error."""
+        if self._watch is not None:
+            self._watch.end()
+
+    def __call__(self, function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+        """The function, whose calls count for the stage."""
+        name = self._name
+
+        @wraps(function)
+        def counted(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
+            watch = _RUNNING.get()
+            if watch is None:
+                return function(*arguments, **named)
+            watch.begin(name)
+            try:
+                return function(*arguments, **named)
+            finally:
+                watch.end()
+
+        return counted
+
+
+def count_queries(asked: Any) -> None:
+    """Add narrow-phase queries, numbers of any shape, to the stopwatch that runs, if any does."""
+    watch = _RUNNING.get()
+    if watch is not None:
+        watch.queries += int(np.sum(asked))
+
+
+def _now() -> tuple[float, float]:
+    """CPU and wall seconds so far."""
+    children = os.times()
+    return time.process_time() + children.children_user + children.children_system, time.perf_counter()
