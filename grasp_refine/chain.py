@@ -20,6 +20,7 @@ import numpy as np
 from grasp_refine.errors import HandError
 from grasp_refine.hand import Hand
 from grasp_refine.se3 import Array, array_namespace, exp_so3, inverse, tangents, transform
+from grasp_refine.stopwatch import stage
 
 Selection = Array | slice
 """What to take along an axis: an array of indices or, where that says the same, a slice, which copies nothing."""

@@ -64,6 +64,11 @@ class Balance:
     """Where there are forces (M, P)."""
 
     @property
+    def pressed(self) -> Bool[np.ndarray, "M L"]:
+        """Links (M, L) that press under any of the loads; no derivative looks at the others."""
+        return (self.local[..., 0] > 0).any(axis=1)
+
+    @property
     def value(self) -> Float[np.ndarray, " M"]:
         """Mean over the loads of the squares of what is unbalanced and, times `RIDGE`, of the forces (M,)."""
         squares = (self.unbalanced**2).sum(axis=-1) + RIDGE * (self.local**2).sum(axis=(-2, -1))
@@ -131,7 +136,7 @@ class Equilibrium:
         M, C = witness.distance.shape
         P = len(self.loads)
         local, f = balance.local[:, :, columns], balance.force[:, :, columns]
-        there = (witness.valid & (local[..., 0] > 0).any(axis=1))[..., None]
+        there = (witness.valid & balance.pressed[:, columns])[..., None]
         p, n = (np.where(there, side, fill) for side, fill in ((witness.point_b, 0.0), (witness.normal, [0, 0, 1.0])))
         sliding = (np.where(there[..., None], part, 0.0) for part in _sliding(witness, E, K_link, K_object, n))
         point, turn = (part[:, None] for part in sliding)

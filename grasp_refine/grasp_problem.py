@@ -294,18 +294,22 @@ class GraspProblem:
             miss_link = w.point_a - transform_points(T, goal.target_link[member][:, columns])
             miss_object = w.point_b - goal.target_object[member][:, columns]
             reach = np.stack([np.linalg.norm(miss, axis=-1) for miss in (miss_link, miss_object)])
-            K_link, K_object = self._curvatures(columns, T, w, E, reach, width)
-            aimed = (goal.aimed[member][:, columns] & w.valid)[..., None]
+            aimed = goal.aimed[member][:, columns] & w.valid
+            looked = aimed
+            if goal.direction is not None:
+                turned = contact_direction(w, goal.direction[member][:, columns])
+                wanted = (turned != 0).any(axis=-1)
+                looked = aimed | wanted
+            K_link, K_object = self._curvatures(looked, columns, T, w, E, reach, width)
+            aimed = aimed[..., None]
             misses = [matvec(E.mT, np.where(aimed, miss, 0.0)) for miss in (miss_link, miss_object)]
             gap = np.where(aimed, w.distance[..., None] - config.margin, 0.0)
             covector = contact_targets_covectors(w, E, K_link, K_object)
             covector = np.where(aimed[..., None], covector, 0.0)
             rows.add(np.concatenate([gap, *misses], axis=-1), covector, weights.contact, columns)
             if goal.direction is not None:
-                turned = contact_direction(w, goal.direction[member][:, columns])
                 covector = contact_direction_covectors(w, E, K_link, K_object)
-                wanted = (turned != 0).any(axis=-1)[..., None, None]
-                rows.add(turned, np.where(wanted, covector, 0.0), weights.direction, columns)
+                rows.add(turned, np.where(wanted[..., None, None], covector, 0.0), weights.direction, columns)
         if len(self.gap_columns):
             columns = self.gap_columns
             w = known.witness.pairs(columns)
@@ -320,11 +324,13 @@ class GraspProblem:
         w = known.witness.pairs(columns)
         T = known.T_link[:, columns]
         E = tangents(np.where(w.valid[..., None], w.normal, [0.0, 0.0, 1.0]))
-        K_link, K_object = self._curvatures(columns, T, w, E, np.full((2, *w.distance.shape), 0.5 * SMOOTH), width)
+        reach = np.full((2, *w.distance.shape), 0.5 * SMOOTH)
+        K_link, K_object = self._curvatures(known.forces.pressed[:, columns], columns, T, w, E, reach, width)
         return self.equilibrium.rows(known.forces, columns, w, Frames(known.T_link, known.axes), E, K_link, K_object)
 
     def _curvatures(
         self,
+        looked: np.ndarray,
         columns: np.ndarray,
         T: np.ndarray,
         w: Witness,
@@ -332,12 +338,13 @@ class GraspProblem:
         reach: np.ndarray,
         width: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Curvatures (M, C, 2, 2) of links and object; where there are no witness points, they mean nothing.
+        """Curvatures (M, C, 2, 2) of links and object; where no one looks, or there are no witness points, none.
 
-        Where the `width` is 1, neighbourhoods have twice the radius `reach` (2, M, C), of links and object.
+        Only what is `looked` at (M, C) is fitted; elsewhere they are those of balls of 1 m, which mean nothing. Where the
+        `width` is 1, neighbourhoods have twice the radius `reach` (2, M, C), of links and object.
         """
         shape = w.distance.shape
-        item = np.flatnonzero(w.valid.reshape(-1))
+        item = np.flatnonzero((looked & w.valid).reshape(-1))
         count = len(item)
         K = self.curvatures.fit(
             np.tile(columns, shape[0])[item],

@@ -59,7 +59,7 @@ def sample_grasps(
     obj: Object,
     count: int,
     *,
-    seed: int = 0,
+    seed: int | tuple[int, ...] = 0,
     table: Plane | None = None,
     prepared: HandObject | None = None,
     progress: Callable[[int, int], None] | None = None,

@@ -16,6 +16,7 @@ from grasp_refine.collision.query import Pairs, query
 from grasp_refine.errors import CollisionError, HandError
 from grasp_refine.geometry import cache as disk
 from grasp_refine.hand import Hand
+from grasp_refine.stopwatch import stage
 
 LinkPair = tuple[str, str]
 """Names of two links."""
@@ -154,6 +155,11 @@ def self_penetration(
     """
     depth = np.maximum(-_distances(hand, pairs, q, cutoff=0.0), 0.0).max(axis=1, initial=0.0)
     return np.where(np.isfinite(q).all(axis=1), depth, np.nan)
+
+
+def candidate_pairs(hand: Hand) -> tuple[LinkPair, ...]:
+    """The pairs of links that `touching_pairs` looks at: with bodies, not rigidly connected, and no neighbours."""
+    return tuple(_candidates(hand)[0])
 
 
 def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:

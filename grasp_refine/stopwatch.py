@@ -44,6 +44,10 @@ STAGES: tuple[Stage, ...] = get_args(Stage)
 Arguments, Result = ParamSpec("Arguments"), TypeVar("Result")
 
 
+TICK = 0.01
+"""No child process ended within so many seconds that needs to be looked for: that is how finely their time is told."""
+
+
 @dataclass
 class Spent:
     """What a stage took."""
@@ -66,20 +70,34 @@ class Stopwatch:
     """Narrow-phase queries."""
     _open: list[Stage] = field(default_factory=list)
     _since: tuple[float, float] = (0.0, 0.0)
+    _children: float = 0.0
     _token: Token | None = None
 
     def __enter__(self) -> Stopwatch:
         """Begin to count what happens in this context, instead of a stopwatch that runs in it already."""
         self._token = _RUNNING.set(self)
-        self._since = _now()
+        self._since, self._children = _now(), _of_children()
         self._open.append("other")
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         """Stop, also in mid-stage."""
-        self._count()
+        self._count(last=True)
         self._open.clear()
         _RUNNING.reset(self._token)
+        self._token = None
+
+    @property
+    def running(self) -> bool:
+        """Whether it counts now."""
+        return self._token is not None
+
+    @property
+    def profile(self) -> dict[str, list[float]]:
+        """Stage -> [CPU seconds, wall seconds, calls]: what other processes can add up."""
+        return {name: [one.cpu_s, one.wall_s, one.calls] for name, one in self.spent.items()}
 
     @property
     def cpu_s(self) -> float:
@@ -110,12 +128,17 @@ class Stopwatch:
         self._count()
         self._open.pop()
 
-    def _count(self) -> None:
+    def _count(self, *, last: bool = False) -> None:
         """What passed since the last time counts for the present stage."""
         now, spent = _now(), self.spent[self._open[-1]]
+        wall = now[1] - self._since[1]
         spent.cpu_s += now[0] - self._since[0]
-        spent.wall_s += now[1] - self._since[1]
+        spent.wall_s += wall
         self._since = now
+        if last or wall > TICK:
+            children = _of_children()
+            spent.cpu_s += children - self._children
+            self._children = children
 
 
 _RUNNING: ContextVar[Stopwatch | None] = ContextVar("stopwatch", default=None)
@@ -136,7 +159,9 @@ class stage:  # noqa: N801 - reads as what it is, a context manager and a decora
         if self._watch is not None:
             self._watch.begin(self._name)
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         """End, also by an error."""
         if self._watch is not None:
             self._watch.end()
@@ -167,6 +192,11 @@ def count_queries(asked: Any) -> None:
 
 
 def _now() -> tuple[float, float]:
-    """CPU and wall seconds so far."""
-    children = os.times()
-    return time.process_time() + children.children_user + children.children_system, time.perf_counter()
+    """CPU seconds of this process, and wall seconds, so far."""
+    return time.process_time(), time.perf_counter()
+
+
+def _of_children() -> float:
+    """CPU seconds of the child processes that ended."""
+    times = os.times()
+    return times.children_user + times.children_system

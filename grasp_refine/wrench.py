@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 
 from grasp_refine.description.inertia import Inertia
 from grasp_refine.se3 import hat
+from grasp_refine.stopwatch import stage
 
 if TYPE_CHECKING:
     from grasp_refine.objects import Object
@@ -95,6 +96,7 @@ def contact_forces(
     return contact_forces_under(loads, point, normal, center, friction=friction, ridge=ridge, forms=forms)[0]
 
 
+@stage("forces")
 def contact_forces_under(
     loads: Sequence[np.ndarray] | Float[np.ndarray, "P 6"],
     point: Float[np.ndarray, "N K 3"],

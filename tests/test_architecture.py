@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[1] / PACKAGE
 ORDER = (
     "errors",
     "versions",
+    "stopwatch",
     "se3",
     "batch",
     "assets",

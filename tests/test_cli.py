@@ -141,7 +141,7 @@ def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixt
     assert max(map(len, captured.out.splitlines())) <= 80
 
     document = json.loads(Path("deep/report.json").read_text())
-    assert list(document) == ["schema", "command", "versions", "config", "seed", "totals", "grasps"]
+    assert list(document) == ["schema", "command", "versions", "config", "seed", "totals", "profile", "grasps"]
     assert (document["schema"], document["command"], document["seed"]) == (1, "run", 0)
     assert document["versions"]["grasp-refine"] == grasp_refine.__version__
     assert document["config"]["refine"]["solver"]["type"] == "LevenbergMarquardt"

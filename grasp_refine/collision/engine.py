@@ -26,11 +26,11 @@ def engines() -> tuple[str, ...]:
 def why_not_native() -> str:
     """Why the compiled engine is not there; empty where it is."""
     try:
-        from grasp_refine.collision import native
+        from grasp_refine.collision import native_search
     except ImportError as error:
         # Not built, or built for another system.
         return str(error).strip().splitlines()[0]
-    return native.mismatch()
+    return native_search.mismatch()
 
 
 def chosen(engine: Engine) -> str:

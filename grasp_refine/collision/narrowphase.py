@@ -1,15 +1,16 @@
 """The narrow phase: closest or deepest points of convex pieces, asked from coal (GJK and EPA).
 
-The only file that imports coal. What it guards against (measured with coal 3.0.3):
+The only file that imports coal; `native/narrow_phase.h` is the same in C++. What both guard against (measured with
+coal 3.0.3):
 
 - `ComputeDistance` does not keep its geometries alive, so this object does.
 - `DistanceResult.normal` is a view into the reused result; it is copied before the next query.
 - EPA at tight tolerances sometimes ends with a wild number: an answer that is not finite or lies below the
   signed bounding-sphere bound is asked again with a looser tolerance, and reported as failed if that fails too.
-- More than 255 neighbours at a vertex raise: such a hull is triangulated again with few edges at each vertex.
-- A query object starts its search for support points where its last query ended, so that an answer depends on what
-  was asked before, by millimetres where witness points are not unique. Only a request with a cached guess resets
-  that start: every request has one, the default guess where there is nothing better.
+- More than 255 neighbours at a vertex raise (see `shapes`).
+- A query object looks for support points where its last query found some, so that an answer depends on what was
+  asked before, by millimetres where witness points are not unique. Only a request with cached guesses says where
+  to begin, so every request has them; the query writes its own over them, so they are set before each one.
 """
 
 from collections.abc import Sequence
@@ -18,14 +19,15 @@ from dataclasses import dataclass
 import coal
 import numpy as np
 
+from grasp_refine.collision.shapes import build_shape
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.stopwatch import stage
 
 _WILD = 1e300
 """A distance beyond this, either way, is no answer."""
 
-_MAX_NEIGHBOURS = 255
-"""coal counts the neighbours of a hull vertex in one byte."""
+_NO_GUESS, _NO_HINT = np.array([1.0, 0.0, 0.0]), np.zeros(2, dtype=np.int32)
+"""Where GJK begins without a guess, and at which two vertices it begins to look for support points."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,6 @@ class NarrowPhase:
             (shape_a, T_a), (shape_b, T_b) = _shape_of(a), _shape_of(b)
             self._pairs.append((coal.ComputeDistance(shape_a, shape_b), T_a or identity, T_b))
         self._request = _request(tolerances.gjk, tolerances.epa)
-        self._warm_request = _request(tolerances.gjk, tolerances.epa)
         self._loose_request = _request(tolerances.retry, tolerances.retry)
         self._slack = tolerances.slack
 
@@ -109,7 +110,7 @@ class NarrowPhase:
         point, normal = np.zeros((count, 3)), np.zeros((count, 3))
         winner, asked = np.full(count, -1), np.zeros(count, dtype=np.int64)
         failed = np.zeros(count, dtype=bool)
-        pairs, cold, warm = self._pairs, self._request, self._warm_request
+        pairs, tight = self._pairs, self._request
         result, T = coal.DistanceResult(), coal.Transform3s()
         start_list, pair_list, bound_list, limit_list = (
             starts.tolist(),
@@ -125,10 +126,7 @@ class NarrowPhase:
         for i, R_i, t_i in zip(order.tolist(), R[order], t[order], strict=True):
             T.setRotation(R_i)
             T.setTranslation(t_i)
-            request = cold
-            if warm_list is not None and warm_list[i]:
-                warm.cached_gjk_guess = guess[i]
-                request = warm
+            guess_i = guess[i] if warm_list is not None and warm_list[i] else _NO_GUESS
             best, first = limit_list[i], start_list[i]
             stop = start_list[i + 1]
             for j in range(first, stop):
@@ -136,11 +134,15 @@ class NarrowPhase:
                     stop = j
                     break
                 compute, T_a, T_b = pairs[pair_list[j]]
+                placed = T if T_b is None else T * T_b
+                tight.cached_gjk_guess, tight.cached_support_func_guess = guess_i, _NO_HINT
                 result.clear()
-                d = compute(T_a, T if T_b is None else T * T_b, request, result)
+                d = compute(T_a, placed, tight, result)
                 if not (floor_list[j] <= d < _WILD):
+                    loose = self._loose_request
+                    loose.cached_gjk_guess, loose.cached_support_func_guess = _NO_GUESS, _NO_HINT
                     result.clear()
-                    d = compute(T_a, T if T_b is None else T * T_b, self._loose_request, result)
+                    d = compute(T_a, placed, loose, result)
                     if not (floor_list[j] <= d < _WILD):
                         failed[i] = True
                         continue
@@ -155,84 +157,54 @@ class NarrowPhase:
 
 
 def _request(gjk_tolerance: float, epa_tolerance: float) -> coal.DistanceRequest:
+    """A request that starts from the guesses it holds, which every query overwrites with its own."""
     request = coal.DistanceRequest()
     request.gjk_tolerance = gjk_tolerance
     request.epa_tolerance = epa_tolerance
     request.gjk_initial_guess = coal.GJKInitialGuess.CachedGuess
-    request.cached_gjk_guess = np.array([1.0, 0.0, 0.0])
-    request.cached_support_func_guess = np.zeros(2, dtype=np.int32)
     return request
 
 
 def _shape_of(piece: Piece) -> tuple[coal.CollisionGeometry, coal.Transform3s | None]:
-    """The coal shape of a piece, built once, which for a hull takes some milliseconds."""
+    """The coal shape of a piece and its placement in the body (None: the body's own frame), built once."""
     if "coal" not in piece.derived:
-        piece.derived["coal"] = _shape(piece)
+        piece.derived["coal"] = build_shape(piece, _Factory)
     return piece.derived["coal"]
 
 
-def _shape(piece: Piece) -> tuple[coal.CollisionGeometry, coal.Transform3s | None]:
-    """The coal shape of a piece and its placement in the body (None: the body's own frame)."""
-    vertices = piece.vertices
-    if len(vertices) == 1:
-        return coal.Sphere(piece.radius), coal.Transform3s(np.eye(3), vertices[0])
-    if len(vertices) == 2:
-        axis = vertices[1] - vertices[0]
-        length = float(np.linalg.norm(axis))
-        return coal.Capsule(piece.radius, length), coal.Transform3s(_frame(axis / length), vertices.mean(axis=0))
+class _Factory:
+    """Shapes of coal with their placements."""
+
+    @staticmethod
+    def sphere(radius: float, center: np.ndarray) -> tuple[coal.CollisionGeometry, coal.Transform3s | None]:
+        return coal.Sphere(radius), coal.Transform3s(np.eye(3), center)
+
+    @staticmethod
+    def capsule(
+        radius: float, length: float, frame: np.ndarray, center: np.ndarray
+    ) -> tuple[coal.CollisionGeometry, coal.Transform3s | None]:
+        return coal.Capsule(radius, length), coal.Transform3s(frame, center)
+
+    @staticmethod
+    def hull(vertices: np.ndarray, radius: float) -> tuple[coal.CollisionGeometry, coal.Transform3s | None]:
+        return _swept(coal.Convex.convexHull(_points(vertices), True, "Qt"), radius), None
+
+    @staticmethod
+    def polytope(
+        vertices: np.ndarray, faces: np.ndarray, radius: float
+    ) -> tuple[coal.CollisionGeometry, coal.Transform3s | None]:
+        triangles = coal.StdVec_Triangle()
+        triangles.extend([coal.Triangle(*map(int, face)) for face in faces])
+        return _swept(coal.Convex(_points(vertices), triangles), radius), None
+
+
+def _points(vertices: np.ndarray) -> coal.StdVec_Vec3s:
     points = coal.StdVec_Vec3s()
     points.extend(list(vertices))
-    edges = np.unique(
-        np.sort(np.concatenate([piece.faces[:, [0, 1]], piece.faces[:, [1, 2]], piece.faces[:, [2, 0]]])),
-        axis=0,
-    )
-    if np.bincount(edges.ravel()).max() <= _MAX_NEIGHBOURS // 2:
-        shape = coal.Convex.convexHull(points, True, "Qt")
-    else:
-        triangles = coal.StdVec_Triangle()
-        triangles.extend([coal.Triangle(*map(int, face)) for face in _few_neighbours(piece)])
-        shape = coal.Convex(points, triangles)
-    if piece.radius > 0:
-        shape.setSweptSphereRadius(piece.radius)
-    return shape, None
+    return points
 
 
-def _frame(z: np.ndarray) -> np.ndarray:
-    """A rotation (3, 3) whose third column is the unit vector z."""
-    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
-
-
-def _few_neighbours(piece: Piece) -> np.ndarray:
-    """Triangles (F, 3) of the same hull in which flat many-sided faces are zigzag strips, not fans."""
-    corners = piece.vertices[piece.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    offsets = np.einsum("fi,fi->f", normals, corners[:, 0])
-    size = np.ptp(piece.vertices, axis=0).max()
-    planes = np.round(np.concatenate([normals, offsets[:, None] / size], axis=1), 7)
-    triangles: list[tuple[int, int, int]] = []
-    for members in _groups(planes):
-        ids = np.unique(piece.faces[members])
-        normal = normals[members[0]]
-        centered = piece.vertices[ids] - piece.vertices[ids].mean(axis=0)
-        frame = _frame(normal)
-        ring = ids[np.argsort(np.arctan2(centered @ frame[:, 1], centered @ frame[:, 0]))].tolist()
-        low, high, lower = 0, len(ring) - 1, True
-        while high - low > 1:
-            if lower:
-                triangles.append((ring[low], ring[low + 1], ring[high]))
-                low += 1
-            else:
-                triangles.append((ring[low], ring[high - 1], ring[high]))
-                high -= 1
-            lower = not lower
-    return np.array(triangles)
-
-
-def _groups(rows: np.ndarray) -> list[np.ndarray]:
-    """Indices of equal rows, a group each."""
-    _, group = np.unique(rows, axis=0, return_inverse=True)
-    order = np.argsort(group, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
+def _swept(shape: coal.ShapeBase, radius: float) -> coal.ShapeBase:
+    if radius > 0:
+        shape.setSweptSphereRadius(radius)
+    return shape

@@ -4,19 +4,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from grasp_refine.collision.engine import Engine, chosen
 from grasp_refine.collision.narrowphase import Closest, NarrowPhase, Tolerances
+from grasp_refine.collision.relative import in_frame, relative
 from grasp_refine.collision.search import Search, Warm
 from grasp_refine.collision.table import PieceTable
 from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.se3 import matvec
 from grasp_refine.stopwatch import count_queries, stage
+
+if TYPE_CHECKING:
+    from grasp_refine.collision.native_search import NativeNarrowPhase, NativeSearch
 
 
 class QueryStatus(IntEnum):
@@ -134,10 +137,24 @@ class Pairs:
 
     @cached_property
     @stage("loading")
-    def narrow_phase(self) -> NarrowPhase:
+    def narrow_phase(self) -> "NarrowPhase | NativeNarrowPhase":
         """The narrow phase over all piece pairs of all body pairs."""
         table = self._table
-        return NarrowPhase(table.pieces_a, table.pieces_b, self.tolerances)
+        if chosen(self.engine) == "python":
+            return NarrowPhase(table.pieces_a, table.pieces_b, self.tolerances)
+        from grasp_refine.collision.native_search import NativeNarrowPhase
+
+        return NativeNarrowPhase(table.pieces_a, table.pieces_b, self.tolerances)
+
+    @cached_property
+    @stage("loading")
+    def native(self) -> "NativeSearch | None":
+        """The compiled search, where it is the engine."""
+        if chosen(self.engine) == "python":
+            return None
+        from grasp_refine.collision.native_search import NativeSearch
+
+        return NativeSearch(self._table, self.narrow_phase)
 
 
 def query(
@@ -162,15 +179,12 @@ def query(
         Witness points in world coordinates. Pairs with a pose that is not finite get the status NOT_FINITE.
     """
     shape = T_world_a.shape[:2]
-    found = query_items(
-        pairs,
-        np.tile(np.arange(shape[1]), shape[0]),
-        np.reshape(T_world_a, (-1, 4, 4)),
-        np.reshape(T_world_b, (-1, 4, 4)),
-        cutoff=np.broadcast_to(cutoff, shape).reshape(-1),
-        previous=None if previous is None else previous.reshape(-1),
-    )
-    return found.reshape(*shape)
+    flat = None if previous is None else previous.reshape(-1)
+    poses = np.reshape(T_world_a, (-1, 4, 4)), np.reshape(T_world_b, (-1, 4, 4))
+    pair = np.tile(np.arange(shape[1]), shape[0])
+    return query_items(
+        pairs, pair, *poses, cutoff=np.broadcast_to(cutoff, shape).reshape(-1), previous=flat
+    ).reshape(*shape)
 
 
 @stage("broad phase")
@@ -193,26 +207,44 @@ def query_items(
         cutoff: Items surely farther apart than this (metres; one number or one an item) are not asked.
         previous: The answer at nearby poses of the same items.
     """
-    table = pairs._table
-    T_a, T_b = np.asarray(T_world_a, dtype=np.float64), np.asarray(T_world_b, dtype=np.float64)
-    # Rows times R_a: each column of R_b, and the offset of the origins, seen from body a.
-    with np.errstate(invalid="ignore", over="ignore"):
-        relative = np.concatenate([T_b[:, :3, :3].mT, (T_b - T_a)[:, None, :3, 3]], axis=-2) @ T_a[:, :3, :3]
-    finite = np.isfinite(relative).all(axis=(-1, -2))
-    if not finite.all():
-        relative[~finite] = np.eye(4)[:, :3]
-    R, t = np.ascontiguousarray(relative[:, :3].mT), np.ascontiguousarray(relative[:, 3])
+    T_a, T_b = (np.ascontiguousarray(T, dtype=np.float64) for T in (T_world_a, T_world_b))
     limit = np.full(len(pair), cutoff, dtype=np.float64)
-    if table.id.shape[1] == 1 and np.isinf(limit).all():
-        # Nothing can be pruned: each body pair is one piece pair, and all of them are wanted.
+    if pairs.native is not None:
+        found = Witness(*pairs.native.ask(pair, T_a, T_b, limit, _last(previous)))
+    else:
+        found = _ask(pairs, pair, T_a, T_b, limit, previous)
+    count_queries(found.asked)
+    return found
+
+
+def _last(previous: Witness | None) -> tuple[np.ndarray, ...] | None:
+    """What the compiled engine wants of the last answer."""
+    if previous is None:
+        return None
+    return previous.winner, previous.point_a, previous.point_b, previous.status
+
+
+def _ask(
+    pairs: Pairs, pair: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, limit: np.ndarray, previous: Witness | None
+) -> Witness:
+    """The answers of the Python engine."""
+    table = pairs._table
+    with np.errstate(invalid="ignore", over="ignore"):
+        R, t = relative(T_a, T_b)
+    finite = np.isfinite(R).all(axis=(1, 2)) & np.isfinite(t).all(axis=1)
+    if not finite.all():
+        R[~finite], t[~finite] = np.eye(3), 0.0
+    # Where a body pair is one piece pair and wanted at any distance, nothing can be pruned.
+    single = (table.id.shape[1] == 1) & np.isinf(limit)
+    if single.all():
         bound, column = np.full((len(pair), 1), -np.inf), np.zeros(len(pair), dtype=np.int64)
     else:
         with np.errstate(invalid="ignore", over="ignore"):
             bound, column = table.ball_bound(pair, R, t)
+        bound[single] = -np.inf
     bound[~finite] = np.inf
     search = Search(table, pairs.narrow_phase, pair, R, t, limit)
     found = search.minimum(bound, column, _warm(previous, T_a, table))
-    count_queries(found.asked)
     return _witness(found, T_a, limit, finite)
 
 
@@ -220,10 +252,10 @@ def _warm(previous: Witness | None, T_a: np.ndarray, table: PieceTable) -> Warm 
     """What the last answer tells the search."""
     if previous is None:
         return None
-    guess = matvec(T_a[:, :3, :3].mT, previous.point_a - previous.point_b)
+    guess = in_frame(T_a, previous.point_a - previous.point_b)
     apart = (previous.status == QueryStatus.SEPARATED) & np.isfinite(guess).all(axis=1)
     column = np.where(previous.winner >= 0, table.column[previous.winner], -1)
-    return Warm(column, np.ascontiguousarray(guess), apart)
+    return Warm(column, guess, apart)
 
 
 def _witness(found: Closest, T_a: np.ndarray, limit: np.ndarray, finite: np.ndarray) -> Witness:

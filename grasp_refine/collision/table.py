@@ -35,7 +35,7 @@ class Side:
 
     def bounds(self, pair: np.ndarray, piece: np.ndarray) -> Bounds:
         """Bounds of the pieces (N,) of the bodies in the pairs (N,)."""
-        return self._bounds.take(self._first.take(self.body.take(pair)) + piece)
+        return self.piece_bounds.take(self.first.take(self.body.take(pair)) + piece)
 
     def balls(self, pair: np.ndarray) -> Balls:
         """The balls of all pieces (M, K) of the bodies in the pairs (M,); where one has fewer, radii are -inf."""
@@ -47,25 +47,26 @@ class Side:
         """Of all bodies (B, K)."""
         piece = np.arange(self.width)
         present = piece < np.array([len(body.pieces) for body in self.bodies])[:, None]
-        balls = self._bounds.take(self._first[:, None] + np.where(present, piece, 0)).balls
+        balls = self.piece_bounds.take(self.first[:-1, None] + np.where(present, piece, 0)).balls
         return Balls(np.ascontiguousarray(balls.center), np.where(present, balls.radius, -np.inf))
 
     def reach(self, pair: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Upper bounds (M, K) of max u . x over the pieces of the bodies in the pairs (M,), for u (M, 3)."""
-        return self._supports.along(self.body.take(pair), u)
+        return self.supports.along(self.body.take(pair), u)
 
     @cached_property
-    def _first(self) -> np.ndarray:
-        """Where in `_bounds` the pieces of each body begin (B,)."""
-        return np.cumsum([0, *(len(body.pieces) for body in self.bodies[:-1])])
+    def first(self) -> np.ndarray:
+        """Where in `piece_bounds` the pieces of each body begin, and end (B + 1,)."""
+        return np.cumsum([0, *(len(body.pieces) for body in self.bodies)])
 
     @cached_property
-    def _bounds(self) -> Bounds:
+    def piece_bounds(self) -> Bounds:
         """Of the pieces of all bodies, one body after the other."""
         return bounds_of([piece for body in self.bodies for piece in body.pieces])
 
     @cached_property
-    def _supports(self) -> Supports:
+    def supports(self) -> Supports:
+        """How far the pieces of the bodies (B, ...) reach."""
         return Supports.of([body.pieces for body in self.bodies])
 
 

@@ -57,13 +57,16 @@ class Inputs(Sources):
             GraspRefineError: something is missing, cannot be used, or does not fit the rest.
         """
         if str(self.grasps).startswith(SAMPLE):
-            return self._sampled(str(self.grasps), seed, say, wait)
+            return self.load_sampled(self.sample_count(), seed, say, wait)
         return self.load_from(self.grasps if self.grasps is not None else self._example(), seed, say)
 
-    def _sampled(self, asked: str, seed: int, say: Callable[[str], None], wait: Callable[[str], None]) -> Problem:
-        """New grasps, as many as `asked` says."""
-        from grasp_refine.grasp_sampling import sample_grasps
+    def sample_count(self) -> int:
+        """How many grasps are to be sampled.
 
+        Raises:
+            GraspRefineError: that is not said as it should be, or not of what.
+        """
+        asked = str(self.grasps)
         count = asked.removeprefix(SAMPLE)
         if not (count.isascii() and count.isdigit() and int(count)):
             raise GraspRefineError(f"--grasps {asked}: {SAMPLE}N needs a whole number N from 1 on, as in {SAMPLE}32")
@@ -73,6 +76,25 @@ class Inputs(Sources):
             raise GraspRefineError(f"--grasps {asked} needs to know of what: give --hand and --object")
         if self.targets not in (AUTO, NEAREST):
             raise GraspRefineError(f"--targets {self.targets}: has no rows for the grasps of --grasps {asked}")
+        return int(count)
+
+    def load_sampled(
+        self, count: int, seed: int, say: Callable[[str], None], wait: Callable[[str], None], draw: int = 0
+    ) -> Problem:
+        """New grasps of the hand on the object.
+
+        Args:
+            count: How many.
+            seed: Of the object's surface, and of what is drawn.
+            say: Hears when a decomposition starts and ends.
+            wait: Hears what takes a while.
+            draw: Which of several draws; each gives other grasps.
+
+        Raises:
+            GraspRefineError: hand or object cannot be used.
+        """
+        from grasp_refine.grasp_sampling import sample_grasps
+
         self._check_numbers()
         hand = self._simulated(self.load_hand(self.hand, self.base_link, say))
         source = chosen_object(self.object, say)
@@ -80,17 +102,17 @@ class Inputs(Sources):
         obj, table = self._object(source, scale, seed, say), self._table()
         began = time.perf_counter()
         wait(f"sampling grasps of {hand.name} on {obj.name}")
-        grasps = sample_grasps(hand, obj, int(count), seed=seed, table=table)
+        grasps = sample_grasps(hand, obj, count, seed=(seed, draw) if draw else seed, table=table)
         notes = [*hand.notes, *(f"{obj.name}: {note}" for note in obj.notes)]
         notes.append(f"{len(grasps)} grasps were sampled in {time.perf_counter() - began:.1f} s")
-        if len(grasps) < int(count):
+        if len(grasps) < count:
             notes.append(f"only {len(grasps)} of {count} grasps of '{hand.name}' on '{obj.name}' were found")
         grasps = replace(grasps, scale=np.full(len(grasps), self._metres(scale)))
         rows = choose_rows(grasps, object_name=None, index=self.index or None)
         grasps = grasps.select(rows)
         scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), grasps.q, table=table)
         group = Group(obj.name, self._metres(scale), scene, grasps, rows, rows, np.arange(len(rows)))
-        return Problem(hand, (hand.urdf,), (group,), tuple(dict.fromkeys(notes)), asked)
+        return Problem(hand, (hand.urdf,), (group,), tuple(dict.fromkeys(notes)), f"{SAMPLE}{count}")
 
     def _files(self, path: Path, read: Reading) -> tuple[Path, ...]:
         files = super()._files(path, read)

@@ -20,15 +20,15 @@ def invocation(command: str, options: Any) -> str:
         command: Words of the command, such as "bench align".
         options: Its dataclass; the options of those inside it have no prefix.
     """
-    return shlex.join(["refine-grasp", *command.split(), *_words(options)])
+    return shlex.join(["refine-grasp", *command.split(), *words(options)])
 
 
-def _words(options: Any) -> Iterator[str]:
+def words(options: Any) -> Iterator[str]:
     """The options that differ from their defaults."""
     for option in fields(options):
         value = getattr(options, option.name)
         if is_dataclass(value):
-            yield from _words(value)
+            yield from words(value)
         elif value == option.default or option.name in WRITTEN:
             continue
         elif isinstance(value, bool):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
@@ -25,12 +26,14 @@ from grasp_refine.losses import Weights
 from grasp_refine.problem import Problem
 from grasp_refine.report.document import run_document, settings
 from grasp_refine.report.outcome import Outcome
+from grasp_refine.report.profile import profile_table
 from grasp_refine.report.progress import Reporter
 from grasp_refine.report.proof import Proof, proof_lines
 from grasp_refine.report.results import fingerprint, result_paths, save_results
 from grasp_refine.report.screen import screen
 from grasp_refine.report.table import grasp_table
 from grasp_refine.report.writing import check_no_input, check_writable, save_json
+from grasp_refine.stopwatch import Stopwatch
 from grasp_refine.targets import Touching
 from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
 from grasp_refine.validation.trials import Trials
@@ -47,6 +50,8 @@ class Output:
     """Write what was measured of each grasp to this file, in SI units."""
     verbose: bool = False
     """List all grasps, also when there are more than 40."""
+    profile: bool = False
+    """Show where the time went, by stage: also in the --json file."""
     view: bool = False
     """Show what came out in a browser, as `refine-grasp view` does."""
 
@@ -92,7 +97,8 @@ class Run:
             raise GraspRefineError("--weights.table needs a --table")
         # The tensors of a batch of grasps are small.
         torch.set_num_threads(1)
-        with Reporter(screen(stderr=True)) as reporter:
+        watch = Stopwatch() if self.output.profile else None
+        with watch or nullcontext(), Reporter(screen(stderr=True)) as reporter:
             if self.output.json is not None:
                 check_writable(self.output.json)
             problem = self.inputs.load(config.seed, reporter.say, reporter.wait)
@@ -110,6 +116,7 @@ class Run:
             proof = None if protocol is None else _proved(problem, parts, protocol, reporter)
             outcome = Outcome.join(parts).select(problem.order)
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
+        profile = None if watch is None else watch.profile
         described = {
             "inputs": settings(self.inputs),
             "refine": settings(config),
@@ -121,13 +128,15 @@ class Run:
         if self.output.json is not None:
             save_json(
                 self.output.json,
-                run_document(outcome, config, proof, config=described, wall_s=wall, cpu_s=cpu),
+                run_document(outcome, config, proof, config=described, wall_s=wall, cpu_s=cpu, profile=profile),
             )
         console = screen()
         console.print(grasp_table(outcome, problem.hand.name, config, verbose=self.output.verbose))
         if proof is not None:
             for line in proof_lines(proof, outcome.quality[:, 1]):
                 console.print(line)
+        if profile is not None:
+            console.print(profile_table(profile))
         if not outcome.usable.any():
             console.print("nothing usable came out; no grasps were written")
             return NOTHING_USABLE

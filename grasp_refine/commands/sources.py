@@ -81,7 +81,7 @@ class Sources:
         Raises:
             GraspRefineError: something is missing, cannot be used, or does not fit the rest.
         """
-        path = _fetched(path, say)
+        path = on_disk(path, say)
         return self.load_read(self._read(path, say), path, seed, say)
 
     def load_read(self, read: Reading, path: Path, seed: int, say: Callable[[str], None]) -> Problem:
@@ -219,10 +219,10 @@ class Sources:
         """What `load_object` should load for the object `name` of the grasp file."""
         if self.object is not None:
             return chosen_object(self.object, say)
-        return named_object(name, None if self.objects is None else _fetched(self.objects, say), path, say)
+        return named_object(name, None if self.objects is None else on_disk(self.objects, say), path, say)
 
 
-def _fetched(path: Path, say: Callable[[str], None]) -> Path:
+def on_disk(path: Path, say: Callable[[str], None]) -> Path:
     """The same, or where the files of an asset of this name lie, if nothing else is called so."""
     asset = None if path.exists() or path.suffix else find_asset(str(path), "grasps")
     return path if asset is None else fetched(asset, say)

@@ -8,6 +8,7 @@ from typing import Any
 
 from grasp_refine.config import Config
 from grasp_refine.report.outcome import Outcome
+from grasp_refine.report.profile import Profile, profile_entry
 from grasp_refine.report.proof import Proof, simulation_entry
 from grasp_refine.report.verdict import advice, should_hold
 from grasp_refine.report.writing import SCHEMA
@@ -23,6 +24,7 @@ def run_document(
     config: Mapping[str, Any],
     wall_s: float,
     cpu_s: float,
+    profile: Profile | None = None,
 ) -> dict[str, Any]:
     """The document of `run`: totals, and one entry per grasp.
 
@@ -33,6 +35,7 @@ def run_document(
         config: All settings of the command.
         wall_s: Wall time of the whole command, loading and decomposition included.
         cpu_s: Its CPU time.
+        profile: Where the time went, where it was asked.
     """
     return {
         "schema": SCHEMA,
@@ -50,6 +53,7 @@ def run_document(
             "wall_s": wall_s,
             "cpu_s": cpu_s,
         },
+        "profile": profile_entry(profile),
         "grasps": [_grasp(outcome, proof, i, said) for i, said in enumerate(advice(outcome, refined))],
     }
 

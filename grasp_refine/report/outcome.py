@@ -14,6 +14,7 @@ from grasp_refine.se3 import inverse, pose_from_transform, transform_points
 from grasp_refine.self_collision import self_penetration, touching_pairs
 from grasp_refine.solvers.status import Status
 from grasp_refine.squeeze import grasp_forces
+from grasp_refine.stopwatch import stage
 from grasp_refine.validation.geometry import measure, movement
 from grasp_refine.validation.metrics import quality_values
 from grasp_refine.validation.motion import Motion

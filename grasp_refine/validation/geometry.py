@@ -8,6 +8,7 @@ from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.hand import Hand
 from grasp_refine.objects import Object
 from grasp_refine.se3 import distances, transform_points
+from grasp_refine.stopwatch import stage
 
 LIMIT_TOLERANCE = 1e-6
 """Joint values this far (rad or m) beyond a limit do not count as violations."""
@@ -71,10 +72,10 @@ def measure(
     bodies = hand.links_by_name
     pairs = Pairs.against([bodies[name].body for name in links], obj.body)
     # Not `Chain`, which refinement uses: what judges should not share its mistakes. It takes a second to load.
-    import torch
+    with stage("loading"):
+        import torch
 
-    from grasp_refine.kinematics import Kinematics
-
+        from grasp_refine.kinematics import Kinematics
     kinematics = Kinematics(hand, links)
     T_link = kinematics(torch.as_tensor(T_world_root), torch.as_tensor(q)).numpy()
     witness = query(pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from grasp_refine import stopwatch
 from grasp_refine.se3 import distances, exp_so3, log_so3, pose_from_transform, transform
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import AXES, Protocol
@@ -47,7 +48,7 @@ class Closed:
     """How deep hand and object were in each other at the pregrasp (N,), metres."""
 
 
-@stage("simulating")
+@stopwatch.stage("simulating")
 def simulate(
     world: World,
     motion: Motion,

@@ -14,6 +14,7 @@ from grasp_refine.errors import GraspRefineError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.objects import Object
 from grasp_refine.plane import Plane
+from grasp_refine.stopwatch import stage
 from grasp_refine.validation.geoms import add_piece
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.messages import complaint, unlogged

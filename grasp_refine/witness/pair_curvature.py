@@ -8,6 +8,7 @@ import numpy as np
 
 from grasp_refine.collision.query import Pairs, Witness
 from grasp_refine.se3 import matvec
+from grasp_refine.stopwatch import stage
 from grasp_refine.witness.analytical import feature_slip
 from grasp_refine.witness.curvature import Curvatures, raised
 

@@ -8,7 +8,8 @@ import pytest
 from shapes_for_tests import ellipsoid_hull
 from twists import random_poses
 
-from grasp_refine.collision.narrowphase import Closest, NarrowPhase, Tolerances, _few_neighbours
+from grasp_refine.collision.narrowphase import Closest, NarrowPhase, Tolerances
+from grasp_refine.collision.shapes import few_neighbours
 from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, hull, sphere
 from grasp_refine.se3 import exp_so3, inverse
 
@@ -207,7 +208,7 @@ def test_normals_are_copies() -> None:
 def test_a_hull_with_hundreds_of_neighbours_is_the_same_body() -> None:
     disc = cylinder(0.03, 0.02, sides=400)
     assert np.bincount(disc.faces.ravel()).max() > 255
-    faces = _few_neighbours(disc)
+    faces = few_neighbours(disc)
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     unique, times = np.unique(edges, axis=0, return_counts=True)
     assert (times == 2).all() and len(disc.vertices) - len(unique) + len(faces) == 2

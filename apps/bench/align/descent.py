@@ -22,6 +22,7 @@ from torch import Tensor
 from grasp_refine.collision.query import Pairs, Witness
 from grasp_refine.losses import contact_targets
 from grasp_refine.se3 import body_gradient, retract
+from grasp_refine.stopwatch import stage
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.patch import Patch
@@ -29,7 +30,7 @@ from grasp_refine.witness.transport import EquivalentTransport
 
 from .aligned import Aligned, Visit, errors_at
 from .bodies import BodyPair
-from .stopwatch import Stopwatch, TimedDerivative, timed_pairs
+from .stopwatch import Stopwatch, TimedDerivative
 from .tasks import Tasks
 
 SHARES, FACTORS = (0.1, 0.9), (1.0, 0.1, 0.01)
@@ -95,7 +96,7 @@ def align(
             visit(*(T[0, 0].double().cpu().numpy() for T in poses))
 
     watch = Stopwatch()
-    pairs = timed_pairs(Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies)), watch)
+    pairs = Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies))
     method = TimedDerivative(solver.method, watch)
     layer = WitnessLayer(pairs, method, solver.patch)
     problem = _Problem(solver, layer, stacked("target_a"), stacked("target_b"), watch)
@@ -105,8 +106,7 @@ def align(
     problem.gradients(T_a, T_b, 0, None)
     done, iteration, last = 0.0, 0, None
     start_cpu, start_wall = time.process_time(), time.perf_counter()
-    watch.running = True
-    with watch.stage("solver"):
+    with watch:
         while done < 1.0:
             error, gradients, last = problem.gradients(T_a, T_b, iteration, last)
             best.keep(error, T_a, T_b)
@@ -123,7 +123,6 @@ def align(
             if iteration % 50 == 0:
                 progress(min(done, 1.0))
     visited(T_a, T_b)
-    watch.running = False
     cpu_s, wall_s = time.process_time() - start_cpu, time.perf_counter() - start_wall
     with torch.no_grad():
         last_error, _ = problem.errors(T_a, T_b, iteration)
@@ -153,7 +152,7 @@ class _Problem:
 
     def errors(self, T_a: Tensor, T_b: Tensor, key: int, previous: Witness | None = None) -> tuple[Tensor, Witness]:
         """Errors (N, P) in square metres, infinite where there are no witness points, and the witness points."""
-        with self.watch.stage("broadphase"):
+        with stage("broad phase"):
             found = self.layer(T_a, T_b, self.target_a, self.target_b, key=key, previous=previous)
         residual = contact_targets(found, T_a, T_b, self.target_a, self.target_b, self.solver.margin)
         valid = torch.as_tensor(found.valid, device=residual.device)

@@ -79,10 +79,8 @@ def minimised(
         iterations=solver.iterations, restarts=solver.iterations, patience=PATIENCE, good=0.0, widths=WIDTHS
     )
     start_cpu, start_wall = time.process_time(), time.perf_counter()
-    watch.running = True
-    with watch.stage("solver"):
+    with watch:
         found = minimise(problem, start, settings, TOLERANCE, progress=told, watch=visited if visit else None)
-    watch.running = False
     cpu_s, wall_s = time.process_time() - start_cpu, time.perf_counter() - start_wall
     task = np.arange(counts.max())[:, None]
     member = first + task % counts

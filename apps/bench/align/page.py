@@ -25,7 +25,7 @@ from .labels import (
     pooled,
     swept,
 )
-from .stopwatch import STAGES
+from .stopwatch import PARTS
 from .tasks import CLASSES
 
 
@@ -171,7 +171,7 @@ def page(document: dict[str, Any], failures: Sequence[Failure]) -> str:
         versions=_flat(document.get("versions")),
         config=_flat(document.get("config")),
         columns=COLUMNS,
-        shares=STAGES,
+        shares=PARTS,
     )
 
 
@@ -248,7 +248,7 @@ def _budget(row: Row) -> str:
 
 def _shares(row: Row) -> tuple[tuple[str, float, str], ...]:
     """The parts of the CPU time that were measured."""
-    parts = [(name, _of("cpu_share", name)(row)) for name in STAGES]
+    parts = [(name, _of("cpu_share", name)(row)) for name in PARTS]
     return tuple((name, round(100 * part, 2), f"{name} {100 * part:.0f} %") for name, part in parts if part)
 
 

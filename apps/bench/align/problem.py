@@ -13,12 +13,13 @@ from grasp_refine.collision.query import Pairs, Witness, query_items
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.se3 import cross, exp_so3, matvec, tangents, transform, transform_points
 from grasp_refine.solvers.least_squares import Linear, Point
+from grasp_refine.stopwatch import stage
 from grasp_refine.witness.contact_kinematics import slide
 from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatures
 from grasp_refine.witness.patch import Patch
 
 from .bodies import BodyPair
-from .stopwatch import Stopwatch, timed_pairs
+from .stopwatch import Stopwatch
 from .tasks import Tasks
 
 NEAR, FAR = (0.003, 0.5), (0.3, np.pi)
@@ -71,10 +72,10 @@ class AlignProblem:
             margin: The wanted distance in metres.
             seed: Of new starts.
             patch: Which witness points are used; None: plain ones.
-            watch: Measures the stages, once it runs.
+            watch: Measures the passes, while it runs.
         """
         self.watch = Stopwatch() if watch is None else watch
-        self.pairs = timed_pairs(Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies)), self.watch)
+        self.pairs = Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies))
         self.pair = np.repeat(np.arange(len(bodies)), [len(t) for t in tasks])
         self.tasks, self.margin, self.seed, self.patch = Tasks.join(tasks), margin, seed, patch
         # What comes of a task must not depend on the others, so new starts are keyed by the task itself.
@@ -91,7 +92,7 @@ class AlignProblem:
     def _evaluated(self, member: np.ndarray, point: Point, previous: Known | None) -> Known:
         T_a = self.tasks.T_world_a[member]
         before = previous.witness if previous is not None and self.several else None
-        with self.watch.stage("broadphase"):
+        with stage("broad phase"):
             w = self._witness(self.pair[member], T_a, point.T, before, member)
         pivot = transform_points(point.T, self.tasks.target_b[member])
         miss_a = w.point_a - transform_points(T_a, self.tasks.target_a[member])
@@ -108,7 +109,7 @@ class AlignProblem:
 
         A width without end stands for the supporting faces as planes (see `_flattened`).
         """
-        with self.watch.lap("backward"), self.watch.stage("derivative"):
+        with self.watch.lap("backward"), stage("derivative"):
             rows = np.flatnonzero(np.isinf(width))
             J = self._jacobian(member, point, known, np.where(np.isinf(width), 1.0, width))
             if not len(rows):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .runner import Done
-from .stopwatch import PASSES, STAGES
+from .stopwatch import PARTS, PASSES
 from .tasks import CLASSES, Tasks
 from .variants import Variant
 
@@ -115,11 +115,14 @@ def _times(variant: Variant, group: Sequence[Done], targets: int) -> dict[str, A
     return {
         **{f"{name}_us": 1e6 * sum(r.watch.passes_s[name] for r in results) / queries for name in PASSES},
         "queries_mean": float(variant.queries(iterations).mean()),
-        "narrow_queries_mean": sum(result.watch.asked for result in results) / count,
+        "narrow_queries_mean": sum(result.watch.queries for result in results) / count,
         "iterations_mean": queries / count,
         "cpu_s_per_pair": cpu_s / count * targets,
         "wall_s_per_pair": wall_s / count * targets,
-        "cpu_share": {stage: sum(r.watch.cpu_s[stage] for r in results) / cpu_s for stage in STAGES},
+        "cpu_share": {
+            name: sum(result.watch.spent[stage].cpu_s for result in results for stage in stages) / cpu_s
+            for name, stages in PARTS.items()
+        },
     }
 
 

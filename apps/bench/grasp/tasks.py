@@ -20,6 +20,8 @@ from grasp_refine.targets import Touching
 
 from .measures import measured
 from .sets import GraspSet, Group
+from .slicing import can_be_sliced, sliced
+from .variants import Variant
 
 Kind = Literal["targets", "nothing"]
 
@@ -53,6 +55,24 @@ class Tasks:
         arrays = {name: getattr(scene, name) for name in ("T_world_root", "q", "target_link", "target_object")}
         chosen = {name: None if array is None else array[rows] for name, array in arrays.items()}
         return replace(self, scene=replace(scene, **chosen), index=self.index[rows])
+
+    def of(self, variant: Variant) -> Tasks | None:
+        """The tasks as a variant has them, None where it cannot: a hand has fewer contacts, or an object is concave."""
+        scene = self.scene
+        if variant.contacts is not None:
+            if scene.target_object is None:
+                return None
+            aimed = ~np.isnan(scene.target_object[..., 0])
+            if aimed.sum(axis=1).min() < variant.contacts:
+                return None
+            more = np.cumsum(aimed, axis=1)[..., None] > variant.contacts
+            targets = (np.where(more, np.nan, target) for target in (scene.target_link, scene.target_object))
+            scene = replace(scene, **dict(zip(("target_link", "target_object"), targets, strict=True)))
+        if variant.pieces is not None:
+            if not can_be_sliced(scene.object.body):
+                return None
+            scene = replace(scene, object=replace(scene.object, body=sliced(scene.object.body, variant.pieces)))
+        return replace(self, scene=scene)
 
 
 @dataclass(frozen=True)

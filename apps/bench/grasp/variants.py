@@ -48,6 +48,12 @@ class Variant:
     """Most iterations; None: those of the solver."""
     batch: int = 64
     """Grasps that are worked on at once; with 1, each is a call of its own."""
+    contacts: int | None = None
+    """Fingertips that have targets, of those that are given; None: all."""
+    pieces: int | None = None
+    """Convex pieces into which the object, a convex one, is cut; None: left as it is."""
+    processes: int | None = None
+    """Processes that share the tasks and run at the same time; None: this one."""
 
     @property
     def iterations(self) -> int:
@@ -78,4 +84,5 @@ class Variant:
             "derivative": self.derivative,
             "budget": self.iterations,
             "batch": self.batch,
+            "processes": self.processes or 1,
         }

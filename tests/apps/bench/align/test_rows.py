@@ -13,7 +13,7 @@ from apps.bench.align.aligned import Aligned
 from apps.bench.align.bodies import BodyPair
 from apps.bench.align.rows import LEVELS, rows, summary
 from apps.bench.align.runner import Done, Job
-from apps.bench.align.stopwatch import STAGES, Stopwatch
+from apps.bench.align.stopwatch import PARTS, Stopwatch
 from apps.bench.align.tasks import CLASSES, Tasks
 from apps.bench.align.variants import Variant
 from grasp_refine.collision.query import Pairs, query
@@ -61,8 +61,10 @@ def done(
     """A result with these errors (N, P); the last ones are ten times as large."""
     pairs = tuple(BodyPair(f"pair {p}", kind, A, B) for p in range(len(tasks)))
     shares = (0.1, 0.2, 0.3, 0.4)
-    stages = {stage: share * cpu_s for stage, share in zip(STAGES, shares, strict=True)}
-    watch = Stopwatch(stages, {"forward": forward_s, "backward": backward_s, "sampling": 0.5 * backward_s}, asked)
+    passes = {"forward": forward_s, "backward": backward_s, "sampling": 0.5 * backward_s}
+    watch = Stopwatch(queries=asked, passes_s=passes)
+    for (stage, *_), share in zip(PARTS.values(), shares, strict=True):
+        watch.spent[stage].cpu_s = share * cpu_s
     T = np.broadcast_to(np.eye(4), (*error.shape, 4, 4))
     aligned = Aligned(error, 10 * error, T, T, WITNESS, np.full(error.shape, iterations), watch, cpu_s, 2 * cpu_s)
     return Done(Job(variant, pairs, tuple(tasks), 0, "float64", "cpu", 1), aligned, patch_error)
@@ -219,7 +221,7 @@ def test_times_are_those_of_all_jobs_together():
     assert row["forward_us"] == pytest.approx(0.6e6 / 1200) and row["backward_us"] == pytest.approx(1.2e6 / 1200)
     # Three seconds for 8 tasks; a pair was to have 16.
     assert (row["cpu_s_per_pair"], row["wall_s_per_pair"]) == (pytest.approx(6.0), pytest.approx(12.0))
-    assert row["cpu_share"] == pytest.approx(dict(zip(STAGES, (0.1, 0.2, 0.3, 0.4), strict=True)))
+    assert row["cpu_share"] == pytest.approx(dict(zip(PARTS, (0.1, 0.2, 0.3, 0.4), strict=True)))
     assert sum(row["cpu_share"].values()) == pytest.approx(1.0)
 
 

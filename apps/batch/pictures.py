@@ -1,0 +1,92 @@
+"""Pictures of grasps before and after, small enough to be embedded: the hand at the object, both from one side."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from grasp_refine.errors import GraspRefineError
+from grasp_refine.grasps import load_grasps, match_joints
+from grasp_refine.hand import Hand
+from grasp_refine.npz import load_npz
+from grasp_refine.objects import Object
+from grasp_refine.se3 import transform_from_pose
+
+from .portrait import Bones, Pose, bones, portrait
+from .worst import Case
+
+PATIENCE = 60.0
+"""CPU seconds after which no further picture is begun; a dozen takes a quarter of it."""
+
+Load = Callable[[Case], tuple[Hand, Object]]
+"""Gives the hand and the object of a case."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A case, seen before and after."""
+
+    case: Case
+    """What is shown."""
+    before: bytes = b""
+    """A PNG."""
+    after: bytes = b""
+    """A PNG."""
+    problem: str = ""
+    """Why there are none; empty where there are."""
+
+
+def draw_cases(
+    cases: Sequence[Case],
+    out: Path,
+    load: Load,
+    *,
+    patience_s: float = PATIENCE,
+    tell: Callable[[str, float], None] | None = None,
+) -> tuple[Picture, ...]:
+    """A picture of each case; of one that cannot be drawn, why.
+
+    Args:
+        cases: What is drawn.
+        out: Folder of the results, which their files lie in.
+        load: Called once for each case.
+        patience_s: CPU seconds after which no further picture is begun.
+        tell: Gets what is being drawn, and the share that is done.
+    """
+    begun, prepared, found = time.process_time(), cache(bones), []
+    for number, case in enumerate(cases):
+        if tell is not None:
+            tell(f"drawing {case.hand} on {case.object}", number / len(cases))
+        if time.process_time() - begun > patience_s:
+            found.append(Picture(case, problem=f"not drawn: the others took more than {patience_s:g} s"))
+            continue
+        try:
+            found.append(_drawn(case, out, load, prepared))
+        # Whatever is wrong with one of many inputs takes its picture, not the report.
+        except (GraspRefineError, OSError, ValueError) as error:
+            found.append(Picture(case, problem=f"not drawn: {' '.join(str(error).split())}"))
+    return tuple(found)
+
+
+def _drawn(case: Case, out: Path, load: Load, prepared: Callable[[Hand], Bones]) -> Picture:
+    """Both pictures of a case.
+
+    Raises:
+        GraspRefineError: a file cannot be read.
+    """
+    hand, obj = load(case)
+    path = out / case.file
+    grasps = load_grasps(path).select([case.row])
+    file = load_npz(path)
+    q_after, _ = match_joints(grasps, hand)
+    q_before = q_after.copy()
+    places = [grasps.joint_names.index(name) for name in hand.joint_names if name in grasps.joint_names]
+    named = [k for k, name in enumerate(hand.joint_names) if name in grasps.joint_names]
+    q_before[0, named] = file.numbers("initial_q")[case.row, places]
+    T_before = transform_from_pose(file.numbers("initial_pose")[case.row][None])[0]
+    T_after = transform_from_pose(grasps.hand_pose)[0]
+    before, after = portrait(prepared(hand), obj, [Pose(T_before, q_before[0]), Pose(T_after, q_after[0])])
+    return Picture(case, before, after)

@@ -1,0 +1,70 @@
+"""Shards in worker processes of this machine: one that crashes or hangs is replaced, and the others go on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+
+from .crew import Crew, Loss
+from .schedule import Schedule
+from .shard import Done, Failed, Shard, Work
+
+
+def run_local(
+    shards: Iterable[Shard],
+    work: Work,
+    *,
+    workers: int,
+    patience_s: float,
+    tries: int = 2,
+    beat: Callable[[int, str, float], None],
+) -> Iterator[Done | Failed]:
+    """What comes of each shard, in the order in which they end.
+
+    Each worker is a spawned process with one thread for linear algebra. When the iterator is closed or interrupted,
+    all workers are ended; when this process dies, so do they. One thread has to advance the iterator to its end,
+    because the kernel ends workers with the thread that started them.
+
+    Args:
+        shards: What is to be done; a worker that has done one of a group gets the others of it.
+        work: Called in a worker with a shard; can be pickled.
+        workers: Number of processes; there are never more than shards.
+        patience_s: A worker without a sign of life for so long (s) hangs, and is killed. Only time in which this
+            process was there to hear one counts. Starting takes patience, too.
+        tries: How often a shard is tried whose worker crashes or hangs; one whose work raises is tried once.
+        beat: Gets the number of a shard, what its worker is doing and the share that is done.
+
+    Raises:
+        GraspRefineError: Workers cannot be started.
+    """
+    schedule = Schedule(shards)
+    lost: Counter[int] = Counter()
+    ended: list[Done | Failed] = []
+    crew = Crew(work, patience_s)
+    try:
+        while True:
+            crew.grow(min(workers, crew.busy + len(schedule)))
+            crew.share_out(schedule)
+            # Only now, so that workers have something to do while the caller looks at it.
+            yield from ended
+            if not crew.busy and not len(schedule):
+                return
+            ended = []
+            for shard, said in crew.listen():
+                if isinstance(said, tuple):
+                    beat(shard.number, *said)
+                    continue
+                if isinstance(said, Loss):
+                    lost[shard.number] += 1
+                    if lost[shard.number] < tries:
+                        schedule.again(shard)
+                        continue
+                    said = Failed(shard.number, said.reason, said.message, said.log, tries)
+                elif isinstance(said, Failed):
+                    said = replace(said, tries=lost[shard.number] + 1)
+                lost.pop(shard.number, None)
+                schedule.ended(shard)
+                ended.append(said)
+    finally:
+        crew.end()

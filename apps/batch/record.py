@@ -1,0 +1,105 @@
+"""What a batch leaves of its shards: result files that say what they were made of, and notes of what failed."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import zipfile
+import zlib
+from contextlib import suppress
+from dataclasses import asdict
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+from grasp_refine.apps.batch.shard import Failed, Shard
+
+from grasp_refine.npz import DAMAGED
+from grasp_refine.report.writing import save_json
+
+NOTE = ".failed.json"
+"""What is added to the name of a result file that did not come out."""
+
+_PARTIAL = re.compile(r"\.(\d+)\.partial\.")
+"""How files that are being written begin; the number is that of the process."""
+
+
+class State(Enum):
+    """What there is of a shard."""
+
+    COMPLETE = "complete"
+    MISSING = "missing"
+    CHANGED = "changed"
+    """The result is of other inputs, settings or versions."""
+    DAMAGED = "damaged"
+    """The result file cannot be read."""
+
+
+def state_of(shard: Shard) -> State:
+    """What there is of a shard; every byte of the file is checked."""
+    if not shard.path.is_file():
+        return State.MISSING
+    try:
+        with zipfile.ZipFile(shard.path) as archive:
+            if archive.testzip() is not None:
+                return State.DAMAGED
+        with np.load(shard.path, allow_pickle=False) as entries:
+            provenance = json.loads(str(entries["provenance"]))
+    except (*DAMAGED, zipfile.BadZipFile, zlib.error, ValueError, KeyError):
+        return State.DAMAGED
+    batch = provenance.get("batch") if isinstance(provenance, dict) else None
+    stamp = batch.get("stamp") if isinstance(batch, dict) else None
+    return State.COMPLETE if stamp == shard.stamp else State.CHANGED
+
+
+def note_failure(shard: Shard, failed: Failed) -> None:
+    """Write down that a shard failed, beside where its result would be; a result of something else goes.
+
+    Raises:
+        GraspRefineError: the note cannot be written.
+    """
+    with suppress(OSError):
+        shard.path.unlink(missing_ok=True)
+    save_json(_note(shard), {"stamp": shard.stamp, "shard": shard.name, **asdict(failed)})
+
+
+def noted_failure(shard: Shard) -> Failed | None:
+    """What was noted of a shard that failed; None: nothing, or of other inputs or settings."""
+    try:
+        raw = json.loads(_note(shard).read_text(encoding="utf-8"))
+        if raw["stamp"] != shard.stamp:
+            return None
+        return Failed(shard.number, raw["reason"], raw["message"], raw["traceback"], raw["tries"])
+    except (OSError, ValueError, LookupError, TypeError):
+        return None
+
+
+def forget_failure(shard: Shard) -> None:
+    """Take the note away, once the shard came out."""
+    with suppress(OSError):
+        _note(shard).unlink(missing_ok=True)
+
+
+def clean(shard: Shard) -> None:
+    """Take away what processes that were killed have left of a result file."""
+    with suppress(OSError):
+        for partial in shard.path.parent.glob(f".*.partial.{shard.path.name}"):
+            found = _PARTIAL.match(partial.name)
+            if found and not _alive(int(found[1])):
+                partial.unlink(missing_ok=True)
+
+
+def _note(shard: Shard) -> Path:
+    return shard.path.with_name(shard.path.name + NOTE)
+
+
+def _alive(pid: int) -> bool:
+    """Whether there is such a process on this machine."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True

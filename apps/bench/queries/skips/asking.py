@@ -1,0 +1,124 @@
+"""Queries that a refinement does not ask: of what is far, cannot win, or is rejected anyway; and those it warm-starts.
+
+A refinement asks through `query_near`. To undo a skip, the whole refinement runs again and asks through one of the
+functions here. Answers are the same to rounding, and so is what comes out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+
+import numpy as np
+
+from grasp_refine import grasp_problem
+from grasp_refine.collision.culling import query_near
+from grasp_refine.collision.query import Pairs, Witness
+from grasp_refine.collision.table import PieceTable
+from grasp_refine.refine import Refinement, refine
+
+from .skip import Example, Skip, cpu_seconds_of, replaced
+
+Near = Callable[[Pairs, np.ndarray, np.ndarray, np.ndarray, np.ndarray, Witness | None], Witness]
+"""What `query_near` is: pairs, bounds, poses of both bodies, cutoffs, and the last answers."""
+
+
+def asking_skips(example: Example, seed: int) -> Iterator[Skip]:
+    """Each skip of queries, undone in a whole refinement of the example."""
+    refined(example, seed, query_near)
+    usual = cpu_seconds_of(lambda: refined(example, seed, query_near))
+    yield _skip("links that are far from everything", example, usual, seed, ask_far, "every pair of bodies is asked")
+    yield _skip(
+        "pairs of links of steps that are rejected", example, usual, seed, ask_rejected,
+        "they are asked, though the step will not be taken",
+    )  # fmt: skip
+    yield _skip(
+        "last winner first, warm starts", example, usual, seed, ask_cold, "nothing is known of the last answers"
+    )
+    # The compiled engine looks at bounds in a loop of its own.
+    python = {id(pairs): _in_python(pairs) for pairs in _pairs(example)}
+    every = {id(pairs): unbounded(pairs) for pairs in _pairs(example)}
+    bounded = cpu_seconds_of(lambda: refined(example, seed, lambda pairs, *rest: query_near(python[id(pairs)], *rest)))
+    yield _skip(
+        "pieces whose bounds cannot win", example, bounded, seed,
+        lambda pairs, *rest: query_near(every[id(pairs)], *rest),
+        "every piece of a pair that is asked; both in Python",
+    )  # fmt: skip
+
+
+def refined(example: Example, seed: int, near: Near) -> Refinement:
+    """The grasps of an example, refined with other queries."""
+    with replaced(grasp_problem, "query_near", near):
+        return refine(example.scene, example.config(seed), prepared=example.prepared)
+
+
+def ask_far(
+    pairs: Pairs, bound: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, cutoff: np.ndarray, previous: Witness | None
+) -> Witness:
+    """Asks every pair for its distance, however far, but for those of steps that are rejected."""
+    return query_near(pairs, bound, T_a, T_b, np.where(np.isposinf(bound), cutoff, np.inf), previous)
+
+
+def ask_rejected(
+    pairs: Pairs, bound: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, cutoff: np.ndarray, previous: Witness | None
+) -> Witness:
+    """Asks about pairs of links even if the step is rejected."""
+    return query_near(pairs, np.where(np.isposinf(bound), -np.inf, bound), T_a, T_b, cutoff, previous)
+
+
+def ask_cold(
+    pairs: Pairs, bound: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, cutoff: np.ndarray, previous: Witness | None
+) -> Witness:
+    """Asks the same, without what the last answers tell."""
+    return query_near(pairs, bound, T_a, T_b, cutoff, None)
+
+
+class _Unbounded(PieceTable):
+    """Piece pairs of which nothing is known, so that all must be asked."""
+
+    def ball_bound(self, pair: np.ndarray, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """None; infinite in empty columns."""
+        bound = np.where(self.id[pair] >= 0, -np.inf, np.inf)
+        return bound, np.zeros(len(pair), dtype=np.int64)
+
+    def gap_bound(self, item: np.ndarray, *rest: np.ndarray) -> np.ndarray:
+        """None."""
+        return np.full(len(item), -np.inf)
+
+    def box_bound(self, pair: np.ndarray, *rest: np.ndarray) -> np.ndarray:
+        """None."""
+        return np.full(len(pair), -np.inf)
+
+
+def unbounded(pairs: Pairs) -> Pairs:
+    """The same pairs, of which every piece pair is asked; in Python."""
+    every = _in_python(pairs)
+    table = PieceTable.of(pairs.a, pairs.b)
+    # Takes the place of the cached property, which so is never built.
+    every.__dict__["_table"] = _Unbounded(*(getattr(table, field.name) for field in fields(PieceTable)))
+    return every
+
+
+def _in_python(pairs: Pairs) -> Pairs:
+    return Pairs(pairs.a, pairs.b, pairs.tolerances, engine="python")
+
+
+def _pairs(example: Example) -> list[Pairs]:
+    """What a refinement asks about: links and object, and links that can touch each other."""
+    both = example.prepared.pairs, example.prepared.own_pairs
+    return [pairs for pairs in both if pairs is not None]
+
+
+def _skip(
+    name: str, example: Example, usual: tuple[Refinement, float], seed: int, near: Near, how: str
+) -> Skip:
+    (found, cpu), (other, cpu_without) = usual, cpu_seconds_of(lambda: refined(example, seed, near))
+    return Skip(
+        name, "queries", example.name, int(other.queries.sum()), int(found.queries.sum()), cpu_without, cpu, how,
+        difference(found, other),
+    )  # fmt: skip
+
+
+def difference(found: Refinement, other: Refinement) -> float:
+    """Largest difference of a pose or joint value between two refinements of the same grasps."""
+    return float(max(np.abs(found.T_world_root - other.T_world_root).max(), np.abs(found.q - other.q).max()))

@@ -1,0 +1,103 @@
+"""What a skip saves, as a value, and what several of these modules need."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from grasp_refine.config import Config
+from grasp_refine.hand_object import HandObject
+from grasp_refine.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """Grasps of a hand on an object."""
+
+    hand: str
+    """Name of the hand."""
+    object: str
+    """Name of the object."""
+    scene: Scene
+    prepared: HandObject = field(init=False)
+    """Of both, built once."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "prepared", HandObject.of(self.scene))
+
+    @property
+    def name(self) -> str:
+        """Both names."""
+        return f"{self.hand}, {self.object}"
+
+    def config(self, seed: int) -> Config:
+        """The settings of a refinement: what a user gets."""
+        return Config(seed=seed)
+
+
+@dataclass(frozen=True)
+class Skip:
+    """A piece of work that is left out, and what it would cost."""
+
+    skip: str
+    """What is left out."""
+    unit: str
+    """What is counted."""
+    scene: str
+    """Where."""
+    without: int
+    """Count without the skip."""
+    with_: int
+    """Count as the program is."""
+    cpu_without_s: float | None
+    """CPU seconds without it; None: not told apart."""
+    cpu_with_s: float | None
+    """CPU seconds as the program is."""
+    how: str
+    """How the numbers without it came about."""
+    difference: float | None = None
+    """Largest difference of a refined pose or joint value without it, in metres and radians; None: nothing is refined."""
+
+    def row(self) -> dict[str, Any]:
+        """The flat entry of a table."""
+        timed = self.cpu_without_s is not None and self.cpu_with_s is not None
+        return {
+            "table": "skips",
+            "skip": self.skip,
+            "unit": self.unit,
+            "scene": self.scene,
+            "without": self.without,
+            "with": self.with_,
+            "saved_share": 1.0 - self.with_ / self.without if self.without else 0.0,
+            "cpu_without_s": self.cpu_without_s,
+            "cpu_with_s": self.cpu_with_s,
+            "cpu_saved_s": self.cpu_without_s - self.cpu_with_s if timed else None,
+            "difference": self.difference,
+            "how": self.how,
+        }
+
+
+@contextmanager
+def replaced(owner: Any, name: str, value: Any) -> Iterator[None]:
+    """Another value of an attribute, of a module or class, for a while: no switch in the program undoes a skip."""
+    before = getattr(owner, name)
+    setattr(owner, name, value)
+    try:
+        yield
+    finally:
+        setattr(owner, name, before)
+
+
+def cpu_seconds_of(run: Callable[[], Any]) -> tuple[Any, float]:
+    """What a call gives, and its CPU seconds: of all threads, and of child processes that end in it."""
+    start = _cpu_seconds()
+    result = run()
+    return result, _cpu_seconds() - start
+
+
+def _cpu_seconds() -> float:
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system

@@ -1,0 +1,119 @@
+"""What is not done when the program starts, or not again: pairs that never meet, convex objects cut up, imports."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+import grasp_refine
+from grasp_refine.geometry.decomposition import Decomposition, decompose
+from grasp_refine.geometry.pieces import convex_pieces
+from grasp_refine.hand import Hand
+from grasp_refine.objects import Object
+from grasp_refine.self_collision import Sampling, candidate_pairs, judged_pairs, self_penetration, touching_pairs
+
+from .skip import Skip, cpu_seconds_of
+
+CONFIGURATIONS = 64
+"""Random configurations at which pairs of links are asked."""
+
+PROGRAM = """
+import contextlib, io, json, pkgutil, sys, time
+everything, arguments = json.loads(sys.argv[1]), sys.argv[2:]
+if everything:
+    from importlib import import_module
+    import grasp_refine
+    for module in pkgutil.walk_packages(grasp_refine.__path__, "grasp_refine."):
+        if not module.name.endswith("__main__"):
+            import_module(module.name)
+    for name in ("coacd", "matplotlib.figure", "jinja2"):
+        with contextlib.suppress(ImportError):
+            import_module(name)
+from grasp_refine.cli import main
+with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+    code = main(arguments)
+print(json.dumps([code, len(sys.modules)]))
+"""
+"""Runs a command line in a process of its own, after loading everything if asked; says how many modules there are."""
+
+COMMANDS = ("--help", "hands", "run --no-validate")
+"""Command lines whose imports are counted."""
+
+
+def self_collision_skips(hand: Hand, seed: int) -> Iterator[Skip]:
+    """Pairs of links that never meet within the joint limits, and the second start, which knows them."""
+    judged = judged_pairs(hand)
+    apart = set(candidate_pairs(hand)) - {*judged.at_rest, *judged.nearly_always}
+    q = np.random.default_rng(seed).uniform(*_limits(hand), (CONFIGURATIONS, len(hand.joint_names)))
+    cpu_s = []
+    for pairs in (sorted(apart), judged.watched):
+        self_penetration(hand, pairs, q)
+        cpu_s.append(cpu_seconds_of(lambda pairs=pairs: self_penetration(hand, pairs, q))[1])
+    yield Skip(
+        "pairs of links that never meet within the limits", "link pairs", f"{hand.name}, {CONFIGURATIONS} configurations",
+        len(apart), len(judged.watched), *cpu_s, "all pairs that are not made to overlap are asked",
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
+        first, cpu_first = cpu_seconds_of(lambda: touching_pairs(hand, cache=Path(folder)))
+        again, cpu_again = cpu_seconds_of(lambda: touching_pairs(hand, cache=Path(folder)))
+    assert first == again
+    sampled = 1 + Sampling.uniform + Sampling.extreme
+    yield Skip(
+        "looking for these pairs at the second start", "configurations", hand.name, sampled, 0, cpu_first, cpu_again,
+        "the first start, with an empty cache",
+    )  # fmt: skip
+
+
+def _limits(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper limits (n,), one turn where a joint is continuous."""
+    return np.maximum(hand.lower, -np.pi), np.minimum(hand.upper, np.pi)
+
+
+def decomposition_skip(obj: Object) -> Skip:
+    """A convex object is its own hull: CoACD does not run."""
+    mesh = obj.mesh
+    pieces, cpu_with = cpu_seconds_of(lambda: convex_pieces(mesh, name=obj.name))
+    vertices = np.asarray(mesh.vertices) / np.linalg.norm(np.ptp(mesh.vertices, axis=0))
+    parts, cpu_without = cpu_seconds_of(
+        lambda: decompose(vertices, np.asarray(mesh.faces), Decomposition(), single=True)
+    )
+    return Skip(
+        "decomposition of convex objects", "runs of CoACD", obj.name, 1, 0, cpu_without, cpu_with,
+        f"CoACD cuts it, into {len(parts)} instead of {len(pieces)} piece{'s' * (len(pieces) != 1)}",
+    )  # fmt: skip
+
+
+def import_skips(commands: Sequence[str] = COMMANDS) -> Iterator[Skip]:
+    """Modules that a command does not load, each in processes of their own."""
+    for command in commands:
+        (modules, cpu), (every, cpu_every) = (
+            cpu_seconds_of(lambda command=command, everything=everything: _modules(command.split(), everything))
+            for everything in (False, True)
+        )
+        yield Skip(
+            "imports that nobody uses", "modules", f"refine-grasp {command}", every, modules, cpu_every, cpu,
+            "all of the package is imported first",
+        )  # fmt: skip
+
+
+def _modules(command: Sequence[str], everything: bool) -> int:
+    """How many modules are loaded at the end of a command."""
+    with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
+        path = str(Path(grasp_refine.__file__).parents[1])
+        child = subprocess.run(
+            [sys.executable, "-c", f"import sys; sys.path.append({path!r})\n{PROGRAM}", json.dumps(everything), *command],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    code, modules = json.loads(child.stdout.strip().splitlines()[-1])
+    assert code == 0, f"refine-grasp {' '.join(command)} ended with exit code {code}"
+    return modules

@@ -1,0 +1,41 @@
+"""CPU time of several ways to do the same, taken in turn, so that a busy machine disturbs all alike."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+WARM_UP = 2
+"""Calls before anything is timed."""
+
+MOST = 1000
+"""Calls in a row at most."""
+
+
+def cpu_times(runs: Mapping[str, Callable[[], object]], rounds: int, least_s: float) -> dict[str, np.ndarray]:
+    """CPU seconds of a call of each (rounds,), of all threads; element k of all was measured in the same round.
+
+    Args:
+        runs: Name -> what is called.
+        rounds: How often each is measured.
+        least_s: CPU seconds of a measurement, for which short calls are repeated.
+    """
+    calls = {}
+    for name, run in runs.items():
+        for _ in range(WARM_UP):
+            once = _timed(run, 1)
+        calls[name] = int(np.clip(np.ceil(least_s / max(once, 1e-7)), 1, MOST))
+    times = {name: np.empty(rounds) for name in runs}
+    for round_ in range(rounds):
+        for name, run in runs.items():
+            times[name][round_] = _timed(run, calls[name])
+    return times
+
+
+def _timed(run: Callable[[], object], calls: int) -> float:
+    start = time.process_time()
+    for _ in range(calls):
+        run()
+    return (time.process_time() - start) / calls

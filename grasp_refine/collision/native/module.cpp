@@ -1,0 +1,287 @@
+// What Python sees: shapes, the narrow phase, and witness queries for a batch of items on several threads.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/vector.h>
+
+#include <coal/config.hh>
+
+#include <exception>
+#include <mutex>
+#include <numeric>
+#include <optional>
+
+#include "search.h"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+using namespace grasp_refine;
+
+template <class T>
+using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
+template <class T>
+using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+using RowMatrix = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+
+// Call work(i) for all i of `order` on several threads, one item after the other on each; the first error is thrown.
+template <class Work>
+void for_each(const std::vector<size_t>& order, int threads, const Work& work) {
+  std::exception_ptr error;
+  std::mutex guard;
+  const auto count = static_cast<int64_t>(order.size());
+#pragma omp parallel for schedule(dynamic, 16) num_threads(threads) if (threads > 1)
+  for (int64_t k = 0; k < count; ++k) {
+    try {
+      work(order[k]);
+    } catch (...) {
+      std::lock_guard<std::mutex> lock(guard);
+      if (!error) error = std::current_exception();
+    }
+  }
+  if (error) std::rethrow_exception(error);
+}
+
+// Items of equal keys follow each other, so that their pieces stay in the processor's cache.
+template <class Key>
+std::vector<size_t> by_key(size_t count, size_t keys, const Key& key) {
+  std::vector<size_t> start(keys + 1), order(count);
+  for (size_t i = 0; i < count; ++i) ++start[key(i) + 1];
+  std::partial_sum(start.begin(), start.end(), start.begin());
+  for (size_t i = 0; i < count; ++i) order[start[key(i)]++] = i;
+  return order;
+}
+
+// The pose of body b in the frame of body a, from two (4, 4) poses in the world.
+//
+// Sums run in the order of query.py, so that both engines ask coal with the same bits.
+Transform3s relative(const double* a, const double* b) {
+  Matrix3s R;
+  Vec3s t;
+  const Vec3s between(b[3] - a[3], b[7] - a[7], b[11] - a[11]);
+  for (int c = 0; c < 3; ++c) {
+    for (int k = 0; k < 3; ++k) R(c, k) = b[k] * a[c] + b[4 + k] * a[4 + c] + b[8 + k] * a[8 + c];
+    t[c] = between[0] * a[c] + between[1] * a[4 + c] + between[2] * a[8 + c];
+  }
+  return Transform3s(R, t);
+}
+
+struct Poses {
+  const double *T_a, *T_b;  // (4, 4) each.
+
+  Transform3s relative(size_t i) const { return ::relative(T_a + 16 * i, T_b + 16 * i); }
+};
+
+struct Previous {
+  const int64_t* winner = nullptr;
+  const double *point_a = nullptr, *point_b = nullptr;
+  const int8_t* status = nullptr;
+
+  Warm item(size_t i, const double* a) const {
+    Warm warm;
+    if (!winner) return warm;
+    const double *p = point_a + 3 * i, *q = point_b + 3 * i;
+    const Vec3s v(p[0] - q[0], p[1] - q[1], p[2] - q[2]);
+    for (int c = 0; c < 3; ++c) warm.guess[c] = v[0] * a[c] + v[1] * a[4 + c] + v[2] * a[8 + c];
+    warm.winner = winner[i];
+    warm.apart = status[i] == kSeparated && warm.guess.allFinite();
+    return warm;
+  }
+};
+
+struct Answers {
+  double *point_a, *point_b, *normal, *distance;
+  int8_t* status;
+  int64_t *winner, *asked;
+
+  // World coordinates and a status, from what was found in the frame of body a.
+  void write(size_t i, const Found& found, const double* a, bool finite, double limit) const {
+    const int8_t code = !finite            ? kNotFinite
+                        : found.failed     ? kFailed
+                        : found.winner < 0 ? kFar
+                                           : found.distance <= 0;
+    const bool valid = code <= kPenetrating;
+    for (int r = 0; r < 3; ++r) {
+      const double *row = a + 4 * r, *x = found.point.data(), *n = found.normal.data();
+      const double turned = row[0] * n[0] + row[1] * n[1] + row[2] * n[2];
+      const double point = row[0] * x[0] + row[1] * x[1] + row[2] * x[2] + row[3];
+      normal[3 * i + r] = valid ? turned : 0.0;
+      point_a[3 * i + r] = valid ? point : 0.0;
+      point_b[3 * i + r] = valid ? point + found.distance * turned : 0.0;
+    }
+    // FAR: no piece pair was, or can be, below the limit.
+    distance[i] = valid ? found.distance : code == kFar ? limit : std::numeric_limits<double>::quiet_NaN();
+    status[i] = code, winner[i] = found.winner, asked[i] = found.asked;
+  }
+};
+
+// `query_items` of query.py; without `pair`, the items are all body pairs over and over.
+void query(const Search& search, std::optional<In<int64_t>> pair, In<double> T_a, In<double> T_b, In<double> limit,
+           std::optional<In<int64_t>> winner, std::optional<In<double>> point_a, std::optional<In<double>> point_b,
+           std::optional<In<int8_t>> status, Out<double> new_point_a, Out<double> new_point_b, Out<double> new_normal,
+           Out<double> new_distance, Out<int8_t> new_status, Out<int64_t> new_winner, Out<int64_t> new_asked,
+           int threads) {
+  const Poses poses{T_a.data(), T_b.data()};
+  const Answers answers{new_point_a.data(), new_point_b.data(), new_normal.data(), new_distance.data(),
+                        new_status.data(),  new_winner.data(),  new_asked.data()};
+  Previous previous;
+  if (winner) previous = {winner->data(), point_a->data(), point_b->data(), status->data()};
+  const size_t pairs = search.first_pair.size(), count = limit.size();
+  const int64_t* listed = pair ? pair->data() : nullptr;
+  const double* limits = limit.data();
+  const auto pair_of = [=](size_t i) { return listed ? static_cast<size_t>(listed[i]) : i % pairs; };
+
+  nb::gil_scoped_release without_the_gil;
+  for_each(by_key(count, pairs, pair_of), threads, [&](size_t i) {
+    thread_local Scratch scratch;
+    const Transform3s T = poses.relative(i);
+    const bool finite = T.getRotation().allFinite() && T.getTranslation().allFinite();
+    const double* a = poses.T_a + 16 * i;
+    Found found;
+    if (finite)
+      found = search.minimum(pair_of(i), T, limits[i], previous.item(i, a), search.narrow_phase.asker(), scratch);
+    answers.write(i, found, a, finite, limits[i]);
+  });
+}
+
+// The queries that items take, in order, one item after the other: (item, piece pair) of each.
+std::vector<std::pair<int64_t, int64_t>> trace(const Search& search, In<int64_t> pair, In<double> T_a, In<double> T_b,
+                                               In<double> limit, std::optional<In<int64_t>> winner,
+                                               std::optional<In<double>> point_a, std::optional<In<double>> point_b,
+                                               std::optional<In<int8_t>> status) {
+  Previous previous;
+  if (winner) previous = {winner->data(), point_a->data(), point_b->data(), status->data()};
+  const Poses poses{T_a.data(), T_b.data()};
+  std::vector<std::pair<int64_t, int64_t>> asked;
+  for (size_t i = 0; i < limit.size(); ++i) {
+    std::vector<Entry> entries;
+    Scratch scratch;
+    scratch.trace = &entries;
+    search.minimum(pair.data()[i], poses.relative(i), limit.data()[i], previous.item(i, poses.T_a + 16 * i),
+                   search.narrow_phase.asker(), scratch);
+    for (const Entry& entry : entries) asked.emplace_back(i, entry.pair);
+  }
+  return asked;
+}
+
+Transform3s pose_of(const double* R, const double* t) {
+  return Transform3s(Eigen::Map<const RowMatrix>(R), Eigen::Map<const Vec3s>(t));
+}
+
+// `NarrowPhase.closest` of narrowphase.py.
+void closest(const NarrowPhase& narrow_phase, In<double> R, In<double> t, In<int64_t> starts, In<int64_t> pair,
+             In<double> bound, In<double> limit, std::optional<In<double>> guess, std::optional<In<bool>> guess_valid,
+             Out<double> distance, Out<double> point, Out<double> normal, Out<int64_t> winner, Out<int64_t> asked,
+             Out<bool> failed) {
+  nb::gil_scoped_release without_the_gil;
+  Asker& asker = narrow_phase.asker();
+  for (size_t i = 0; i < limit.size(); ++i) {
+    std::vector<Entry> entries;
+    for (int64_t j = starts.data()[i]; j < starts.data()[i + 1]; ++j)
+      entries.push_back({bound.data()[j], pair.data()[j]});
+    const Vec3s warm = guess ? Vec3s(Eigen::Map<const Vec3s>(guess->data() + 3 * i)) : Vec3s::Zero();
+    Found found;
+    asker.ask(narrow_phase.pairs, entries.data(), entries.data() + entries.size(),
+              pose_of(R.data() + 9 * i, t.data() + 3 * i), limit.data()[i],
+              guess_valid && guess_valid->data()[i] ? &warm : nullptr, found);
+    distance.data()[i] = found.distance, winner.data()[i] = found.winner, asked.data()[i] = found.asked;
+    failed.data()[i] = found.failed;
+    Eigen::Map<Vec3s>(point.data() + 3 * i) = found.point;
+    Eigen::Map<Vec3s>(normal.data() + 3 * i) = found.normal;
+  }
+}
+
+// Nothing but the distances of piece pairs (N,) of items (N,): what a search cannot do without.
+void distances(const NarrowPhase& narrow_phase, In<int64_t> item, In<int64_t> pair, In<double> R, In<double> t,
+               In<double> guess, In<bool> guess_valid, Out<double> distance, int threads) {
+  nb::gil_scoped_release without_the_gil;
+  std::vector<size_t> order(item.size());
+  std::iota(order.begin(), order.end(), 0);
+  for_each(order, threads, [&](size_t k) {
+    const int64_t i = item.data()[k];
+    const auto& [a, b] = narrow_phase.pairs[pair.data()[k]];
+    const Vec3s warm = Eigen::Map<const Vec3s>(guess.data() + 3 * k);
+    distance.data()[k] = narrow_phase.asker().distance(*a, *b, pose_of(R.data() + 9 * i, t.data() + 3 * i),
+                                                       guess_valid.data()[k] ? &warm : nullptr);
+  });
+}
+
+template <class T>
+std::vector<T> list_of(const In<T>& array) {
+  return {array.data(), array.data() + array.size()};
+}
+
+Side side_of(In<int64_t> body, In<int64_t> first, In<double> center, In<double> half, In<double> axes,
+             In<double> radius, In<double> supports, size_t cells) {
+  Side side{list_of(body), list_of(first), {}, {}, {}, list_of(radius), supports.data(), supports.shape(1),
+            supports.shape(2), cells};
+  for (size_t k = 0; k < radius.size(); ++k) {
+    side.center.push_back(Eigen::Map<const Vec3s>(center.data() + 3 * k));
+    side.half.push_back(Eigen::Map<const Vec3s>(half.data() + 3 * k));
+    side.axes.push_back(Eigen::Map<const RowMatrix>(axes.data() + 9 * k));
+  }
+  return side;
+}
+
+using Shapes = std::vector<std::shared_ptr<Shape>>;
+
+NarrowPhase narrow_phase_of(const Shapes& a, const Shapes& b, double gjk, double epa, double retry, double slack) {
+  NarrowPhase made{{}, {gjk, epa, retry, slack}};
+  for (size_t k = 0; k < a.size(); ++k) made.pairs.emplace_back(a[k], b.at(k));
+  return made;
+}
+
+NB_MODULE(_native, m) {
+  m.attr("coal_version") = COAL_VERSION;
+#ifdef _OPENMP
+  m.attr("openmp") = true;
+#else
+  m.attr("openmp") = false;
+#endif
+
+  nb::class_<Shape>(m, "Shape")
+      .def_static("sphere", [](double radius, In<double> center) {
+        return std::make_shared<Shape>(sphere(radius, Eigen::Map<const Vec3s>(center.data())));
+      })
+      .def_static("capsule", [](double radius, double length, In<double> frame, In<double> center) {
+        const Transform3s T = pose_of(frame.data(), center.data());
+        return std::make_shared<Shape>(capsule(radius, length, T.getRotation(), T.getTranslation()));
+      })
+      .def_static("hull", [](In<double> points, double radius) {
+        return std::make_shared<Shape>(hull(points_of(points.data(), points.shape(0)), radius));
+      })
+      .def_static("polytope", [](In<double> points, In<int64_t> faces, double radius) {
+        auto triangles = std::make_shared<std::vector<coal::Triangle>>();
+        for (const int64_t* f = faces.data(); f != faces.data() + faces.size(); f += 3)
+          triangles->emplace_back(f[0], f[1], f[2]);
+        return std::make_shared<Shape>(polytope(points_of(points.data(), points.shape(0)), triangles, radius));
+      });
+
+  nb::class_<NarrowPhase>(m, "NarrowPhase")
+      .def("__init__", [](NarrowPhase* self, const Shapes& a, const Shapes& b, double gjk, double epa, double retry,
+                          double slack) { new (self) NarrowPhase(narrow_phase_of(a, b, gjk, epa, retry, slack)); })
+      .def("closest", &closest, "R"_a, "t"_a, "starts"_a, "pair"_a, "bound"_a, "limit"_a, "guess"_a.none(),
+           "guess_valid"_a.none(), "distance"_a, "point"_a, "normal"_a, "winner"_a, "asked"_a, "failed"_a)
+      .def("distances", &distances);
+
+  nb::class_<Side>(m, "Side").def(
+      "__init__",
+      [](Side* self, In<int64_t> body, In<int64_t> first, In<double> center, In<double> half, In<double> axes,
+         In<double> radius, In<double> supports, size_t cells) {
+        new (self) Side(side_of(body, first, center, half, axes, radius, supports, cells));
+      },
+      // The table of supports is not copied.
+      nb::keep_alive<1, 8>());
+
+  nb::class_<Search>(m, "Search")
+      .def(
+          "__init__",
+          [](Search* self, const NarrowPhase& narrow_phase, const Side& a, const Side& b, In<int64_t> first_pair) {
+            new (self) Search{narrow_phase, a, b, list_of(first_pair)};
+          },
+          nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>())
+      .def("query", &query, "pair"_a.none(), "T_a"_a, "T_b"_a, "limit"_a, "winner"_a.none(), "point_a"_a.none(),
+           "point_b"_a.none(), "status"_a.none(), "new_point_a"_a, "new_point_b"_a, "new_normal"_a, "new_distance"_a,
+           "new_status"_a, "new_winner"_a, "new_asked"_a, "threads"_a)
+      .def("trace", &trace);
+}

@@ -1,0 +1,201 @@
+// The search of search.py for one item after the other: bounds, the first query, bounds along its normal, the rest.
+#pragma once
+
+#include <cmath>
+#include <tuple>
+
+#include "narrow_phase.h"
+
+namespace grasp_refine {
+
+// As `QueryStatus` in query.py.
+enum Status : int8_t { kSeparated, kPenetrating, kFar, kFailed, kNotFinite };
+
+// The bodies on one side of the body pairs, as `Side` in table.py; pieces of all bodies one after the other.
+struct Side {
+  std::vector<int64_t> body;            // The body of each body pair.
+  std::vector<int64_t> first;           // Where the pieces of each body begin, and end.
+  std::vector<Vec3s> center, half;      // Of the boxes, and of the balls.
+  std::vector<Matrix3s> axes;           // Of the boxes, one a row.
+  std::vector<double> radius;           // Of the balls.
+  const double* supports;               // How far pieces reach (body, direction, piece), see supports.py.
+  size_t directions, width, cells;      // Number of directions, of pieces that a body has at most, of cells.
+
+  int64_t begin(int64_t pair) const { return first[body[pair]]; }
+  int64_t count(int64_t pair) const { return first[body[pair] + 1] - begin(pair); }
+
+  // Upper bounds of max u . x over each piece of a body.
+  void reach(int64_t pair, const Vec3s& u, std::vector<double>& out) const {
+    int side;
+    const double scale = u.cwiseAbs().maxCoeff(&side);
+    // Where u meets the cube, in cells.
+    double x = (u[(side + 1) % 3] / scale + 1.0) * (cells / 2.0), y = (u[(side + 2) % 3] / scale + 1.0) * (cells / 2.0);
+    const size_t i = std::min<size_t>(x, cells - 1), j = std::min<size_t>(y, cells - 1), row = cells + 1;
+    x -= i, y -= j;
+    const double* low = supports + (body[pair] * directions + ((2 * side + (u[side] < 0)) * row + i) * row + j) * width;
+    const double* high = low + row * width;
+    const double w0 = (1 - x) * (1 - y) * scale, w1 = (1 - x) * y * scale, w2 = x * (1 - y) * scale, w3 = x * y * scale;
+    out.resize(width);
+    for (size_t k = 0; k < width; ++k)
+      out[k] = w0 * low[k] + w1 * low[width + k] + w2 * high[k] + w3 * high[width + k];
+  }
+};
+
+// The last answer for an item.
+struct Warm {
+  int64_t winner = -1;  // -1: none.
+  Vec3s guess;          // x_a - x_b in the frame of body a.
+  bool apart = false;   // Whether the guess may be used.
+};
+
+// What one thread writes to in a search.
+struct Scratch {
+  std::vector<Vec3s> y;               // Centres of b in the frame of a.
+  std::vector<double> reach_a, reach_b;
+  std::vector<Entry> left;
+  std::vector<Entry>* trace = nullptr;  // Where the queries that are asked are noted, if anywhere.
+};
+
+class Search {
+ public:
+  NarrowPhase narrow_phase;
+  Side a, b;
+  std::vector<int64_t> first_pair;  // The first piece pair of each body pair; (i, j) follows i count_b + j later.
+
+  // The closest piece pair of body pair `pair` that is below the limit.
+  Found minimum(int64_t pair, const Transform3s& T, double limit, const Warm& warm, Asker& asker, Scratch& scratch) const {
+    const int64_t columns = a.count(pair) * b.count(pair);
+    place(pair, T, scratch);
+    int64_t column = warm.winner - first_pair[pair];
+    if (warm.winner < 0 || column >= columns) column = likeliest(pair, scratch);
+    Found found;
+    // A single piece pair without a limit is wanted whatever its bound is.
+    double bound = columns == 1 && std::isinf(limit) ? -kInfinity : ball_bound(pair, column, scratch);
+    if (bound < limit && std::isfinite(limit)) bound = std::max(bound, box_bound(pair, column, T));
+    if (bound < limit) {
+      const Entry first{bound, first_pair[pair] + column};
+      // Beyond the limit, too, an answer has a normal that is worth having.
+      asker.ask(narrow_phase.pairs, &first, &first + 1, T, kInfinity, warm.apart ? &warm.guess : nullptr, found);
+      if (scratch.trace) scratch.trace->push_back(first);
+    }
+    if (columns > 1) rest(pair, T, limit, column, asker, scratch, found);
+    if (found.distance >= limit) {
+      const int64_t asked = found.asked;
+      const bool failed = found.failed;
+      found = Found();
+      found.asked = asked, found.failed = failed;
+    }
+    return found;
+  }
+
+ private:
+  void place(int64_t pair, const Transform3s& T, Scratch& scratch) const {
+    scratch.y.resize(b.count(pair));
+    for (int64_t j = 0; j < b.count(pair); ++j)
+      scratch.y[j] = T.getRotation() * b.center[b.begin(pair) + j] + T.getTranslation();
+  }
+
+  // The square of the distance of two centres, which rounding must not make longer.
+  static double shorter_square(const Vec3s& x, const Vec3s& y) {
+    constexpr double eps = 16 * std::numeric_limits<double>::epsilon();
+    return std::max((y - x).squaredNorm() - eps * (x.squaredNorm() + y.squaredNorm()), 0.0);
+  }
+
+  double ball_bound(int64_t pair, int64_t column, const Scratch& scratch) const {
+    const auto [i, j] = split(pair, column);
+    const double between = std::sqrt(shorter_square(a.center[i], scratch.y[j - b.begin(pair)]));
+    return between - (a.radius[i] + b.radius[j]);
+  }
+
+  // The closest piece pair with balls of half the size: pieces seldom fill theirs.
+  int64_t likeliest(int64_t pair, const Scratch& scratch) const {
+    int64_t best = 0, column = 0;
+    double least = kInfinity;
+    for (int64_t i = a.begin(pair); i < a.begin(pair) + a.count(pair); ++i) {
+      for (int64_t j = 0; j < b.count(pair); ++j, ++column) {
+        const double half_radii = 0.5 * (a.radius[i] + b.radius[b.begin(pair) + j]);
+        const double gap = std::sqrt(shorter_square(a.center[i], scratch.y[j])) - half_radii;
+        if (gap < least) least = gap, best = column;
+      }
+    }
+    return best;
+  }
+
+  // Ask all but one column that can still beat what was found.
+  void rest(int64_t pair, const Transform3s& T, double limit, int64_t done, Asker& asker, Scratch& scratch,
+            Found& found) const {
+    const double best = std::min(found.distance, limit);
+    auto& left = scratch.left;
+    below(pair, best, done, scratch);
+    if (left.empty()) return;
+    raise_by_gaps(pair, T, best, found.normal, scratch);
+    for (Entry& entry : left) entry.bound = std::max(entry.bound, box_bound(pair, entry.pair, T));
+    drop(left, best);
+    std::sort(left.begin(), left.end(), [](const Entry& p, const Entry& q) {
+      return std::tie(p.bound, p.pair) < std::tie(q.bound, q.pair);
+    });
+    for (Entry& entry : left) entry.pair += first_pair[pair];
+    const int64_t before = found.asked;
+    asker.ask(narrow_phase.pairs, left.data(), left.data() + left.size(), T, limit, nullptr, found);
+    if (scratch.trace)
+      scratch.trace->insert(scratch.trace->end(), left.begin(), left.begin() + (found.asked - before));
+  }
+
+  // The columns whose balls are nearer than `best`.
+  void below(int64_t pair, double best, int64_t done, Scratch& scratch) const {
+    scratch.left.clear();
+    int64_t column = 0;
+    for (int64_t i = a.begin(pair); i < a.begin(pair) + a.count(pair); ++i) {
+      const Vec3s& x = a.center[i];
+      for (int64_t j = 0; j < b.count(pair); ++j, ++column) {
+        const double radii = a.radius[i] + b.radius[b.begin(pair) + j], reach = best + radii;
+        const double square = shorter_square(x, scratch.y[j]);
+        // Most are ruled out without a root.
+        if (reach <= 0 || square > reach * reach * (1 + 1e-14) || column == done) continue;
+        const double bound = std::sqrt(square) - radii;
+        if (bound < best) scratch.left.push_back({bound, column});
+      }
+    }
+  }
+
+  static void drop(std::vector<Entry>& left, double best) {
+    left.erase(std::remove_if(left.begin(), left.end(), [best](const Entry& e) { return !(e.bound < best); }),
+               left.end());
+  }
+
+  // Raise bounds by the gaps between the pieces along the normal that was found.
+  void raise_by_gaps(int64_t pair, const Transform3s& T, double best, Vec3s u, Scratch& scratch) const {
+    // Any unit direction gives a bound: without an answer there is none that is better than others.
+    if (!(std::abs(u.squaredNorm() - 1.0) <= 1e-12)) u = Vec3s::UnitX();
+    a.reach(pair, u, scratch.reach_a);
+    b.reach(pair, -(T.getRotation().transpose() * u), scratch.reach_b);
+    const double offset = u.dot(T.getTranslation());
+    for (Entry& entry : scratch.left) {
+      const int64_t i = entry.pair / b.count(pair), j = entry.pair % b.count(pair);
+      entry.bound = std::max(entry.bound, offset - scratch.reach_b[j] - scratch.reach_a[i]);
+    }
+    drop(scratch.left, best);
+  }
+
+  // The largest gap of two oriented boxes along their axes and the line between their centres.
+  double box_bound(int64_t pair, int64_t column, const Transform3s& T) const {
+    const auto [i, j] = split(pair, column);
+    const Matrix3s axes_b = b.axes[j] * T.getRotation().transpose();
+    const Vec3s offset = T.getRotation() * b.center[j] + T.getTranslation() - a.center[i];
+    const Matrix3s cosines = (a.axes[i] * axes_b.transpose()).cwiseAbs();
+    const Vec3s offset_a = (a.axes[i] * offset).cwiseAbs(), offset_b = (axes_b * offset).cwiseAbs();
+    const double along_a = (offset_a - a.half[i] - cosines * b.half[j]).maxCoeff();
+    const double along_b = (offset_b - b.half[j] - cosines.transpose() * a.half[i]).maxCoeff();
+    const double length = offset.norm(), reach = offset_a.dot(a.half[i]) + offset_b.dot(b.half[j]);
+    // Boxes with one centre have no such line.
+    const double along_line = length > 0 ? length - reach / length : -kInfinity;
+    return std::max({along_a, along_b, along_line});
+  }
+
+  // The pieces of a column, among those of all bodies.
+  std::pair<int64_t, int64_t> split(int64_t pair, int64_t column) const {
+    return {a.begin(pair) + column / b.count(pair), b.begin(pair) + column % b.count(pair)};
+  }
+};
+
+}  // namespace grasp_refine

@@ -1,0 +1,169 @@
+"""The compiled engine: the narrow phase and the whole search in C++ (see `native/`), behind the same calls.
+
+It gives what the Python engine gives, to rounding, whatever the number of threads. The GIL is free meanwhile.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from functools import cache
+from importlib.metadata import version
+
+import numpy as np
+
+from grasp_refine.collision.narrowphase import Closest, Tolerances  # Loads coal's library, which _native needs.
+from grasp_refine.collision.relative import in_frame, relative
+from grasp_refine.collision.shapes import build_shape
+from grasp_refine.collision.supports import CELLS
+from grasp_refine.collision.table import PieceTable, Side
+from grasp_refine.geometry.pieces import Piece
+from grasp_refine.stopwatch import stage
+
+from grasp_refine.collision import _native  # isort: skip
+
+_ITEMS_PER_THREAD = 64
+"""Fewer are not worth the start of a thread."""
+
+
+def built_for() -> str:
+    """The version of coal that the engine was built for."""
+    return _native.coal_version
+
+
+def mismatch() -> str:
+    """Why the engine must not be used; empty: it may."""
+    here = version("coal")
+    return "" if here == built_for() else f"built for coal {built_for()}, coal {here} is installed; install again"
+
+
+class NativeNarrowPhase:
+    """`narrowphase.NarrowPhase`, compiled."""
+
+    def __init__(self, pieces_a: Sequence[Piece], pieces_b: Sequence[Piece], tolerances: Tolerances) -> None:
+        """Prepare the pairs (pieces_a[k], pieces_b[k]), k = 0 .. K - 1."""
+        t = tolerances
+        sides = [[_shape_of(piece) for piece in pieces] for pieces in (pieces_a, pieces_b)]
+        self.compiled = _native.NarrowPhase(*sides, t.gjk, t.epa, t.retry, t.slack)
+
+    def closest(
+        self,
+        R: np.ndarray,
+        t: np.ndarray,
+        starts: np.ndarray,
+        pair: np.ndarray,
+        bound: np.ndarray,
+        limit: np.ndarray,
+        guess: np.ndarray | None = None,
+        guess_valid: np.ndarray | None = None,
+    ) -> Closest:
+        """The closest piece pair of each item; arguments and answer as in `narrowphase.NarrowPhase.closest`."""
+        M = len(R)
+        found = Closest(
+            np.empty(M), np.empty((M, 3)), np.empty((M, 3)), np.empty(M, np.int64), np.empty(M, np.int64), np.empty(M, bool)
+        )
+        self.compiled.closest(
+            R, t, starts, pair, bound, limit, guess, guess_valid,
+            found.distance, found.point, found.normal, found.winner, found.asked, found.failed,
+        )  # fmt: skip
+        return found
+
+
+class NativeSearch:
+    """The search among the piece pairs of P body pairs, compiled."""
+
+    def __init__(self, table: PieceTable, narrow_phase: NativeNarrowPhase) -> None:
+        """Prepare the pairs of a table."""
+        self._narrow_phase = narrow_phase.compiled
+        self._compiled = _native.Search(
+            narrow_phase.compiled, _side(table.a), _side(table.b), np.ascontiguousarray(table.id[:, 0])
+        )
+
+    @stage("narrow phase")
+    def ask(
+        self,
+        pair: np.ndarray | None,
+        T_a: np.ndarray,
+        T_b: np.ndarray,
+        limit: np.ndarray,
+        previous: tuple[np.ndarray, ...] | None,
+        threads: int | None = None,
+    ) -> tuple[np.ndarray, ...]:
+        """The fields of a `query.Witness`, in its order and in the shape of `limit`, for M items in all.
+
+        Args:
+            pair: The body pair of each item (M,); None: all P of them, over and over.
+            T_a: Poses (M, 4, 4) of the first bodies in the world.
+            T_b: Those of the second bodies.
+            limit: Signed distance that an answer has to beat.
+            previous: The winners, points on a, points on b and statuses of the last answer.
+            threads: How many at most; by default `OMP_NUM_THREADS`, or one a core.
+        """
+        shape = limit.shape
+        points = np.empty((3, *shape, 3))
+        found = (
+            *points, np.empty(shape), np.empty(shape, np.int8), np.empty(shape, np.int64), np.empty(shape, np.int64)
+        )  # fmt: skip
+        self._compiled.query(pair, T_a, T_b, limit, *(previous or (None,) * 4), *found, _threads(limit.size, threads))
+        return found
+
+    def bare_loop(
+        self,
+        pair: np.ndarray,
+        T_a: np.ndarray,
+        T_b: np.ndarray,
+        limit: np.ndarray,
+        previous: tuple[np.ndarray, ...] | None,
+        threads: int | None = None,
+    ) -> Callable[[], np.ndarray]:
+        """What asks the piece pairs that `ask` would, and does nothing else: a yardstick for benchmarks.
+
+        The call returns all distances (N,), item after item.
+        """
+        asked = np.array(
+            self._compiled.trace(pair, T_a, T_b, limit, *(previous or (None,) * 4)), dtype=np.int64
+        ).reshape(-1, 2)
+        # Stage by stage as in `ask`: items with the same pieces follow each other, and only first queries are warm.
+        asked = asked[np.argsort(pair[asked[:, 0]], kind="stable")]
+        item, piece_pair = np.ascontiguousarray(asked.T)
+        R, t = relative(T_a, T_b)
+        guess, valid = np.zeros((len(item), 3)), np.zeros(len(item), dtype=bool)
+        if previous is not None:
+            winner, point_a, point_b, status = previous
+            guess[:] = in_frame(T_a, point_a - point_b)[item]
+            valid[:] = (status[item] == 0) & np.append(True, np.diff(item) != 0)
+        distance = np.empty(len(item))
+
+        def run() -> np.ndarray:
+            self._narrow_phase.distances(
+                item, piece_pair, R, t, guess, valid, distance, _threads(len(pair), threads)
+            )
+            return distance
+
+        return run
+
+
+def _shape_of(piece: Piece) -> "_native.Shape":
+    """The shape of a piece, built once."""
+    if "native" not in piece.derived:
+        piece.derived["native"] = build_shape(piece, _native.Shape)
+    return piece.derived["native"]
+
+
+def _side(side: Side) -> "_native.Side":
+    bounds = side.piece_bounds
+    center, half = (np.ascontiguousarray(array.T) for array in (bounds.center, bounds.half))
+    return _native.Side(
+        side.body, side.first, center, half, np.ascontiguousarray(np.moveaxis(bounds.axes, -1, 0)), bounds.radius,
+        side.supports.table, CELLS,
+    )  # fmt: skip
+
+
+def _threads(items: int, most: int | None) -> int:
+    """How many threads these items are worth."""
+    return max(1, min(items // _ITEMS_PER_THREAD, most or _available()))
+
+
+@cache
+def _available() -> int:
+    """The threads that we may use."""
+    told = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0]
+    return int(told) if told.isdecimal() and int(told) > 0 else len(os.sched_getaffinity(0))

@@ -1,0 +1,91 @@
+"""What coal is given for a convex piece, by whichever engine: one recipe, so that both ask about the same bodies.
+
+coal counts the neighbours of a hull's vertex in one byte. A hull with too many is triangulated again with few edges
+at each vertex.
+"""
+
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from grasp_refine.geometry.pieces import Piece
+
+_MAX_NEIGHBOURS = 255
+
+Shape = TypeVar("Shape", covariant=True)
+"""A shape and its placement in the frame of its body."""
+
+
+class Factory(Protocol[Shape]):
+    """Who makes the shapes."""
+
+    def sphere(self, radius: float, center: np.ndarray) -> Shape:
+        """A sphere about `center` (3,)."""
+
+    def capsule(self, radius: float, length: float, frame: np.ndarray, center: np.ndarray) -> Shape:
+        """A capsule along the third column of `frame` (3, 3), with its middle at `center` (3,)."""
+
+    def hull(self, vertices: np.ndarray, radius: float) -> Shape:
+        """The hull of `vertices` (V, 3), which Qhull finds, and all within `radius` of it."""
+
+    def polytope(self, vertices: np.ndarray, faces: np.ndarray, radius: float) -> Shape:
+        """The polytope with these triangles (F, 3), and all within `radius` of it."""
+
+
+def build_shape(piece: Piece, make: Factory[Shape]) -> Shape:
+    """The shape of a piece; that of a hull takes some milliseconds."""
+    vertices = np.ascontiguousarray(piece.vertices, dtype=np.float64)
+    if len(vertices) == 1:
+        return make.sphere(piece.radius, vertices[0])
+    if len(vertices) == 2:
+        axis = vertices[1] - vertices[0]
+        length = float(np.linalg.norm(axis))
+        return make.capsule(piece.radius, length, _frame(axis / length), vertices.mean(axis=0))
+    edges = np.unique(
+        np.sort(np.concatenate([piece.faces[:, [0, 1]], piece.faces[:, [1, 2]], piece.faces[:, [2, 0]]])),
+        axis=0,
+    )
+    if np.bincount(edges.ravel()).max() <= _MAX_NEIGHBOURS // 2:
+        return make.hull(vertices, piece.radius)
+    return make.polytope(vertices, few_neighbours(piece), piece.radius)
+
+
+def _frame(z: np.ndarray) -> np.ndarray:
+    """A rotation (3, 3) whose third column is the unit vector z."""
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def few_neighbours(piece: Piece) -> np.ndarray:
+    """Triangles (F, 3) of the same hull in which flat many-sided faces are zigzag strips, not fans."""
+    corners = piece.vertices[piece.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    offsets = np.einsum("fi,fi->f", normals, corners[:, 0])
+    size = np.ptp(piece.vertices, axis=0).max()
+    planes = np.round(np.concatenate([normals, offsets[:, None] / size], axis=1), 7)
+    triangles: list[tuple[int, int, int]] = []
+    for members in _groups(planes):
+        ids = np.unique(piece.faces[members])
+        normal = normals[members[0]]
+        centered = piece.vertices[ids] - piece.vertices[ids].mean(axis=0)
+        frame = _frame(normal)
+        ring = ids[np.argsort(np.arctan2(centered @ frame[:, 1], centered @ frame[:, 0]))].tolist()
+        low, high, lower = 0, len(ring) - 1, True
+        while high - low > 1:
+            if lower:
+                triangles.append((ring[low], ring[low + 1], ring[high]))
+                low += 1
+            else:
+                triangles.append((ring[low], ring[high - 1], ring[high]))
+                high -= 1
+            lower = not lower
+    return np.array(triangles)
+
+
+def _groups(rows: np.ndarray) -> list[np.ndarray]:
+    """Indices of equal rows, a group each."""
+    _, group = np.unique(rows, axis=0, return_inverse=True)
+    order = np.argsort(group, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)

@@ -1,0 +1,381 @@
+"""`refine-grasp batch`: refine whole datasets of grasps, in processes or on a cluster, and go on where it stopped."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, fields
+from functools import partial
+from math import inf
+from pathlib import Path
+from typing import Annotated, Any, Literal
+from uuid import uuid4
+
+from rich.console import Console
+from tyro.conf import DisallowNone, Positional, Suppress, arg
+
+from grasp_refine.apps.batch.index import index_path, index_writer
+from grasp_refine.apps.batch.page import page
+from grasp_refine.apps.batch.pictures import draw_cases
+from grasp_refine.apps.batch.pool import run_local
+from grasp_refine.apps.batch.progress import Progress
+from grasp_refine.apps.batch.record import State, clean, state_of
+from grasp_refine.apps.batch.rows import read_rows
+from grasp_refine.apps.batch.shard import Shard
+from grasp_refine.apps.batch.table import batch_table
+from grasp_refine.apps.batch.worst import Case
+from grasp_refine.commands.batch_document import save_batch
+from grasp_refine.commands.batch_session import Session, Summary
+from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
+from grasp_refine.commands.inputs import NEAREST, Inputs
+from grasp_refine.commands.invocation import invocation
+from grasp_refine.commands.job_list import read_jobs
+from grasp_refine.commands.kept import Kept
+from grasp_refine.commands.options import check_numbers
+from grasp_refine.commands.settings import Settings
+from grasp_refine.commands.shard_plan import Plan, Planner, part_of
+from grasp_refine.commands.shard_work import ShardWork, problem_of
+from grasp_refine.config import Config
+from grasp_refine.errors import GraspRefineError
+from grasp_refine.hand import Hand
+from grasp_refine.objects import Object
+from grasp_refine.report.document import settings
+from grasp_refine.report.screen import screen
+from grasp_refine.report.writing import SCHEMA, check_no_input, check_writable, save_text
+from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
+from grasp_refine.versions import versions
+
+REPORT = "report.html"
+
+LEAST_PATIENCE = 5.0
+"""Seconds that a worker has in any case: it takes some to start."""
+
+
+@dataclass(frozen=True)
+class Defaults(Inputs):
+    """What a job does not say itself."""
+
+    grasps: Suppress[Path | None] = None
+    index: Suppress[tuple[int, ...]] = ()
+
+    def plain(self) -> Inputs:
+        """The same as inputs of one job."""
+        return Inputs(**{option.name: getattr(self, option.name) for option in fields(Inputs)})
+
+
+@dataclass(frozen=True)
+class Proving:
+    """How it is proved that grasps hold."""
+
+    validate: bool = False
+    """Simulate the grasps before and after: does the object stay in the hand when it is pushed?"""
+    setting: SettingName = "force-closure"
+    """The protocol: force-closure (friction 0.6), strict (friction 0.3), or tabletop (lifted off a table)."""
+    friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the setting)")] = None
+    """Another coefficient of sliding friction."""
+
+
+@dataclass(frozen=True)
+class Sharding:
+    """How the work is divided."""
+
+    workers: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: the cores of this machine)")] = None
+    """Processes on this machine; each is replaced when it crashes or hangs, and takes 0.3 to 1 GB."""
+    shard_size: int = 64
+    """Most grasps of a shard, the unit of all work: a shard becomes one result file, or none."""
+    shard: Annotated[DisallowNone[str | None], arg(metavar="I/N", help_behavior_hint="(default: everything)")] = None
+    """Do only part I (from 1 on) of N of the batch, for the array jobs of a scheduler; all parts share --out."""
+    dask: Annotated[DisallowNone[str | None], arg(metavar="ADDRESS", help_behavior_hint="(default: none)")] = None
+    """Work on the Dask cluster with this scheduler, such as tcp://host:8786, which sees the same folders; needs the
+    extra `cluster`."""
+    patience: float = 600.0
+    """Seconds without a sign of life after which a worker is killed and its shard tried again."""
+    tries: int = 2
+    """How often a shard is tried whose worker crashed or hung, before it is recorded as failed."""
+    again: bool = False
+    """Refine everything anew, also what is there already."""
+
+
+@dataclass(frozen=True)
+class Output:
+    """What is told."""
+
+    out: Path = Path("grasp-refine-batch")
+    """Folder of the results: <job>/<hand>_<object>_<part>.npz, index.parquet or .csv, report.html."""
+    index: Literal["auto", "parquet", "csv"] = "auto"
+    """The table of all grasps with all measures; auto: Parquet where pyarrow is installed, else CSV."""
+    report: bool = True
+    """Write report.html: distributions before and after, the worst cases with pictures, what failed and why."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write a summary and what was measured of each grasp to this file, in SI units."""
+    profile: bool = False
+    """Say where the time goes: loading, kinematics, collision queries, derivatives, solver, simulation."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Refine whole datasets of grasps.
+
+    JOBS are grasp files (any format that `run` reads), folders of them at any depth, patterns such as 'sets/*.npz',
+    sample:N, or lists of jobs: a TOML file with a [[job]] table for each, or a CSV file with a line for each. A job
+    says grasps, and whatever else differs from the options here: hand, object, objects, scale, name, ...
+
+    Interrupted or killed, the same command goes on where it stopped: what is complete is skipped, and what was made
+    of other inputs or with other settings is made anew. The exit code is 0 when all came out, 1 when something failed
+    (report.html and the summary name it; the rest is done), 2 for bad input, 130 when interrupted.
+    """
+
+    jobs: Annotated[Positional[tuple[str, ...]], arg(metavar="JOBS [JOBS ...]", help_behavior_hint="")] = ()
+    """What is refined."""
+    inputs: Annotated[Defaults, arg(name="")] = field(default_factory=Defaults)
+    settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
+    proof: Annotated[Proving, arg(name="")] = field(default_factory=Proving)
+    sharding: Annotated[Sharding, arg(name="")] = field(default_factory=Sharding)
+    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            GraspRefineError: an input that cannot be used at all; then nothing is written.
+        """
+        wall, cpu = time.perf_counter(), cpu_seconds()
+        config, protocol, part = self._checked()
+        out = self.output.out.absolute()
+        index = index_path(out, self.output.index)
+        described = {"refine": settings(config), "proof": settings(self.proof), "protocol": settings(protocol)}
+        console = screen(stderr=True)
+        with _terminated_as_interrupted():
+            with Progress(console, (), 1) as progress:
+                plan = self._plan(out, described, config.seed, progress)
+                self._check_outputs(plan, out, index)
+                progress.wait("looking at what is there")
+                asked = part_of(plan.shards, *part)
+                states = {shard.number: State.MISSING if self.sharding.again else state_of(shard) for shard in asked}
+                _tell_states(asked, states, progress)
+            todo = [shard for shard in asked if states[shard.number] is not State.COMPLETE]
+            session = Session({number for number, state in states.items() if state is State.COMPLETE})
+            session.skipped = sum(shard.size for shard in asked if shard.number in session.complete)
+            self._work(todo, ShardWork(config, protocol, described, self.output.profile), session, console)
+            with Progress(console, (), 1) as progress:
+                # Other parts of the batch may have come out meanwhile.
+                others = [shard for shard in plan.shards if shard.number not in states]
+                session.complete |= {shard.number for shard in others if state_of(shard) is State.COMPLETE}
+                summary = Summary.of(plan, session)
+                document = {
+                    "schema": SCHEMA,
+                    "command": "batch",
+                    "invocation": invocation("batch", self),
+                    "versions": versions(),
+                    "config": described
+                    | {"inputs": settings(self.inputs.plain()), "sharding": settings(self.sharding)},
+                    "seed": config.seed,
+                }
+                written = self._write(document, plan, summary, session, index, (wall, cpu), progress)
+        table = screen()
+        table.print(batch_table(document, summary.statistics))
+        if session.profile:
+            table.print(profile_table(session.profile))
+        table.print(f"{time.perf_counter() - wall:.1f} s; wrote", *written, soft_wrap=True, markup=False)
+        return NOTHING_USABLE if summary.failed or not summary.statistics.usable else 0
+
+    def _checked(self) -> tuple[Config, Protocol | None, tuple[int, int]]:
+        """How grasps are refined and simulated, and which part of how many is done.
+
+        Raises:
+            GraspRefineError: an option that cannot be.
+        """
+        if not self.jobs:
+            raise GraspRefineError(
+                "name what is to be refined: grasp files, a folder, a pattern, sample:N, or a job list (.toml, .csv)"
+            )
+        check_numbers(self.sharding)
+        if self.sharding.patience < LEAST_PATIENCE:
+            raise GraspRefineError(
+                f"--patience must be at least {LEAST_PATIENCE:g} seconds, got {self.sharding.patience:g}"
+            )
+        if self.sharding.dask is not None and self.sharding.workers is not None:
+            raise GraspRefineError("--workers is for this machine; a cluster (--dask) has workers of its own")
+        config = self.settings.config(nearest=self.inputs.targets == NEAREST)
+        if not self.proof.validate and self.proof != Proving():
+            raise GraspRefineError("--setting and --friction are for --validate: how grasps are simulated")
+        if self.proof.friction is not None and not 0 < self.proof.friction < inf:
+            raise GraspRefineError(f"--friction must be above 0, got {self.proof.friction:g}")
+        protocol = SETTINGS[self.proof.setting].slippery(self.proof.friction) if self.proof.validate else None
+        return config, protocol, _part(self.sharding.shard)
+
+    def _plan(self, out: Path, described: dict[str, Any], seed: int, progress: Progress) -> Plan:
+        """All shards of all jobs; those that cannot be done are told.
+
+        Raises:
+            GraspRefineError: none can be done.
+        """
+        jobs = read_jobs(self.jobs, self.inputs.plain())
+        # Results of an earlier run may lie in the folder of the grasps.
+        jobs = [job for job in jobs if not Path(str(job.inputs.grasps)).is_relative_to(out)]
+        if not jobs:
+            raise GraspRefineError(
+                f"{', '.join(self.jobs)}: no jobs in it but the results in {out}; give another --out"
+            )
+        planner = Planner(out, self.sharding.shard_size, uuid4().hex, described, seed)
+        plan = planner.plan(
+            jobs, progress.say, lambda number, name: progress.wait(f"planning {number + 1}/{len(jobs)}: {name}")
+        )
+        for refused in plan.refused:
+            progress.say(f"{refused.job} cannot be done: {refused.message}")
+        if not plan.shards:
+            more = f" (and {len(plan.refused) - 1} more)" if len(plan.refused) > 1 else ""
+            raise GraspRefineError(f"no job can be done: {plan.refused[0].job}: {plan.refused[0].message}{more}")
+        return plan
+
+    def _check_outputs(self, plan: Plan, out: Path, index: Path) -> None:
+        """Nothing, when what is written can be and takes the place of no input.
+
+        Raises:
+            GraspRefineError: it cannot, or would.
+        """
+        written = [index, out / REPORT, *([self.output.json] if self.output.json is not None else [])]
+        for path in (*written, plan.shards[0].path):
+            check_writable(path)
+        inputs = set(plan.files)
+        for path in (*written, *(shard.path for shard in plan.shards if shard.path.exists())):
+            check_no_input(path, inputs, "the results would overwrite an input; give another --out or --json")
+
+    def _work(self, todo: list[Shard], work: ShardWork, session: Session, console: Console) -> None:
+        """Do what is left, and note what becomes of each shard.
+
+        Raises:
+            KeyboardInterrupt: as it came; what is complete by then stays.
+        """
+        if not todo:
+            return
+        for shard in todo:
+            clean(shard)
+        workers = min(self.sharding.workers or cores(), len(todo))
+        simulated = work.protocol is not None
+        began = time.perf_counter()
+        with Progress(console, todo, workers, session.skipped, simulated=simulated) as progress:
+            if self.sharding.dask is not None:
+                from grasp_refine.apps.batch.cluster import run_on_cluster
+
+                run = partial(run_on_cluster, address=self.sharding.dask)
+            else:
+                run = partial(run_local, workers=workers, patience_s=self.sharding.patience)
+            by_number = {shard.number: shard for shard in todo}
+            try:
+                with closing(run(todo, work, tries=self.sharding.tries, beat=progress.beat)) as results:
+                    for result in results:
+                        session.take(result, by_number[result.number], progress)
+            except KeyboardInterrupt:
+                progress.say(
+                    f"{len(session.complete)} of {len(session.complete) + len(todo) - session.done - session.failed} "
+                    "shards are complete; the same command goes on from there"
+                )
+                raise
+        session.wall_s = time.perf_counter() - began
+
+    def _write(
+        self,
+        document: dict[str, Any],
+        plan: Plan,
+        summary: Summary,
+        session: Session,
+        index: Path,
+        began: tuple[float, float],
+        progress: Progress,
+    ) -> list[Path]:
+        """Write index, report and summary, from the result files alone; completes the document, returns the files."""
+        out, complete = self.output.out.absolute(), summary.complete
+        progress.wait("writing the index")
+        with index_writer(index) as writer:
+            for shard in complete:
+                rows = read_rows(shard, out)
+                writer.add(rows)
+                summary.statistics.add(rows)
+        # One of the other kind would be of another day.
+        index.with_suffix({".csv": ".parquet", ".parquet": ".csv"}[index.suffix]).unlink(missing_ok=True)
+        wall, cpu = time.perf_counter() - began[0], cpu_seconds() - began[1]
+        document |= {
+            "totals": summary.totals(session, wall, cpu),
+            "failed": summary.failed,
+            "jobs": summary.jobs(),
+        }
+        if session.profile:
+            document["profile"] = profile_entries(session.profile)
+        written = [index]
+        if self.output.report:
+            written.append(out / REPORT)
+            pictures = draw_cases(
+                summary.statistics.worst(),
+                out,
+                partial(_shown, {shard.number: shard for shard in plan.shards}, Kept(), document["seed"]),
+                tell=lambda what, share: progress.wait(what),
+            )
+            save_text(out / REPORT, page(document, summary.statistics, pictures))
+        if self.output.json is not None:
+            progress.wait("writing the summary")
+            save_batch(self.output.json, document, complete)
+            written.append(self.output.json)
+        return written
+
+
+def _part(text: str | None) -> tuple[int, int]:
+    """Which part, from 1 on, of how many.
+
+    Raises:
+        GraspRefineError: the text does not say it.
+    """
+    if text is None:
+        return 1, 1
+    found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
+    if not found or not 1 <= int(found[1]) <= int(found[2]):
+        raise GraspRefineError(f"--shard {text}: must be I/N, part I of N from 1/N to N/N, as in --shard 3/20")
+    return int(found[1]), int(found[2])
+
+
+def _tell_states(shards: Sequence[Shard], states: Mapping[int, State], progress: Progress) -> None:
+    """Say what there is already, and what of it is made anew."""
+    count = Counter(states.values())
+    if count[State.COMPLETE]:
+        progress.say(f"{count[State.COMPLETE]} of {len(shards)} shards are complete and skipped")
+    if count[State.CHANGED]:
+        progress.say(f"{count[State.CHANGED]} are of other inputs, settings or versions and are made anew")
+    for shard in shards:
+        if states[shard.number] is State.DAMAGED:
+            progress.say(f"{shard.path} cannot be read and is made anew")
+
+
+def _shown(shards: Mapping[int, Shard], kept: Kept, seed: int, case: Case) -> tuple[Hand, Object]:
+    """Hand and object of one of the worst cases."""
+    shard = shards[case.shard]
+    problem = kept.get("problem", case.shard, lambda: problem_of(shard.task, seed, kept, lambda what, share: None))
+    group = next(group for group in problem.groups if group.scale == case.scale)
+    return problem.hand, group.scene.object
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """Let SIGTERM, with which schedulers announce the end, interrupt as Ctrl-C does."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,138 @@
+"""What becomes of a batch: in one run of the command, and in all."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from grasp_refine.apps.batch.progress import Progress
+from grasp_refine.apps.batch.record import forget_failure, note_failure, noted_failure
+from grasp_refine.apps.batch.shard import Done, Failed, Shard
+from grasp_refine.apps.batch.statistics import Statistics
+from grasp_refine.commands.shard_plan import Plan
+from grasp_refine.commands.shard_work import peak_bytes
+from grasp_refine.errors import GraspRefineError
+
+
+@dataclass(eq=False)
+class Session:
+    """What happens in one run of the command."""
+
+    complete: set[int]
+    """Numbers of the shards with result files."""
+    skipped: int = 0
+    """Grasps that were there already."""
+    done: int = 0
+    """Shards that came out."""
+    failed: int = 0
+    """Shards that did not."""
+    grasps: int = 0
+    """Grasps that came out."""
+    wall_s: float = 0.0
+    """How long shards were worked on."""
+    cpu_s: float = 0.0
+    """CPU time of the work, without starting the workers."""
+    peak_bytes: int = 0
+    """Largest resident memory of a worker."""
+    notes: set[str] = field(default_factory=set)
+    """What was said."""
+    profile: dict[str, tuple[float, float, int]] = field(default_factory=dict)
+    """Stage -> CPU seconds, wall seconds and calls of all shards."""
+
+    def take(self, result: Done | Failed, shard: Shard, progress: Progress) -> None:
+        """Note and show what became of a shard."""
+        if isinstance(result, Failed):
+            self.failed += 1
+            progress.failed(result)
+            try:
+                note_failure(shard, result)
+            except GraspRefineError as error:
+                progress.say(str(error))
+            return
+        self.complete.add(shard.number)
+        forget_failure(shard)
+        self.done += 1
+        self.grasps += result.grasps
+        self.cpu_s += result.cpu_s
+        self.peak_bytes = max(self.peak_bytes, result.peak_bytes)
+        for stage, spent in result.profile.items():
+            before = self.profile.get(stage, (0.0, 0.0, 0))
+            self.profile[stage] = tuple(one + other for one, other in zip(before, spent, strict=True))
+        for note in result.notes:
+            if note not in self.notes:
+                self.notes.add(note)
+                progress.say(f"note: {note}")
+        progress.done(result)
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """What there is of a batch after a run of the command, whichever runs made it."""
+
+    plan: Plan
+    complete: tuple[Shard, ...]
+    """Shards with result files, in order."""
+    failed: list[dict[str, Any]]
+    """Shards, and jobs, that did not come out, and why."""
+    statistics: Statistics
+    """Of all grasps in the result files."""
+
+    @staticmethod
+    def of(plan: Plan, session: Session) -> Summary:
+        """The summary, still without statistics."""
+        complete = tuple(shard for shard in plan.shards if shard.number in session.complete)
+        failed = [
+            {
+                "shard": None,
+                "name": refused.job,
+                "path": None,
+                "reason": "refused",
+                "message": refused.message,
+                "tries": 0,
+                "traceback": "",
+            }
+            for refused in plan.refused
+        ]
+        for shard in plan.shards:
+            noted = None if shard.number in session.complete else noted_failure(shard)
+            if noted is not None:
+                failed.append(
+                    {
+                        "shard": shard.number,
+                        "name": shard.name,
+                        "path": shard.path,
+                        "reason": noted.reason,
+                        "message": noted.message,
+                        "tries": noted.tries,
+                        "traceback": noted.traceback,
+                    }
+                )
+        return Summary(plan, complete, failed, Statistics.empty())
+
+    def totals(self, session: Session, wall_s: float, cpu_s: float) -> dict[str, Any]:
+        """Counts of the whole batch, and what this run cost."""
+        return {
+            **self.statistics.totals(),
+            "shards": len(self.plan.shards),
+            "done": session.done,
+            "complete": len(self.complete),
+            "skipped": session.skipped,
+            "failed": len(self.failed),
+            "wall_s": wall_s,
+            "cpu_s": cpu_s,
+            "grasps_per_s": session.grasps / session.wall_s if session.wall_s else None,
+            "cpu_s_per_grasp": session.cpu_s / session.grasps if session.grasps else None,
+            "peak_bytes": max(session.peak_bytes, peak_bytes()),
+        }
+
+    def jobs(self) -> list[dict[str, Any]]:
+        """How many grasps and shards each job has, and how many of them are there."""
+        there = {shard.number for shard in self.complete}
+        counts: dict[str, Counter[str]] = {}
+        for shard in self.plan.shards:
+            count = counts.setdefault(shard.task.job, Counter())
+            found: Mapping[str, int] = {"grasps": shard.size, "shards": 1, "complete": int(shard.number in there)}
+            count.update(found)
+        return [{"job": job, **count} for job, count in counts.items()]

@@ -1,0 +1,178 @@
+"""The work on a shard of a batch: from its inputs to its result file, and to nothing else."""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+from grasp_refine.apps.batch.shard import Beat, Done, Shard
+from grasp_refine.commands.inputs import AUTO, NEAREST, Inputs
+from grasp_refine.commands.invocation import words
+from grasp_refine.commands.kept import Kept, KeptInputs, kept_for
+from grasp_refine.commands.refining import proved, refined
+from grasp_refine.commands.shard_plan import Task
+from grasp_refine.commands.sources import on_disk
+from grasp_refine.config import Config
+from grasp_refine.hand_object import HandObject
+from grasp_refine.holding import most_iterations
+from grasp_refine.problem import Problem
+from grasp_refine.report.document import settings
+from grasp_refine.report.outcome import Outcome
+from grasp_refine.report.results import fingerprint, save_results
+from grasp_refine.report.verdict import advice, should_hold
+from grasp_refine.stopwatch import Stopwatch
+from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.trials import Trials
+from grasp_refine.versions import versions
+
+
+@dataclass(frozen=True)
+class ShardWork:
+    """Refines the grasps of a shard, simulates them if asked, and writes the result file."""
+
+    config: Config
+    """How grasps are refined."""
+    protocol: Protocol | None
+    """How they are simulated; None: not at all."""
+    described: dict[str, Any]
+    """All settings, for provenance."""
+    profile: bool = False
+    """Whether it is told where the time goes."""
+
+    def __call__(self, shard: Shard, beat: Beat) -> Done:
+        """Do it.
+
+        Raises:
+            GraspRefineError: something cannot be used, or the file cannot be written.
+        """
+        # It takes a second to load, which only workers need.
+        import torch
+
+        # Each worker has a core of its own.
+        torch.set_num_threads(1)
+        if not self.profile:
+            return self._done(shard, beat)
+        with Stopwatch() as watch:
+            done = self._done(shard, beat)
+        return replace(done, profile={name: tuple(spent) for name, spent in watch.profile.items()})
+
+    def _done(self, shard: Shard, beat: Beat) -> Done:
+        wall, cpu = time.perf_counter(), time.process_time()
+        task, kept = shard.task, kept_for(shard.task.batch)
+        problem = problem_of(task, self.config.seed, kept, beat)
+        parts, trials = [], []
+        for number, group in enumerate(problem.groups):
+            prepared = kept.get(
+                "prepared", (problem.hand, group.scene.object), lambda scene=group.scene: HandObject.of(scene)
+            )
+            share = _Share(beat, number, len(problem.groups), self._most(), proves=self.protocol is not None)
+            parts.append(refined(group, self.config, share.refining, prepared))
+            if self.protocol is not None:
+                world = kept.get(
+                    "world",
+                    (problem.hand, group.scene.object, self.protocol),
+                    lambda scene=group.scene: _world(kept, scene.hand, scene.object, self.protocol, scene.table),
+                )
+                trials.append(proved(group, parts[-1], world, share.proving, threads=1))
+        outcome = Outcome.join(parts).select(problem.order)
+        proof = None
+        if trials:
+            proof = tuple(Trials.join(side).select(problem.order) for side in zip(*trials, strict=True))
+        if task.sampled is None:
+            # The rows of the whole file, of which the problem has only some.
+            outcome = replace(outcome, row=task.rows[outcome.row], index=task.index[outcome.index])
+        beat("writing", 1.0)
+        self._save(shard, problem, outcome, proof)
+        good = should_hold(outcome.quality[:, 0]), should_hold(outcome.quality[:, 1])
+        return Done(
+            number=shard.number,
+            grasps=len(outcome),
+            usable=int(outcome.usable.sum()),
+            good=(int(good[0].sum()), int(good[1].sum())),
+            held=None if proof is None else (int(proof[0].success.sum()), int(proof[1].success.sum())),
+            wall_s=time.perf_counter() - wall,
+            cpu_s=time.process_time() - cpu,
+            peak_bytes=peak_bytes(),
+            notes=problem.notes,
+        )
+
+    def _most(self) -> int:
+        """Most iterations of a grasp, to tell how far it is."""
+        return most_iterations(self.config) if self.config.holds else self.config.solver.iterations
+
+    def _save(self, shard: Shard, problem: Problem, outcome: Outcome, proof: tuple[Trials, Trials] | None) -> None:
+        task = shard.task
+        provenance = {
+            "versions": versions(),
+            "seed": self.config.seed,
+            "config": self.described | {"inputs": settings(task.inputs)},
+            "source": task.source,
+            "urdf": fingerprint(problem.hand.urdf),
+            "batch": {"stamp": shard.stamp, "job": task.job, "look": _look(task.inputs)},
+            "advice": advice(outcome, self.config),
+        }
+        save_results(shard.path, problem.hand, problem.groups[0].scene.links, outcome, provenance, proof)
+
+
+@dataclass(frozen=True)
+class _Share:
+    """Tells what share of a shard is done while one of its groups is worked on."""
+
+    beat: Beat
+    number: int
+    groups: int
+    most: int
+    proves: bool
+
+    def refining(self, finished: int, iteration: int, mean_loss: float) -> None:
+        """As the `progress` of `refine`."""
+        self._tell("refining", min(iteration / self.most, 1.0) * (0.5 if self.proves else 1.0))
+
+    def proving(self, what: str, done: float) -> None:
+        """As the `tell` of `proved`."""
+        self._tell(what, 0.75)
+
+    def _tell(self, what: str, share: float) -> None:
+        self.beat(what, (self.number + share) / self.groups)
+
+
+def problem_of(task: Task, seed: int, kept: Kept, beat: Beat) -> Problem:
+    """The grasps of a shard with hand and objects; rows and numbers count within the shard."""
+
+    def say(line: str) -> None:
+        beat(line, 0.0)
+
+    inputs = KeptInputs.of(task.inputs, kept)
+    beat("loading", 0.0)
+    if task.sampled is not None:
+        count, draw = task.sampled
+        return inputs.load_sampled(count, seed, say, say, draw)
+    path = on_disk(inputs.grasps, say)
+    read = inputs.read(path, say)
+    some = replace(read, grasps=read.grasps.select(task.rows))
+    # Targets were read with the file.
+    targets = NEAREST if inputs.targets == NEAREST else AUTO
+    return replace(inputs, object_name=task.object, targets=targets).load_read(some, path, seed, say)
+
+
+def _look(inputs: Inputs) -> list[str]:
+    """The options that `refine-grasp view` needs to show the result."""
+    other = {name: getattr(Inputs, name) for name in ("grasps", "targets", "scale", "format", "object_name", "index")}
+    return list(words(replace(inputs, **other)))
+
+
+def _world(kept: Kept, hand: Any, obj: Any, protocol: Protocol, table: Any) -> Any:
+    """Hand and object for MuJoCo; the hand's model is made once."""
+    from grasp_refine.validation.validate import model_of
+    from grasp_refine.validation.world import build_world
+
+    return build_world(kept.get("model", hand, lambda: model_of(hand)), obj, protocol, table)
+
+
+def peak_bytes() -> int:
+    """Largest resident memory of this process so far."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024

@@ -1,0 +1,272 @@
+"""Real worker processes that fail in all ways: the rest comes out, what failed is told, and nothing stays behind."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from command_line import interruptible, subprocess_environment
+from grasp_refine.apps.batch.crew import ONE_THREAD
+from grasp_refine.apps.batch.pool import run_local
+from grasp_refine.apps.batch.shard import Done, Failed
+from shard_works import Unknown, done, some_shards, work
+
+from grasp_refine.errors import GraspRefineError
+
+PATIENCE_S = 20.0
+"""Longer than any start, also on a busy machine."""
+
+
+def ignore(number: int, what: str, share: float) -> None:
+    pass
+
+
+def outcomes(
+    folder: Path, *tasks: str, workers: int = 1, patience_s: float = PATIENCE_S, beat: Callable = ignore
+) -> dict[int, Done | Failed]:
+    """Number -> what came of it."""
+    shards = some_shards(folder, *tasks)
+    found = {each.number: each for each in run_local(shards, work, workers=workers, patience_s=patience_s, beat=beat)}
+    assert multiprocessing.active_children() == []
+    return found
+
+
+def alive(number: int) -> bool:
+    """Whether a process runs; one that has ended and waits for its parent to notice does not."""
+    try:
+        return Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def soon(holds: Callable[[], bool], seconds: float = PATIENCE_S) -> bool:
+    until = time.monotonic() + seconds
+    while not holds() and time.monotonic() < until:
+        time.sleep(0.02)
+    return holds()
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts a program that has two workers work on tasks, as if from a terminal of its own; ended after the test."""
+    started: list[subprocess.Popen[str]] = []
+    path = tmp_path / "program.py"
+    path.write_text(PROGRAM)
+
+    def start(*tasks: str) -> subprocess.Popen[str]:
+        paths = [str(Path(__file__).parents[2]), subprocess_environment()["PYTHONPATH"]]
+        started.append(
+            subprocess.Popen(
+                [sys.executable, path, tmp_path, *tasks],
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                start_new_session=True,
+                preexec_fn=interruptible,
+            )
+        )
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from grasp_refine.apps.batch.pool import run_local
+from shard_works import some_shards, work
+
+if __name__ == "__main__":
+    try:
+        print("begun", flush=True)
+        shards = some_shards(Path(sys.argv[1]), *sys.argv[2:])
+        for each in run_local(shards, work, workers=2, patience_s=60.0, beat=lambda *_: None):
+            print(type(each).__name__, each.number, flush=True)
+    except KeyboardInterrupt:
+        print("interrupted", flush=True)
+"""
+
+
+def test_every_shard_comes_out_once_and_groups_stay_with_a_worker(tmp_path: Path):
+    tasks = ["a:write", "b:write", "a:write", "b:beat 0.5", "a:write", "a:write"]
+    found = outcomes(tmp_path, *tasks, workers=2)
+    assert found == {shard.number: done(shard) for shard in some_shards(tmp_path, *tasks)}
+    processes = [(tmp_path / f"{number}.txt").read_text() for number in range(len(tasks))]
+    assert len(set(processes)) <= 2 and str(os.getpid()) not in processes
+    assert processes[1] == processes[3]
+
+
+def test_no_shards_need_no_process(tmp_path: Path):
+    assert outcomes(tmp_path, workers=2) == {}
+
+
+def test_there_are_no_more_workers_than_shards(tmp_path: Path):
+    shards = some_shards(tmp_path, "write")
+    results = run_local(shards, work, workers=8, patience_s=PATIENCE_S, beat=ignore)
+    assert next(results) == done(shards[0])
+    assert len(multiprocessing.active_children()) == 1
+    assert list(results) == []
+    assert multiprocessing.active_children() == []
+
+
+def test_what_work_raises_is_told_and_the_worker_goes_on(tmp_path: Path):
+    kinds = ("mesh", "value", "stubborn", "memory", "full", "long")
+    found = outcomes(tmp_path, *(f"raise {kind}" for kind in kinds), "write")
+    failures = [found[number] for number in range(len(kinds))]
+    assert all(isinstance(each, Failed) and (each.reason, each.tries) == ("error", 1) for each in failures)
+    assert [each.message for each in failures[:5]] == [
+        "mug.obj: no such mesh; try another",
+        "ValueError: no luck",
+        "StubbornError: it cannot say what went wrong",
+        "MemoryError",
+        "OSError: [Errno 28] No space left on device: 'out.npz'",
+    ]
+    assert failures[5].message == f"ValueError: {'x' * 488} ..."
+    assert all(each.traceback.startswith("Traceback") and "in _raise" in each.traceback for each in failures[:5])
+    assert found[6] == done(some_shards(tmp_path, *[""] * 7)[6])
+
+
+def test_a_shard_whose_worker_crashes_is_tried_again_by_another(tmp_path: Path):
+    found = outcomes(tmp_path, "crash once SIGKILL", "write")
+    assert found == {shard.number: done(shard) for shard in some_shards(tmp_path, "", "")}
+
+
+def test_a_shard_that_always_crashes_fails_and_says_where(tmp_path: Path):
+    found = outcomes(tmp_path, "a:crash SIGSEGV", "b:crash exit", "c:crash SIGKILL", "d:write", workers=2)
+    segfault, left, killed, well = (found[number] for number in range(4))
+    assert [(each.reason, each.tries) for each in (segfault, left, killed)] == [("crashed", 2)] * 3
+    assert segfault.message == "its worker was ended by SIGSEGV at 25% of the shard: crash SIGSEGV"
+    assert segfault.traceback.startswith("about to crash\nFatal Python error: Segmentation fault")
+    assert "in _crash" in segfault.traceback
+    assert left.message == "its worker ended with exit code 3 at 25% of the shard: crash exit"
+    assert left.traceback == "about to crash"
+    assert killed.message == (
+        "its worker was ended by SIGKILL (by someone, or by the system because memory was short) "
+        "at 25% of the shard: crash SIGKILL"
+    )
+    assert isinstance(well, Done)
+
+
+def test_an_error_after_a_crash_counts_both_tries(tmp_path: Path):
+    (failure,) = outcomes(tmp_path, "crash once exit then raise").values()
+    assert (failure.reason, failure.tries) == ("error", 2)
+
+
+def test_a_worker_that_hangs_is_replaced_and_says_where(tmp_path: Path):
+    """Asleep, or stopped so that it can say nothing; one that gives signs of life may take as long as it likes."""
+    found = outcomes(tmp_path, "a:sleep 60", "b:crash SIGSTOP", "c:beat 4", "d:write", workers=3, patience_s=3.0)
+    asleep, stopped = found[0], found[1]
+    assert [(each.reason, each.tries) for each in (asleep, stopped)] == [("hung", 2)] * 2
+    assert asleep.message == "its worker gave no sign of life for 3 s at 25% of the shard: sleep 60"
+    assert "in _sleep" in asleep.traceback
+    assert stopped.traceback == "about to crash"
+    assert isinstance(found[2], Done) and isinstance(found[3], Done)
+
+
+def test_what_a_lost_worker_had_started_is_ended_with_it(tmp_path: Path):
+    (failure,) = outcomes(tmp_path, f"child {tmp_path}/child", patience_s=2.0).values()
+    assert failure.reason == "hung"
+    assert soon(lambda: not alive(int((tmp_path / "child").read_text())))
+
+
+def test_signs_of_life_arrive_with_the_number_of_the_shard(tmp_path: Path):
+    told: list[tuple[int, str, float]] = []
+    outcomes(tmp_path, "write", "beat 1", beat=lambda *what: told.append(what))
+    assert told[:2] == [(0, "write", 0.25), (1, "beat 1", 0.25)]
+    assert set(told[2:]) == {(1, "still there", 0.5)}
+    assert len(told) <= 8, "about 100 were given, at most 5 a second are sent"
+
+
+def test_a_caller_who_takes_long_makes_no_worker_look_dead(tmp_path: Path):
+    shards = some_shards(tmp_path, "write", "beat 2.5", "write")
+    numbers = []
+    for each in run_local(shards, work, workers=1, patience_s=2.0, beat=ignore):
+        assert isinstance(each, Done)
+        numbers.append(each.number)
+        time.sleep(2.5 if each.number == 0 else 0.0)
+    assert numbers == [0, 1, 2]
+
+
+def test_a_caller_who_stops_early_leaves_nothing_behind(tmp_path: Path):
+    half, child = tmp_path / "half", tmp_path / "child"
+    results = run_local(
+        some_shards(tmp_path, f"a:tidy {half}", f"b:child {child}", "c:write"),
+        work,
+        workers=3,
+        patience_s=PATIENCE_S,
+        beat=ignore,
+    )
+    next(results)
+    assert soon(lambda: half.exists() and child.exists() and child.read_text() != "")
+    results.close()
+    assert multiprocessing.active_children() == []
+    assert not half.exists(), "work is given time to clean up"
+    assert soon(lambda: not alive(int(child.read_text())))
+
+
+def test_workers_have_one_thread_and_the_environment_of_the_caller_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    before = dict(os.environ)
+    outcomes(tmp_path, f"threads {tmp_path}/threads")
+    assert (tmp_path / "threads").read_text() == " ".join(f"{name}=1" for name in ONE_THREAD)
+    assert dict(os.environ) == before
+
+
+def test_workers_are_quiet(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    outcomes(tmp_path, "print", "raise value", "crash once SIGSEGV")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_workers_that_cannot_start_end_the_batch_with_a_reason(tmp_path: Path):
+    with pytest.raises(GraspRefineError) as raised:
+        list(run_local(some_shards(tmp_path, "write"), Unknown(), workers=1, patience_s=PATIENCE_S, beat=ignore))
+    assert str(raised.value) == (
+        "3 worker processes in a row could not be started: the last ended with exit code 1 while it started: "
+        "ModuleNotFoundError: No module named 'no_such_module'; `refine-grasp doctor` says what is missing here"
+    )
+    assert multiprocessing.active_children() == []
+
+
+def test_workers_end_with_a_caller_who_is_killed(tmp_path: Path, program: Callable[..., subprocess.Popen[str]]):
+    """Also one that is deep in compiled code."""
+    deep, asleep = tmp_path / "deep", tmp_path / "asleep"
+    process = program(f"a:compute {deep}", f"b:tidy {asleep}")
+    assert soon(lambda: deep.exists() and deep.read_text() != "" and asleep.exists())
+    workers = [int(line) for line in children(process.pid)]
+    assert int(deep.read_text()) in workers
+    process.kill()
+    assert soon(lambda: not any(map(alive, workers)), 1.5)
+
+
+def children(number: int) -> list[str]:
+    return Path(f"/proc/{number}/task/{number}/children").read_text().split()
+
+
+@pytest.mark.parametrize("moment", ["starting", "working"])
+def test_an_interrupt_in_a_terminal_ends_everything_without_a_word(
+    tmp_path: Path, program: Callable[..., subprocess.Popen[str]], moment: str
+):
+    half = tmp_path / "half"
+    process = program(f"a:tidy {half}", "b:sleep 60")
+    assert process.stdout is not None and process.stdout.readline() == "begun\n"
+    # The first child looks after what processes share, and comes with the first worker.
+    assert soon(half.exists if moment == "working" else lambda: len(children(process.pid)) > 1)
+    workers = children(process.pid)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.communicate(timeout=10.0) == ("interrupted\n", "")
+    assert not any(alive(int(worker)) for worker in workers)
+    assert not half.exists()

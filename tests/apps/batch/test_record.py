@@ -1,0 +1,107 @@
+"""What a batch leaves of its shards: complete only what is whole and of the same inputs."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grasp_refine.apps.batch.record import (
+    State,
+    clean,
+    forget_failure,
+    note_failure,
+    noted_failure,
+    state_of,
+)
+from grasp_refine.apps.batch.shard import Failed, Shard
+from grasp_refine.errors import GraspRefineError
+
+
+def shard(folder: Path, stamp: str = "abc") -> Shard:
+    return Shard(3, "group", "job: hand, mug, part 0", 4, folder / "job" / "hand_mug_00000.npz", stamp, None)
+
+
+def written(of: Shard, provenance: object) -> Shard:
+    of.path.parent.mkdir(exist_ok=True)
+    np.savez(of.path, q=np.arange(1000.0), provenance=np.array(json.dumps(provenance)))
+    return of
+
+
+def test_a_result_is_complete_when_it_is_whole_and_has_the_stamp(tmp_path: Path):
+    one = shard(tmp_path)
+    assert state_of(one) is State.MISSING
+    written(one, {"batch": {"stamp": "abc"}})
+    assert state_of(one) is State.COMPLETE
+    assert state_of(shard(tmp_path, stamp="other")) is State.CHANGED
+
+
+@pytest.mark.parametrize("provenance", [{}, {"batch": None}, {"batch": {}}, [], "text", {"batch": ["stamp"]}])
+def test_files_of_something_else_are_changed(tmp_path: Path, provenance: object):
+    assert state_of(written(shard(tmp_path), provenance)) is State.CHANGED
+
+
+def test_every_damage_is_seen(tmp_path: Path):
+    one = written(shard(tmp_path), {"batch": {"stamp": "abc"}})
+    whole = one.path.read_bytes()
+    for at in range(100, len(whole) - 200, 997):
+        one.path.write_bytes(whole[:at] + bytes([whole[at] ^ 255]) + whole[at + 1 :])
+        assert state_of(one) is State.DAMAGED, at
+    for length in (0, 1, 100, len(whole) // 2, len(whole) - 1):
+        one.path.write_bytes(whole[:length])
+        assert state_of(one) is State.DAMAGED, length
+    np.savez(one.path, q=np.zeros(3))
+    assert state_of(one) is State.DAMAGED
+    np.savez(one.path, provenance=np.array("no JSON"))
+    assert state_of(one) is State.DAMAGED
+
+
+def test_a_failure_is_noted_and_what_was_there_before_goes(tmp_path: Path):
+    one = written(shard(tmp_path), {"batch": {"stamp": "old"}})
+    failed = Failed(3, "crashed", "the worker ended", "Traceback ...", 2)
+    note_failure(one, failed)
+    assert not one.path.exists()
+    assert noted_failure(one) == failed
+    assert noted_failure(shard(tmp_path, stamp="other")) is None
+    forget_failure(one)
+    assert noted_failure(one) is None
+    assert list(one.path.parent.iterdir()) == []
+    forget_failure(one)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"stamp": "abc"}', "3"])
+def test_a_damaged_note_is_none(tmp_path: Path, text: str):
+    one = shard(tmp_path)
+    one.path.parent.mkdir()
+    one.path.with_name(one.path.name + ".failed.json").write_text(text)
+    assert noted_failure(one) is None
+
+
+def test_a_note_that_cannot_be_written_is_told(tmp_path: Path):
+    (tmp_path / "job").write_text("in the way")
+    with pytest.raises(GraspRefineError, match="cannot be written"):
+        note_failure(shard(tmp_path), Failed(3, "error", "x", "", 1))
+
+
+def test_what_killed_processes_left_is_taken_away_and_what_others_write_is_not(tmp_path: Path):
+    one = shard(tmp_path)
+    one.path.parent.mkdir()
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    left, mine, other = (
+        one.path.with_name(name)
+        for name in (
+            f".{ended.pid}.partial.{one.path.name}",
+            f".{os.getpid()}.partial.{one.path.name}",
+            f".{ended.pid}.partial.other.npz",
+        )
+    )
+    for path in (left, mine, other):
+        path.touch()
+    clean(one)
+    assert not left.exists()
+    assert mine.exists()
+    assert other.exists()

@@ -1,0 +1,141 @@
+"""Works that tests give to workers of a batch: they can be imported by the workers, too."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from importlib import import_module
+from pathlib import Path
+
+from grasp_refine.apps.batch.crew import ONE_THREAD
+from grasp_refine.apps.batch.shard import Beat, Done, Shard
+
+from grasp_refine.errors import MeshError
+
+
+def some_shards(folder: Path, *tasks: str, group: str = "g") -> list[Shard]:
+    """One shard per task of `work`, numbered from 0; "group:task" names its group."""
+    shards = []
+    for number, task in enumerate(tasks):
+        of, _, what = task.rpartition(":")
+        shards.append(Shard(number, of or group, f"shard {number}", 1, folder / f"{number}.txt", "0", what))
+    return shards
+
+
+def done(shard: Shard) -> Done:
+    """What is told of a shard that came out."""
+    return Done(shard.number, shard.size, shard.size, (0, 1), None, 0.0, 0.0, 0)
+
+
+def work(shard: Shard, beat: Beat) -> Done:
+    """Do what the task says, and write which process did."""
+    first = not (started := shard.path.with_suffix(".started")).exists()
+    started.touch()
+    beat(shard.task, 0.25)
+    verb, _, how = shard.task.partition(" ")
+    ACTIONS[verb](how, first, beat)
+    shard.path.write_text(str(os.getpid()))
+    return done(shard)
+
+
+class StubbornError(Exception):
+    """Cannot be pickled, and fails when asked what it says."""
+
+    def __reduce__(self):
+        raise TypeError("not me")
+
+    def __str__(self):
+        raise ValueError("not this, either")
+
+
+def _raise(how: str, first: bool, beat: Beat) -> None:
+    raise {
+        "mesh": MeshError("mug.obj: no such mesh;\ntry another"),
+        "value": ValueError("no luck"),
+        "stubborn": StubbornError(),
+        "memory": MemoryError(),
+        "full": OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "out.npz"),
+        "long": ValueError("x" * 10_000),
+    }[how]
+
+
+def _crash(how: str, first: bool, beat: Beat) -> None:
+    if how.startswith("once") and not first:
+        return
+    print("about to crash", file=sys.stderr, flush=True)
+    if how.endswith("exit"):
+        os._exit(3)
+    os.kill(os.getpid(), signal.Signals[how.split()[-1]])
+    time.sleep(60.0)
+
+
+def _sleep(how: str, first: bool, beat: Beat) -> None:
+    time.sleep(float(how))
+
+
+def _beat(how: str, first: bool, beat: Beat) -> None:
+    until = time.monotonic() + float(how)
+    while time.monotonic() < until:
+        beat("still there", 0.5)
+        time.sleep(0.01)
+
+
+def _child(how: str, first: bool, beat: Beat) -> None:
+    """A process of its own, whose number is written down."""
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    Path(how).write_text(str(child.pid))
+    time.sleep(60.0)
+
+
+def _compute(how: str, first: bool, beat: Beat) -> None:
+    """Compiled code that never ends, and lets no other thread of Python run."""
+    Path(how).write_text(str(os.getpid()))
+    re.match("(a+)+$", "a" * 60 + "b")
+
+
+def _tidy(how: str, first: bool, beat: Beat) -> None:
+    """Takes away what is half written."""
+    partial = Path(how)
+    partial.touch()
+    try:
+        time.sleep(60.0)
+    finally:
+        partial.unlink()
+
+
+def _threads(how: str, first: bool, beat: Beat) -> None:
+    Path(how).write_text(" ".join(f"{name}={os.environ.get(name)}" for name in ONE_THREAD))
+
+
+def _print(how: str, first: bool, beat: Beat) -> None:
+    os.write(1, b"out\n")
+    print("error", file=sys.stderr)
+
+
+class Unknown:
+    """A work that no worker can load."""
+
+    def __reduce__(self):
+        return import_module, ("no_such_module",)
+
+    def __call__(self, shard: Shard, beat: Beat) -> Done:
+        raise NotImplementedError
+
+
+ACTIONS = {
+    "write": lambda how, first, beat: None,
+    "raise": _raise,
+    "crash": _crash,
+    "sleep": _sleep,
+    "beat": _beat,
+    "child": _child,
+    "compute": _compute,
+    "tidy": _tidy,
+    "threads": _threads,
+    "print": _print,
+}

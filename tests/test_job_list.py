@@ -1,0 +1,162 @@
+"""Job lists: what folders, patterns, TOML and CSV files mean, and how what is wrong in them is told."""
+
+from pathlib import Path
+
+import pytest
+
+from grasp_refine.commands.inputs import Inputs
+from grasp_refine.commands.job_list import KEYS, Job, read_jobs
+from grasp_refine.errors import GraspRefineError
+
+
+def jobs(*sources: object, **defaults: object) -> list[Job]:
+    return read_jobs([str(source) for source in sources], Inputs(**defaults))
+
+
+def problem(*sources: object) -> str:
+    with pytest.raises(GraspRefineError) as caught:
+        jobs(*sources)
+    return str(caught.value)
+
+
+def listed(folder: Path, text: str, name: str = "jobs.toml") -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Grasp files in a folder and below it, and other files."""
+    for name in ("b10.npz", "b9.npz", "deep/b9.npy", "deep/er/c.pickle", "notes.txt", "deep/.1.partial.x.npz"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    return tmp_path
+
+
+def test_a_folder_has_a_job_for_each_grasp_file_below_it_in_natural_order(folder: Path):
+    assert [job.name for job in jobs(folder)] == ["b9", "b10", "deep/b9", "deep/er/c"]
+    assert [job.inputs.grasps for job in jobs(folder)][2] == folder / "deep/b9.npy"
+
+
+def test_a_pattern_has_a_job_for_each_match(folder: Path):
+    assert [job.name for job in jobs(f"{folder}/*.npz")] == ["b9", "b10"]
+    assert [job.name for job in jobs(f"{folder}/**/*.n*")] == ["b9", "b10", "b9_2"]
+
+
+def test_sources_are_joined_and_equal_names_are_told_apart(folder: Path):
+    assert [job.name for job in jobs(folder / "b9.npz", folder / "deep", "sample:5")] == [
+        "b9",
+        "b9_2",
+        "er/c",
+        "sample_5",
+    ]
+
+
+def test_options_are_defaults_of_every_job(folder: Path):
+    found = jobs(folder / "b9.npz", hand="allegro", scale=2.0)
+    assert found[0].inputs == Inputs(grasps=folder / "b9.npz", hand="allegro", scale=2.0)
+
+
+def test_a_toml_list_has_defaults_and_jobs_with_paths_relative_to_it(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir("/")
+    (folder / "meshes").mkdir()
+    (folder / "cup.obj").touch()
+    path = listed(
+        folder,
+        """
+        [defaults]
+        hand = "leap"
+        scale = 2
+        [[job]]
+        grasps = "b9.npz"
+        objects = "meshes"
+        [[job]]
+        name = "all"
+        grasps = "deep"
+        hand = "allegro"
+        object = "cup.obj"
+        holes = "cap"
+        [[job]]
+        grasps = "sample:8"
+        object = "mug"
+        """,
+    )
+    found = jobs(path)
+    assert [job.name for job in found] == ["b9", "all/b9", "all/er/c", "sample_8"]
+    assert found[0].inputs == Inputs(grasps=folder / "b9.npz", hand="leap", scale=2.0, objects=folder / "meshes")
+    assert found[1].inputs == Inputs(
+        grasps=folder / "deep/b9.npy", hand="allegro", scale=2.0, object=str(folder / "cup.obj"), holes="cap"
+    )
+    assert found[3].inputs == Inputs(grasps=Path("sample:8"), hand="leap", scale=2.0, object="mug")
+    assert found[3].origin == f"{path}: job 3"
+
+
+def test_a_csv_list_has_a_job_in_each_line_and_empty_cells_are_left_to_the_options(folder: Path):
+    path = listed(folder, "name,grasps,hand,scale\nfirst,b9.npz,leap,0.1\n,*.npz,,\n", "jobs.csv")
+    found = jobs(path, hand="allegro")
+    assert [job.name for job in found] == ["first", "b9", "b10"]
+    assert found[0].inputs == Inputs(grasps=folder / "b9.npz", hand="leap", scale=0.1)
+    assert found[1].inputs == Inputs(grasps=folder / "b9.npz", hand="allegro")
+
+
+def test_relative_paths_no_longer_depend_on_the_working_folder(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(folder)
+    (found,) = jobs("b9.npz", hand="deep/hand.urdf", objects=Path("deep"))
+    assert found.inputs.grasps == folder / "b9.npz"
+    assert found.inputs.objects == folder / "deep"
+    # Not there: what is wrong with it is told with the job.
+    assert found.inputs.hand == "deep/hand.urdf"
+
+
+def test_a_file_that_is_not_there_is_a_job_that_will_be_told(tmp_path: Path):
+    assert [job.name for job in jobs(tmp_path / "none.npz")] == ["none"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no jobs in it"),
+        ("job = 3", "jobs are [[job]] tables"),
+        ("[[job]]\ngrasp = 'x.npz'", "job 1: 'grasp' is nothing that a job has; there are name, hand, urdf"),
+        ("[[jobs]]\n", "'jobs' means nothing here"),
+        ("[[job]]\nhand = 'leap'", 'job 1: says no grasps = "FILE"'),
+        ("[[job]]\ngrasps = 3", "job 1: grasps must be text, got 3"),
+        ("[[job]]\ngrasps = 'b9.npz'\nscale = 'big'", "job 1: scale must be a number, got 'big'"),
+        ("[[job]]\ngrasps = 'b9.npz'\nscale = true", "job 1: scale must be a number, got True"),
+        ("[[job]]\ngrasps = 'b9.npz'\nunit = 'miles'", "job 1: unit must be one of m, cm, mm, in, got 'miles'"),
+        ("[[job]]\ngrasps = 'b9.npz'\nname = 3", "job 1: name must be text, got 3"),
+        ("[[job]]\ngrasps = '*.nothing'", "*.nothing: matches no grasp files"),
+        ("[defaults]\nindex = [1]\n[[job]]", "[defaults]: 'index' is nothing that a job has"),
+        ("[[job]", "cannot be read as a TOML job list"),
+    ],
+)
+def test_what_is_wrong_in_a_toml_list_is_told_with_its_place(folder: Path, text: str, said: str):
+    assert said in problem(listed(folder, text))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("grasps\n", "no jobs in it"),
+        ("grasps,colour\nb9.npz,red\n", "its header: 'colour' is nothing that a job has"),
+        ("grasps,hand\nb9.npz\n", "job 1: has not as many cells as the header, 2"),
+        ("grasps,hand\nb9.npz,leap,mug\n", "job 1: has not as many cells as the header, 2"),
+        ("grasps,scale\nb9.npz,nan\n", "job 1: scale must be a number, got 'nan'"),
+        ("hand\nleap\n", "job 1: says no grasps"),
+        ('grasps\n"b9.npz\n', "cannot be read as a CSV job list"),
+    ],
+)
+def test_what_is_wrong_in_a_csv_list_is_told_with_its_place(folder: Path, text: str, said: str):
+    assert said in problem(listed(folder, text, "jobs.csv"))
+
+
+def test_lists_that_are_not_there_and_empty_folders_are_told(tmp_path: Path):
+    assert "none.toml: cannot be read as a TOML job list (No such file" in problem(tmp_path / "none.toml")
+    assert "none.csv: cannot be read as a CSV job list (No such file" in problem(tmp_path / "none.csv")
+    assert "no grasp files in this folder or below it; they end with .npz" in problem(tmp_path)
+
+
+def test_a_job_can_say_every_input_but_which_grasps():
+    assert {"grasps", "hand", "object", "objects", "scale", "targets"} <= set(KEYS)
+    assert "index" not in KEYS
