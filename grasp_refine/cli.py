@@ -23,6 +23,7 @@ PROGRAM = "refine-grasp"
 
 COMMANDS = {
     "run": "refine grasps of a hand on an object; without options, an embedded example",
+    "batch": "refine whole datasets of grasps, in processes or on a cluster, and go on where it stopped",
     "validate": "test grasps of any file: geometry, and whether they hold in simulation",
     "view": "grasps in a browser: refined before your eyes, steered, tested, compared, taken away",
     "convert": "grasp files of other programs into ours and back, checked by fingertip positions",
@@ -37,7 +38,7 @@ COMMANDS = {
 }
 """Name of each command -> what it does."""
 
-WITH_MUJOCO = ("run", "validate", "view", "convert", "bench align", "bench grasp", "bench hold")
+WITH_MUJOCO = ("run", "batch", "validate", "view", "convert", "bench align", "bench grasp", "bench hold")
 """Commands that load MuJoCo, or pytorch-kinematics, which does: that fails with a traceback if `MUJOCO_GL` is wrong."""
 
 BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextvars import ContextVar, Token
 from dataclasses import dataclass, field
 from functools import wraps
@@ -108,14 +108,6 @@ class Stopwatch:
     def wall_s(self) -> float:
         """Wall seconds of all stages."""
         return sum(one.wall_s for one in self.spent.values())
-
-    def shares(self, names: Mapping[str, tuple[Stage, ...]]) -> dict[str, float]:
-        """Share of the CPU time of each group of stages."""
-        whole = self.cpu_s
-        return {
-            name: sum(self.spent[stage].cpu_s for stage in group) / whole if whole > 0 else 0.0
-            for name, group in names.items()
-        }
 
     def begin(self, name: Stage) -> None:
         """A stage begins inside the present one."""

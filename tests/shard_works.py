@@ -74,6 +74,11 @@ def _crash(how: str, first: bool, beat: Beat) -> None:
     time.sleep(60.0)
 
 
+def _worse(how: str, first: bool, beat: Beat) -> None:
+    """Crashes first, then raises."""
+    (_crash if first else _raise)("exit" if first else "value", first, beat)
+
+
 def _sleep(how: str, first: bool, beat: Beat) -> None:
     time.sleep(float(how))
 
@@ -131,6 +136,7 @@ ACTIONS = {
     "write": lambda how, first, beat: None,
     "raise": _raise,
     "crash": _crash,
+    "worse": _worse,
     "sleep": _sleep,
     "beat": _beat,
     "child": _child,

@@ -1,74 +1,362 @@
-"""Rows of nested dataclasses: taking, joining, choosing."""
+"""`refine-grasp batch`: whole datasets, whatever happens on the way."""
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import PROGRAM, interruptible, refused, subprocess_environment
 
-from grasp_refine.batch import choose, join, take
+from grasp_refine.assets import resource_dir
+from grasp_refine.cli import main
 
-
-@dataclass(frozen=True, eq=False)
-class Inner:
-    numbers: np.ndarray
-    poses: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Outer:
-    flags: np.ndarray
-    inner: Inner
+EXAMPLES = resource_dir("robots") / "allegro"
+QUICK = ("--geometry-only", "--iterations", "12", "--index", "csv", "--workers", "1")
+"""Refinements of a moment; Parquet is tested with the index."""
+TIMING = ("wall_s", "cpu_s")
 
 
-def rows(count: int, seed: int) -> Outer:
-    rng = np.random.default_rng(seed)
-    return Outer(rng.random(count) < 0.5, Inner(rng.normal(size=count), rng.normal(size=(count, 2, 3))))
+def batch(*arguments: object) -> int:
+    return main(["batch", *map(str, arguments)])
 
 
-def parts(of: Outer) -> tuple[np.ndarray, ...]:
-    return of.flags, of.inner.numbers, of.inner.poses
+def results(out: Path) -> dict[str, dict[str, np.ndarray]]:
+    """All that result files hold, by their names, but times."""
+    found = {}
+    for path in sorted(out.rglob("*.npz")):
+        with np.load(path) as entries:
+            found[path.relative_to(out).as_posix()] = {
+                name: entries[name] for name in entries.files if name not in TIMING
+            }
+    return found
+
+
+def assert_same(one: Path, other: Path) -> None:
+    """The same result files, bit for bit, but for times."""
+    left, right = results(one), results(other)
+    assert list(left) == list(right)
+    for name, entries in left.items():
+        assert list(entries) == list(right[name])
+        for key, value in entries.items():
+            assert value.dtype == right[name][key].dtype, (name, key)
+            assert value.tobytes() == right[name][key].tobytes(), (name, key)
+
+
+def index(out: Path) -> list[dict[str, str]]:
+    with (out / "index.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two files of four grasps, on two objects, one of them convex."""
+    folder = tmp_path_factory.mktemp("sets")
+    for name in ("rounded_box", "bottle"):
+        shutil.copy(EXAMPLES / f"example_{name}.npz", folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(sources: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What comes out of them without any trouble, three grasps a shard."""
+    out = tmp_path_factory.mktemp("whole")
+    assert batch(sources, "--out", out, "--shard-size", 3, "--json", out / "batch.json", *QUICK) == 0
+    return out
+
+
+@pytest.fixture
+def copy(whole: Path, tmp_path: Path) -> Path:
+    """The same results, to be changed."""
+    return Path(shutil.copytree(whole, tmp_path / "out"))
+
+
+def test_every_grasp_is_in_one_result_file_and_in_the_index(whole: Path, sources: Path):
+    assert list(results(whole)) == [
+        f"example_{name}/allegro_{name}_0000{part}.npz" for name in ("bottle", "rounded_box") for part in (0, 1)
+    ]
+    rows = index(whole)
+    assert [(row["job"], int(row["row"])) for row in rows] == [
+        (f"example_{name}", row) for name in ("bottle", "rounded_box") for row in range(4)
+    ]
+    for row in rows:
+        with np.load(whole / row["file"]) as entries:
+            assert float(row["quality_after"]) == entries["quality_after"][int(row["row_in_file"])]
+    assert (whole / "report.html").read_text().count("<img") >= 2
+
+
+def test_grasps_are_refined_as_run_does(sources: Path, tmp_path: Path):
+    options = ("--geometry-only", "--iterations", "12")
+    out = tmp_path / "out"
+    assert batch(sources / "example_bottle.npz", "--out", out, "--no-report", *QUICK) == 0
+    assert main(["run", "--grasps", str(sources / "example_bottle.npz"), "--out", str(tmp_path), *options]) == 0
+    (found,) = results(out).values()
+    with np.load(tmp_path / "allegro_bottle.npz") as expected:
+        for name in set(expected.files) - {*TIMING, "provenance"}:
+            np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
+
+
+def test_the_summary_has_the_totals_and_each_grasp_as_run_tells_it(whole: Path, sources: Path, tmp_path: Path):
+    document = json.loads((whole / "batch.json").read_text())
+    assert document["schema"] == 1
+    assert document["command"] == "batch"
+    totals = document["totals"]
+    assert (totals["n"], totals["shards"], totals["done"], totals["failed"]) == (8, 4, 4, 0)
+    assert totals["converged"] == sum(grasp["status"] == "converged" for grasp in document["grasps"])
+    assert totals["peak_bytes"] > 1e8
+    assert totals["success_before"] is None
+    assert document["failed"] == []
+    assert [job["grasps"] for job in document["jobs"]] == [4, 4]
+    said = tmp_path / "run.json"
+    run = ("run", "--grasps", sources / "example_bottle.npz", "--out", tmp_path, "--json", said)
+    assert main([*map(str, run), "--geometry-only", "--iterations", "12", "--index", "1"]) == 0
+    (expected,) = json.loads(said.read_text())["grasps"]
+    found = document["grasps"][1]
+    assert set(found) == {*expected, "job"}
+    for name in set(expected) - {*TIMING, "advice", "index"}:
+        assert flat(found[name]) == pytest.approx(flat(expected[name]), abs=1e-6, nan_ok=True), name
+
+
+def flat(value: object) -> object:
+    """Numbers in a flat dictionary, for `approx`."""
+    if not isinstance(value, dict):
+        return value
+    return {
+        f"{key}.{inner}": number
+        for key, entry in value.items()
+        for inner, number in (flat(entry).items() if isinstance(entry, dict) else [("", entry)])
+    }
+
+
+def test_what_is_complete_is_skipped(copy: Path, sources: Path, capsys: pytest.CaptureFixture[str]):
+    before = {path: path.stat().st_mtime_ns for path in copy.rglob("*.npz")}
+    first = (copy / "index.csv").read_bytes()
+    assert batch(sources, "--out", copy, "--shard-size", 3, *QUICK) == 0
+    assert {path: path.stat().st_mtime_ns for path in copy.rglob("*.npz")} == before
+    assert (copy / "index.csv").read_bytes() == first
+    assert "4 of 4 shards are complete and skipped" in capsys.readouterr().err
+
+
+def test_what_is_missing_or_damaged_is_made_anew_and_comes_out_the_same(
+    copy: Path, whole: Path, sources: Path, capsys: pytest.CaptureFixture[str]
+):
+    missing, damaged, *_ = sorted(copy.rglob("*.npz"))
+    missing.unlink()
+    content = damaged.read_bytes()
+    damaged.write_bytes(content[:1000] + b"\0" * 100 + content[1100:])
+    assert batch(sources, "--out", copy, "--shard-size", 3, *QUICK) == 0
+    error = " ".join(capsys.readouterr().err.split())
+    assert "2 of 4 shards are complete and skipped" in error
+    assert "allegro_bottle_00001.npz cannot be read and is made anew" in error
+    assert_same(copy, whole)
+
+
+def test_other_settings_and_other_inputs_are_made_anew(
+    copy: Path, sources: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    other = ("--geometry-only", "--iterations", "5", "--index", "csv", "--workers", "1", "--no-report")
+    assert batch(sources / "example_bottle.npz", "--out", copy, "--shard-size", 3, *other) == 0
+    assert "2 are of other inputs, settings or versions and are made anew" in " ".join(capsys.readouterr().err.split())
+    assert all(int(row["iterations"]) <= 5 for row in index(copy))
+
+
+def test_parts_of_a_batch_make_up_the_whole(whole: Path, sources: Path, tmp_path: Path):
+    out = tmp_path / "out"
+    for part in ("2/2", "1/2"):
+        assert batch(sources, "--out", out, "--shard-size", 3, "--shard", part, "--no-report", *QUICK) == 0
+        assert len(index(out)) == (4 if part == "2/2" else 8)
+    assert_same(out, whole)
+
+
+def test_bad_jobs_among_good_ones_are_named_and_the_rest_is_done(
+    tmp_path: Path, sources: Path, whole: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "mesh.obj").write_text("v 0 0 0\nthis is no mesh\n")
+    (tmp_path / "torn.npz").write_bytes((sources / "example_bottle.npz").read_bytes()[:500])
+    jobs = tmp_path / "jobs.toml"
+    jobs.write_text(
+        f"""
+        [[job]]
+        name = "unreadable mesh"
+        grasps = "{sources / "example_bottle.npz"}"
+        object = "mesh.obj"
+        [[job]]
+        name = "torn"
+        grasps = "torn.npz"
+        [[job]]
+        name = "no such hand"
+        grasps = "{sources / "example_bottle.npz"}"
+        hand = "claw"
+        [[job]]
+        grasps = "{sources / "example_bottle.npz"}"
+        """
+    )
+    out, summary = tmp_path / "out", tmp_path / "summary.json"
+    assert batch(jobs, "--out", out, "--shard-size", 3, "--json", summary, *QUICK) == 1
+    done = results(out)
+    assert list(done) == [f"example_bottle/allegro_bottle_0000{part}.npz" for part in (0, 1)]
+    for name, entries in done.items():
+        for key in set(entries) - {"provenance"}:
+            np.testing.assert_array_equal(entries[key], results(whole)[name][key])
+    document = json.loads(summary.read_text())
+    failed = {one["name"].partition(":")[0]: one for one in document["failed"]}
+    assert set(failed) == {"unreadable mesh", "torn", "no such hand"}
+    assert "mesh.obj" in failed["unreadable mesh"]["message"]
+    assert "Traceback" in failed["unreadable mesh"]["traceback"]
+    assert failed["no such hand"]["reason"] == "refused"
+    assert document["totals"]["n"] == 4
+    said = capsys.readouterr()
+    page = (out / "report.html").read_text()
+    for name in failed:
+        assert name in " ".join((said.out + said.err).split())
+        assert name in page
+    # Mended, it comes out, and the note of the failure goes.
+    shutil.copy(EXAMPLES.parent / "allegro" / "example_mug.npz", tmp_path / "torn.npz")
+    assert list(out.rglob("*.failed.json"))
+    jobs.write_text(f'[[job]]\nname = "unreadable mesh"\ngrasps = "{sources / "example_bottle.npz"}"\n')
+    assert batch(jobs, "--out", out, "--shard-size", 3, "--no-report", *QUICK) == 0
+    assert not list(out.rglob("*.failed.json"))
+
+
+def test_results_are_no_grasps_of_the_next_run(tmp_path: Path, sources: Path, capsys: pytest.CaptureFixture[str]):
+    shutil.copy(sources / "example_bottle.npz", tmp_path)
+    for _ in range(2):
+        assert batch(tmp_path, "--out", tmp_path / "out", "--no-report", *QUICK) == 0
+        assert len(index(tmp_path / "out")) == 4
+
+
+def test_simulation_is_part_of_the_results(tmp_path: Path, sources: Path):
+    out, summary = tmp_path / "out", tmp_path / "summary.json"
+    options = ("--validate", "--setting", "strict", "--json", summary, "--no-report", *QUICK)
+    assert batch(sources / "example_rounded_box.npz", "--out", out, *options) == 0
+    document = json.loads(summary.read_text())
+    after = [grasp["simulation"]["after"] for grasp in document["grasps"]]
+    assert [one["setting"] for one in after] == ["strict"] * 4
+    assert document["totals"]["success_after"] == sum(one["success"] for one in after)
+    assert [row["held_after"] for row in index(out)] == [str(one["success"]).lower() for one in after]
+
+
+def test_sampled_grasps_are_a_job(tmp_path: Path):
+    out = tmp_path / "out"
+    options = ("--hand", "allegro", "--object", "rounded_box", "--shard-size", 2, "--no-report", *QUICK)
+    assert batch("sample:3", "--out", out, *options) == 0
+    one, other = results(out).values()
+    assert len(one["q"]) == 2
+    assert len(other["q"]) == 1
+    assert not (one["initial_q"] == other["initial_q"]).all(axis=1).any()
+
+
+def test_where_the_time_goes_is_told(tmp_path: Path, sources: Path, capsys: pytest.CaptureFixture[str]):
+    summary = tmp_path / "summary.json"
+    options = ("--profile", "--json", summary, "--no-report", *QUICK)
+    assert batch(sources / "example_rounded_box.npz", "--out", tmp_path / "out", *options) == 0
+    profile = json.loads(summary.read_text())["profile"]
+    assert profile["narrow phase"]["cpu_s"] > 0
+    assert profile["solver"]["calls"] > 0
+    assert "narrow phase" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
-    "index", [np.array([3, 0, 0]), np.array([True, False, True, False, False]), np.zeros(0, dtype=int)]
+    ("arguments", "said"),
+    [
+        ((), "name what is to be refined: grasp files, a folder, a pattern, sample:N, or a job list"),
+        (("none.npz",), "no job can be done: none: none.npz: no such grasp file"),
+        (("sample:4",), "no job can be done: sample_4: --grasps sample:4 needs to know of what"),
+        (("x.npz", "--shard", "0/3"), "--shard 0/3: must be I/N, part I of N from 1/N to N/N"),
+        (("x.npz", "--shard", "3"), "--shard 3: must be I/N"),
+        (("x.npz", "--shard", "4/3"), "--shard 4/3: must be I/N"),
+        (("x.npz", "--shard-size", "0"), "--shard-size must be at least 1, got 0"),
+        (("x.npz", "--workers", "0"), "--workers must be at least 1, got 0"),
+        (("x.npz", "--tries", "0"), "--tries must be at least 1, got 0"),
+        (("x.npz", "--patience", "1"), "--patience must be at least 5 seconds, got 1"),
+        (("x.npz", "--dask", "tcp://x:1", "--workers", "2"), "a cluster (--dask) has workers of its own"),
+        (("x.npz", "--setting", "strict"), "--setting and --friction are for --validate"),
+        (("x.npz", "--validate", "--friction", "0"), "--friction must be above 0, got 0"),
+    ],
 )
-def test_taking_rows_takes_them_from_every_array(index: np.ndarray) -> None:
-    whole = rows(5, 0)
-    found = take(whole, index)
-    assert isinstance(found, Outer) and isinstance(found.inner, Inner)
-    for part, expected in zip(parts(found), parts(whole), strict=True):
-        np.testing.assert_array_equal(part, expected[index])
+def test_bad_input_is_refused(
+    workplace: Path, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
+):
+    assert said in refused(capfd, "batch", *arguments)
 
 
-def test_what_was_split_is_joined_again() -> None:
-    whole = rows(6, 1)
-    for cut in (0, 2, 6):
-        found = join(take(whole, np.arange(cut)), take(whole, np.arange(cut, 6)))
-        for part, expected in zip(parts(found), parts(whole), strict=True):
-            np.testing.assert_array_equal(part, expected)
-            assert part.dtype == expected.dtype
+def test_results_take_the_place_of_no_input(workplace: Path, sources: Path, capfd: pytest.CaptureFixture[str]):
+    shutil.copy(sources / "example_bottle.npz", "grasps.npz")
+    message = refused(capfd, "batch", "grasps.npz", "--out", "out", "--json", "grasps.npz")
+    assert "grasps.npz: the results would overwrite an input" in message
 
 
-def test_choosing_is_by_rows_whatever_the_shape() -> None:
-    one, two, mask = rows(4, 2), rows(4, 3), np.array([True, False, False, True])
-    for part, first, second in zip(parts(choose(mask, one, two)), parts(one), parts(two), strict=True):
-        np.testing.assert_array_equal(part[mask], first[mask])
-        np.testing.assert_array_equal(part[~mask], second[~mask])
-    # A row that is not chosen may hold NaN.
-    spoilt = Inner(np.full(4, np.nan), np.full((4, 2, 3), np.nan))
-    assert np.isfinite(choose(mask, one.inner, spoilt).poses[mask]).all()
+def running(sources: Path, out: Path, *options: str) -> subprocess.Popen[str]:
+    """The command in a process and a group of its own."""
+    command = [sys.executable, "-c", PROGRAM, "batch", str(sources), "--out", str(out), "--shard-size", "1", *options]
+    return subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=subprocess_environment(),
+        start_new_session=True,
+        preexec_fn=interruptible,
+    )
 
 
-def test_what_is_not_there_has_no_rows() -> None:
-    assert take(None, np.array([0])) is None
-    assert join(None, None) is None
-    assert choose(np.array([True]), None, None) is None
+def wait_for(out: Path, files: int) -> None:
+    """Until so many result files are there."""
+    limit = time.monotonic() + 120
+    while len(list(out.rglob("*.npz"))) < files:
+        assert time.monotonic() < limit
+        time.sleep(0.02)
 
 
-def test_several_are_joined_at_once_and_what_all_share_is_kept() -> None:
-    whole = rows(6, 1)
-    found = join(*(take(whole, np.array([row])) for row in range(6)))
-    for part, expected in zip(parts(found), parts(whole), strict=True):
-        np.testing.assert_array_equal(part, expected)
-    names = ("a", "b")
-    assert take(names, np.array([1])) == join(names, names) == names
+def group_is_gone(group: int) -> bool:
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+@pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_it_says_how_to_go_on_and_leaves_nothing_running(
+    tmp_path: Path, sources: Path, signal_: signal.Signals
+):
+    process = running(sources, tmp_path / "out", "--workers", "1", "--geometry-only", "--no-report")
+    wait_for(tmp_path / "out", 1)
+    (os.killpg if signal_ == signal.SIGINT else os.kill)(process.pid, signal_)
+    out, error = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert " of 8 shards are complete; the same command goes on from there" in " ".join(error.split())
+    assert error.rstrip().endswith("refine-grasp: interrupted")
+    assert "Traceback" not in error
+    assert group_is_gone(process.pid)
+    assert not list((tmp_path / "out").rglob(".*"))
+
+
+@pytest.mark.slow
+def test_killed_at_any_moment_it_goes_on_and_comes_out_the_same(tmp_path: Path, sources: Path):
+    options = ("--workers", "2", "--geometry-only", "--no-report", "--index", "csv")
+    expected, out = tmp_path / "expected", tmp_path / "out"
+    assert running(sources, expected, *options).wait(120) == 0
+    random = np.random.default_rng()
+    for done in range(5):
+        process = running(sources, out, *options)
+        wait_for(out, done + 1)
+        time.sleep(random.uniform(0, 0.5))
+        process.kill()
+        process.communicate()
+        limit = time.monotonic() + 5
+        while not group_is_gone(process.pid):
+            assert time.monotonic() < limit, "workers go on without their parent"
+            time.sleep(0.05)
+    assert running(sources, out, *options).wait(120) == 0
+    assert_same(out, expected)
+    assert {path.name for path in out.rglob(".*")} == set()
+    assert [row["row"] for row in index(out)] == [row["row"] for row in index(expected)]

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from grasp_refine.commands.inputs import Inputs
+from grasp_refine.commands.job_list import read_jobs
 from grasp_refine.grasps import OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
 from grasp_refine.hand import HAND_TOML, load_hand
 from grasp_refine.report.verdict import HOLDS
@@ -53,7 +55,7 @@ def test_no_block_of_python_is_left_out():
 
 
 def test_the_hand_toml_has_only_known_keys(tmp_path: Path):
-    (block,) = blocks("toml")
+    (block,) = (block for block in blocks("toml") if "rest_pose" in block)
     raw = tomllib.loads(block)
     assert set(raw) == {"urdf", "base_link", "rest_pose", "contact"}
     joints = "".join(
@@ -67,6 +69,18 @@ def test_the_hand_toml_has_only_known_keys(tmp_path: Path):
     hand = load_hand(tmp_path)
     assert [contact.link for contact in hand.contacts] == ["thumb_tip"]
     assert dict(zip(hand.joint_names, hand.rest, strict=True))["thumb_joint"] == 1.2
+
+
+def test_the_job_list_can_be_read(tmp_path: Path):
+    (block,) = (block for block in blocks("toml") if "[[job]]" in block)
+    for name in ("right/a.npz", "right/b.npz", "hands/right.urdf", "meshes/mug.obj"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    path = tmp_path / "jobs.toml"
+    path.write_text(block)
+    jobs = read_jobs([str(path)], Inputs())
+    assert [job.name for job in jobs] == ["right hand/a", "right hand/b", "sample_1000"]
+    assert [job.inputs.objects for job in jobs] == [tmp_path / "meshes"] * 3
 
 
 def test_the_table_of_grasp_files_is_complete():

@@ -155,18 +155,6 @@ def test_another_thread_has_none(clock: SimpleNamespace):
     assert (cpu(watch), cpu(found[0])) == ({"solver": 3.0}, {"forces": 2.0})
 
 
-def test_shares_are_of_the_whole(clock: SimpleNamespace):
-    groups = {"query": ("broad phase", "narrow phase"), "rest": ("solver", "other")}
-    assert Stopwatch().shares(groups) == {"query": 0.0, "rest": 0.0}
-    with Stopwatch() as watch:
-        passes(clock, 1.0)
-        with stage("broad phase"):
-            passes(clock, 2.0)
-            with stage("narrow phase"):
-                passes(clock, 5.0)
-    assert watch.shares(groups) == {"query": 7.0 / 8.0, "rest": 1.0 / 8.0}
-
-
 def test_it_counts_the_cpu_time_of_threads_and_of_children_that_ended():
     code = "import time\nend = time.process_time() + 0.3\nwhile time.process_time() < end: pass"
     with Stopwatch() as watch:

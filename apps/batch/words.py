@@ -15,6 +15,16 @@ def whole(count: int) -> str:
     return f"{count:,}".replace(",", THIN)
 
 
+def count(number: int, word: str) -> str:
+    """So many of a thing."""
+    return f"{whole(number)} {word}{'' if number == 1 else 's'}"
+
+
+def grasps(number: int) -> str:
+    """So many grasps."""
+    return count(number, "grasp")
+
+
 def share(part: int, of: int) -> str:
     """So many of so many in percent; of nothing, none."""
     if not of:

@@ -193,6 +193,27 @@ def time_axis(axes: Axes, lines: list[Line]) -> None:
     logarithmic(axes.xaxis, axes.set_xscale, axes.set_xlim, [x for line in lines for x in line.x], _seconds)
 
 
+def time_height(axes: Axes, lines: list[Line]) -> None:
+    """A vertical axis of seconds, wide enough for the lines."""
+    logarithmic(axes.yaxis, axes.set_yscale, axes.set_ylim, [y for line in lines for y in line.y], _seconds)
+
+
+def count_axis(axes: Axes, lines: list[Line]) -> None:
+    """A horizontal axis of numbers of things, logarithmic, with ticks at those that occur."""
+    from matplotlib.ticker import FixedLocator, NullLocator
+
+    values = sorted({x for line in lines for x in line.x})
+    logarithmic(axes.xaxis, axes.set_xscale, axes.set_xlim, values, lambda value: f"{value:.3g}")
+    axes.set_xlim(values[0] / 1.15, values[-1] * 1.15) if values else None
+    axes.xaxis.set_major_locator(FixedLocator(values))
+    axes.xaxis.set_minor_locator(NullLocator())
+
+
+def number_height(axes: Axes, lines: list[Line]) -> None:
+    """A vertical axis of numbers from 0 on."""
+    axes.set_ylim(0.0, 1.15 * max((y for line in lines for y in line.y), default=1.0))
+
+
 def share_axis(axes: Axes, lines: list[Line]) -> None:
     """A vertical axis of shares up to 100 %, logarithmic so that few misses can be told from none."""
     values = [y for line in lines for y in line.y]

@@ -10,6 +10,8 @@ from typing import Any
 from .panels import stylesheet
 
 TEMPLATE = "page.html.jinja"
+STYLE = "page.css"
+"""What pages of all apps have in common."""
 
 
 @dataclass(frozen=True)
@@ -25,12 +27,13 @@ class Column:
 
 
 def rendered(package: str, **values: Any) -> str:
-    """The page of a package's template, with the colours of the panels and these values."""
+    """The page of a package's template, with the colours of the panels, `STYLE` as `style`, and these values."""
     import jinja2
 
     light, dark = stylesheet()
     text = (files(package) / TEMPLATE).read_text(encoding="utf-8")
+    style = (files(__package__.rpartition(".")[0]) / STYLE).read_text(encoding="utf-8")
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
-    return environment.from_string(text).render(light=light, dark=dark, **values)
+    return environment.from_string(text).render(light=light, dark=dark, style=style, **values)

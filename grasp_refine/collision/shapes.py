@@ -4,7 +4,7 @@ coal counts the neighbours of a hull's vertex in one byte. A hull with too many 
 at each vertex.
 """
 
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -16,6 +16,7 @@ Shape = TypeVar("Shape", covariant=True)
 """A shape and its placement in the frame of its body."""
 
 
+@runtime_checkable
 class Factory(Protocol[Shape]):
     """Who makes the shapes."""
 

@@ -46,6 +46,7 @@ from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand import Hand
 from grasp_refine.objects import Object
 from grasp_refine.report.document import settings
+from grasp_refine.report.profile import profile_entry, profile_table
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA, check_no_input, check_writable, save_text
 from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
@@ -183,7 +184,7 @@ class Batch:
         if session.profile:
             table.print(profile_table(session.profile))
         table.print(f"{time.perf_counter() - wall:.1f} s; wrote", *written, soft_wrap=True, markup=False)
-        return NOTHING_USABLE if summary.failed or not summary.statistics.usable else 0
+        return NOTHING_USABLE if summary.failed or not summary.statistics.all.usable else 0
 
     def _checked(self) -> tuple[Config, Protocol | None, tuple[int, int]]:
         """How grasps are refined and simulated, and which part of how many is done.
@@ -307,7 +308,7 @@ class Batch:
             "jobs": summary.jobs(),
         }
         if session.profile:
-            document["profile"] = profile_entries(session.profile)
+            document["profile"] = profile_entry(session.profile)
         written = [index]
         if self.output.report:
             written.append(out / REPORT)

@@ -22,13 +22,16 @@ from grasp_refine.apps.bench.grasp.tasks import Disturbance, Kind
 from grasp_refine.apps.bench.grasp.variants import DerivativeName, SolverName, Variant
 from grasp_refine.assets import resource_dir
 from grasp_refine.commands.benchmark import check_asked, run_benchmark
-from grasp_refine.commands.inputs import AUTO, EXAMPLE_HAND, Inputs
+from grasp_refine.commands.inputs import AUTO, EXAMPLE_HAND, SAMPLE, Inputs
 from grasp_refine.commands.options import check_numbers
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.hand import list_hands, needs_urdf
 
-PresetName = Literal["targets", "nothing", "time-to-error", "smoke"]
-SetName = Literal["bodex_shadow", "dexgraspnet_shadow", "frogger_allegro", "leap_cube"]
+PresetName = Literal["targets", "nothing", "time-to-error", "contacts", "pieces", "workers", "smoke"]
+SetName = Literal[
+    "bodex_shadow", "dexgraspnet_shadow", "frogger_allegro", "leap_cube", "sampled_barrett", "sampled_robotiq"
+]
 
 COMPARED = ("tasks", "solvers", "derivatives", "budgets")
 """Options that say what is compared; a preset says it itself."""
@@ -42,12 +45,16 @@ class Options:
 
     preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
     """An experiment: targets (disturbed true grasps, batch 1 to 256), nothing (real grasps as they come, batch 1 to
-    256), time-to-error (all solvers at several budgets, for a picture of error over time), smoke (under a minute)."""
+    256), time-to-error (all solvers at several budgets, for a picture of error over time), contacts (time by number of
+    contacts, and of joints: all hands), pieces (by number of convex pieces: a box cut into 1 to 64), workers (grasps
+    per second with 1 and 2 processes), smoke (under a minute)."""
     assets: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
     """Folder with hands/, objects/ and grasps/normalised/, of which --sets are taken, instead of --hand, --object and
     --grasps. Without any of these, the embedded Allegro examples."""
-    sets: Annotated[DisallowNone[tuple[SetName, ...] | None], arg(help_behavior_hint="(default: all)")] = None
-    """Sets of grasps in the folder of assets."""
+    sets: Annotated[
+        DisallowNone[tuple[SetName, ...] | None], arg(help_behavior_hint="(default: all; sampled: of contacts only)")
+    ] = None
+    """Sets of grasps in the folder of assets; grasps of sampled ones are drawn."""
     tasks: Annotated[DisallowNone[tuple[Kind, ...] | None], arg(help_behavior_hint="(default: both)")] = None
     """targets: true grasps, whose fingertips all touch, are disturbed and must come back to where they touched;
     nothing: real grasps as they come are to touch and not to penetrate."""
@@ -141,6 +148,8 @@ class BenchGrasp:
             raise GraspRefineError("--targets: the benchmark makes its own targets, from grasps that touch exactly")
         preset = PRESETS[options.preset] if options.preset is not None else Preset("", self._variants())
         variants = preset.variants
+        if options.workers > 1 and any(variant.processes is not None for variant in variants):
+            raise GraspRefineError(f"--preset {options.preset} has processes of its own: leave out --workers")
         if options.batches is not None:
             variants = tuple(replace(variant, batch=batch) for variant in variants for batch in options.batches)
         return Study(
@@ -183,17 +192,26 @@ class BenchGrasp:
                 raise GraspRefineError("--sets are those of a folder of assets: give it with --assets")
             if not plain:
                 return [(inputs.grasps.stem if inputs.grasps is not None else f"{hand} example", [inputs])]
-            examples = sorted((resource_dir("robots") / hand).glob("*.npz"))
-            return [(f"{hand} examples", [replace(inputs, grasps=path) for path in examples])]
+            hands = [hand]
+            if options.preset is not None and PRESETS[options.preset].every_hand:
+                hands = [name for name in list_hands() if not needs_urdf(name)]
+            return [
+                (f"{name} examples", [replace(inputs, hand=name, grasps=path) for path in _examples(name)])
+                for name in hands
+            ]
         if not plain:
             raise GraspRefineError(
                 "--assets has hands, objects and grasps of its own: leave it out, or else --hand, --object, --objects, "
                 "--object-name, --scale, --grasps and --index"
             )
         folder, found = options.assets, []
-        for name in dict.fromkeys(options.sets or tuple(PLACES)):
+        sampled = options.preset is not None and PRESETS[options.preset].every_hand
+        usual = tuple(name for name, place in PLACES.items() if sampled or place.sampled is None)
+        for name in dict.fromkeys(options.sets or usual):
             path, place = folder / "grasps" / "normalised" / f"{name}.npz", PLACES[name]
-            if not path.is_file():
+            if place.sampled is not None:
+                path = Path(f"{SAMPLE}{place.sampled}")
+            elif not path.is_file():
                 raise GraspRefineError(f"--assets {folder}: has no set {name}, that is grasps/normalised/{name}.npz")
             objects = folder / "objects" if place.object is None else None
             found.append(
@@ -215,3 +233,8 @@ class BenchGrasp:
                 for group in problem.groups
             ),
         )
+
+
+def _examples(hand: str) -> list[Path]:
+    """The example grasps of a hand that comes with the program."""
+    return sorted((resource_dir("robots") / hand).glob("*.npz"))

@@ -12,6 +12,9 @@ from grasp_refine.commands.options import flag
 WRITTEN = ("json", "html")
 """Options that name a file that is written."""
 
+POSITIONAL = ("jobs",)
+"""Options without a name on the command line."""
+
 
 def invocation(command: str, options: Any) -> str:
     """The command line that asks for what `options` do, without the files that are written.
@@ -31,6 +34,8 @@ def words(options: Any) -> Iterator[str]:
             yield from words(value)
         elif value == option.default or option.name in WRITTEN:
             continue
+        elif option.name in POSITIONAL:
+            yield from map(str, value)
         elif isinstance(value, bool):
             yield flag(option.name, "--" if value else "--no-")
         else:

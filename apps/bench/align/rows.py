@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..shares import cpu_share
 from .runner import Done
 from .stopwatch import PARTS, PASSES
 from .tasks import CLASSES, Tasks
@@ -119,10 +120,7 @@ def _times(variant: Variant, group: Sequence[Done], targets: int) -> dict[str, A
         "iterations_mean": queries / count,
         "cpu_s_per_pair": cpu_s / count * targets,
         "wall_s_per_pair": wall_s / count * targets,
-        "cpu_share": {
-            name: sum(result.watch.spent[stage].cpu_s for result in results for stage in stages) / cpu_s
-            for name, stages in PARTS.items()
-        },
+        "cpu_share": cpu_share([result.watch for result in results], PARTS),
     }
 
 

@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
-from types import MappingProxyType
 
 import numpy as np
 
 from grasp_refine import stopwatch
-from grasp_refine.stopwatch import STAGES, Stage
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.neighborhood import Neighborhood, Neighbors
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import Sides, WitnessScene
 
-_APART: Mapping[str, Stage] = MappingProxyType(
-    {"broadphase": "broad phase", "narrowphase": "narrow phase", "derivative": "derivative"}
-)
+from ..shares import told_apart
 
-PARTS: Mapping[str, tuple[Stage, ...]] = MappingProxyType(
-    {name: (stage,) for name, stage in _APART.items()}
-    | {"solver": tuple(stage for stage in STAGES if stage not in _APART.values())}
-)
-"""What is told apart. Broad phase: all of a query but its narrow phase. Solver: all that is left, such as loss and
-step."""
+PARTS = told_apart("broad phase", "narrow phase", "derivative")
+"""What of the CPU time is told apart. Broad phase: all of a query but its narrow phase."""
 
 PASSES = ("forward", "backward", "sampling")
 """From poses to losses; from losses to the gradients of poses; and the part of it that chooses surface samples."""

@@ -6,8 +6,21 @@ from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from ..panels import COLORS, MARKERS, PLAIN, Line, Style, draw, logarithmic, share_axis, time_axis
-from .labels import label, sets_of
+from ..panels import (
+    COLORS,
+    MARKERS,
+    PLAIN,
+    Line,
+    Style,
+    count_axis,
+    draw,
+    logarithmic,
+    number_height,
+    share_axis,
+    time_axis,
+    time_height,
+)
+from .labels import SIZES, label, sets_of
 from .rows import Row
 
 if TYPE_CHECKING:
@@ -42,12 +55,73 @@ def line_names(rows: Sequence[Row]) -> list[str]:
     return [f"{label(row)}, batch {row['batch']}" if row["solver"] in several else label(row) for row in rows]
 
 
+def size_chart(rows: Sequence[Row], name: str) -> str:
+    """What a grasp costs, against something in which variants differ; of contacts, also against the hand's joints.
+
+    Args:
+        rows: Pooled rows of tasks of one kind.
+        name: One of `SIZES`.
+    """
+    rows = [row for row in rows if row[name] is not None]
+    lines = _by(rows, SIZES[name], lambda row: _of_set(rows, row))
+    cost, rate = ("CPU time per grasp", _cost, time_height), ("grasps per second", _rate, number_height)
+    measures = [cost, rate] if name == "processes" else [cost]
+    grid = [[(f"by {name}", lines(height), axis)] for _, height, axis in measures]
+    chart = draw(grid, [what for what, _, _ in measures], name, count_axis, f"grasp {name}", f"Cost by {name}")
+    if name != "contacts" or len({row["joints"] for row in rows}) < 2:
+        return chart
+    by_joints = _by(rows, "joints", lambda row: f"{row['contacts']} contacts")
+    panel = [[("by joints", by_joints(_cost), time_height)]]
+    return chart + draw(panel, [cost[0]], "joints of the hand", count_axis, "grasp joints", "Cost by joints")
+
+
+def _by(rows: Sequence[Row], x: str, line: Callable[[Row], str]) -> Callable[[Height], list[Line]]:
+    """A function that gives the lines of a measure; the points of a line at the same x are pooled to their mean."""
+    names = list(dict.fromkeys(map(line, rows)))
+    styles = dict(zip(names, _cycle(len(names)), strict=True))
+
+    def lines(height: Height) -> list[Line]:
+        found = []
+        for name, style in styles.items():
+            mine = [row for row in rows if line(row) == name]
+            points = []
+            for at in sorted({row[x] for row in mine}):
+                values = [y[0] for row in mine if row[x] == at and (y := height(row)) is not None]
+                if values:
+                    points.append((at, sum(values) / len(values), False))
+            if points:
+                found.append(Line(name, style, *zip(*points, strict=True)))
+        # A single point shows no trend, where others do.
+        return [one for one in found if len(one.x) > 1] or found
+
+    return lines
+
+
+def _of_set(rows: Sequence[Row], row: Row) -> str:
+    """The set with the joints of its hand, and the solver if there are several."""
+    several = len({label(one) for one in rows}) > 1
+    return f"{row['set']} ({row['joints']} joints)" + (f", {label(row)}" if several else "")
+
+
+def _cost(row: Row) -> tuple[float, bool]:
+    return 1e-3 * row["cpu_ms_per_grasp"], False
+
+
+def _rate(row: Row) -> tuple[float, bool] | None:
+    return None if row["grasps_per_s"] is None else (row["grasps_per_s"], False)
+
+
+def _cycle(count: int) -> list[Style]:
+    """Styles of so many lines."""
+    dashes = ("-", "--", ":")
+    return [
+        Style(COLORS[k % len(COLORS)][0], MARKERS[k % len(MARKERS)], dashes[k // len(COLORS) % 3]) for k in range(count)
+    ]
+
+
 def _styles(rows: Sequence[Row]) -> dict[str, Style]:
     names = dict.fromkeys(line_names(rows))
-    return {
-        name: Style(COLORS[k % len(COLORS)][0], MARKERS[k % len(MARKERS)], ("-", "--", ":")[k // len(COLORS) % 3])
-        for k, name in enumerate(names)
-    }
+    return dict(zip(names, _cycle(len(names)), strict=True))
 
 
 def _lines(rows: Sequence[Row], name: str, styles: dict[str, Style], height: Height) -> list[Line]:

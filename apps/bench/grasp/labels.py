@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 from .rows import Row
 from .variants import Variant
 
 SHORT = {"levenberg-marquardt": "LM"}
 """Solvers with a shorter name than theirs."""
+
+SIZES: Mapping[str, str] = MappingProxyType(
+    {"batch": "batch", "contacts": "contacts_mean", "pieces": "pieces_mean", "processes": "processes"}
+)
+"""What variants may differ in -> how large it is."""
 
 
 def label(row: Row) -> str:
@@ -21,6 +27,11 @@ def batch(row: Row) -> str:
     """The batch size, and how many grasps there were for it if they were fewer."""
     mean = round(row["batch_mean"])
     return f"{row['batch']}" if mean >= row["batch"] else f"{row['batch']} ({mean})"
+
+
+def varied(rows: Sequence[Row]) -> list[str]:
+    """The sizes in which rows differ."""
+    return [name for name in SIZES if len({row[name] for row in rows}) > 1]
 
 
 def pooled(rows: Sequence[Row], task: str) -> list[Row]:

@@ -9,9 +9,9 @@ from typing import Any
 from grasp_refine.solvers.status import Status
 
 from ..report import Column, rendered
-from .chart import time_chart
-from .labels import batch, deep, label, pooled, sets_of
-from .rows import Row
+from .chart import size_chart, time_chart
+from .labels import SIZES, batch, deep, label, pooled, sets_of, varied
+from .rows import PARTS, Row
 
 
 def _number(key: str, factor: float = 1.0, form: str = ".3g") -> Callable[[Row], str]:
@@ -65,6 +65,11 @@ COSTS = (
     Column("CPU ms", "per grasp, of the whole call", _number("cpu_ms_per_grasp")),
     Column("wall ms", "per grasp, of the whole call", _number("wall_ms_per_grasp")),
     Column("loop ms", "CPU per grasp that the solver counts itself", _number("solver_cpu_ms_per_grasp")),
+    Column("contacts", "links that should touch, mean", _number("contacts_mean", 1.0, ".3g")),
+    Column("joints", "independent joints of the hand", _number("joints", 1.0, ".0f")),
+    Column("pieces", "convex pieces of the object, mean", _number("pieces_mean", 1.0, ".3g")),
+    Column("processes", "that shared the tasks", _number("processes", 1.0, ".0f")),
+    Column("per s", "grasps per second of the clock, of all processes together", _number("grasps_per_s", 1.0, ".1f")),
     Column("limits", "joint values beyond their limits", _number("limits_violated", 1.0, ".0f")),
     Column("moved", "median; base link, and the joint that moved most", _moved),
     Column("ended as", "how the solver ended", _statuses),
@@ -98,11 +103,32 @@ def page(document: dict[str, Any]) -> str:
     return rendered(
         __package__,
         document=document,
-        chart=time_chart(pooled(rows, "targets")),
+        chart=_over_time(pooled(rows, "targets")),
+        sizes=_by_size(rows),
+        parts=tuple(PARTS),
         tables=[(HEADS[task], RESULTS[task], _lines(rows, task)) for task in RESULTS if pooled(rows, task)],
         costs=COSTS,
         stuck=_stuck(rows),
     )
+
+
+def _over_time(rows: Sequence[Row]) -> str:
+    """Error against time, where budgets or solvers differ and nothing else but batches."""
+    return "" if set(varied(rows)) - {"batch"} else time_chart(rows)
+
+
+def _by_size(rows: Sequence[Row]) -> list[tuple[str, str, str]]:
+    """For each size that differs, and each kind of task, both in words, and a chart."""
+    found = []
+    for task, head in HEADS.items():
+        mine = pooled(rows, task)
+        found += [(name, head, size_chart(mine, name)) for name in SIZES if name in varied(mine)]
+    return found
+
+
+def _shares(row: Row) -> list[tuple[str, float]]:
+    """Where the CPU time went, in percent."""
+    return [(name, 100.0 * share) for name in PARTS if (share := row["cpu_share"][name]) is not None]
 
 
 def _lines(rows: Sequence[Row], task: str) -> list[tuple[str, list[Row], list[Row]]]:
@@ -110,7 +136,11 @@ def _lines(rows: Sequence[Row], task: str) -> list[tuple[str, list[Row], list[Ro
     mine = [row for row in rows if row["task"] == task]
     found = []
     for name in sets_of(mine):
-        its = [{**row, "label": label(row), "batch_words": batch(row)} for row in mine if row["set"] == name]
+        its = [
+            {**row, "label": label(row), "batch_words": batch(row), "shares": _shares(row)}
+            for row in mine
+            if row["set"] == name
+        ]
         found.append(
             (name, [row for row in its if row["object"] == "all"], [row for row in its if row["object"] != "all"])
         )

@@ -29,6 +29,8 @@ class Preset:
     """Objects and scales of each set, evenly chosen; None: all."""
     singles: int = 32
     """Tasks of a set that are run one at a time."""
+    every_hand: bool = False
+    """Not one hand only, where nobody says which: all that come with the program, and sampled grasps of others."""
 
 
 def _over_time() -> tuple[Variant, ...]:
@@ -59,6 +61,26 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
             kinds=("targets",),
             count=32,
             scenes=3,
+        ),
+        "contacts": Preset(
+            "time by number of contacts, and of joints: disturbed true grasps of several hands",
+            tuple(Variant(contacts=count) for count in (1, 2, 3, 4, 5)),
+            kinds=("targets",),
+            count=64,
+            scenes=2,
+            every_hand=True,
+        ),
+        "pieces": Preset(
+            "time by number of convex pieces: disturbed true grasps of one object cut into 1 to 64",
+            tuple(Variant(pieces=count) for count in (1, 2, 4, 8, 16, 32, 64)),
+            kinds=("targets",),
+            count=64,
+        ),
+        "workers": Preset(
+            "grasps per second, and CPU time of each, with 1 and with 2 processes that share the same tasks",
+            tuple(Variant(processes=count) for count in (1, 2)),
+            kinds=("targets",),
+            count=256,
         ),
         "smoke": Preset(
             "every solver on a few tasks of both kinds, in less than a minute",

@@ -9,8 +9,12 @@ import numpy as np
 
 from grasp_refine.solvers.status import Status
 
+from ..shares import cpu_share, told_apart
 from .measures import Measures
 from .runner import Done, Part
+
+PARTS = told_apart("kinematics", "broad phase", "narrow phase", "derivative")
+"""What of the CPU time is told apart."""
 
 LEVELS = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
 """Errors (m^2) below which every contact of a grasp must be."""
@@ -40,10 +44,32 @@ def _of_job(done: Done) -> list[Row]:
             "object": name,
             "task": job.kind,
             **job.variant.columns(),
+            **_sizes(parts),
             **_statistics(parts, job.kind == "targets", job.variant.batch),
+            "grasps_per_s": _rate(done) if name == "all" else None,
+            "cpu_share": cpu_share([part.watch for part in parts], PARTS),
         }
         for name, parts in groups.items()
     ]
+
+
+def _sizes(parts: Sequence[Part]) -> Row:
+    """How large the problems are: means over all grasps."""
+    touching = np.concatenate([part.touching.sum(axis=1) for part in parts])
+    counts = [len(part.tasks) for part in parts]
+    scenes = [part.tasks.scene for part in parts]
+    return {
+        "contacts_mean": float(touching.mean()),
+        "joints": len(scenes[0].hand.joint_names),
+        "pieces_mean": float(np.average([len(scene.object.body.pieces) for scene in scenes], weights=counts)),
+    }
+
+
+def _rate(done: Done) -> float | None:
+    """Grasps per second of the clock, of all processes together."""
+    if done.span is None:
+        return None
+    return sum(len(part.tasks) for part in done.parts) / (done.span[1] - done.span[0])
 
 
 def _statistics(parts: Sequence[Part], aimed: bool, batch: int) -> Row:

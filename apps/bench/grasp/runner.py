@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 import torch
 
 from grasp_refine.hand_object import HandObject
-from grasp_refine.refine import refine
+from grasp_refine.refine import Refinement, refine
+from grasp_refine.stopwatch import Stopwatch
 from grasp_refine.validation.geometry import Movement, movement
 
 from .measures import Measures, measured
 from .sets import GraspSet
 from .tasks import Kind, Tasks
+from .together import together
 from .variants import Variant
 
 WARM_UP = 2
@@ -44,6 +46,8 @@ class Part:
     """The same of the clock."""
     solver_cpu_s: np.ndarray
     """CPU seconds (N,) that the solver itself counts: those of its loop."""
+    watch: Stopwatch = field(default_factory=Stopwatch)
+    """CPU time of all calls by stage."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +56,8 @@ class Done:
 
     job: SetJob
     parts: tuple[Part, ...]
+    span: tuple[float, float] | None = None
+    """When the first call began and the last one ended, by the clock of the machine, in seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,55 +86,90 @@ class SetJob:
     @property
     def label(self) -> str:
         """What it is, for a progress bar."""
-        return f"{self.set}, {self.variant.solver}, batch {self.variant.batch}"
+        return f"{self.set}, {self.variant.solver}, {self.variant.what}"
 
     def do(self, progress: Callable[[float], None]) -> Done:
-        """Refine and measure all tasks, in this process."""
+        """Refine and measure all tasks, in this process or in as many as the variant says."""
+        many = self.variant.processes
+        if many is None:
+            return self.run(lambda: None, progress)
+        shares = [[its.take(slice(start, None, many)) for its in self.tasks] for start in range(many)]
+        jobs = [replace(self, tasks=tuple(its for its in share if len(its))) for share in shares]
+        found = together([job.run for job in jobs])
+        begins, ends = zip(*(done.span for done in found), strict=True)
+        return Done(self, tuple(part for done in found for part in done.parts), (min(begins), max(ends)))
+
+    def run(self, ready: Callable[[], None], progress: Callable[[float], None] = lambda share: None) -> Done:
+        """Refine and measure all tasks in this process; `ready` is called before anything is timed."""
         torch.set_num_threads(self.threads)
-        total, finished, parts = sum(map(len, self.tasks)), 0, []
-        for tasks in self.tasks:
+        # What is built once for a hand and an object is not timed.
+        prepared = [self._prepared(tasks) for tasks in self.tasks]
+        total, finished, timed = sum(map(len, self.tasks)), 0, []
+        ready()
+        begin = time.perf_counter()
+        for tasks, its in zip(self.tasks, prepared, strict=True):
             before = finished
 
             def within(done: int, before: int = before) -> None:
                 progress((before + done) / total)
 
-            parts.append(self._part(tasks, within))
+            timed.append(self._timed(tasks, its, within))
             finished += len(tasks)
-        return Done(self, tuple(parts))
+        span = begin, time.perf_counter()
+        return Done(self, tuple(map(_measured, self.tasks, timed)), span)
 
-    def _part(self, tasks: Tasks, progress: Callable[[int], None]) -> Part:
-        config = self.variant.config(self.seed, self.tolerance)
-        # What is built once for a hand and an object is not timed.
-        prepared = HandObject.of(tasks.scene)
+    def _prepared(self, tasks: Tasks) -> HandObject:
+        """Hand and object, warmed up."""
+        prepared, config = HandObject.of(tasks.scene), self.variant.config(self.seed, self.tolerance)
         short = replace(config, solver=replace(config.solver, iterations=WARM_UP))
         refine(tasks.take(slice(WARM_UP)).scene, short, prepared=prepared)
-        found, cpu, wall = [], [], []
+        return prepared
+
+    def _timed(self, tasks: Tasks, prepared: HandObject, progress: Callable[[int], None]) -> _Timed:
+        config = self.variant.config(self.seed, self.tolerance)
+        watch, found, cpu, wall = Stopwatch(), [], [], []
         for start, stop in calls(len(tasks), self.variant):
             scene = tasks.take(slice(start, stop)).scene
             clock, own = time.perf_counter(), time.process_time()
             told = partial(_told, progress, start)
-            found.append(refine(scene, config, told, prepared=prepared))
+            with watch:
+                found.append(refine(scene, config, told, prepared=prepared))
             share = 1.0 / (stop - start)
             cpu += [(time.process_time() - own) * share] * (stop - start)
             wall += [(time.perf_counter() - clock) * share] * (stop - start)
-        scene = tasks.scene
-        T, q, touching, status, iterations, queries, solver_cpu_s = (
-            np.concatenate([getattr(one, name) for one in found])
-            for name in ("T_world_root", "q", "touching", "status", "iterations", "queries", "cpu_s")
-        )
-        return Part(
-            tasks=tasks,
-            before=measured(scene, scene.T_world_root, scene.q),
-            after=measured(scene, T, q),
-            moved=movement(scene.T_world_root, scene.q, T, q),
-            touching=touching,
-            status=status,
-            iterations=iterations,
-            queries=queries,
-            cpu_s=np.array(cpu),
-            wall_s=np.array(wall),
-            solver_cpu_s=solver_cpu_s,
-        )
+        return _Timed(found, np.array(cpu), np.array(wall), watch)
+
+
+@dataclass(frozen=True, eq=False)
+class _Timed:
+    """Tasks that were refined, call by call."""
+
+    found: list[Refinement]
+    cpu_s: np.ndarray
+    wall_s: np.ndarray
+    watch: Stopwatch
+
+
+def _measured(tasks: Tasks, timed: _Timed) -> Part:
+    scene = tasks.scene
+    T, q, touching, status, iterations, queries, solver_cpu_s = (
+        np.concatenate([getattr(one, name) for one in timed.found])
+        for name in ("T_world_root", "q", "touching", "status", "iterations", "queries", "cpu_s")
+    )
+    return Part(
+        tasks=tasks,
+        before=measured(scene, scene.T_world_root, scene.q),
+        after=measured(scene, T, q),
+        moved=movement(scene.T_world_root, scene.q, T, q),
+        touching=touching,
+        status=status,
+        iterations=iterations,
+        queries=queries,
+        cpu_s=timed.cpu_s,
+        wall_s=timed.wall_s,
+        solver_cpu_s=solver_cpu_s,
+        watch=timed.watch,
+    )
 
 
 def _told(progress: Callable[[int], None], before: int, done: int, iteration: int, loss: float) -> None:
@@ -163,10 +204,12 @@ def jobs(
     made = []
     for grasp_set, kind, tasks in sets:
         for variant in variants:
-            chosen = tasks
+            chosen = tuple(found for its in tasks if (found := its.of(variant)) is not None)
+            if not chosen:
+                continue
             if variant.batch == 1:
                 # Evenly from all objects.
-                each, more = divmod(singles, len(tasks))
-                chosen = tuple(its.take(slice(each + (i < more))) for i, its in enumerate(tasks[:singles]))
+                each, more = divmod(singles, len(chosen))
+                chosen = tuple(its.take(slice(each + (i < more))) for i, its in enumerate(chosen[:singles]))
             made.append(SetJob(variant, grasp_set.name, grasp_set.hand, kind, chosen, seed, tolerance, threads))
     return made

@@ -48,6 +48,8 @@ class Place:
     """The URDF."""
     object: str | None = None
     """The object, if it is none of objects/."""
+    sampled: int | None = None
+    """So many grasps are drawn; None: those of the file."""
 
 
 PLACES: Mapping[str, Place] = MappingProxyType(
@@ -56,6 +58,8 @@ PLACES: Mapping[str, Place] = MappingProxyType(
         "dexgraspnet_shadow": Place("hands/shadow/shadow_right.urdf"),
         "frogger_allegro": Place("hands/allegro/allegro_right.urdf"),
         "leap_cube": Place("hands/leap/leap_right.urdf", "box:0.075,0.075,0.075"),
+        "sampled_barrett": Place("hands/barrett/barrett.urdf", "rounded_box", 16),
+        "sampled_robotiq": Place("hands/robotiq3f/robotiq3f.urdf", "rounded_box", 16),
     }
 )
 """Name of a set -> where it lies."""

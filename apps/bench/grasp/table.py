@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 from rich.box import SIMPLE
 from rich.table import Table
 
-from .labels import deep, label, pooled, sets_of
+from .labels import SIZES, deep, label, pooled, sets_of
 from .rows import Row
 
 Column = tuple[str, Callable[[Row], str]]
@@ -26,11 +27,14 @@ def _number(key: str, factor: float, digits: int) -> Callable[[Row], str]:
 STEPS: Column = ("steps", _number("iterations_mean", 1.0, 0))
 CPU: Column = ("CPU\nms", _number("cpu_ms_per_grasp", 1.0, 1))
 WALL: Column = ("wall\nms", _number("wall_ms_per_grasp", 1.0, 1))
+SPREAD: Sequence[Column] = (
+    ("median\nmm", _number("contact_error_median_m", 1e3, 4)),
+    ("worst\nmm", _number("contact_error_worst_m", 1e3, 2)),
+)
 TARGETS: Sequence[Column] = (
     ("Acc@\n1e-6", _number("acc_1e6", 100.0, 1)),
     ("Acc@\n1e-8", _number("acc_1e8", 100.0, 1)),
-    ("median\nmm", _number("contact_error_median_m", 1e3, 4)),
-    ("worst\nmm", _number("contact_error_worst_m", 1e3, 2)),
+    *SPREAD,
     STEPS,
     CPU,
     WALL,
@@ -62,12 +66,22 @@ def bench_tables(rows: Sequence[Row]) -> Iterator[Table]:
             yield _table(f"{name}, {count} grasps, {TITLES[task]}", mine, columns)
 
 
+def _size(name: str, row: Row) -> str:
+    return "all" if row[name] is None else f"{row[SIZES[name]]:g}"
+
+
 def _table(title: str, rows: Sequence[Row], columns: Sequence[Column]) -> Table:
     budgets = len({(row["solver"], row["budget"]) for row in rows}) > len({row["solver"] for row in rows})
     if budgets:
         # In place of what says least.
         columns = (("budget", lambda row: str(row["budget"])), *(column for column in columns if column is not WALL))
-    columns = (("batch", lambda row: str(row["batch"])), *columns)
+    sizes = [name for name in SIZES if name == "batch" or len({row[name] for row in rows}) > 1]
+    if set(sizes) > {"batch"}:
+        # Again in place of what says least.
+        columns = tuple(column for column in columns if column not in (WALL, *SPREAD))
+    if "processes" in sizes:
+        columns = (*columns, ("grasps\nper s", _number("grasps_per_s", 1.0, 1)))
+    columns = (*((name, partial(_size, name)) for name in sizes), *columns)
     table = Table(title=title, title_justify="left", box=SIMPLE, padding=0, show_edge=False)
     table.add_column("solver", min_width=7)
     for name, _ in columns:

@@ -61,6 +61,12 @@ class Variant:
         return SOLVERS[self.solver].iterations if self.budget is None else self.budget
 
     @property
+    def what(self) -> str:
+        """What a progress bar says beside the solver."""
+        parts = (f"{value} {name}" for name in ("contacts", "pieces", "processes") if (value := getattr(self, name)))
+        return ", ".join([f"batch {self.batch}", *parts])
+
+    @property
     def least_squares(self) -> bool:
         """Whether the solver is Levenberg-Marquardt."""
         return self.solver == "levenberg-marquardt"
@@ -84,5 +90,7 @@ class Variant:
             "derivative": self.derivative,
             "budget": self.iterations,
             "batch": self.batch,
+            "contacts": self.contacts,
+            "pieces": self.pieces,
             "processes": self.processes or 1,
         }

@@ -199,9 +199,7 @@ def _forward(layer: WitnessLayer, T_a: np.ndarray, T_b: np.ndarray, batch: int) 
 def _backward(layer: WitnessLayer, T_a: np.ndarray, T_b: np.ndarray, batch: int, seed: int) -> Callable[[], None]:
     """A backward pass at all poses, with random cotangents on points, normals and distances."""
     rng = np.random.default_rng(seed)
-    done = [
-        (poses, (w.point_a, w.point_b, w.normal, w.distance)) for poses, w in _forward(layer, T_a, T_b, batch)
-    ]
+    done = [(poses, (w.point_a, w.point_b, w.normal, w.distance)) for poses, w in _forward(layer, T_a, T_b, batch)]
     cotangents = [[torch.from_numpy(rng.normal(size=tuple(part.shape))) for part in parts] for _, parts in done]
 
     def run() -> None:

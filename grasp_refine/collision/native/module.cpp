@@ -2,6 +2,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/vector.h>
 
@@ -270,8 +271,9 @@ NB_MODULE(_native, m) {
          In<double> radius, In<double> supports, size_t cells) {
         new (self) Side(side_of(body, first, center, half, axes, radius, supports, cells));
       },
-      // The table of supports is not copied.
-      nb::keep_alive<1, 8>());
+      // The table of supports, which is not copied.
+      nb::keep_alive<1, 8>(), "body"_a, "first"_a, "center"_a, "half"_a, "axes"_a, "radius"_a,
+      "supports"_a.noconvert(), "cells"_a);
 
   nb::class_<Search>(m, "Search")
       .def(

@@ -70,7 +70,7 @@ class Search {
     if (warm.winner < 0 || column >= columns) column = likeliest(pair, scratch);
     Found found;
     // A single piece pair without a limit is wanted whatever its bound is.
-    double bound = columns == 1 && std::isinf(limit) ? -kInfinity : ball_bound(pair, column, scratch);
+    double bound = a.width * b.width == 1 && std::isinf(limit) ? -kInfinity : ball_bound(pair, column, scratch);
     if (bound < limit && std::isfinite(limit)) bound = std::max(bound, box_bound(pair, column, T));
     if (bound < limit) {
       const Entry first{bound, first_pair[pair] + column};

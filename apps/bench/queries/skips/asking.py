@@ -8,42 +8,45 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import fields
+from functools import partial
 
 import numpy as np
 
 from grasp_refine import grasp_problem
-from grasp_refine.collision.culling import query_near
-from grasp_refine.collision.query import Pairs, Witness
+from grasp_refine.collision.culling import nothing_near, query_near
+from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.collision.table import PieceTable
 from grasp_refine.refine import Refinement, refine
 
-from .skip import Example, Skip, cpu_seconds_of, replaced
+from .skip import Example, Skip, replaced, timed
 
 Near = Callable[[Pairs, np.ndarray, np.ndarray, np.ndarray, np.ndarray, Witness | None], Witness]
 """What `query_near` is: pairs, bounds, poses of both bodies, cutoffs, and the last answers."""
 
 
-def asking_skips(example: Example, seed: int) -> Iterator[Skip]:
+def asking_skips(example: Example, seed: int, rounds: int) -> Iterator[Skip]:
     """Each skip of queries, undone in a whole refinement of the example."""
-    refined(example, seed, query_near)
-    usual = cpu_seconds_of(lambda: refined(example, seed, query_near))
-    yield _skip("links that are far from everything", example, usual, seed, ask_far, "every pair of bodies is asked")
-    yield _skip(
-        "pairs of links of steps that are rejected", example, usual, seed, ask_rejected,
-        "they are asked, though the step will not be taken",
-    )  # fmt: skip
-    yield _skip(
-        "last winner first, warm starts", example, usual, seed, ask_cold, "nothing is known of the last answers"
-    )
     # The compiled engine looks at bounds in a loop of its own.
     python = {id(pairs): _in_python(pairs) for pairs in _pairs(example)}
     every = {id(pairs): unbounded(pairs) for pairs in _pairs(example)}
-    bounded = cpu_seconds_of(lambda: refined(example, seed, lambda pairs, *rest: query_near(python[id(pairs)], *rest)))
-    yield _skip(
-        "pieces whose bounds cannot win", example, bounded, seed,
-        lambda pairs, *rest: query_near(every[id(pairs)], *rest),
-        "every piece of a pair that is asked; both in Python",
-    )  # fmt: skip
+    ways: dict[str, Near] = {
+        "usual": query_near,
+        "far": ask_far,
+        "rejected": ask_rejected,
+        "cold": ask_cold,
+        "bounded": lambda pairs, *rest: query_near(python[id(pairs)], *rest),
+        "unbounded": lambda pairs, *rest: query_near(every[id(pairs)], *rest),
+    }
+    found = timed({name: partial(refined, example, seed, near) for name, near in ways.items()}, rounds)
+    for name, way, usual, how in (
+        ("links that are far from everything", "far", "usual", "every pair of bodies is asked for its distance"),
+        ("pieces whose bounds cannot win", "unbounded", "bounded", "all pieces of asked pairs are; both in Python"),
+        ("pairs of links of steps that are rejected", "rejected", "usual", "they are asked all the same"),
+        ("last winner first, and warm starts", "cold", "usual", "nothing is known of the last answers"),
+    ):
+        (before, cpu_without), (after, cpu_with) = found[way], found[usual]
+        counts = int(before.queries.sum()), int(after.queries.sum())
+        yield Skip(name, "queries", example.name, *counts, cpu_without, cpu_with, how, difference(before, after))
 
 
 def refined(example: Example, seed: int, near: Near) -> Refinement:
@@ -55,8 +58,15 @@ def refined(example: Example, seed: int, near: Near) -> Refinement:
 def ask_far(
     pairs: Pairs, bound: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, cutoff: np.ndarray, previous: Witness | None
 ) -> Witness:
-    """Asks every pair for its distance, however far, but for those of steps that are rejected."""
-    return query_near(pairs, bound, T_a, T_b, np.where(np.isposinf(bound), cutoff, np.inf), previous)
+    """Asks every pair for its distance, and forgets those that would not have been asked, or be told."""
+    found = query(pairs, T_a, T_b, previous=previous)
+    told = np.isinf(cutoff) | ~(bound > 0)
+    hidden = ~told | (found.distance >= cutoff)
+    nothing = nothing_near(np.where(told, cutoff, bound))
+    for field in fields(Witness):
+        if field.name != "asked":
+            getattr(found, field.name)[hidden] = getattr(nothing, field.name)[hidden]
+    return found
 
 
 def ask_rejected(
@@ -107,16 +117,6 @@ def _pairs(example: Example) -> list[Pairs]:
     """What a refinement asks about: links and object, and links that can touch each other."""
     both = example.prepared.pairs, example.prepared.own_pairs
     return [pairs for pairs in both if pairs is not None]
-
-
-def _skip(
-    name: str, example: Example, usual: tuple[Refinement, float], seed: int, near: Near, how: str
-) -> Skip:
-    (found, cpu), (other, cpu_without) = usual, cpu_seconds_of(lambda: refined(example, seed, near))
-    return Skip(
-        name, "queries", example.name, int(other.queries.sum()), int(found.queries.sum()), cpu_without, cpu, how,
-        difference(found, other),
-    )  # fmt: skip
 
 
 def difference(found: Refinement, other: Refinement) -> float:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from statistics import median
 from typing import Any
 
 from grasp_refine.config import Config
@@ -91,13 +93,23 @@ def replaced(owner: Any, name: str, value: Any) -> Iterator[None]:
         setattr(owner, name, before)
 
 
-def cpu_seconds_of(run: Callable[[], Any]) -> tuple[Any, float]:
-    """What a call gives, and its CPU seconds: of all threads, and of child processes that end in it."""
-    start = _cpu_seconds()
-    result = run()
-    return result, _cpu_seconds() - start
+def timed(runs: Mapping[str, Callable[[], Any]], rounds: int = 1) -> dict[str, tuple[Any, float]]:
+    """What calls give, and their CPU seconds: of all threads, and of child processes that end in them.
+
+    Args:
+        runs: Name -> what is called: first once each, unless there is one round, then in turn.
+        rounds: How often each is measured; medians count.
+    """
+    results = {name: run() for name, run in runs.items()} if rounds > 1 else {}
+    times: dict[str, list[float]] = {name: [] for name in runs}
+    for _ in range(rounds):
+        for name, run in runs.items():
+            start = _cpu_seconds()
+            results[name] = run()
+            times[name].append(_cpu_seconds() - start)
+    return {name: (results[name], median(times[name])) for name in runs}
 
 
 def _cpu_seconds() -> float:
     times = os.times()
-    return times.user + times.system + times.children_user + times.children_system
+    return time.process_time() + times.children_user + times.children_system

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,18 +27,29 @@ from grasp_refine.witness.pair_curvature import PairCurvatures
 from grasp_refine.witness.scene import WitnessScene
 
 from .asking import difference
-from .skip import Example, Skip, cpu_seconds_of, replaced
+from .skip import Example, Skip, replaced, timed
 
-BATCH = 256
-"""Configurations for which frames, and derivatives of the torch layer, are computed."""
+BATCH, FRAMES = 256, 20
+"""Configurations for which derivatives of the torch layer, and frames, are computed; the frames so many times."""
 
 
-def solving_skips(example: Example, seed: int) -> Iterator[Skip]:
+def solving_skips(example: Example, seed: int, rounds: int) -> Iterator[Skip]:
     """What is left out in a refinement of the example."""
-    yield _finished(example, seed)
+    yield _finished(example, seed, rounds)
     yield _curvatures(example, seed)
-    yield _layer(example)
-    yield _frames(example)
+    yield _layer(example, rounds)
+
+
+def frame_skip(example: Example, rounds: int) -> Skip:
+    """The frames of links without bodies."""
+    hand = example.scene.hand
+    chains = {"with": Chain(hand, links_of(hand)), "without": Chain(hand, [link.name for link in hand.links])}
+    counts = {which: len({*chain.links}) + len(chain.joints) for which, chain in chains.items()}
+    cpu = timed({which: partial(_many_poses, example, chain) for which, chain in chains.items()}, rounds)
+    return Skip(
+        "frames of links without bodies", "frames", f"{example.hand}, {FRAMES} times {BATCH} configurations",
+        counts["without"], counts["with"], cpu["without"][1], cpu["with"][1], "the frames of all links",
+    )  # fmt: skip
 
 
 # members that are done
@@ -103,15 +115,19 @@ class Kept:
         return getattr(self.problem, name)
 
 
-def _finished(example: Example, seed: int) -> Skip:
-    counts = {"with": 0, "without": 0}
+def _finished(example: Example, seed: int, rounds: int) -> Skip:
+    counts: dict[str, int] = {}
 
     def kept(problem: GraspProblem, *arguments: Any, **options: Any) -> Minimum:
         return minimise(Kept(problem, counts), *arguments, **options)
 
-    usual, cpu_with = cpu_seconds_of(lambda: _refined(example, seed))
-    with replaced(holding, "minimise", kept), replaced(refine_module, "minimise", kept):
-        other, cpu_without = cpu_seconds_of(lambda: _refined(example, seed))
+    def everything() -> Refinement:
+        counts.update({"with": 0, "without": 0})
+        with replaced(holding, "minimise", kept), replaced(refine_module, "minimise", kept):
+            return _refined(example, seed)
+
+    found = timed({"with": partial(_refined, example, seed), "without": everything}, rounds)
+    (usual, cpu_with), (other, cpu_without) = found["with"], found["without"]
     return Skip(
         "grasps that are done leave the batch", "grasp iterations", example.name, counts["without"], counts["with"],
         cpu_without, cpu_with, "they are evaluated and differentiated until the last one is done",
@@ -195,7 +211,7 @@ class _Counted:
         return self.method.pull_back(scene, force_a, force_b, force_n)
 
 
-def _layer(example: Example) -> Skip:
+def _layer(example: Example, rounds: int) -> Skip:
     """The torch layer differentiates the pairs that have a cotangent: here the contact links, which have targets."""
     prepared, hand = example.prepared, example.scene.hand
     T = _poses(example, prepared.chain)
@@ -203,34 +219,24 @@ def _layer(example: Example) -> Skip:
     counted = _Counted(ContactKinematics())
     T_link = torch.from_numpy(T).requires_grad_()
     found = WitnessLayer(prepared.pairs, counted)(T_link, T_object)
-    counts, cpu_s = {}, {}
-    for which, columns in (("with", len(hand.contacts)), ("without", len(prepared.bodies))):
+
+    def differentiated(columns: int) -> int:
         loss = found.point_a[:, :columns].square().sum() + found.point_b[:, :columns].square().sum()
-        torch.autograd.grad(loss, T_link, retain_graph=True)
         counted.items = 0
-        _, cpu_s[which] = cpu_seconds_of(lambda loss=loss: torch.autograd.grad(loss, T_link, retain_graph=True))
-        counts[which] = counted.items
+        torch.autograd.grad(loss, T_link, retain_graph=True)
+        return counted.items
+
+    columns = {"with": len(hand.contacts), "without": len(prepared.bodies)}
+    both = timed({which: partial(differentiated, count) for which, count in columns.items()}, rounds + 1)
     return Skip(
-        "derivatives of witness points that no loss looks at", "witness pairs", f"{example.name}, {len(T)} configurations",
-        counts["without"], counts["with"], cpu_s["without"], cpu_s["with"], "a loss that looks at all links",
+        "derivatives of witness points that no loss looks at", "derivatives", f"{example.name}, {len(T)} configurations",
+        both["without"][0], both["with"][0], both["without"][1], both["with"][1], "a loss that looks at all links",
     )  # fmt: skip
 
 
-# frames
-
-
-def _frames(example: Example) -> Skip:
-    hand = example.scene.hand
-    chains = {"with": Chain(hand, links_of(hand)), "without": Chain(hand, [link.name for link in hand.links])}
-    counts, cpu_s = {}, {}
-    for which, chain in chains.items():
+def _many_poses(example: Example, chain: Chain) -> None:
+    for _ in range(FRAMES):
         _poses(example, chain)
-        _, cpu_s[which] = cpu_seconds_of(lambda chain=chain: [_poses(example, chain) for _ in range(20)])
-        counts[which] = len({*chain.links}) + len(chain.joints)
-    return Skip(
-        "frames of links without bodies", "link and joint frames", f"{hand.name}, 20 times {BATCH} configurations",
-        counts["without"], counts["with"], cpu_s["without"], cpu_s["with"], "the frames of all links",
-    )  # fmt: skip
 
 
 def _poses(example: Example, chain: Chain) -> np.ndarray:

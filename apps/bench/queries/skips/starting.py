@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from grasp_refine.hand import Hand
 from grasp_refine.objects import Object
 from grasp_refine.self_collision import Sampling, candidate_pairs, judged_pairs, self_penetration, touching_pairs
 
-from .skip import Skip, cpu_seconds_of
+from .skip import Skip, timed
 
 CONFIGURATIONS = 64
 """Random configurations at which pairs of links are asked."""
@@ -31,7 +32,8 @@ if everything:
     import grasp_refine
     for module in pkgutil.walk_packages(grasp_refine.__path__, "grasp_refine."):
         if not module.name.endswith("__main__"):
-            import_module(module.name)
+            with contextlib.suppress(ImportError):
+                import_module(module.name)
     for name in ("coacd", "matplotlib.figure", "jinja2"):
         with contextlib.suppress(ImportError):
             import_module(name)
@@ -46,26 +48,25 @@ COMMANDS = ("--help", "hands", "run --no-validate")
 """Command lines whose imports are counted."""
 
 
-def self_collision_skips(hand: Hand, seed: int) -> Iterator[Skip]:
+def self_collision_skips(hand: Hand, seed: int, rounds: int) -> Iterator[Skip]:
     """Pairs of links that never meet within the joint limits, and the second start, which knows them."""
     judged = judged_pairs(hand)
-    apart = set(candidate_pairs(hand)) - {*judged.at_rest, *judged.nearly_always}
+    apart = sorted(set(candidate_pairs(hand)) - {*judged.at_rest, *judged.nearly_always})
     q = np.random.default_rng(seed).uniform(*_limits(hand), (CONFIGURATIONS, len(hand.joint_names)))
-    cpu_s = []
-    for pairs in (sorted(apart), judged.watched):
-        self_penetration(hand, pairs, q)
-        cpu_s.append(cpu_seconds_of(lambda pairs=pairs: self_penetration(hand, pairs, q))[1])
+    both = {"without": apart, "with": judged.watched}
+    asked = timed({which: partial(self_penetration, hand, pairs, q) for which, pairs in both.items()}, rounds + 1)
     yield Skip(
         "pairs of links that never meet within the limits", "link pairs", f"{hand.name}, {CONFIGURATIONS} configurations",
-        len(apart), len(judged.watched), *cpu_s, "all pairs that are not made to overlap are asked",
+        len(apart), len(judged.watched), asked["without"][1], asked["with"][1],
+        "all pairs that are not made to overlap are asked",
     )  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
-        first, cpu_first = cpu_seconds_of(lambda: touching_pairs(hand, cache=Path(folder)))
-        again, cpu_again = cpu_seconds_of(lambda: touching_pairs(hand, cache=Path(folder)))
-    assert first == again
-    sampled = 1 + Sampling.uniform + Sampling.extreme
+        look = partial(touching_pairs, hand, cache=Path(folder))
+        # In this order: the first one fills the folder.
+        found = timed({"without": look, "with": look})
     yield Skip(
-        "looking for these pairs at the second start", "configurations", hand.name, sampled, 0, cpu_first, cpu_again,
+        "looking for these pairs at the second start", "configurations", hand.name,
+        1 + Sampling.uniform + Sampling.extreme, 0, found["without"][1], found["with"][1],
         "the first start, with an empty cache",
     )  # fmt: skip
 
@@ -78,27 +79,28 @@ def _limits(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
 def decomposition_skip(obj: Object) -> Skip:
     """A convex object is its own hull: CoACD does not run."""
     mesh = obj.mesh
-    pieces, cpu_with = cpu_seconds_of(lambda: convex_pieces(mesh, name=obj.name))
     vertices = np.asarray(mesh.vertices) / np.linalg.norm(np.ptp(mesh.vertices, axis=0))
-    parts, cpu_without = cpu_seconds_of(
-        lambda: decompose(vertices, np.asarray(mesh.faces), Decomposition(), single=True)
+    found = timed(
+        {
+            "with": lambda: convex_pieces(mesh, name=obj.name),
+            "without": lambda: decompose(vertices, np.asarray(mesh.faces), Decomposition(), single=True),
+        }
     )
+    parts, pieces = len(found["without"][0]), len(found["with"][0])
     return Skip(
-        "decomposition of convex objects", "runs of CoACD", obj.name, 1, 0, cpu_without, cpu_with,
-        f"CoACD cuts it, into {len(parts)} instead of {len(pieces)} piece{'s' * (len(pieces) != 1)}",
+        "decomposition of convex objects", "runs of CoACD", obj.name, 1, 0, found["without"][1], found["with"][1],
+        f"CoACD runs, and makes {parts} piece{'s' * (parts != 1)} of what is {pieces} without it",
     )  # fmt: skip
 
 
-def import_skips(commands: Sequence[str] = COMMANDS) -> Iterator[Skip]:
+def import_skips(commands: Sequence[str]) -> Iterator[Skip]:
     """Modules that a command does not load, each in processes of their own."""
     for command in commands:
-        (modules, cpu), (every, cpu_every) = (
-            cpu_seconds_of(lambda command=command, everything=everything: _modules(command.split(), everything))
-            for everything in (False, True)
-        )
+        ways = {"with": False, "without": True}
+        found = timed({which: partial(_modules, command.split(), everything) for which, everything in ways.items()})
         yield Skip(
-            "imports that nobody uses", "modules", f"refine-grasp {command}", every, modules, cpu_every, cpu,
-            "all of the package is imported first",
+            "imports that nobody uses", "modules", f"refine-grasp {command}", found["without"][0], found["with"][0],
+            found["without"][1], found["with"][1], "the whole package is imported first",
         )  # fmt: skip
 
 
@@ -107,13 +109,19 @@ def _modules(command: Sequence[str], everything: bool) -> int:
     with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
         path = str(Path(grasp_refine.__file__).parents[1])
         child = subprocess.run(
-            [sys.executable, "-c", f"import sys; sys.path.append({path!r})\n{PROGRAM}", json.dumps(everything), *command],
+            [
+                sys.executable,
+                "-c",
+                f"import sys; sys.path.append({path!r})\n{PROGRAM}",
+                json.dumps(everything),
+                *command,
+            ],
             cwd=folder,
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
-            check=True,
         )
+    assert child.returncode == 0, child.stderr
     code, modules = json.loads(child.stdout.strip().splitlines()[-1])
     assert code == 0, f"refine-grasp {' '.join(command)} ended with exit code {code}"
     return modules

@@ -14,6 +14,7 @@ from apps.bench.align.levenberg_marquardt import minimised
 from apps.bench.align.stopwatch import PARTS, PASSES, Stopwatch, TimedDerivative
 from apps.bench.align.tasks import draw_tasks
 from apps.bench.align.variants import Variant
+from apps.bench.shares import cpu_share
 from grasp_refine.collision.query import Pairs
 from grasp_refine.se3 import exp_se3
 from grasp_refine.stopwatch import STAGES
@@ -77,7 +78,7 @@ def test_the_stages_of_a_run_sum_to_its_time(solver: str):
         result = align([pair], [tasks], Variant(budget=30).built(0))
     else:
         result = minimised([pair], [tasks], Variant.least_squares(budget=30).built(0))
-    spent = result.watch.shares(PARTS)
+    spent = cpu_share([result.watch], PARTS)
     assert set(spent) == set(PARTS) and min(spent.values()) > 0.0
     assert sum(spent.values()) == pytest.approx(1.0)
     assert result.watch.cpu_s == pytest.approx(result.cpu_s, rel=0.02)

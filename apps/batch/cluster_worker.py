@@ -1,0 +1,56 @@
+"""What is called on the workers of a cluster: one shard at a time, and the question whether they are fit for it."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import distributed
+
+import grasp_refine
+
+from .attempt import attempt
+from .shard import Done, Failed, Shard, Work
+
+BEAT_S = 1.0
+"""Signs of life of a worker are at least this far apart: all of them pass through the scheduler."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a process has installed, and whether it can get at the folder of results."""
+
+    versions: tuple[tuple[str, str], ...]
+    """Name and version of what has to be the same everywhere."""
+    reads: bool
+    """Whether a file that was written elsewhere is there."""
+    writes: bool
+    """Whether files can be put beside it."""
+
+
+def seen(probe: Path) -> Seen:
+    """What this process has, and whether it sees the file `probe`, which somebody else has just written."""
+    versions = (
+        ("grasp-refine", grasp_refine.__version__),
+        ("Python", ".".join(platform.python_version_tuple()[:2])),
+        ("distributed", distributed.__version__),
+    )
+    return Seen(versions, probe.is_file(), os.access(probe.parent, os.W_OK))
+
+
+def attempt_there(work: Work, shard: Shard, topic: str) -> Done | Failed:
+    """What comes of a shard; signs of life (number, what, share) are events of `topic`."""
+    worker = distributed.get_worker()
+    heard = -BEAT_S
+
+    def beat(what: str, share: float) -> None:
+        nonlocal heard
+        now = time.monotonic()
+        if now - heard >= BEAT_S:
+            heard = now
+            worker.log_event(topic, [shard.number, what, float(share)])
+
+    return attempt(work, shard, beat)

@@ -1,0 +1,68 @@
+"""Work that runs in several processes at the same time, and begins in all of them at once."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from multiprocessing.synchronize import Barrier
+from threading import BrokenBarrierError
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
+
+PATIENCE = 600.0
+"""Seconds that a process waits at most for the others to be ready."""
+
+
+def together(works: Sequence[Callable[[Callable[[], None]], Result]]) -> list[Result]:
+    """What the works give, each in a process of its own.
+
+    Args:
+        works: Each gets a function that returns once all works have called it; can be pickled.
+
+    Raises:
+        Exception: what a work raises, or RuntimeError where its process ended; the others are ended too.
+    """
+    # A forked child of a process that has used torch may hang.
+    context = multiprocessing.get_context("spawn")
+    barrier = context.Barrier(len(works))
+    children = []
+    try:
+        for work in works:
+            mine, its = context.Pipe(duplex=False)
+            child = context.Process(target=_do, args=(work, barrier, its))
+            child.start()
+            its.close()
+            children.append((child, mine))
+        found = [_received(*each) for each in children]
+        errors = [one for one in found if isinstance(one, BaseException)]
+        # That the others were not waited for any longer is no news.
+        for error in sorted(errors, key=lambda one: isinstance(one, BrokenBarrierError)):
+            raise error
+        return found
+    finally:
+        for child, mine in children:
+            child.terminate()
+            child.join()
+            mine.close()
+
+
+def _received(child: Any, mine: Connection) -> Any:
+    try:
+        return mine.recv()
+    except EOFError:
+        child.join()
+        return RuntimeError(f"a process ended without a result, exit code {child.exitcode}")
+
+
+def _do(work: Callable[[Callable[[], None]], Any], barrier: Barrier, told: Connection) -> None:
+    """The child's part."""
+    try:
+        result = work(lambda: barrier.wait(PATIENCE))
+    except Exception as error:
+        barrier.abort()
+        result = error
+    with suppress(BrokenPipeError):
+        told.send(result)
