@@ -33,12 +33,15 @@ COMMANDS = {
     "assets verify": "whether what was fetched is still whole",
     "bench align": "run time against error of witness derivatives: the experiments of the paper",
     "bench grasp": "how accurate and how fast grasps are refined, by solver and batch size",
+    "bench queries": "what a witness query costs against coal and MuJoCo, and what skips save",
     "bench hold": "run time against success: how many grasps hold after refinement, by method",
     "doctor": "what is installed here, what is missing, and what this machine can do",
 }
 """Name of each command -> what it does."""
 
-WITH_MUJOCO = ("run", "batch", "validate", "view", "convert", "bench align", "bench grasp", "bench hold")
+WITH_MUJOCO = (
+    "run", "batch", "validate", "view", "convert", "bench align", "bench grasp", "bench hold", "bench queries",
+)  # fmt: skip
 """Commands that load MuJoCo, or pytorch-kinematics, which does: that fails with a traceback if `MUJOCO_GL` is wrong."""
 
 BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141

@@ -340,8 +340,8 @@ class GraspProblem:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Curvatures (M, C, 2, 2) of links and object; where no one looks, or there are no witness points, none.
 
-        Only what is `looked` at (M, C) is fitted; elsewhere they are those of balls of 1 m, which mean nothing. Where the
-        `width` is 1, neighbourhoods have twice the radius `reach` (2, M, C), of links and object.
+        Only what is `looked` at (M, C) is fitted; elsewhere they are those of balls of 1 m, which mean nothing. Where
+        the `width` is 1, neighbourhoods have twice the radius `reach` (2, M, C), of links and object.
         """
         shape = w.distance.shape
         item = np.flatnonzero((looked & w.valid).reshape(-1))

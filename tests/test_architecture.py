@@ -99,7 +99,7 @@ LIGHT = (
 
 HEAVY = {"torch", "coal", "coacd", "pytorch_kinematics"}
 
-COAL = ("collision.narrowphase", "apps.bench.layer")
+COAL = ("collision.narrowphase", "apps.bench.queries.peers")
 """The only file that talks to coal, and the benchmark that measures plain coal as its peer."""
 
 

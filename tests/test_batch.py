@@ -340,6 +340,42 @@ def test_interrupted_it_says_how_to_go_on_and_leaves_nothing_running(
     assert not list((tmp_path / "out").rglob(".*"))
 
 
+def test_a_full_disk_costs_only_what_cannot_be_written(copy: Path, whole: Path, sources: Path):
+    path = copy / "example_bottle" / "allegro_bottle_00001.npz"
+    path.unlink()
+    path.symlink_to("/dev/full")
+    command = ("--out", copy, "--shard-size", 3, "--no-report", *QUICK)
+    assert batch(sources, *command, "--json", copy / "full.json") == 1
+    (failed,) = json.loads((copy / "full.json").read_text())["failed"]
+    assert failed["path"] == str(path)
+    assert "cannot be written (No space left on device)" in failed["message"]
+    assert batch(sources, *command) == 0
+    assert_same(copy, whole)
+
+
+def workers_of(process: subprocess.Popen[str]) -> list[int]:
+    """The processes that a process started, but for those that only look after resources."""
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    return [pid for pid in map(int, children) if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text()]
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="there is no /proc to find the workers in")
+@pytest.mark.parametrize(
+    "signal_", [signal.SIGKILL, pytest.param(signal.SIGSTOP, marks=pytest.mark.slow)], ids=["killed", "hung"]
+)
+def test_a_worker_that_is_lost_is_replaced(tmp_path: Path, sources: Path, signal_: signal.Signals):
+    out, summary = tmp_path / "out", tmp_path / "summary.json"
+    options = ("--workers", "2", "--no-report", "--patience", "10", "--json", str(summary))
+    process = running(sources, out, *options)
+    wait_for(out, 1)
+    os.kill(workers_of(process)[0], signal_)
+    _, error = process.communicate(timeout=120)
+    assert process.returncode == 0, error
+    assert json.loads(summary.read_text())["totals"]["n"] == 8
+    assert len(results(out)) == 8
+    assert group_is_gone(process.pid)
+
+
 @pytest.mark.slow
 def test_killed_at_any_moment_it_goes_on_and_comes_out_the_same(tmp_path: Path, sources: Path):
     options = ("--workers", "2", "--geometry-only", "--no-report", "--index", "csv")

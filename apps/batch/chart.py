@@ -22,6 +22,8 @@ TOGETHER = 4
 """So many bins are drawn as one: five to a power of ten, or 25 of the quality."""
 GAP = 0.5
 """The bar of what lies below all bins stands so many bars apart."""
+CLEAR = 32
+"""Nothing is written nearer to what is written below the lowest bar."""
 FEWEST = 10
 """Bars that there is room for at least, so that few are not huge."""
 
@@ -90,7 +92,7 @@ MEASURES = (
 """What is told before and after."""
 MOVED = (
     Measure("hand moved", "how far its base link is from where it came", None, "moved_palm_m", words.millimetres, "mm"),
-    Measure("hand turned", "by which angle", None, "moved_palm_rad", words.degrees, "°"),
+    Measure("hand turned", "by how much its base link turned", None, "moved_palm_rad", words.degrees, "°"),
     Measure("joints moved", "the one that moved most", None, "moved_joints_rad", words.degrees, "°"),
 )
 """What is told after only."""
@@ -136,10 +138,12 @@ def chart(measure: Measure, distributions: Mapping[str, Histogram]) -> str:
     for value, text in _marks(measure, edges[first], edges[last + 1], after.bins.scale):
         x = begin + _along(value, edges[first], edges[last + 1], after.bins.scale) * step * (last - first + 1)
         axis.append(f'<line class="axis" x1="{x:.1f}" x2="{x:.1f}" y1="{base}" y2="{base + 4}"/>')
-        anchor = "end" if x > WIDTH - 20 else "start" if x < 12 else "middle"
-        axis.append(f'<text x="{x:.1f}" y="{base + 16}" text-anchor="{anchor}">{escape(text)}</text>')
+        # Nothing is written over what the lowest bar is called.
+        if not lowest or x > LEFT + step / 2 + CLEAR:
+            anchor = "end" if x > WIDTH - 20 else "start" if x < 12 else "middle"
+            axis.append(f'<text x="{x:.1f}" y="{base + 16}" text-anchor="{anchor}">{escape(text)}</text>')
     if lowest:
-        axis.append(f'<text x="{LEFT}" y="{base + 16}">{"0" if after.bins.low < 1e-4 else "less"}</text>')
+        axis.append(f'<text x="{LEFT + step / 2:.1f}" y="{base + 16}" text-anchor="middle">~0</text>')
     if measure.mark is not None:
         x = begin + _along(measure.mark, edges[first], edges[last + 1], after.bins.scale) * step * (last - first + 1)
         axis.append(f'<line class="mark" x1="{x:.1f}" x2="{x:.1f}" y1="{TOP - 6}" y2="{base}"/>')
@@ -165,7 +169,8 @@ def _marks(measure: Measure, low: float, high: float, scale: str) -> Sequence[tu
         value = 10.0**power * unit
         if low * 0.999 <= value <= high * 1.001:
             text = f"{10.0**power:g}" if -3 <= power <= 4 else f"1e{power}"
-            found.append((value, f"{text} {measure.unit}".rstrip() if power % 2 == 0 or high / low < 1e4 else ""))
+            text = words.micro(value) if measure.unit == "mm" else f"{text}{measure.unit}"
+            found.append((value, text if power % 2 == 0 or high / low < 1e4 else ""))
     return found
 
 

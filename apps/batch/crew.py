@@ -10,14 +10,14 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 
 from grasp_refine.errors import GraspRefineError
 
+from .dispatch import News
 from .schedule import Schedule
-from .shard import Done, Failed, Reason, Shard, Work
+from .shard import Failed, Shard, Work
 from .worker import BEAT_S, WHERE, Ready, work_on_shards
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -39,28 +39,18 @@ _LOG_LINES, _LOG_BYTES, _LINE = 120, 16384, 300
 """What is kept of the log of a lost worker: lines, bytes, and characters of a line."""
 
 
-@dataclass(frozen=True)
-class Loss:
-    """A worker is lost, and with it what it has done of its shard."""
-
-    reason: Reason
-    """Whether it ended, or gave no sign of life."""
-    message: str
-    """How, in one line."""
-    log: str
-    """The last that it wrote; where it was, if it could still tell."""
-
-
 class Crew:
     """The worker processes of one batch."""
 
-    def __init__(self, work: Work, patience_s: float) -> None:
+    def __init__(self, work: Work, most: int, patience_s: float) -> None:
         """None is started yet.
 
         Args:
             work: What they do with a shard.
+            most: How many there may be.
             patience_s: How long they may give no sign of life (s).
         """
+        self._most = most
         self._work = pickle.dumps(work)
         self._patience_s = patience_s
         self._members: list[_Worker] = []
@@ -75,13 +65,16 @@ class Crew:
         """How many have a shard."""
         return sum(member.shard is not None for member in self._members)
 
-    def grow(self, number: int) -> None:
-        """Start workers until there are `number`.
+    def share_out(self, schedule: Schedule) -> None:
+        """Give every worker that has nothing to do a shard, as long as there are any, and start those that are missing.
 
         Raises:
-            GraspRefineError: They end while they start, and there is none that has started.
+            GraspRefineError: Workers end while they start, and there is none that has started.
         """
-        while len(self._members) < number:
+        for member in self._members:
+            if member.ready and member.shard is None and (shard := schedule.take(member.group)) is not None:
+                member.give(shard, self._clock_s)
+        while len(self._members) < min(self._most, self.busy + len(schedule)):
             if self._bad_starts >= BAD_STARTS:
                 if any(member.ready for member in self._members):
                     return  # Those that are there do all the work.
@@ -95,19 +88,13 @@ class Crew:
                 self._bad_starts += 1
                 self._why = f"was refused by the system ({error.strerror or error})"
 
-    def share_out(self, schedule: Schedule) -> None:
-        """Give every worker that has nothing to do a shard, as long as there are any."""
-        for member in self._members:
-            if member.ready and member.shard is None and (shard := schedule.take(member.group)) is not None:
-                member.give(shard, self._clock_s)
-
-    def listen(self) -> list[tuple[Shard, tuple[str, float] | Done | Failed | Loss]]:
+    def listen(self) -> list[News]:
         """What was heard about shards, after a short wait if need be; lost workers are ended and forgotten."""
         wait([source for member in self._members for source in member.sources], LOOK_S)
         now = time.monotonic()
         self._clock_s += min(now - self._looked, 2 * LOOK_S)
         self._looked = now
-        news: list[tuple[Shard, tuple[str, float] | Done | Failed | Loss]] = []
+        news: list[News] = []
         for member in list(self._members):
             news += member.hear(self._clock_s)
             if member.ready:
@@ -120,7 +107,7 @@ class Crew:
                 news.append((member.shard, loss))
             elif not member.ready:
                 self._bad_starts += 1
-                self._why = ": ".join([loss.message.removeprefix("its worker "), *loss.log.splitlines()[-1:]])
+                self._why = ": ".join([loss.message.removeprefix("its worker "), *loss.traceback.splitlines()[-1:]])
         return news
 
     def end(self) -> None:
@@ -184,9 +171,9 @@ class _Worker:
         with suppress(BrokenPipeError, ConnectionResetError):
             self._connection.send(shard)
 
-    def hear(self, clock_s: float) -> list[tuple[Shard, tuple[str, float] | Done | Failed]]:
+    def hear(self, clock_s: float) -> list[News]:
         """What it has said about its shard since."""
-        news: list[tuple[Shard, tuple[str, float] | Done | Failed]] = []
+        news: list[News] = []
         # Asked first: what a process said before it ended is all there to be heard.
         self._over = self.gone
         try:
@@ -205,11 +192,12 @@ class _Worker:
             self._over = True
         return news
 
-    def loss(self, clock_s: float, patience_s: float) -> Loss | None:
+    def loss(self, clock_s: float, patience_s: float) -> Failed | None:
         """How it was lost, if it was; then nothing is left of it."""
+        number = -1 if self.shard is None else self.shard.number
         if self._over:
             exit_code, log = self.kill()
-            return Loss("crashed", f"its worker {_way_out(exit_code)}{self._last_sign()}", log)
+            return Failed(number, "crashed", f"its worker {_way_out(exit_code)}{self._last_sign()}", log, tries=1)
         # Signs of life may have been given, and not sent, for a moment after the last one that was.
         if (self.shard is None and self.ready) or clock_s - self._heard_s <= patience_s + BEAT_S:
             return None
@@ -217,7 +205,8 @@ class _Worker:
             os.kill(self._number, WHERE)
         wait([self._process.sentinel], WHERE_S)
         _, log = self.kill()
-        return Loss("hung", f"its worker gave no sign of life for {patience_s:g} s{self._last_sign()}", log)
+        message = f"its worker gave no sign of life for {patience_s:g} s{self._last_sign()}"
+        return Failed(number, "hung", message, log, tries=1)
 
     def tell_to_end(self) -> None:
         """Ask it to clean up and end."""

@@ -6,6 +6,7 @@ import shlex
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from math import isnan
+from pathlib import PurePath
 from typing import Any
 from urllib.parse import quote
 
@@ -97,7 +98,7 @@ def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[A
 
     def change(before: int, after: int, of: int, said: str) -> dict[str, str]:
         tone = "good" if after > before else "bad" if after < before else ""
-        numbers = f"{words.share(before, of)} → {words.share(after, of)}"
+        numbers = f"{words.share(before, of).removesuffix(' %')} → {words.share(after, of)}"
         return {"number": numbers, "words": f"{said}: {words.whole(before)} → {words.whole(after)}", "tone": tone}
 
     tiles = [
@@ -114,9 +115,9 @@ def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[A
         many = "shard" if len(failed) == 1 else "shards"
         tiles.append({"number": words.whole(len(failed)), "words": f"{many} failed", "tone": "bad"})
     if totals.get("grasps_per_s"):
-        per = totals.get("cpu_s_per_grasp")
-        said = "throughput" if per is None else f"at {words.duration(per)} of CPU time each"
-        tiles.append({"number": words.rate(totals["grasps_per_s"]), "words": said, "tone": ""})
+        per, speed = totals.get("cpu_s_per_grasp"), words.rate(totals["grasps_per_s"])
+        said = "grasps" if per is None else f"grasps, at {words.duration(per)} of CPU time each"
+        tiles.append({"number": speed.replace(" grasps/", " / "), "words": said, "tone": ""})
     return tiles
 
 
@@ -157,19 +158,15 @@ def view_command(case: Case) -> str:
 
 def _case(picture: Picture) -> dict[str, Any]:
     case = picture.case
-    quality, depth, error = (
-        " → ".join(map(told, pair))
-        for told, pair in (
-            (words.plain, case.quality),
-            (words.millimetres, case.penetration_m),
-            (words.millimetres, case.contact_error_m),
-        )
-    )
+    quality = " → ".join(map(words.plain, case.quality))
+    depth, error = (" → ".join(map(_hundredths, pair)) for pair in (case.penetration_m, case.contact_error_m))
     missed = f"did not hold: {case.reason}" if case.held is False and case.reason else "did not hold"
-    origin = f"row {case.source_row} of {case.source}" if case.source and case.source_row is not None else case.source
+    file = PurePath(case.source).name
+    origin = f"row {case.source_row} of {file}" if file and case.source_row is not None else file
     return {
         "name": f"{case.hand} on {case.object}",
         "origin": origin,
+        "source": case.source,
         "measures": f"quality {quality} · penetration {depth} mm · contact error {error} mm · {case.status}",
         "verdict": missed if case.held is False else "",
         "file": case.file.as_posix(),
@@ -180,6 +177,11 @@ def _case(picture: Picture) -> dict[str, Any]:
         "after": _embedded(picture.after),
         "problem": picture.problem,
     }
+
+
+def _hundredths(metres: float) -> str:
+    """A length in mm as the table of `run` has it."""
+    return words.NONE if isnan(metres) else f"{1e3 * metres:.2f}"
 
 
 def _embedded(png: bytes) -> str:

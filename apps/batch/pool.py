@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 
-from .crew import Crew, Loss
+from .crew import Crew
+from .dispatch import dispatch
 from .schedule import Schedule
 from .shard import Done, Failed, Shard, Work
 
@@ -38,33 +37,8 @@ def run_local(
     Raises:
         GraspRefineError: Workers cannot be started.
     """
-    schedule = Schedule(shards)
-    lost: Counter[int] = Counter()
-    ended: list[Done | Failed] = []
-    crew = Crew(work, patience_s)
+    crew = Crew(work, workers, patience_s)
     try:
-        while True:
-            crew.grow(min(workers, crew.busy + len(schedule)))
-            crew.share_out(schedule)
-            # Only now, so that workers have something to do while the caller looks at it.
-            yield from ended
-            if not crew.busy and not len(schedule):
-                return
-            ended = []
-            for shard, said in crew.listen():
-                if isinstance(said, tuple):
-                    beat(shard.number, *said)
-                    continue
-                if isinstance(said, Loss):
-                    lost[shard.number] += 1
-                    if lost[shard.number] < tries:
-                        schedule.again(shard)
-                        continue
-                    said = Failed(shard.number, said.reason, said.message, said.log, tries)
-                elif isinstance(said, Failed):
-                    said = replace(said, tries=lost[shard.number] + 1)
-                lost.pop(shard.number, None)
-                schedule.ended(shard)
-                ended.append(said)
+        yield from dispatch(Schedule(shards), crew, tries, beat)
     finally:
         crew.end()

@@ -34,7 +34,7 @@ OVERSAMPLING = 1.5
 """Everything is drawn this many times larger and averaged, for smooth edges."""
 COLORS = 128
 """Colours of a picture, which halve the size of its file."""
-SHADOW_SIZE = 200
+SHADOW_SIZE = 400
 """Pixels along each side of the shadow map."""
 EXTENT = 0.2
 """Metres that a picture is high after scaling; the rasterizer's outlines and shadows are made for this size."""
@@ -46,12 +46,12 @@ MOST_FACES = 4000
 """Most triangles of an object that is drawn by its mesh; of a finer one, the convex pieces are drawn."""
 GRID = 0.012
 """Corners of a convex piece nearer to each other than this share of the whole size are drawn as one."""
-FARTHEST = 0.75
-"""So much of the object is seen: what lies within this many sizes of the hand from its middle."""
+SEEN = 2.3
+"""What is farther from the middle of the fingertips than so many times the farthest of them need not be seen."""
 MARGIN = 1.08
 """How much larger than what is to be seen the picture is."""
-NEAR = 0.03
-"""In the look for a side, a point hides what lies farther behind it than this share of the hand's size."""
+NEAR = 0.08
+"""In the look for a side, a point hides what lies farther behind it than this share of the farthest fingertip's way."""
 LIGHT = (0.5, 0.35)
 """The light comes from the camera, moved this far (in units of the way to it) to the right and up."""
 TILTS, TURNS = (0.35, -0.1, 0.8), 12
@@ -171,14 +171,16 @@ def _view(bones: Bones, obj: Object, links: Sequence[np.ndarray]) -> View:
     """From where the hand is seen best: most of the points of links that should touch, in the last pose."""
     posed = [[transform_points(T, p) for T, p in zip(its, bones.points, strict=True)] for its in links]
     hand = np.concatenate([points for its in posed for points in its])
-    size = np.ptp(hand, axis=0).max()
     of_object = obj.body.candidates.points
-    center = (hand.min(0) + hand.max(0)) / 2
-    shown = of_object[np.linalg.norm(of_object - center, axis=1) < FARTHEST * size]
-    interest = np.concatenate([hand, shown])
-    tips = np.concatenate([np.full(len(p), t) for p, t in zip(posed[-1], bones.touching, strict=True)])
+    touches = [p for its in posed for p, t in zip(its, bones.touching, strict=True) if t]
+    tips = np.concatenate(touches) if touches else hand
+    middle = (tips.min(0) + tips.max(0)) / 2
+    size = np.linalg.norm(tips - middle, axis=1).max()
+    interest = np.concatenate([hand, of_object])
+    interest = interest[np.linalg.norm(interest - middle, axis=1) < SEEN * size]
     points = np.concatenate([*posed[-1], of_object])
-    wanted = np.concatenate([tips, np.zeros(len(of_object), dtype=bool)])
+    wanted = np.concatenate([np.full(len(p), t) for p, t in zip(posed[-1], bones.touching, strict=True)])
+    wanted = np.concatenate([wanted, np.zeros(len(of_object), dtype=bool)])
     tilt, turn = (grid.ravel() for grid in np.meshgrid(TILTS, 2 * np.pi * np.arange(TURNS) / TURNS, indexing="ij"))
     directions = np.stack([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.sin(tilt)], axis=1)
     seen = [_seen(points, wanted, direction, NEAR * size) for direction in directions]

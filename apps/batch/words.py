@@ -40,7 +40,7 @@ def millimetres(metres: float) -> str:
     """A length in mm with three digits; below a tenth of a micrometre, digits mean nothing."""
     if not isfinite(metres):
         return NONE
-    return "0" if metres == 0 else "< 0.0001" if metres < 1e-7 else _three(1e3 * metres)
+    return "0" if metres == 0 else "< 0.0001" if metres < 0.95e-7 else _short(1e3 * metres)
 
 
 def degrees(radians: float) -> str:
@@ -51,6 +51,18 @@ def degrees(radians: float) -> str:
 def plain(value: float) -> str:
     """A number with three digits."""
     return _three(value)
+
+
+def micro(metres: float) -> str:
+    """A power of ten of lengths, as axes say it."""
+    for unit, size in (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6)):
+        if metres > 0.99 * size * (0.1 if unit == "mm" else 1.0):
+            return f"{metres / size:.3g} {unit}"
+    return f"{metres * 1e9:.3g} nm"
+
+
+def _short(value: float) -> str:
+    return f"{value:.4f}".rstrip("0") if value < 9.5e-4 else _three(value)
 
 
 def _three(value: float) -> str:

@@ -63,6 +63,7 @@ def test_a_bound_of_motion_in_closed_form() -> None:
     assert motion(ball, T, shifted)[0, 0] == pytest.approx(0.3)
 
 
+@pytest.mark.usefixtures("engine")
 def test_what_is_surely_apart_is_not_asked_and_the_rest_is_that_of_a_query() -> None:
     pairs = Pairs((BODIES["hull"], BODIES["ring"]), (BODIES["cluster"], BODIES["cluster"]))
     T_a, T_b = np.tile(random_poses(30, 4), (1, 2, 1, 1)), np.tile(random_poses(30, 5), (1, 2, 1, 1))
@@ -82,6 +83,7 @@ def test_what_is_surely_apart_is_not_asked_and_the_rest_is_that_of_a_query() -> 
     assert answered[plain.distance < 0].all() and answered[np.isinf(cutoff)].all()
 
 
+@pytest.mark.usefixtures("engine")
 def test_poses_that_are_not_finite_are_asked_and_said_to_be_so() -> None:
     pairs = Pairs((BODIES["hull"],), (BODIES["round"],))
     T = random_poses(3, 7)

@@ -2,22 +2,36 @@
 
 import gc
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 from shapes_for_tests import ellipsoid_hull
 from twists import random_poses
 
+from grasp_refine.collision.engine import chosen
 from grasp_refine.collision.narrowphase import Closest, NarrowPhase, Tolerances
 from grasp_refine.collision.shapes import few_neighbours
 from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, hull, sphere
 from grasp_refine.se3 import exp_so3, inverse
 
+pytestmark = pytest.mark.usefixtures("engine")
+only_python = pytest.mark.parametrize("engine", ["python"], indirect=True)
+
 NOWHERE = -1.8e308  # minus infinity: what EPA was once seen to return
 
 
+def narrow_phase(a: list[Piece], b: list[Piece], tolerances: Tolerances | None = None) -> Any:
+    """That of the engine under test."""
+    if chosen("auto") == "python":
+        return NarrowPhase(a, b, tolerances or Tolerances())
+    from grasp_refine.collision.native_search import NativeNarrowPhase
+
+    return NativeNarrowPhase(a, b, tolerances or Tolerances())
+
+
 def closest(
-    narrow: NarrowPhase, T: np.ndarray, pairs: int = 1, limit: float = np.inf, bound: float = -np.inf
+    narrow: Any, T: np.ndarray, pairs: int = 1, limit: float = np.inf, bound: float = -np.inf
 ) -> Closest:
     """Ask all `pairs` piece pairs for body b at the poses T (M, 4, 4) in the frame of body a."""
     count = len(T)
@@ -32,7 +46,7 @@ def closest(
 
 
 def ask(a: Piece, b: Piece, T: np.ndarray, tolerances: Tolerances | None = None) -> Closest:
-    return closest(NarrowPhase([a], [b], tolerances or Tolerances()), T)
+    return closest(narrow_phase([a], [b], tolerances), T)
 
 
 def poses(count: int, seed: int, spread: float) -> np.ndarray:
@@ -61,6 +75,14 @@ def outside_by(piece: Piece, points: np.ndarray) -> np.ndarray:
     """Largest signed distance (M,) of points to the planes of a polytope: zero on its surface."""
     normals, offsets = piece.planes
     return (points @ normals.T - offsets).max(axis=1)
+
+
+TIED = [
+    pytest.param(cylinder(0.03, 0.02, sides=400), cylinder(0.02, 0.03), id="discs"),
+    pytest.param(box([0.04] * 3), box([0.03] * 3), id="boxes"),
+    pytest.param(capsule(0.01, (0, 0, -0.02), (0, 0, 0.03)), ellipsoid_hull(3), id="capsule"),
+]
+"""Pieces with faces, edges or ends that can be parallel."""
 
 
 # closed forms
@@ -185,7 +207,7 @@ def test_both_bodies_may_have_a_radius_and_a_place_of_their_own() -> None:
 
 
 def test_shapes_live_as_long_as_their_queries() -> None:
-    narrow = NarrowPhase([ellipsoid_hull(1)], [ellipsoid_hull(2)], Tolerances())
+    narrow = narrow_phase([ellipsoid_hull(1)], [ellipsoid_hull(2)])
     T = poses(20, 13, 0.08)
     first = closest(narrow, T)
     for _ in range(3):
@@ -197,7 +219,7 @@ def test_shapes_live_as_long_as_their_queries() -> None:
 
 def test_normals_are_copies() -> None:
     T = placed((0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1), (-0.1, 0, 0))
-    narrow = NarrowPhase([sphere(0.01)], [sphere(0.01)], Tolerances())
+    narrow = narrow_phase([sphere(0.01)], [sphere(0.01)])
     found = closest(narrow, T)
     kept = found.normal.copy()
     closest(narrow, T[::-1])
@@ -248,6 +270,7 @@ def replace_answers(narrow: NarrowPhase, index: int, answer: Callable[[int, floa
     return tolerances
 
 
+@only_python
 @pytest.mark.parametrize("wild", [NOWHERE, -np.inf, np.nan, np.inf, 1.8e308, -0.2])
 def test_a_wild_answer_is_asked_again_with_the_looser_tolerance(wild: float) -> None:
     narrow = NarrowPhase([box([0.04] * 3)], [box([0.04] * 3)], Tolerances())
@@ -270,7 +293,7 @@ def test_an_answer_that_stays_wild_is_a_failure_even_where_other_pieces_answer()
 
 
 def test_what_cannot_beat_the_limit_is_not_asked() -> None:
-    narrow = NarrowPhase([sphere(0.01)] * 3, [sphere(0.01), sphere(0.02), sphere(0.03)], Tolerances())
+    narrow = narrow_phase([sphere(0.01)] * 3, [sphere(0.01), sphere(0.02), sphere(0.03)])
     T = placed((0.1, 0, 0))
     bounds = np.array([0.06, 0.07, 0.08])  # ascending; the third sphere, listed first, is at 0.06
     arguments = np.eye(3)[None], T[:, :3, 3], np.array([0, 3]), np.array([2, 1, 0]), bounds
@@ -284,7 +307,7 @@ def test_what_cannot_beat_the_limit_is_not_asked() -> None:
 
 def test_a_warm_start_changes_rounding_only() -> None:
     a, b = ellipsoid_hull(15), ellipsoid_hull(16)
-    narrow = NarrowPhase([a], [b], Tolerances())
+    narrow = narrow_phase([a], [b])
     T = poses(100, 17, 0.1)
     cold = closest(narrow, T)
     apart = cold.distance > 0
@@ -298,3 +321,52 @@ def test_a_warm_start_changes_rounding_only() -> None:
         # Where it is not used nothing changes at all.
         np.testing.assert_array_equal(warm.distance[~apart], cold.distance[~apart])
         np.testing.assert_array_equal(warm.normal[~apart], cold.normal[~apart])
+
+
+@pytest.mark.parametrize(("a", "b"), TIED)
+def test_an_answer_does_not_depend_on_what_was_asked_before(a: Piece, b: Piece) -> None:
+    """Where support points are not unique a query once began its search for them where the last one had ended."""
+    T = poses(60, 18, 0.05)
+    T[::2, :3, :3] = np.eye(3)
+    fresh = [ask(a, b, pose[None]) for pose in T]
+    used = narrow_phase([a, b], [b, a])
+    for order in (np.arange(60), np.arange(60)[::-1], np.random.default_rng(0).permutation(60)):
+        found = closest(used, T[order])
+        closest(used, inverse(T), pairs=2)
+        for name in ("distance", "point", "normal"):
+            np.testing.assert_array_equal(getattr(found, name), [getattr(fresh[i], name)[0] for i in order])
+
+
+def test_a_warm_start_leaves_nothing_behind() -> None:
+    a, b = cylinder(0.03, 0.02, sides=40), box([0.03, 0.04, 0.05])
+    T = poses(40, 19, 0.1)
+    T[::2, :3, :3] = np.eye(3)
+    count, guess = len(T), np.random.default_rng(0).normal(size=(40, 3))
+    every = np.random.default_rng(1).permutation(40)
+    listed = np.arange(count + 1), np.zeros(count, dtype=int), np.full(count, -np.inf), np.full(count, np.inf)
+
+    def warm(order: np.ndarray, narrow: Any) -> Closest:
+        R, t = np.ascontiguousarray(T[order, :3, :3]), T[order, :3, 3]
+        rows = [values[: len(order) + (i == 0)] for i, values in enumerate(listed)]
+        return narrow.closest(R, t, *rows, guess[order], np.asarray(order) % 3 > 0)
+
+    used = narrow_phase([a], [b])
+    first, second = warm(np.arange(40), used), warm(every, used)
+    alone = [warm(np.array([i]), narrow_phase([a], [b])) for i in range(40)]
+    for name in ("distance", "point", "normal"):
+        np.testing.assert_array_equal(getattr(second, name), getattr(first, name)[every])
+        np.testing.assert_array_equal(getattr(first, name), [getattr(found, name)[0] for found in alone])
+
+
+def test_an_answer_below_its_bound_is_asked_again_and_then_a_failure() -> None:
+    a, b = ellipsoid_hull(1, 400), ellipsoid_hull(2, 400)
+    T = placed((0.1, 0.02, 0.01))
+    true = ask(a, b, T).distance[0]
+    rough = ask(a, b, T, Tolerances(gjk=1e-3)).distance[0]
+    assert true + 1e-6 < rough
+    narrow = narrow_phase([a], [b], Tolerances(retry=1e-3, slack=0.0))
+    # The second try, with a loose tolerance, overestimates: its answer is above a bound that the first one is below.
+    again = closest(narrow, T, bound=(true + rough) / 2)
+    assert not again.failed[0] and again.distance[0] == rough
+    failed = closest(narrow, T, bound=rough + 1e-6)
+    assert failed.failed[0] and (failed.winner[0], failed.asked[0]) == (-1, 1) and np.isinf(failed.distance[0])

@@ -17,6 +17,9 @@ from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, hull, sphere
 from grasp_refine.se3 import inverse, transform_points
 
+pytestmark = pytest.mark.usefixtures("engine")
+only_python = pytest.mark.parametrize("engine", ["python"], indirect=True)
+
 
 def cluster(seed: int, pieces: int = 8) -> Body:
     """A concave body of overlapping hulls, boxes, spheres and capsules."""
@@ -258,6 +261,7 @@ def wild_first(pairs: Pairs, wild_answers: int) -> Witness:
     return query(pairs, T[0], T[1], cutoff=1.0)
 
 
+@only_python
 def test_a_wild_answer_is_asked_again() -> None:
     pairs = Pairs((single(box([0.04] * 3)),), (single(box([0.04] * 3)),))
     found = wild_first(pairs, 1)
@@ -265,6 +269,7 @@ def test_a_wild_answer_is_asked_again() -> None:
     assert found.status.item() == QueryStatus.PENETRATING
 
 
+@only_python
 def test_two_wild_answers_are_a_failure_that_is_said() -> None:
     pairs = Pairs((single(box([0.04] * 3)),), (single(box([0.04] * 3)),))
     found = wild_first(pairs, 2)
@@ -272,6 +277,7 @@ def test_two_wild_answers_are_a_failure_that_is_said() -> None:
     assert not found.valid.any() and np.isnan(found.distance).all()
 
 
+@only_python
 def test_without_a_first_answer_the_other_pieces_are_asked_all_the_same(many_pieces: tuple[Body, Body]) -> None:
     """Its normal, which would rule most of them out, is missing then."""
     pairs = Pairs(*((body,) for body in many_pieces))

@@ -43,7 +43,7 @@ def test_whichever_piece_pair_is_asked_first_the_minimum_is_the_same(first: str)
         )
         for _ in range(2)
     ]
-    pairs = Pairs((bodies[0],), (bodies[1],))
+    pairs = Pairs((bodies[0],), (bodies[1],), engine="python")
     T = (inverse(random_poses(50, 1, 0.02)) @ random_poses(50, 2, 0.06))[:, 0]
     R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
     pair = np.zeros(50, dtype=np.int64)

@@ -63,16 +63,23 @@ def size_chart(rows: Sequence[Row], name: str) -> str:
         name: One of `SIZES`.
     """
     rows = [row for row in rows if row[name] is not None]
-    lines = _by(rows, SIZES[name], lambda row: _of_set(rows, row))
-    cost, rate = ("CPU time per grasp", _cost, time_height), ("grasps per second", _rate, number_height)
-    measures = [cost, rate] if name == "processes" else [cost]
-    grid = [[(f"by {name}", lines(height), axis)] for _, height, axis in measures]
-    chart = draw(grid, [what for what, _, _ in measures], name, count_axis, f"grasp {name}", f"Cost by {name}")
-    if name != "contacts" or len({row["joints"] for row in rows}) < 2:
-        return chart
-    by_joints = _by(rows, "joints", lambda row: f"{row['contacts']} contacts")
-    panel = [[("by joints", by_joints(_cost), time_height)]]
-    return chart + draw(panel, [cost[0]], "joints of the hand", count_axis, "grasp joints", "Cost by joints")
+    charts = [(name, _by(rows, SIZES[name], lambda row: _of_set(rows, row)))]
+    if name == "contacts" and len({row["joints"] for row in rows}) > 1:
+        charts.append(("joints", _by(rows, "joints", lambda row: f"contacts: {row['contacts']}")))
+    measures = [("CPU time per grasp", _cost, time_height), ("CPU time per grasp and step", _step, time_height)]
+    if name == "processes":
+        measures[1] = ("grasps per second", _rate, number_height)
+    return "".join(
+        draw(
+            [[(heading, lines(height), axis) for heading, height, axis in measures]],
+            [f"by {x}"],
+            x,
+            count_axis,
+            f"grasp {x}",
+            f"Cost by {x}",
+        )
+        for x, lines in charts
+    )
 
 
 def _by(rows: Sequence[Row], x: str, line: Callable[[Row], str]) -> Callable[[Height], list[Line]]:
@@ -105,6 +112,10 @@ def _of_set(rows: Sequence[Row], row: Row) -> str:
 
 def _cost(row: Row) -> tuple[float, bool]:
     return 1e-3 * row["cpu_ms_per_grasp"], False
+
+
+def _step(row: Row) -> tuple[float, bool]:
+    return 1e-3 * row["cpu_ms_per_grasp"] / row["iterations_mean"], False
 
 
 def _rate(row: Row) -> tuple[float, bool] | None:

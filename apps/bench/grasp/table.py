@@ -82,7 +82,7 @@ def _table(title: str, rows: Sequence[Row], columns: Sequence[Column]) -> Table:
     if "processes" in sizes:
         columns = (*columns, ("grasps\nper s", _number("grasps_per_s", 1.0, 1)))
     columns = (*((name, partial(_size, name)) for name in sizes), *columns)
-    table = Table(title=title, title_justify="left", box=SIMPLE, padding=0, show_edge=False)
+    table = Table(title=title, title_justify="left", box=SIMPLE, padding=0, show_edge=False, min_width=len(title))
     table.add_column("solver", min_width=7)
     for name, _ in columns:
         table.add_column(name, justify="right", no_wrap=True)

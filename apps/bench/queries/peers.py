@@ -57,7 +57,7 @@ def fresh_coal(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Loop:
 
 
 def reused_coal(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Loop:
-    """coal's `ComputeDistance`, with one request and one result for all, and our tolerances."""
+    """`ComputeDistance` of coal, with one request and one result for all, and our tolerances."""
     side_a, side_b = _shapes(pairs.a[0]), _shapes(pairs.b[0])
     functions = [coal.ComputeDistance(a, b) for a, b in product(side_a, side_b)]
     poses, identity = _transforms(T_a, T_b), coal.Transform3s()

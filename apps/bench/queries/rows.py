@@ -23,7 +23,7 @@ def rows(done: Sequence[Measured]) -> list[Row]:
 
     Times are medians over the rounds; ratios are medians of those within a round, in which all is timed in turn.
     """
-    return [row for measured in done for row in (*_ours(measured), *_peers(measured))]
+    return [row for measured in done for row in (*_ours(measured), *_bare(measured), *_peers(measured))]
 
 
 def _ours(measured: Measured) -> list[Row]:
@@ -58,6 +58,20 @@ def _ours(measured: Measured) -> list[Row]:
             }
         )
     return found
+
+
+def _bare(measured: Measured) -> list[Row]:
+    """The row of the loop that does nothing but ask what the compiled engine asks."""
+    if measured.bare_s is None:
+        return []
+    (native,) = (row for row in _ours(measured) if row["by"] == "native" and not row["warm"])
+    first = next(iter(measured.engines.values()))
+    nothing = dict.fromkeys(["layer_us", "distance_error_m", *map(backward_column, measured.backward_s)])
+    times = {
+        "forward_us": _us(measured.bare_s),
+        "forward_ratio": float(np.median(measured.bare_s / first.forward_s)),
+    }
+    return [{**native, **nothing, **times, "by": "bare-loop"}]
 
 
 def _peers(measured: Measured) -> list[Row]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
@@ -23,6 +24,7 @@ from .bodies import make_pairs
 from .cases import DISTANCE, Case
 from .peers import PEERS, Loop, Peer
 from .poses import draw_poses, nearby
+from .skips.skip import replaced
 from .timing import cpu_times
 
 MethodName = Literal["contact-kinematics", "distance", "direction", "analytical"]
@@ -55,6 +57,9 @@ class Measured:
     """Method -> CPU seconds of a backward pass per pose, in each round."""
     layer_s: np.ndarray
     """CPU seconds of a forward pass of the torch layer per pose, in each round."""
+    bare_s: np.ndarray | None
+    """CPU seconds per pose, in each round, of a loop in C++ over the queries that the compiled engine asks, cold, and
+    nothing else; None: that engine is not compared."""
     peers: dict[str, Peered]
     """Peer -> what it found."""
 
@@ -113,6 +118,10 @@ class CaseJob:
     def do(self, progress: Callable[[float], None]) -> Measured:
         """Measure it, in this process and with one thread of torch."""
         torch.set_num_threads(1)
+        with _one_thread(self.engines):
+            return self._measured(progress)
+
+    def _measured(self, progress: Callable[[float], None]) -> Measured:
         case = self.case
         pairs = {name: make_pairs(case, self.seed, name) for name in self.engines}
         first = pairs[self.engines[0]]
@@ -128,6 +137,8 @@ class CaseJob:
         runs["layer",] = partial(_forward, WitnessLayer(first, METHODS[self.methods[0]]), T_a, T_b, case.batch)
         for name in self.methods:
             runs["backward", name] = _backward(WitnessLayer(first, METHODS[name]), T_a, T_b, case.batch, self.seed)
+        if "native" in pairs:
+            runs["bare",] = _bare(pairs["native"], T_a, T_b, case.batch)
         some = _some(count, case.piece_pairs)
         loops: dict[str, Loop] = {}
         for peer in _chosen(self.peers):
@@ -143,6 +154,7 @@ class CaseJob:
             },
             {name: times["backward", name] / count for name in self.methods},
             times["layer",] / count,
+            times["bare",] / count if "native" in pairs else None,
             {
                 name: Peered(times["peer", name] / len(some), len(some), loop() - reference.distance[some, 0])
                 for name, loop in loops.items()
@@ -168,6 +180,34 @@ class CaseJob:
             warm=apart,
             error=float(np.abs(found.distance - reference.distance).max()),
         )
+
+
+@contextmanager
+def _one_thread(engines: tuple[str, ...]) -> Iterator[None]:
+    """The compiled engine works with one thread, as all others do: waiting for a second one would count as its time."""
+    if "native" not in engines:
+        yield
+        return
+    from grasp_refine.collision import native_search
+
+    with replaced(native_search, "_available", lambda: 1):
+        yield
+
+
+def _bare(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray, batch: int) -> Callable[[], None]:
+    """The queries that the compiled engine asks of all poses, so many poses in a call, and nothing else."""
+    loops = []
+    for start in range(0, len(T_a), batch):
+        rows = slice(start, start + batch)
+        first, second = (np.ascontiguousarray(T[rows, 0]) for T in (T_a, T_b))
+        zero, limit = np.zeros(len(first), dtype=np.int64), np.full(len(first), np.inf)
+        loops.append(pairs.native.bare_loop(zero, first, second, limit, None))
+
+    def run() -> None:
+        for loop in loops:
+            loop()
+
+    return run
 
 
 def _chosen(names: tuple[str, ...]) -> list[Peer]:

@@ -61,7 +61,7 @@ class Skip:
     how: str
     """How the numbers without it came about."""
     difference: float | None = None
-    """Largest difference of a refined pose or joint value without it, in metres and radians; None: nothing is refined."""
+    """Largest difference of refined poses and joint values without it, in metres and radians; None: none is refined."""
 
     def row(self) -> dict[str, Any]:
         """The flat entry of a table."""

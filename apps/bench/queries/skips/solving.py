@@ -1,4 +1,4 @@
-"""What the loop of a solver leaves out: members that are done, derivatives where no loss looks, frames without bodies."""
+"""What the loop of a solver leaves out: what is done, derivatives that no loss looks at, frames without bodies."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from grasp_refine import holding, refine as refine_module
+from grasp_refine import holding
+from grasp_refine import refine as refine_module
 from grasp_refine.batch import join, take
 from grasp_refine.chain import Chain
 from grasp_refine.collision.query import query
@@ -47,7 +48,7 @@ def frame_skip(example: Example, rounds: int) -> Skip:
     counts = {which: len({*chain.links}) + len(chain.joints) for which, chain in chains.items()}
     cpu = timed({which: partial(_many_poses, example, chain) for which, chain in chains.items()}, rounds)
     return Skip(
-        "frames of links without bodies", "frames", f"{example.hand}, {FRAMES} times {BATCH} configurations",
+        "frames of links without bodies", "frames", f"{example.hand}, {FRAMES} times batch {BATCH}",
         counts["without"], counts["with"], cpu["without"][1], cpu["with"][1], "the frames of all links",
     )  # fmt: skip
 
@@ -229,7 +230,7 @@ def _layer(example: Example, rounds: int) -> Skip:
     columns = {"with": len(hand.contacts), "without": len(prepared.bodies)}
     both = timed({which: partial(differentiated, count) for which, count in columns.items()}, rounds + 1)
     return Skip(
-        "derivatives of witness points that no loss looks at", "derivatives", f"{example.name}, {len(T)} configurations",
+        "derivatives of witness points that no loss looks at", "derivatives", f"{example.name}, batch {len(T)}",
         both["without"][0], both["with"][0], both["without"][1], both["with"][1], "a loss that looks at all links",
     )  # fmt: skip
 

@@ -45,7 +45,7 @@ print(json.dumps([code, len(sys.modules)]))
 """Runs a command line in a process of its own, after loading everything if asked; says how many modules there are."""
 
 COMMANDS = ("--help", "hands", "run --no-validate")
-"""Command lines whose imports are counted."""
+"""Command lines whose imports are counted, where nobody says which."""
 
 
 def self_collision_skips(hand: Hand, seed: int, rounds: int) -> Iterator[Skip]:
@@ -56,7 +56,7 @@ def self_collision_skips(hand: Hand, seed: int, rounds: int) -> Iterator[Skip]:
     both = {"without": apart, "with": judged.watched}
     asked = timed({which: partial(self_penetration, hand, pairs, q) for which, pairs in both.items()}, rounds + 1)
     yield Skip(
-        "pairs of links that never meet within the limits", "link pairs", f"{hand.name}, {CONFIGURATIONS} configurations",
+        "pairs of links that never meet within the limits", "link pairs", f"{hand.name}, batch {CONFIGURATIONS}",
         len(apart), len(judged.watched), asked["without"][1], asked["with"][1],
         "all pairs that are not made to overlap are asked",
     )  # fmt: skip
@@ -107,12 +107,12 @@ def import_skips(commands: Sequence[str]) -> Iterator[Skip]:
 def _modules(command: Sequence[str], everything: bool) -> int:
     """How many modules are loaded at the end of a command."""
     with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
-        path = str(Path(grasp_refine.__file__).parents[1])
+        found = f"import sys; sys.path.append({str(Path(grasp_refine.__file__).parents[1])!r})"
         child = subprocess.run(
             [
                 sys.executable,
                 "-c",
-                f"import sys; sys.path.append({path!r})\n{PROGRAM}",
+                f"{found}\n{PROGRAM}",
                 json.dumps(everything),
                 *command,
             ],

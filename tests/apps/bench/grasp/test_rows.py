@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from apps.bench.grasp.chart import line_names, time_chart
+from apps.bench.grasp.chart import line_names, size_chart, time_chart
+from apps.bench.grasp.labels import pooled, varied
 from apps.bench.grasp.measures import Measures
 from apps.bench.grasp.page import page
 from apps.bench.grasp.rows import contact_errors, rows
@@ -21,6 +24,13 @@ from grasp_refine.solvers.status import Status
 from grasp_refine.validation.geometry import Movement
 
 NAN = np.nan
+SCENES = {
+    name: SimpleNamespace(
+        hand=SimpleNamespace(joint_names=("a", "b", "c")),
+        object=SimpleNamespace(body=SimpleNamespace(pieces=(None,) * pieces)),
+    )
+    for name, pieces in (("cup", 7), ("can", 2))
+}
 
 
 def measures(depth: list[float], error: list[list[float]] | None = None, own: float = 0.0) -> Measures:
@@ -41,8 +51,8 @@ def measures(depth: list[float], error: list[list[float]] | None = None, own: fl
 def part(kind: Kind, name: str, before: Measures, after: Measures, cpu_s: list[float]) -> Part:
     n = len(cpu_s)
     return Part(
-        # Rows look at neither scene nor object.
-        tasks=Tasks(kind, name, 1.0, None, np.arange(10, 10 + n)),  # type: ignore[arg-type]
+        # Of a scene, rows count joints and pieces only.
+        tasks=Tasks(kind, name, 1.0, SCENES[name], np.arange(10, 10 + n)),  # type: ignore[arg-type]
         before=before,
         after=after,
         moved=Movement(np.full(n, 0.01), np.full(n, 0.1), np.full(n, 0.2)),
@@ -141,11 +151,12 @@ def document(nothing: Done) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def test_rows_are_flat_but_for_the_names_of_grasps(document: dict[str, Any]):
+def test_rows_are_flat_but_for_shares_and_the_names_of_grasps(document: dict[str, Any]):
     plain = json.loads(dumps(document["rows"]))
     assert len({tuple(row) for row in plain}) == 1
     for row in plain:
-        assert not any(isinstance(value, (dict, list)) for key, value in row.items() if key != "deep_stuck_grasps")
+        deep = {key for key, value in row.items() if isinstance(value, (dict, list))}
+        assert {"cpu_share"} <= deep <= {"cpu_share", "deep_stuck_grasps"}
 
 
 def test_tables_fit_a_narrow_terminal(document: dict[str, Any], capsys: pytest.CaptureFixture[str]):
@@ -176,3 +187,53 @@ def test_the_page_draws_a_line_for_each_solver(document: dict[str, Any]):
 def test_batch_sizes_are_lines_of_their_own_where_there_are_several():
     made = [targets(Variant(batch=batch), 1e-9, 1e-3) for batch in (1, 64)] + [targets(Variant("adam"), 1e-9, 1.0)]
     assert line_names([row for one in made for row in rows([one])]) == ["LM, batch 1", "LM, batch 64", "adam"]
+
+
+def test_sizes_rates_and_shares_are_those_of_all_grasps(nothing: Done):
+    for one, seconds in zip(nothing.parts, (1.0, 3.0), strict=True):
+        one.watch.spent["kinematics"].cpu_s, one.watch.spent["forces"].cpu_s = seconds, 1.0
+    all_objects, cup, _ = rows([replace(nothing, span=(10.0, 12.5))])
+    assert (all_objects["joints"], all_objects["contacts_mean"]) == (3, 1.0)
+    assert (all_objects["pieces_mean"], cup["pieces_mean"]) == (pytest.approx((3 * 7 + 2 * 2) / 5), 7.0)
+    assert (all_objects["grasps_per_s"], cup["grasps_per_s"]) == (2.0, None)
+    assert list(all_objects["cpu_share"]) == ["kinematics", "broadphase", "narrowphase", "derivative", "solver"]
+    assert all_objects["cpu_share"]["kinematics"] == pytest.approx(4.0 / 6.0) and cup["cpu_share"]["solver"] == 0.5
+    assert rows([nothing])[0]["grasps_per_s"] is None
+
+
+@pytest.mark.parametrize(
+    ("name", "variants", "words"),
+    [
+        ("contacts", [Variant(contacts=count) for count in (1, 2)], ["set (3 joints)", "CPU time per grasp and step"]),
+        ("pieces", [Variant(pieces=count) for count in (1, 64)], ["set (3 joints)", "by pieces"]),
+        ("processes", [Variant(processes=count) for count in (1, 2)], ["grasps per second"]),
+        ("batch", [Variant(batch=size) for size in (1, 256)], ["by batch", "256"]),
+    ],
+)
+def test_what_differs_has_a_picture_and_a_column(name: str, variants: list[Variant], words: list[str]):
+    made = [replace(targets(variant, 1e-9, 1e-3 * (k + 1)), span=(0.0, 1.0)) for k, variant in enumerate(variants)]
+    found = pooled([row for one in made for row in rows([one])], "targets")
+    if name == "pieces":
+        for row, variant in zip(found, variants, strict=True):
+            row["pieces_mean"] = variant.pieces
+    if name == "contacts":
+        for row, variant in zip(found, variants, strict=True):
+            row["contacts_mean"] = variant.contacts
+    assert varied(found) == [name]
+    chart = size_chart(found, name)
+    assert all(word in chart for word in words) and chart.count('class="chart"') == 1
+    # A hand with more joints has a picture of its own.
+    other = [{**row, "set": "other", "joints": 9} for row in found]
+    assert size_chart([*found, *other], name).count('class="chart"') == (2 if name == "contacts" else 1)
+    (table,) = bench_tables(found)
+    assert name in [str(column.header) for column in table.columns]
+
+
+def test_the_page_shows_where_the_time_goes(document: dict[str, Any]):
+    assert '<span class="bar">' not in page(document)
+    shares = {"kinematics": 0.1, "broadphase": 0.2, "narrowphase": 0.3, "derivative": 0.15, "solver": 0.25}
+    for row in document["rows"]:
+        row["cpu_share"] = shares
+    html = page(document)
+    assert '<i class="narrowphase" style="width:30.00%" title="narrowphase 30 %">' in html
+    assert html.count('<span class="bar">') == len(document["rows"])

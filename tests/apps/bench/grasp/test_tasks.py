@@ -10,6 +10,7 @@ import torch
 
 from apps.bench.grasp.sets import GraspSet, Group
 from apps.bench.grasp.tasks import NEAR, Disturbance, Tasks, given_nothing, given_targets, true_grasps
+from apps.bench.grasp.variants import Variant
 from grasp_refine.assets import resource_dir
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.grasps import load_grasps
@@ -103,3 +104,25 @@ def test_real_grasps_stay_as_they_come(group: Group):
     assert len(tasks) == 3 and tasks.scene.target_link is None and tasks.scene.target_object is None
     np.testing.assert_array_equal(tasks.scene.q, group.scene.q[:3])
     assert len(given_nothing(GraspSet("box", (aimed,)), None)[0]) == len(group.index)
+
+
+def test_contacts_are_left_out_from_the_last_finger_on(true: Tasks):
+    aimed = ~np.isnan(true.scene.target_object[..., 0])
+    for count in (1, 3, 4):
+        scene = true.of(Variant(contacts=count)).scene
+        for target, before in (
+            (scene.target_link, true.scene.target_link), (scene.target_object, true.scene.target_object),
+        ):  # fmt: skip
+            kept = ~np.isnan(target[..., 0])
+            np.testing.assert_array_equal(kept, aimed & (np.cumsum(aimed, axis=1) <= count))
+            np.testing.assert_array_equal(target[kept], before[kept])
+    assert true.of(Variant(contacts=5)) is None
+    assert true.of(Variant()).scene is true.scene
+
+
+def test_only_a_convex_object_is_cut(true: Tasks):
+    assert true.of(Variant(pieces=8)) is None, "its corners are round: a polytope with a radius"
+    box = load_object("box:0.06,0.05,0.04")
+    cut = replace(true, scene=replace(true.scene, object=box)).of(Variant(pieces=8))
+    assert len(cut.scene.object.body.pieces) == 8 and cut.scene.object.name == box.name
+    assert given_nothing(GraspSet("box", ()), 1) == ()

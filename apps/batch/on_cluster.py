@@ -21,7 +21,7 @@ BEAT_S = 1.0
 
 @dataclass(frozen=True)
 class Seen:
-    """What a process has installed, and whether it can get at the folder of results."""
+    """What a process has installed, and whether it can get at the folder of the results."""
 
     versions: tuple[tuple[str, str], ...]
     """Name and version of what has to be the same everywhere."""
@@ -32,7 +32,7 @@ class Seen:
 
 
 def seen(probe: Path) -> Seen:
-    """What this process has, and whether it sees the file `probe`, which somebody else has just written."""
+    """What this process has, and whether it sees the file `probe`, which another has just written."""
     versions = (
         ("grasp-refine", grasp_refine.__version__),
         ("Python", ".".join(platform.python_version_tuple()[:2])),

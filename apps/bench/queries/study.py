@@ -1,0 +1,103 @@
+"""A run of the benchmark: cases are measured, skips are undone, rows come out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from ..jobs import Job, run_jobs
+from .cases import Case
+from .peers import PEERS
+from .rows import rows
+from .runner import CaseJob, Measured, MethodName
+from .skips.asking import asking_skips
+from .skips.skip import Example, Skip
+from .skips.solving import frame_skip, solving_skips
+from .skips.starting import decomposition_skip, import_skips, self_collision_skips
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is run."""
+
+    cases: tuple[Case, ...]
+    """What is measured."""
+    engines: tuple[str, ...]
+    """Who answers for us; ratios are to the first."""
+    methods: tuple[MethodName, ...] = ("contact-kinematics", "distance")
+    """How witness points are differentiated."""
+    peers: tuple[str, ...] = tuple(peer.name for peer in PEERS)
+    """With whom we are compared."""
+    rounds: int = 7
+    """How often each time is taken."""
+    least_s: float = 0.004
+    """CPU seconds of a measurement of a query."""
+    skip_rounds: int = 2
+    """How often each refinement is timed."""
+    commands: tuple[str, ...] = ()
+    """Command lines whose imports are counted."""
+    seed: int = 0
+    """Of bodies, poses and what solvers draw."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came out of a study."""
+
+    rows: list[dict[str, Any]]
+    """The entries of the tables."""
+    problems: list[str]
+    """What went wrong with jobs that gave no result."""
+
+
+@dataclass(frozen=True)
+class SkipJob:
+    """Some skips, undone."""
+
+    label: str
+    work: float
+    run: Callable[[], Iterable[Skip]]
+
+    def do(self, progress: Callable[[float], None]) -> tuple[Skip, ...]:
+        """What they save."""
+        return tuple(self.run())
+
+
+def run_study(study: Study, examples: Sequence[Example], progress: Callable[[float, str], None]) -> Outcome:
+    """Measure all cases, and undo all skips.
+
+    Args:
+        study: What is run.
+        examples: Grasps on which skips are shown; none: no skips but those of imports.
+        progress: Gets the share of the work that is done, and what is.
+    """
+    todo: list[Job] = [
+        CaseJob(case, study.engines, study.methods, study.peers, study.rounds, study.least_s, study.seed)
+        for case in study.cases
+    ]
+    todo += skip_jobs(study, examples)
+    done, problems = run_jobs(todo, 1, progress)
+    found = rows([one for one in done if isinstance(one, Measured)])
+    found += [skip.row() for one in done if not isinstance(one, Measured) for skip in one]
+    return Outcome(found, problems)
+
+
+def skip_jobs(study: Study, examples: Sequence[Example]) -> Iterator[SkipJob]:
+    """What is undone: in refinements, then at the start of hands, objects and commands."""
+    rounds = study.skip_rounds
+    for one in examples:
+        yield SkipJob(f"{one.name}, queries", 6.0 * rounds, partial(asking_skips, one, study.seed, rounds))
+        yield SkipJob(f"{one.name}, solver", 3.0 * rounds, partial(solving_skips, one, study.seed, rounds))
+    for hand, one in {one.hand: one for one in examples}.items():
+        yield SkipJob(hand, 1.0, partial(_of_hand, one, study.seed, rounds))
+    for obj in {one.object: one.scene.object for one in examples if one.scene.object.convex}.values():
+        yield SkipJob(obj.name, 1.0, lambda obj=obj: [decomposition_skip(obj)])
+    for command in study.commands:
+        yield SkipJob(f"imports of {command}", 5.0, partial(import_skips, [command]))
+
+
+def _of_hand(example: Example, seed: int, rounds: int) -> Iterator[Skip]:
+    yield frame_skip(example, rounds)
+    yield from self_collision_skips(example.scene.hand, seed, rounds)
