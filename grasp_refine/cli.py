@@ -35,12 +35,14 @@ COMMANDS = {
     "bench grasp": "how accurate and how fast grasps are refined, by solver and batch size",
     "bench queries": "what a witness query costs against coal and MuJoCo, and what skips save",
     "bench hold": "run time against success: how many grasps hold after refinement, by method",
+    "bench --gate": "is all as fast and as good as it was? ratios of one run against a committed baseline",
     "doctor": "what is installed here, what is missing, and what this machine can do",
 }
 """Name of each command -> what it does."""
 
 WITH_MUJOCO = (
     "run", "batch", "validate", "view", "convert", "bench align", "bench grasp", "bench hold", "bench queries",
+    "bench --gate",
 )  # fmt: skip
 """Commands that load MuJoCo, or pytorch-kinematics, which does: that fails with a traceback if `MUJOCO_GL` is wrong."""
 
@@ -78,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from grasp_refine.replay.offscreen import check_setting
 
             check_setting()
-        words = name.split()
+        words = name.replace("--", "").split()
         command = getattr(
             import_module(f"grasp_refine.commands.{'_'.join(words)}"), "".join(map(str.capitalize, words))
         )
@@ -106,6 +108,10 @@ def _command(arguments: Sequence[str]) -> tuple[str, list[str]]:
     first, *rest = arguments
     if first in _groups() and rest and not rest[0].startswith("-"):
         return f"{first} {rest[0]}", rest[1:]
+    # An option may be the second word, wherever it stands.
+    for place, option in enumerate(rest):
+        if option.startswith("--") and f"{first} {option}" in COMMANDS:
+            return f"{first} {option}", rest[:place] + rest[place + 1 :]
     return first, rest
 
 

@@ -122,6 +122,34 @@ def _print(how: str, first: bool, beat: Beat) -> None:
     print("error", file=sys.stderr)
 
 
+class Tally:
+    """A work that remembers how often this process has called it."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self, shard: Shard, beat: Beat) -> Done:
+        self.calls += 1
+        shard.path.write_text(f"{os.getpid()} {self.calls}")
+        return done(shard)
+
+
+def tallies(folder: Path) -> list[list[int]]:
+    """For each process, the calls that it counted, in order."""
+    by_process: dict[str, list[int]] = {}
+    for path in folder.glob("*.txt"):
+        process, calls = path.read_text().split()
+        by_process.setdefault(process, []).append(int(calls))
+    return [sorted(calls) for calls in by_process.values()]
+
+
+class Unloadable:
+    """A task that no worker can load."""
+
+    def __reduce__(self):
+        return import_module, ("no_such_module",)
+
+
 class Unknown:
     """A work that no worker can load."""
 
@@ -130,6 +158,13 @@ class Unknown:
 
     def __call__(self, shard: Shard, beat: Beat) -> Done:
         raise NotImplementedError
+
+
+class Slow(Unknown):
+    """A work that takes too long to load."""
+
+    def __reduce__(self):
+        return time.sleep, (60.0,)
 
 
 ACTIONS = {

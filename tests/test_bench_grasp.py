@@ -39,7 +39,9 @@ def document(*arguments: str | Path) -> dict[str, Any]:
 def numbers(row: dict[str, Any]) -> dict[str, float]:
     """The numbers of a row but for times."""
     return {
-        key: value for key, value in row.items() if isinstance(value, int | float) and not key.endswith("_ms_per_grasp")
+        key: value
+        for key, value in row.items()
+        if isinstance(value, int | float) and not key.endswith(("_ms_per_grasp", "_per_s"))
     }
 
 
@@ -116,6 +118,34 @@ def test_a_preset_takes_other_batches():
     assert [(row["task"], row["batch"], row["batch_mean"]) for row in found] == [("nothing", 4, 1.0)]
 
 
+@pytest.mark.parametrize(
+    ("preset", "column", "values"),
+    [("pieces", "pieces", [1, 2, 4, 8, 16, 32, 64]), ("contacts", "contacts", [1, 2, 3, 4])],
+)
+def test_sizes_differ_in_one_thing(preset: str, column: str, values: list[int], capfd: pytest.CaptureFixture[str]):
+    found = document(*BOX, "--preset", preset, "--count", "2")["rows"]
+    assert [row[column] for row in found] == values and {row["joints"] for row in found} == {16}
+    assert [row[f"{column}_mean"] for row in found] == values
+    assert all(row["acc_1e6"] == 1.0 and row["task"] == "targets" for row in found)
+    assert all(sum(row["cpu_share"].values()) == pytest.approx(1.0) for row in found)
+    assert all(min(row["cpu_share"].values()) > 0.0 for row in found)
+    assert re.search(rf"batch +{column}", capfd.readouterr().out)
+    if preset == "pieces":
+        # More pieces, more queries, but far fewer than pieces.
+        first, last = found[0]["queries_mean"], found[-1]["queries_mean"]
+        assert first < last < 8.0 * first
+
+
+@pytest.mark.slow
+def test_two_processes_share_the_tasks_and_come_to_the_same(capfd: pytest.CaptureFixture[str]):
+    one, two = document(*BOX, "--preset", "workers", "--count", "3")["rows"]
+    assert (one["processes"], two["processes"], one["grasps"], two["grasps"]) == (1, 2, 3, 3)
+    assert min(one["grasps_per_s"], two["grasps_per_s"]) > 0
+    for key in ("acc_1e6", "iterations_mean", "queries_mean"):
+        assert one[key] == pytest.approx(two[key], rel=1e-9)
+    assert "per s" in capfd.readouterr().out
+
+
 def test_sets_of_the_assets_are_found_by_name(shared_assets: Path):
     options = ["--sets", "leap_cube", "--tasks", "nothing", "--count", "2", "--batches", "2"]
     (row,) = document("bench", "grasp", "--assets", shared_assets, *options)["rows"]
@@ -132,6 +162,7 @@ def test_sets_of_the_assets_are_found_by_name(shared_assets: Path):
         ("--preset smoke --solvers adam", "--preset smoke says itself what is compared: leave out --solvers"),
         ("--preset targets --tasks nothing", "--preset targets says itself what is compared: leave out --tasks"),
         ("--preset time-to-error --budgets 3", "says itself what is compared: leave out --budgets"),
+        ("--preset workers --workers 2", "--preset workers has processes of its own: leave out --workers"),
         ("--preset table1", "invalid choice 'table1' for argument '--preset'"),
         ("--batches 0", "--batches must be at least 1, got 0"),
         ("--budgets 5 0", "--budgets must be at least 1, got 0"),

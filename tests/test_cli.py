@@ -568,6 +568,35 @@ def test_the_doctor_finds_a_working_installation(capsys: pytest.CaptureFixture[s
     assert {package["name"] for package in document["packages"]} >= {"torch", "coal", "coacd", "viser"}
 
 
+def test_the_doctor_says_which_engine_answers_queries(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    from importlib.metadata import version
+
+    from grasp_refine.collision.engine import why_not_native
+    from grasp_refine.commands import doctor
+
+    def told(environment: str) -> tuple[str, dict]:
+        monkeypatch.setenv("GRASP_REFINE_ENGINE", environment)
+        main(["doctor", "--json", "doctor.json"])
+        (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("engine:"))
+        return line.removeprefix("engine:").strip(), json.loads(Path("doctor.json").read_text())["engine"]
+
+    line, found = told("auto")
+    if why_not_native():
+        assert line == f"python, the slower one; native: {why_not_native()}"
+    else:
+        assert line == f"native, compiled for coal {version('coal')}" and found["coal"] == version("coal")
+        assert told("python")[0] == "python, the slower one, as GRASP_REFINE_ENGINE says"
+    assert told("fast")[0] == "GRASP_REFINE_ENGINE is 'fast'; choose auto, native, python"
+
+    monkeypatch.setattr(doctor, "why_not_native", lambda: "not built")
+    monkeypatch.setattr(doctor, "chosen", lambda engine: "python")
+    line, found = told("auto")
+    assert line == "python, the slower one; native: not built"
+    assert found == {"used": "python", "coal": None, "why_not_native": "not built", "fault": None}
+
+
 def test_the_doctor_names_what_is_missing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     from grasp_refine.commands import doctor
     from grasp_refine.versions import Requirement

@@ -1,8 +1,12 @@
-"""The wheel, the wheel built from the sdist, and an editable install hold robots, manifests and apps."""
+"""The wheel, the wheel built from the sdist, and an editable install hold robots, manifests and apps.
+
+All but one are built where no C++ compiler works, which leaves the compiled engine out.
+"""
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -18,11 +22,19 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("grasp_refine", "robots", "assets_manifest", "apps")
 
 
-def build(source: Path, hook: str, target: Path) -> Path:
-    """Call a hook of the build backend on `source`, as pip does, without fetching anything."""
+SOURCES = "grasp_refine/collision/native"
+"""Of the compiled engine: they are in the sdist only."""
+
+
+def build(source: Path, hook: str, target: Path, compiler: str | None = "/no/compiler") -> Path:
+    """Call a hook of the build backend on `source`, as pip does, without fetching anything.
+
+    `compiler` is the C++ compiler; None: whichever there is.
+    """
     code = f"import scikit_build_core.build as b, sys; sys.stdout = sys.stderr; b.{hook}({str(target)!r})"
     target.mkdir()
-    result = subprocess.run([sys.executable, "-c", code], cwd=source, capture_output=True, text=True)
+    environment = os.environ | ({"CXX": compiler} if compiler else {})
+    result = subprocess.run([sys.executable, "-c", code], cwd=source, env=environment, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     (built,) = target.iterdir()
     return built
@@ -34,7 +46,7 @@ def wanted(source: Path) -> set[str]:
         str((Path() if folder == "grasp_refine" else Path("grasp_refine")) / path.relative_to(source))
         for folder in FOLDERS
         for path in (source / folder).rglob("*")
-        if path.is_file() and "__pycache__" not in path.parts
+        if path.is_file() and "__pycache__" not in path.parts and source / SOURCES not in path.parents
     }
 
 
@@ -81,6 +93,7 @@ def test_the_sdist_builds_the_same_wheel(source: Path, tmp_path: Path):
     with tarfile.open(sdist) as archive:
         archive.extractall(tmp_path / "unpacked", filter="data")
     (unpacked,) = (tmp_path / "unpacked").iterdir()
+    assert {path.name for path in (unpacked / SOURCES).iterdir()} >= {"CMakeLists.txt", "module.cpp", "search.h"}
     assert contents(build(unpacked, "build_wheel", tmp_path / "wheel")) == wanted(source)
 
 
@@ -132,6 +145,32 @@ def test_an_editable_install_sees_the_checkout(source: Path, tmp_path: Path):
         "added": str(later),
         **{name: str(source / name) for name in FOLDERS[1:]},
     }
+
+
+@pytest.mark.slow
+def test_with_a_compiler_the_wheel_holds_an_engine_that_works(source: Path, tmp_path: Path):
+    for needed in ("nanobind", "cmeel"):
+        pytest.importorskip(needed, reason="needed to build the engine")
+    wheel = build(source, "build_wheel", tmp_path / "wheel", compiler=None)
+    if wheel.name.endswith("-py3-none-any.whl"):
+        pytest.skip("the engine cannot be built here: no C++ compiler, or no headers of Eigen")
+    (compiled,) = contents(wheel) - wanted(source)
+    assert compiled.startswith("grasp_refine/collision/_native.")
+    site = tmp_path / "site"
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    code = f"""
+import sys
+# An editable install would come first.
+sys.meta_path = [finder for finder in sys.meta_path if not type(finder).__module__.startswith("_editable")]
+sys.path.insert(0, {str(site)!r})
+from grasp_refine.collision.engine import engines
+import grasp_refine.collision._native as native
+print(*engines(), native.__file__.startswith({str(site)!r}))
+"""
+    environment = {name: value for name, value in os.environ.items() if name != "LD_LIBRARY_PATH"}
+    result = subprocess.run([sys.executable, "-c", code], env=environment, cwd=site, capture_output=True, text=True)
+    assert result.stdout.split() == ["native", "python", "True"], result.stderr
 
 
 def test_importing_the_package_loads_nothing_else():

@@ -42,7 +42,8 @@ def run_on_cluster(
     if not shards:
         return
     try:
-        from .cluster_workers import ClusterWorkers, connected
+        from .cluster_client import connected
+        from .cluster_workers import ClusterWorkers
     except ModuleNotFoundError as error:
         raise GraspRefineError(
             f"a cluster needs Dask distributed ({error.name} is missing): pip install 'grasp-refine[cluster]'"

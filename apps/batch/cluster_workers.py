@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import logging
-import socket
+import pickle
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from uuid import uuid4
 
 from distributed import Client, Future
-from distributed.comm import get_address_host_port
 from distributed.scheduler import KilledWorker
 
 from grasp_refine.errors import GraspRefineError
@@ -25,9 +21,6 @@ from .dispatch import News
 from .on_cluster import BEAT_S, Seen, attempt_there, seen
 from .schedule import Schedule
 from .shard import Done, Failed, Reason, Shard, Work
-
-ANSWER_S = 8.0
-"""How long a scheduler may take to answer."""
 
 LOOK_S = 1.0
 """Who has come and who has gone is looked at this often."""
@@ -42,29 +35,6 @@ PROBES = 4
 """How often a worker is asked for a file just written, a second apart: shared folders may show it late."""
 
 
-@contextmanager
-def connected(address: str) -> Iterator[Client]:
-    """A client of the scheduler at `address`, or of the one that wrote the file of that name; its log is not shown.
-
-    Raises:
-        GraspRefineError: No scheduler answers.
-    """
-    with _silence():
-        try:
-            if address.endswith(".json"):
-                address = str(json.loads(Path(address).read_text(encoding="utf-8"))["address"])
-            # A client that finds nobody leaves threads behind, so that somebody must be there first.
-            socket.create_connection(get_address_host_port(address), ANSWER_S).close()
-            client = Client(address, timeout=ANSWER_S, set_as_default=False)
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise GraspRefineError(
-                f"{address}: no Dask scheduler answers ({message_of(error)}); start one with `dask scheduler` and give "
-                "its address, such as tcp://host:8786, or the file that it writes with --scheduler-file"
-            ) from error
-        with client:
-            yield client
-
-
 @dataclass
 class _Run:
     """A shard that a worker has."""
@@ -73,7 +43,7 @@ class _Run:
     worker: str
     """Its address."""
     future: Future
-    heard: float
+    heard_s: float
     """When there was last a sign of life."""
     doing: tuple[str, float] | None = None
     """What it said."""
@@ -95,8 +65,8 @@ class ClusterWorkers:
         Raises:
             GraspRefineError: There is no worker, or one that is not fit.
         """
-        self._client, self._address, self._work, self._folder = client, address, work, folder
-        self._patience_s = patience_s
+        self._client, self._address, self._folder, self._patience_s = client, address, folder, patience_s
+        self._work = pickle.dumps(work)
         self._runs: dict[int, _Run] = {}
         """Number of a shard -> who has it."""
         self._groups: dict[str, str] = {}
@@ -106,7 +76,9 @@ class ClusterWorkers:
         self._inbox: SimpleQueue[tuple[int, Future | tuple[str, float]]] = SimpleQueue()
         self._topic = f"grasp-refine-{uuid4().hex}"
         client.subscribe_topic(self._topic, self._put_sign)
-        self._accompanied = self._looked = time.monotonic()
+        self._clock_s = 0.0
+        """How long workers were listened to, so that a pause of this process alone makes nobody look dead."""
+        self._accompanied = self._looked = self._listened = time.monotonic()
         self._look()
         if not self._faults:
             raise GraspRefineError(
@@ -138,7 +110,7 @@ class ClusterWorkers:
                 workers=[worker],
                 pure=False,
             )
-            self._runs[shard.number] = _Run(shard, worker, future, time.monotonic())
+            self._runs[shard.number] = _Run(shard, worker, future, self._clock_s)
             self._groups[worker] = shard.group
             future.add_done_callback(lambda future, number=shard.number: self._inbox.put((number, future)))
 
@@ -156,19 +128,30 @@ class ClusterWorkers:
                 number, said = self._inbox.get_nowait()
         except Empty:
             pass
-        if time.monotonic() - self._looked >= LOOK_S:
+        now = time.monotonic()
+        self._clock_s += min(now - self._listened, 2 * LOOK_S)
+        self._listened = now
+        if now - self._looked >= LOOK_S:
             self._look()
-            for run in list(self._runs.values()):
-                if run.worker not in self._faults:
-                    news.append(self._lost(run, "crashed", "was lost"))
-                elif self._patience_s is not None and (
-                    time.monotonic() - run.heard > self._patience_s + BEAT_S + LOOK_S
-                ):
-                    news.append(self._lost(run, "hung", f"gave no sign of life for {self._patience_s:g} s"))
-                    self._restart(run.worker)
+            news += self._losses()
         return news
 
-    def _put_sign(self, event: tuple[float, list]) -> None:
+    def _losses(self) -> list[News]:
+        """What was lost with workers that are gone or hang; the latter are restarted."""
+        news: list[News] = []
+        hanging: list[str] = []
+        for run in list(self._runs.values()):
+            if run.worker not in self._faults:
+                news.append(self._lost(run, "crashed", "was lost"))
+            elif self._patience_s is not None and self._clock_s - run.heard_s > self._patience_s + BEAT_S + LOOK_S:
+                news.append(self._lost(run, "hung", f"gave no sign of life for {self._patience_s:g} s"))
+                hanging.append(run.worker)
+        # Only now, because nobody listens meanwhile.
+        for worker in hanging:
+            self._restart(worker)
+        return news
+
+    def _put_sign(self, event: tuple[float, tuple[int, str, float]]) -> None:
         """Take in what a worker said: its clock, and number of the shard, what it does, and the share done."""
         _, (number, what, share) = event
         self._inbox.put((number, (what, share)))
@@ -179,7 +162,7 @@ class ClusterWorkers:
         if run is None:
             return []
         if isinstance(said, tuple):
-            run.heard, run.doing = time.monotonic(), said
+            run.heard_s, run.doing = self._clock_s, said
             return [(run.shard, said)]
         if said.key != run.future.key:
             return []
@@ -255,25 +238,8 @@ class ClusterWorkers:
                 time.sleep(1.0)
         finally:
             probe.unlink(missing_ok=True)
-        return {worker: self._fault(worker, there.get(worker), here, count) for worker, count in threads.items()}
-
-    def _fault(self, worker: str, there: object, here: Seen, threads: int) -> str:
-        """What is wrong with one worker."""
-        if not isinstance(there, Seen):
-            said = message_of(there) if isinstance(there, BaseException) else "it does not answer"
-            return f"worker {worker} cannot run grasp-refine: {said}; install the same version there as here"
-        if there.versions != here.versions:
-            ours, theirs = (", ".join(" ".join(pair) for pair in each.versions) for each in (here, there))
-            return f"worker {worker} has {theirs}; here are {ours}: install the same in both places"
-        if not (there.reads and there.writes):
-            verb = "write into" if there.reads else "see"
-            return f"worker {worker} cannot {verb} {self._folder}: results need a folder that all machines share"
-        if threads != 1:
-            return (
-                f"worker {worker} has {threads} threads, but works on one shard at a time: start workers with "
-                "--nthreads 1, and as many as there are cores with --nworkers"
-            )
-        return ""
+        faults = {worker: fault_of(there.get(worker), here, count, self._folder) for worker, count in threads.items()}
+        return {worker: fault and f"worker {worker} {fault}" for worker, fault in faults.items()}
 
     def _cut_off(self, failure: BaseException) -> GraspRefineError:
         return GraspRefineError(
@@ -282,15 +248,24 @@ class ClusterWorkers:
         )
 
 
-@contextmanager
-def _silence() -> Iterator[None]:
-    """Nothing that Dask logs is shown meanwhile: what a user should know is said otherwise."""
-    loggers = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.startswith("distributed")]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)
+def fault_of(there: object, here: Seen, threads: int, folder: Path) -> str:
+    """What is wrong with a worker; empty if nothing is.
+
+    Args:
+        there: What it sees, or why it could not look.
+        here: What this process sees.
+        threads: How many threads it has.
+        folder: Where results go.
+    """
+    if not isinstance(there, Seen):
+        said = message_of(there) if isinstance(there, BaseException) else "no answer"
+        return f"cannot run grasp-refine ({said}): install there what is installed here"
+    if there.versions != here.versions:
+        ours, theirs = (", ".join(" ".join(pair) for pair in each.versions) for each in (here, there))
+        return f"has {theirs}, but here are {ours}: install the same in both places"
+    if not (there.reads and there.writes):
+        verb = "write into" if there.reads else "see"
+        return f"cannot {verb} {folder}: results need a folder that all machines share, under the same name"
+    if threads != 1:
+        return f"has {threads} threads, but works on one shard at a time: start workers with --nthreads 1"
+    return ""

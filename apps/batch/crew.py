@@ -79,14 +79,13 @@ class Crew:
                 if any(member.ready for member in self._members):
                     return  # Those that are there do all the work.
                 raise GraspRefineError(
-                    f"{self._bad_starts} worker processes in a row could not be started: the last {self._why}; "
-                    "`refine-grasp doctor` says what is missing here"
+                    f"{self._bad_starts} worker processes in a row could not be started: the last {self._why}"
                 )
             try:
                 self._members.append(_Worker(self._work, self._clock_s))
             except OSError as error:
                 self._bad_starts += 1
-                self._why = f"was refused by the system ({error.strerror or error})"
+                self._why = f"was refused by the system ({error.strerror or error}): try fewer"
 
     def listen(self) -> list[News]:
         """What was heard about shards, after a short wait if need be; lost workers are ended and forgotten."""
@@ -107,7 +106,12 @@ class Crew:
                 news.append((member.shard, loss))
             elif not member.ready:
                 self._bad_starts += 1
-                self._why = ": ".join([loss.message.removeprefix("its worker "), *loss.traceback.splitlines()[-1:]])
+                self._why = loss.message.removeprefix("its worker ")
+                if loss.reason == "hung":
+                    self._why += ": a busy machine takes more patience"
+                else:
+                    said = ": ".join(["", *loss.traceback.splitlines()[-1:]])
+                    self._why += f"{said}; `refine-grasp doctor` says what is missing here"
         return news
 
     def end(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import platform
 import time
 from dataclasses import dataclass
@@ -13,10 +14,12 @@ import distributed
 import grasp_refine
 
 from .attempt import attempt
-from .shard import Done, Failed, Shard, Work
+from .shard import Done, Failed, Shard
 
 BEAT_S = 1.0
 """Signs of life of a worker are at least this far apart: all of them pass through the scheduler."""
+
+_KEPT = "grasp_refine_work"
 
 
 @dataclass(frozen=True)
@@ -41,9 +44,16 @@ def seen(probe: Path) -> Seen:
     return Seen(versions, probe.is_file(), os.access(probe.parent, os.W_OK))
 
 
-def attempt_there(work: Work, shard: Shard, topic: str) -> Done | Failed:
-    """What comes of a shard; signs of life (number, what, share) are events of `topic`."""
+def attempt_there(work: bytes, shard: Shard, topic: str) -> Done | Failed:
+    """What comes of a shard; signs of life (number, what, share) are events of `topic`.
+
+    The worker keeps the unpickled `Work` for the other shards of this topic, with all that it has loaded.
+    """
     worker = distributed.get_worker()
+    kept = getattr(worker, _KEPT, ("", None))
+    if kept[0] != topic:
+        kept = (topic, pickle.loads(work))
+        setattr(worker, _KEPT, kept)
     heard = -BEAT_S
 
     def beat(what: str, share: float) -> None:
@@ -53,4 +63,4 @@ def attempt_there(work: Work, shard: Shard, topic: str) -> Done | Failed:
             heard = now
             worker.log_event(topic, [shard.number, what, float(share)])
 
-    return attempt(work, shard, beat)
+    return attempt(kept[1], shard, beat)

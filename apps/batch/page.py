@@ -16,6 +16,7 @@ from grasp_refine.solvers.status import Status
 from ..bench.report import rendered
 from . import words
 from .chart import MEASURES, MOVED, chart
+from .failed import failed_text, left_over
 from .pictures import Picture
 from .statistics import Statistics, Tally
 from .worst import Case
@@ -112,8 +113,8 @@ def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[A
     if statistics.held is not None:
         tiles.append(change(*statistics.held, its.simulated, "hold in simulation"))
     if failed:
-        many = "shard" if len(failed) == 1 else "shards"
-        tiles.append({"number": words.whole(len(failed)), "words": f"{many} failed", "tone": "bad"})
+        number, said = failed_text(failed).split(" ", 1)
+        tiles.append({"number": number, "words": f"{said} failed", "tone": "bad"})
     if totals.get("grasps_per_s"):
         per, speed = totals.get("cpu_s_per_grasp"), words.rate(totals["grasps_per_s"])
         said = "grasps" if per is None else f"grasps, at {words.duration(per)} of CPU time each"
@@ -123,16 +124,17 @@ def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[A
 
 def _notes(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """What a reader must know before the numbers."""
-    shards, complete = totals.get("shards"), (totals.get("done") or 0) + (totals.get("skipped") or 0)
     if failed:
+        its = "its" if len(failed) == 1 else "their"
         yield (
-            f"{words.count(len(failed), 'shard')} failed; these numbers are without "
-            f"{'its' if len(failed) == 1 else 'their'} grasps. See below what went wrong; the same command tries again."
+            f"{failed_text(failed)} failed; these numbers are without {its} grasps. What went wrong is told below; the "
+            "same command tries again."
         )
-    if shards is not None and complete + len(failed) < shards:
+    left = left_over(totals, failed)
+    if left:
         yield (
-            f"{words.whole(complete)} of {words.count(shards, 'shard')} are complete: this is a part of the batch. "
-            "The same command goes on where it ended."
+            f"This is a part of the batch: {words.whole(left)} of {words.count(totals['shards'], 'shard')} to be done "
+            "yet. The same command goes on from here."
         )
 
 
@@ -197,7 +199,7 @@ def _kinds(failed: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
         yield {
             "reason": reason,
             "message": message,
-            "count": words.count(len(shards), "shard"),
+            "count": failed_text(shards),
             "shards": shards[:MOST_ALIKE],
             "more": max(len(shards) - MOST_ALIKE, 0),
             "traceback": shards[0].get("traceback", ""),
@@ -212,8 +214,8 @@ def _costs(totals: Mapping[str, Any], statistics: Statistics) -> Iterator[tuple[
         ("throughput", "grasps_per_s", words.rate),
         ("CPU time per grasp", "cpu_s_per_grasp", words.duration),
         ("largest process", "peak_bytes", words.mebibytes),
-        ("shards done now", "done", words.whole),
-        ("shards that were complete before", "skipped", words.whole),
+        ("shards", "shards", words.whole),
+        ("done in this run", "done", words.whole),
     )
     for name, key, say in told:
         if totals.get(key) is not None:
@@ -231,18 +233,20 @@ def _costs(totals: Mapping[str, Any], statistics: Statistics) -> Iterator[tuple[
         yield "iterations", f"{steps.mean:.0f} in the mean, {steps.most:.0f} at most"
 
 
-def _stages(profile: Mapping[str, Sequence[float]]) -> list[tuple[str, str, str, str, str]]:
-    """Where the time went."""
-    total = sum(entry[0] for entry in profile.values())
+def _stages(profile: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, str, str, str]]:
+    """Where the time went, most of it first."""
+    total = sum(spent["cpu_s"] for spent in profile.values())
+    ranked = sorted(profile.items(), key=lambda entry: -entry[1]["cpu_s"])
     return [
         (
             name,
-            f"{cpu:.2f}",
-            f"{100 * cpu / total:.1f} %" if total else words.NONE,
-            f"{wall:.2f}",
-            words.whole(int(calls)),
+            f"{spent['cpu_s']:.2f}",
+            f"{100 * spent['cpu_s'] / total:.1f} %" if total else words.NONE,
+            f"{spent['wall_s']:.2f}",
+            words.whole(int(spent["calls"])),
         )
-        for name, (cpu, wall, calls) in sorted(profile.items(), key=lambda entry: -entry[1][0])
+        for name, spent in ranked
+        if spent["cpu_s"] or spent["calls"]
     ]
 
 

@@ -15,6 +15,7 @@ from grasp_refine.report.table import plain_table
 from grasp_refine.report.verdict import BAR
 
 from . import words
+from .failed import failed_text, left_over
 from .statistics import UNUSABLE, Statistics, Tally
 
 ROWS, FAILURES = 20, 20
@@ -32,7 +33,7 @@ def batch_table(document: Mapping[str, Any], statistics: Statistics) -> Renderab
     if statistics.all.count:
         parts += [_table(statistics), "", *_verdict(statistics)]
     parts += _failures(document.get("failed", []))
-    parts += _account(document.get("totals", {}))
+    parts += _account(document.get("totals", {}), document.get("failed", []))
     return Group(*parts)
 
 
@@ -109,7 +110,7 @@ def _failures(failed: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
     if not failed:
         return
     yield ""
-    yield Text(f"{words.count(len(failed), 'shard')} failed:", "red")
+    yield Text(f"{failed_text(failed)} failed:", "red")
     for one in failed[:FAILURES]:
         tries = f", {one['tries']} times" if one.get("tries", 1) > 1 else ""
         yield Text.assemble("  ", (str(one["name"]), "bold"), f": {one['reason']}{tries}: {one['message']}")
@@ -117,23 +118,17 @@ def _failures(failed: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
         yield Text(f"  and {words.whole(len(failed) - FAILURES)} more, in the JSON summary and the report")
 
 
-def _account(totals: Mapping[str, Any]) -> Iterator[RenderableType]:
-    """What it took."""
-    shards = [
-        f"{words.whole(totals[key])} {said}"
-        for key, said in (("done", "done"), ("skipped", "complete before"), ("failed", "failed"))
-        if totals.get(key)
-    ]
-    left = (totals.get("shards") or 0) - sum(totals.get(key) or 0 for key in ("done", "skipped", "failed"))
-    shards += [f"{words.whole(left)} to be done"] if left > 0 else []
-    if totals.get("shards") and shards:
-        yield Text(f"{words.count(totals['shards'], 'shard')}: {', '.join(shards)}")
+def _account(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
+    """What it took, and what is left."""
+    left = left_over(totals, failed)
+    if left:
+        yield Text(f"{words.whole(left)} of {words.count(totals['shards'], 'shard')} to be done yet", "yellow")
     said = []
     if totals.get("grasps_per_s"):
         said.append(words.rate(totals["grasps_per_s"]))
     if totals.get("cpu_s_per_grasp") is not None:
         said.append(f"{words.duration(totals['cpu_s_per_grasp'])} of CPU time each")
     if totals.get("peak_bytes"):
-        said.append(f"largest process {words.mebibytes(totals['peak_bytes'])}")
+        said.append(f"at most {words.mebibytes(totals['peak_bytes'])} a process")
     if said:
         yield Text(", ".join(said))

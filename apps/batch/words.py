@@ -75,9 +75,11 @@ def _three(value: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time in its two largest units."""
+    """A time in its two largest units, or in milliseconds where it is short."""
     if not isfinite(seconds):
         return NONE
+    if seconds < 0.9995:
+        return f"{1e3 * seconds:.0f} ms"
     if seconds < 9.95:
         return f"{seconds:.1f} s"
     whole_s = round(seconds)

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from threading import Lock, Thread
 from types import FrameType
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from .attempt import attempt
 from .shard import Done, Failed, Shard, Work
@@ -52,15 +52,16 @@ def work_on_shards(connection: Connection, work: bytes, log: Connection, parent:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
-        inbox: SimpleQueue[Shard] = SimpleQueue()
+        inbox: SimpleQueue[bytes] = SimpleQueue()
         Thread(target=_receive, args=(connection, inbox), daemon=True).start()
         function: Work = pickle.loads(work)
         voice = _Voice(connection)
         voice.say(Ready())
         while True:
-            shard = inbox.get()
+            received = inbox.get()
             # If this shard ends badly, only what was written since is of interest.
             os.ftruncate(2, 0)
+            shard: Shard = pickle.loads(received)
             voice.start()
             voice.say(attempt(function, shard, voice.beat))
     except _ToldToEndError:
@@ -99,11 +100,11 @@ def _write_into(log: Connection) -> None:
     faulthandler.register(WHERE, 2, all_threads=False)
 
 
-def _receive(connection: Connection, inbox: SimpleQueue[Any]) -> None:
+def _receive(connection: Connection, inbox: SimpleQueue[bytes]) -> None:
     """Hand on what comes in; ends the process, and what it has started, when nobody is at the other end any more."""
     try:
         while True:
-            inbox.put(connection.recv())
+            inbox.put(connection.recv_bytes())
     except (EOFError, OSError):
         os.killpg(0, signal.SIGKILL)
 

@@ -6,6 +6,7 @@ for one version of coal's library: with another it is left alone, because the la
 
 import os
 from functools import cache
+from importlib.util import find_spec
 from typing import Literal, get_args
 
 from grasp_refine.errors import CollisionError
@@ -16,6 +17,9 @@ Engine = Literal["auto", "native", "python"]
 VARIABLE = "GRASP_REFINE_ENGINE"
 """Environment variable that says what "auto" means."""
 
+COMPILED = "grasp_refine.collision._native"
+"""The module that `native/` becomes."""
+
 
 def engines() -> tuple[str, ...]:
     """The engines that are there, the fastest first."""
@@ -25,16 +29,18 @@ def engines() -> tuple[str, ...]:
 @cache
 def why_not_native() -> str:
     """Why the compiled engine is not there; empty where it is."""
+    if find_spec(COMPILED) is None:
+        return "not built: with a C++ compiler, such as g++, install grasp-refine again"
     try:
         from grasp_refine.collision import native_search
     except ImportError as error:
-        # Not built, or built for another system.
-        return str(error).strip().splitlines()[0]
+        # Built for another system, or a library that it needs is gone.
+        return f"does not load: {str(error).strip().splitlines()[0]}"
     return native_search.mismatch()
 
 
-def chosen(engine: Engine) -> str:
-    """The engine that is used where `engine` is asked for: "native" or "python".
+def chosen(engine: str) -> str:
+    """The engine that is used where `engine`, an `Engine`, is asked for: "native" or "python".
 
     Raises:
         CollisionError: there is no such engine, or it is not there.
@@ -45,5 +51,7 @@ def chosen(engine: Engine) -> str:
     if asked not in get_args(Engine):
         raise CollisionError(f"{where} is '{asked}'; choose {', '.join(get_args(Engine))}")
     if asked == "native" and why_not_native():
-        raise CollisionError(f"{where} is 'native', which is not there ({why_not_native()}); choose auto or python")
+        raise CollisionError(
+            f"{where} is 'native', which is not there ({why_not_native()}); choose auto or python"
+        )
     return engines()[0] if asked == "auto" else asked

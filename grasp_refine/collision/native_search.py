@@ -20,8 +20,8 @@ from grasp_refine.stopwatch import stage
 
 from grasp_refine.collision import _native  # isort: skip
 
-_ITEMS_PER_THREAD = 64
-"""Fewer are not worth the start of a thread."""
+_ITEMS_PER_THREAD = 512
+"""Fewer, about 2 ms of work, are not worth a thread, which also waits for more work for some milliseconds."""
 
 
 def built_for() -> str:
@@ -32,7 +32,9 @@ def built_for() -> str:
 def mismatch() -> str:
     """Why the engine must not be used; empty: it may."""
     here = version("coal")
-    return "" if here == built_for() else f"built for coal {built_for()}, coal {here} is installed; install again"
+    if here == built_for():
+        return ""
+    return f"built for coal {built_for()}, but coal {here} is installed: install grasp-refine again"
 
 
 class NativeNarrowPhase:
@@ -57,9 +59,8 @@ class NativeNarrowPhase:
     ) -> Closest:
         """The closest piece pair of each item; arguments and answer as in `narrowphase.NarrowPhase.closest`."""
         M = len(R)
-        found = Closest(
-            np.empty(M), np.empty((M, 3)), np.empty((M, 3)), np.empty(M, np.int64), np.empty(M, np.int64), np.empty(M, bool)
-        )
+        whole = np.empty((2, M), np.int64)
+        found = Closest(np.empty(M), np.empty((M, 3)), np.empty((M, 3)), *whole, np.empty(M, bool))
         self.compiled.closest(
             R, t, starts, pair, bound, limit, guess, guess_valid,
             found.distance, found.point, found.normal, found.winner, found.asked, found.failed,
@@ -95,14 +96,14 @@ class NativeSearch:
             T_b: Those of the second bodies.
             limit: Signed distance that an answer has to beat.
             previous: The winners, points on a, points on b and statuses of the last answer.
-            threads: How many at most; by default `OMP_NUM_THREADS`, or one a core.
+            threads: How many; by default `OMP_NUM_THREADS`, or one a core, fewer where there is little to do.
         """
         shape = limit.shape
         points = np.empty((3, *shape, 3))
         found = (
             *points, np.empty(shape), np.empty(shape, np.int8), np.empty(shape, np.int64), np.empty(shape, np.int64)
         )  # fmt: skip
-        self._compiled.query(pair, T_a, T_b, limit, *(previous or (None,) * 4), *found, _threads(limit.size, threads))
+        self._compiled.query(pair, T_a, T_b, limit, *(previous or (None,) * 4), *found, threads or _threads(limit.size))
         return found
 
     def bare_loop(
@@ -133,9 +134,7 @@ class NativeSearch:
         distance = np.empty(len(item))
 
         def run() -> np.ndarray:
-            self._narrow_phase.distances(
-                item, piece_pair, R, t, guess, valid, distance, _threads(len(pair), threads)
-            )
+            self._narrow_phase.distances(item, piece_pair, R, t, guess, valid, distance, threads or _threads(len(pair)))
             return distance
 
         return run
@@ -157,9 +156,9 @@ def _side(side: Side) -> "_native.Side":
     )  # fmt: skip
 
 
-def _threads(items: int, most: int | None) -> int:
+def _threads(items: int) -> int:
     """How many threads these items are worth."""
-    return max(1, min(items // _ITEMS_PER_THREAD, most or _available()))
+    return max(1, min(items // _ITEMS_PER_THREAD, _available()))
 
 
 @cache

@@ -182,9 +182,9 @@ def query(
     flat = None if previous is None else previous.reshape(-1)
     poses = np.reshape(T_world_a, (-1, 4, 4)), np.reshape(T_world_b, (-1, 4, 4))
     pair = np.tile(np.arange(shape[1]), shape[0])
-    return query_items(
-        pairs, pair, *poses, cutoff=np.broadcast_to(cutoff, shape).reshape(-1), previous=flat
-    ).reshape(*shape)
+    return query_items(pairs, pair, *poses, cutoff=np.broadcast_to(cutoff, shape).reshape(-1), previous=flat).reshape(
+        *shape
+    )
 
 
 @stage("broad phase")

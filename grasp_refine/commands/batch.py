@@ -228,11 +228,11 @@ class Batch:
         plan = planner.plan(
             jobs, progress.say, lambda number, name: progress.wait(f"planning {number + 1}/{len(jobs)}: {name}")
         )
+        if not plan.shards:
+            more = f" (and {len(plan.refused) - 1} more jobs)" if len(plan.refused) > 1 else ""
+            raise GraspRefineError(f"no job can be done: {plan.refused[0].job}: {plan.refused[0].message}{more}")
         for refused in plan.refused:
             progress.say(f"{refused.job} cannot be done: {refused.message}")
-        if not plan.shards:
-            more = f" (and {len(plan.refused) - 1} more)" if len(plan.refused) > 1 else ""
-            raise GraspRefineError(f"no job can be done: {plan.refused[0].job}: {plan.refused[0].message}{more}")
         return plan
 
     def _check_outputs(self, plan: Plan, out: Path, index: Path) -> None:

@@ -30,6 +30,7 @@ from grasp_refine.collision.engine import chosen, engines
 from grasp_refine.commands.benchmark import check_asked, run_benchmark
 from grasp_refine.commands.inputs import Inputs
 from grasp_refine.commands.options import check_numbers
+from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 
 PresetName = Literal["full", "skips", "smoke"]
@@ -169,4 +170,4 @@ class BenchQueries:
     def _example(self, hand: str, obj: str, say: Callable[[str], None]) -> Example:
         """The example grasps of a hand on an object."""
         (group,) = Inputs(hand=hand, object=obj).load(self.seed, say).groups
-        return Example(hand, obj, group.scene)
+        return Example(hand, obj, group.scene, Config(seed=self.seed))

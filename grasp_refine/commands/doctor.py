@@ -19,7 +19,9 @@ from grasp_refine import __version__
 from grasp_refine.asset_library.cache import LAYOUTS, seems_here
 from grasp_refine.asset_library.names import all_assets
 from grasp_refine.asset_library.origin import VARIABLE, chosen_origin, shown
-from grasp_refine.errors import AssetError, GraspRefineError
+from grasp_refine.collision.engine import VARIABLE as ENGINE
+from grasp_refine.collision.engine import chosen, why_not_native
+from grasp_refine.errors import AssetError, CollisionError, GraspRefineError
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hand import list_hands
 from grasp_refine.replay.offscreen import choose_gl
@@ -75,6 +77,7 @@ def examine() -> dict[str, Any]:
         "cpu_count": os.cpu_count(),
         "packages": packages,
         "devices": devices,
+        "engine": _engine(),
         "gpu": any(device["name"] != "cpu" for device in devices),
         "cache": _cache(),
         "assets": _assets(),
@@ -108,6 +111,20 @@ def _devices() -> tuple[list[dict[str, str]], str]:
     if torch.backends.mps.is_available():
         devices.append({"name": "mps", "what": "Apple GPU, float32 only"})
     return devices, ""
+
+
+def _engine() -> dict[str, Any]:
+    """Who answers collision queries, the coal that the compiled engine is for, and why that one is not there."""
+    lacks, used, fault, coal = why_not_native(), None, None, None
+    try:
+        used = chosen("auto")
+    except CollisionError as error:
+        fault = str(error)
+    if not lacks:
+        from grasp_refine.collision.native_search import built_for
+
+        coal = built_for()
+    return {"used": used, "coal": coal, "why_not_native": lacks or None, "fault": fault}
 
 
 def _pictures() -> str | None:
@@ -178,6 +195,7 @@ def _lines(found: dict[str, Any]) -> list[str]:
     browser = found["browser"] or "none; the viewer's tests need chromium, apt install chromium"
     lines = [
         f"devices: {', '.join(devices) or 'none'}" + ("" if found["gpu"] else "; no GPU, none is needed"),
+        f"engine:  {_engine_text(found['engine'])}",
         f"cache:   {cache['folder']}, {cache['entries']} decompositions, {cache['bytes'] / 1e6:.1f} MB",
         f"assets:  {assets['folder']}, {assets['here']} of {assets['known']} are here"
         + (f"; mirror: {assets['mirror']}" if assets["mirror"] and not assets["fault"] else "")
@@ -189,3 +207,10 @@ def _lines(found: dict[str, Any]) -> list[str]:
     if lacking:
         lines.append(f'optional: pip install "{NAME}[{",".join(lacking)}]"')
     return lines
+
+
+def _engine_text(engine: dict[str, Any]) -> str:
+    if engine["used"] == "native":
+        return f"native, compiled for coal {engine['coal']}"
+    reason = f"; native: {engine['why_not_native']}" if engine["why_not_native"] else f", as {ENGINE} says"
+    return engine["fault"] or f"python, the slower one{reason}"

@@ -30,9 +30,7 @@ def narrow_phase(a: list[Piece], b: list[Piece], tolerances: Tolerances | None =
     return NativeNarrowPhase(a, b, tolerances or Tolerances())
 
 
-def closest(
-    narrow: Any, T: np.ndarray, pairs: int = 1, limit: float = np.inf, bound: float = -np.inf
-) -> Closest:
+def closest(narrow: Any, T: np.ndarray, pairs: int = 1, limit: float = np.inf, bound: float = -np.inf) -> Closest:
     """Ask all `pairs` piece pairs for body b at the poses T (M, 4, 4) in the frame of body a."""
     count = len(T)
     return narrow.closest(

@@ -118,7 +118,7 @@ class CaseJob:
     def do(self, progress: Callable[[float], None]) -> Measured:
         """Measure it, in this process and with one thread of torch."""
         torch.set_num_threads(1)
-        with _one_thread(self.engines):
+        with one_thread(self.engines):
             return self._measured(progress)
 
     def _measured(self, progress: Callable[[float], None]) -> Measured:
@@ -183,7 +183,7 @@ class CaseJob:
 
 
 @contextmanager
-def _one_thread(engines: tuple[str, ...]) -> Iterator[None]:
+def one_thread(engines: tuple[str, ...]) -> Iterator[None]:
     """The compiled engine works with one thread, as all others do: waiting for a second one would count as its time."""
     if "native" not in engines:
         yield

@@ -88,8 +88,8 @@ def skip_jobs(study: Study, examples: Sequence[Example]) -> Iterator[SkipJob]:
     """What is undone: in refinements, then at the start of hands, objects and commands."""
     rounds = study.skip_rounds
     for one in examples:
-        yield SkipJob(f"{one.name}, queries", 6.0 * rounds, partial(asking_skips, one, study.seed, rounds))
-        yield SkipJob(f"{one.name}, solver", 3.0 * rounds, partial(solving_skips, one, study.seed, rounds))
+        yield SkipJob(f"{one.name}, queries", 6.0 * rounds, partial(asking_skips, one, rounds))
+        yield SkipJob(f"{one.name}, solver", 3.0 * rounds, partial(solving_skips, one, rounds))
     for hand, one in {one.hand: one for one in examples}.items():
         yield SkipJob(hand, 1.0, partial(_of_hand, one, study.seed, rounds))
     for obj in {one.object: one.scene.object for one in examples if one.scene.object.convex}.values():

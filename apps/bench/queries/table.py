@@ -14,7 +14,7 @@ SHORT = {
     "python": "Py-\nthon",
     "bare-loop": "bare\nloop",
     "coal-fresh": "coal\nfresh",
-    "coal-reused": "coal\nreused",
+    "coal-reused": "coal\nre-\nused",
     "mujoco": "Mu-\nJoCo",
 }
 """Who answered, in as few letters as a column has."""
@@ -31,10 +31,10 @@ def bench_tables(rows: Sequence[Row]) -> Iterator[Table]:
 def _times(rows: Sequence[Row]) -> Table:
     first = queries(rows)[0]["by"]
     others = [name for name in dict.fromkeys(row["by"] for row in queries(rows)) if name != first]
-    table = _table(f"CPU microseconds of a witness query, engine {first}; others as multiples of its time", "bodies")
+    table = _table(f"CPU µs of a witness query by engine {first}; of others, multiples of its time", "bodies")
     table.add_column("state", no_wrap=True)
-    heads = ["batch", "for-\nward", "\nwarm", "asked"]
-    heads += [f"back,\n{''.join(word[:4] for word in method(key).split()[-1:])}." for key in methods(rows)]
+    heads = ["batch", "for-\nward", "\nwarm", "asks"]
+    heads += [f"back\n{method(key).split()[-1][:4]}" for key in methods(rows)]
     for head in (*heads, *(SHORT.get(name, name) for name in others)):
         table.add_column(head, justify="right", no_wrap=True)
     for its in cases(rows):
@@ -42,13 +42,13 @@ def _times(rows: Sequence[Row]) -> Table:
         ratios = {row["by"]: row["forward_ratio"] for row in its if not row["warm"]}
         table.add_row(
             bodies(cold),
-            cold["state"],
+            cold["state"][:7],
             str(cold["batch"]),
             number(cold["forward_us"]),
             number(warm["forward_us"]),
             f"{cold['queries_asked'] / cold['poses']:.2f}",
             *(number(cold[key]) for key in methods(rows)),
-            *(f"{number(ratios[name])}x" for name in others),
+            *(number(ratios[name]) for name in others),
         )
     errors = worst_errors(rows)
     if errors:

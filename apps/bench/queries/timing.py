@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,7 +15,10 @@ MOST = 1000
 """Calls in a row at most."""
 
 
-def cpu_times(runs: Mapping[str, Callable[[], object]], rounds: int, least_s: float) -> dict[str, np.ndarray]:
+Name = TypeVar("Name", bound=Hashable)
+
+
+def cpu_times(runs: Mapping[Name, Callable[[], object]], rounds: int, least_s: float) -> dict[Name, np.ndarray]:
     """CPU seconds of a call of each (rounds,), of all threads; element k of all was measured in the same round.
 
     Args:

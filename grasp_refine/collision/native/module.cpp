@@ -233,6 +233,8 @@ NarrowPhase narrow_phase_of(const Shapes& a, const Shapes& b, double gjk, double
 }
 
 NB_MODULE(_native, m) {
+  // At the end of a program pieces may be alive, and their shapes with them.
+  nb::set_leak_warnings(false);
   m.attr("coal_version") = COAL_VERSION;
 #ifdef _OPENMP
   m.attr("openmp") = true;

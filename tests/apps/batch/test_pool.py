@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from command_line import interruptible, subprocess_environment
 from grasp_refine.apps.batch.crew import ONE_THREAD
 from grasp_refine.apps.batch.pool import run_local
 from grasp_refine.apps.batch.shard import Done, Failed
-from shard_works import Unknown, done, some_shards, work
+from shard_works import Slow, Tally, Unknown, Unloadable, done, some_shards, tallies, work
 
 from grasp_refine.errors import GraspRefineError
 
@@ -111,6 +112,12 @@ def test_a_worker_keeps_to_a_group(tmp_path: Path):
     assert len({(tmp_path / f"{number}.txt").read_text() for number in range(5)}) == 1
 
 
+def test_work_keeps_what_it_has_loaded(tmp_path: Path):
+    shards = some_shards(tmp_path, *["write"] * 6)
+    assert len(list(run_local(shards, Tally(), workers=2, patience_s=PATIENCE_S, beat=ignore))) == 6
+    assert all(calls == list(range(1, len(calls) + 1)) for calls in tallies(tmp_path))
+
+
 def test_no_shards_need_no_process(tmp_path: Path):
     assert outcomes(tmp_path, workers=2) == {}
 
@@ -160,6 +167,14 @@ def test_a_shard_that_always_crashes_fails_and_says_where(tmp_path: Path):
         "at 25% of the shard: crash SIGKILL"
     )
     assert isinstance(well, Done)
+
+
+def test_a_shard_that_no_worker_can_load_fails_at_once(tmp_path: Path):
+    """Its worker once waited for ever."""
+    shards = [replace(some_shards(tmp_path, "write")[0], task=Unloadable())]
+    (failure,) = run_local(shards, work, workers=1, patience_s=PATIENCE_S, beat=ignore)
+    assert isinstance(failure, Failed) and failure.message == "its worker ended with exit code 1"
+    assert failure.traceback.endswith("ModuleNotFoundError: No module named 'no_such_module'")
 
 
 def test_an_error_after_a_crash_counts_both_tries(tmp_path: Path):
@@ -258,6 +273,15 @@ def test_workers_end_with_a_caller_who_is_killed(tmp_path: Path, program: Callab
 
 def children(number: int) -> list[str]:
     return Path(f"/proc/{number}/task/{number}/children").read_text().split()
+
+
+def test_workers_that_take_too_long_to_start_end_the_batch_with_a_reason(tmp_path: Path):
+    with pytest.raises(GraspRefineError) as raised:
+        list(run_local(some_shards(tmp_path, "write"), Slow(), workers=1, patience_s=1.0, beat=ignore))
+    assert str(raised.value) == (
+        "3 worker processes in a row could not be started: the last gave no sign of life for 1 s while it started: "
+        "a busy machine takes more patience"
+    )
 
 
 @pytest.mark.parametrize("moment", ["starting", "working"])

@@ -16,7 +16,7 @@ from grasp_refine import grasp_problem
 from grasp_refine.collision.culling import nothing_near, query_near
 from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.collision.table import PieceTable
-from grasp_refine.refine import Refinement, refine
+from grasp_refine.refine import Refinement
 
 from .skip import Example, Skip, replaced, timed
 
@@ -24,7 +24,7 @@ Near = Callable[[Pairs, np.ndarray, np.ndarray, np.ndarray, np.ndarray, Witness 
 """What `query_near` is: pairs, bounds, poses of both bodies, cutoffs, and the last answers."""
 
 
-def asking_skips(example: Example, seed: int, rounds: int) -> Iterator[Skip]:
+def asking_skips(example: Example, rounds: int) -> Iterator[Skip]:
     """Each skip of queries, undone in a whole refinement of the example."""
     # The compiled engine looks at bounds in a loop of its own.
     python = {id(pairs): _in_python(pairs) for pairs in _pairs(example)}
@@ -37,7 +37,7 @@ def asking_skips(example: Example, seed: int, rounds: int) -> Iterator[Skip]:
         "bounded": lambda pairs, *rest: query_near(python[id(pairs)], *rest),
         "unbounded": lambda pairs, *rest: query_near(every[id(pairs)], *rest),
     }
-    found = timed({name: partial(refined, example, seed, near) for name, near in ways.items()}, rounds)
+    found = timed({name: partial(refined, example, near) for name, near in ways.items()}, rounds)
     for name, way, usual, how in (
         ("links that are far from everything", "far", "usual", "every pair of bodies is asked for its distance"),
         ("pieces whose bounds cannot win", "unbounded", "bounded", "all pieces of asked pairs are; both in Python"),
@@ -49,10 +49,10 @@ def asking_skips(example: Example, seed: int, rounds: int) -> Iterator[Skip]:
         yield Skip(name, "queries", example.name, *counts, cpu_without, cpu_with, how, difference(before, after))
 
 
-def refined(example: Example, seed: int, near: Near) -> Refinement:
+def refined(example: Example, near: Near) -> Refinement:
     """The grasps of an example, refined with other queries."""
     with replaced(grasp_problem, "query_near", near):
-        return refine(example.scene, example.config(seed), prepared=example.prepared)
+        return example.refined()
 
 
 def ask_far(

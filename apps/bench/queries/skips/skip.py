@@ -12,6 +12,7 @@ from typing import Any
 
 from grasp_refine.config import Config
 from grasp_refine.hand_object import HandObject
+from grasp_refine.refine import Refinement, refine
 from grasp_refine.scene import Scene
 
 
@@ -24,6 +25,8 @@ class Example:
     object: str
     """Name of the object."""
     scene: Scene
+    config: Config = field(default_factory=Config)
+    """The settings of a refinement; by default what a user gets."""
     prepared: HandObject = field(init=False)
     """Of both, built once."""
 
@@ -35,9 +38,9 @@ class Example:
         """Both names."""
         return f"{self.hand}, {self.object}"
 
-    def config(self, seed: int) -> Config:
-        """The settings of a refinement: what a user gets."""
-        return Config(seed=seed)
+    def refined(self) -> Refinement:
+        """The grasps, refined."""
+        return refine(self.scene, self.config, prepared=self.prepared)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from grasp_refine.batch import join, take
 from grasp_refine.chain import Chain
 from grasp_refine.collision.query import query
 from grasp_refine.grasp_problem import SMOOTH, GraspProblem
-from grasp_refine.refine import Refinement, refine
+from grasp_refine.refine import Refinement
 from grasp_refine.scene import links_of
 from grasp_refine.se3 import tangents
 from grasp_refine.solvers.least_squares import Linear, Minimum, Point, minimise
@@ -34,11 +34,11 @@ BATCH, FRAMES = 256, 20
 """Configurations for which derivatives of the torch layer, and frames, are computed; the frames so many times."""
 
 
-def solving_skips(example: Example, seed: int, rounds: int) -> Iterator[Skip]:
+def solving_skips(example: Example, rounds: int) -> Iterator[Skip]:
     """What is left out in a refinement of the example."""
-    yield _finished(example, seed, rounds)
-    yield _curvatures(example, seed)
-    yield _layer(example, rounds)
+    yield finished_skip(example, rounds)
+    yield curvature_skip(example)
+    yield layer_skip(example, rounds)
 
 
 def frame_skip(example: Example, rounds: int) -> Skip:
@@ -116,7 +116,8 @@ class Kept:
         return getattr(self.problem, name)
 
 
-def _finished(example: Example, seed: int, rounds: int) -> Skip:
+def finished_skip(example: Example, rounds: int) -> Skip:
+    """Grasps that are done leave the batch, and others take their places."""
     counts: dict[str, int] = {}
 
     def kept(problem: GraspProblem, *arguments: Any, **options: Any) -> Minimum:
@@ -125,19 +126,15 @@ def _finished(example: Example, seed: int, rounds: int) -> Skip:
     def everything() -> Refinement:
         counts.update({"with": 0, "without": 0})
         with replaced(holding, "minimise", kept), replaced(refine_module, "minimise", kept):
-            return _refined(example, seed)
+            return example.refined()
 
-    found = timed({"with": partial(_refined, example, seed), "without": everything}, rounds)
+    found = timed({"with": example.refined, "without": everything}, rounds)
     (usual, cpu_with), (other, cpu_without) = found["with"], found["without"]
     return Skip(
         "grasps that are done leave the batch", "grasp iterations", example.name, counts["without"], counts["with"],
         cpu_without, cpu_with, "they are evaluated and differentiated until the last one is done",
         difference(usual, other),
     )  # fmt: skip
-
-
-def _refined(example: Example, seed: int) -> Refinement:
-    return refine(example.scene, example.config(seed), prepared=example.prepared)
 
 
 # derivatives
@@ -178,7 +175,7 @@ class _Fits:
         return found
 
 
-def _curvatures(example: Example, seed: int) -> Skip:
+def curvature_skip(example: Example) -> Skip:
     """Levenberg-Marquardt looks at the curvatures of links that press, or have a target."""
     fits = _Fits(example.prepared.curvatures)
     linearize = GraspProblem.linearize
@@ -190,7 +187,7 @@ def _curvatures(example: Example, seed: int) -> Skip:
         return linearize(problem, member, point, known, width)
 
     with replaced(GraspProblem, "linearize", also_all):
-        _refined(example, seed)
+        example.refined()
     return Skip(
         "curvatures of links that no loss looks at", "fits", example.name, fits.counts["without"], fits.counts["with"],
         fits.cpu_s["without"], fits.cpu_s["with"], "those of all links, in every iteration in which any are fitted",
@@ -212,7 +209,7 @@ class _Counted:
         return self.method.pull_back(scene, force_a, force_b, force_n)
 
 
-def _layer(example: Example, rounds: int) -> Skip:
+def layer_skip(example: Example, rounds: int) -> Skip:
     """The torch layer differentiates the pairs that have a cotangent: here the contact links, which have targets."""
     prepared, hand = example.prepared, example.scene.hand
     T = _poses(example, prepared.chain)

@@ -47,5 +47,9 @@ def test_distances_outside_stay_the_same_and_penetration_gets_shallower():
 
 def test_what_cannot_be_sliced():
     assert can_be_sliced(convex_body(1, 20))
-    for body in (ring_body(), build_body("ball", [sphere(0.02)]), build_body("pill", [capsule(0.01, 0.05)])):
+    for body in (
+        ring_body(),
+        build_body("ball", [sphere(0.02)]),
+        build_body("pill", [capsule(0.01, [0, 0, 0], [0, 0, 0.05])]),
+    ):
         assert not can_be_sliced(body)

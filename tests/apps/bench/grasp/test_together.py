@@ -4,17 +4,27 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import time
 from functools import partial
 
 import pytest
-from grasp_refine.apps.bench.grasp.together import together
+from begun_together import dies, fails, waits
 
-from command_line import subprocess_environment
+from apps.bench.grasp.together import together
 
 
-@pytest.fixture(autouse=True)
-def findable(monkeypatch: pytest.MonkeyPatch):
-    """The children find this module."""
-    path = os.pathsep.join([os.path.dirname(__file__), subprocess_environment()["PYTHONPATH"]])
-    monkeypatch.setenv("PYTHONPATH", path)
+def test_all_begin_when_the_last_one_is_ready():
+    found = together([partial(waits, seconds) for seconds in (0.0, 0.3)])
+    processes, ready, began = zip(*found, strict=True)
+    assert len({os.getpid(), *processes}) == 3
+    assert min(began) >= max(ready)
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.parametrize(
+    ("bad", "error", "words"),
+    [(fails, ValueError, "no luck"), (dies, RuntimeError, "a process ended without a result, exit code 7")],
+)
+def test_one_that_fails_ends_all(bad: object, error: type[Exception], words: str):
+    with pytest.raises(error, match=words):
+        together([partial(waits, 0.0), bad])
+    assert not multiprocessing.active_children()

@@ -1,0 +1,69 @@
+"""What the gate looks at: numbers that say the same on any machine, and how much worse each may get."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import Literal
+
+Group = Literal["queries", "grasps", "forces"]
+"""What is measured together."""
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """A number without the speed of the machine in it."""
+
+    name: str
+    """What the baseline calls it."""
+    what: str
+    """What it means, for people."""
+    group: Group
+    higher: bool = False
+    """Whether more is better."""
+    factor: float = 1.0
+    """How many times worse than the baseline it may be: CPU times of a busy machine differ by a quarter."""
+    slack: float = 0.0
+    """How much worse it may be besides: for shares, and for counts that rounding may change."""
+    native: bool = False
+    """Whether only the compiled engine has it."""
+
+    def limit(self, value: float) -> float:
+        """The worst that is allowed where the baseline is `value`."""
+        return value / self.factor - self.slack if self.higher else value * self.factor + self.slack
+
+    def allowed(self, now: float, limit: float) -> bool:
+        """Whether a measured value is within its limit; what is not finite never is."""
+        return isfinite(now) and (now >= limit if self.higher else now <= limit)
+
+    def better(self, one: float, other: float) -> float:
+        """The better of two measurements."""
+        return max(one, other) if self.higher else min(one, other)
+
+
+TIME, COUNT = 1.5, 1.1
+"""Factors of ratios of CPU times, and of counts."""
+
+RATIOS = (
+    Ratio("convex-query", "query of two convex bodies / coal.distance", "queries", factor=TIME),
+    Ratio("concave-query", "query of 16 x 16 pieces / coal.distance on all pairs", "queries", factor=TIME),
+    Ratio("concave-asked", "pieces asked of 256 pairs", "queries", factor=COUNT, slack=0.1),
+    Ratio("warm-asked", "pieces asked near the last pose / without it", "queries", factor=COUNT),
+    Ratio("warm-query", "query near the last pose / without it", "queries", factor=TIME),
+    Ratio("single-query", "query at batch 1 / at batch 256", "queries", factor=TIME),
+    Ratio("backward", "backward pass of the witness layer / forward", "queries", factor=TIME),
+    Ratio("engines", "query in Python / in the compiled engine", "queries", higher=True, factor=TIME, native=True),
+    Ratio("bare-loop", "query in the compiled engine / its bare loop", "queries", factor=TIME, native=True),
+    Ratio("grasp", "grasp at batch 64 / 100 queries of coal.distance", "grasps", factor=TIME),
+    Ratio("single-grasp", "grasp at batch 1 / at batch 256", "grasps", factor=TIME),
+    Ratio("pieces", "grasp of an object in 64 pieces / in one", "grasps", factor=TIME),
+    Ratio("descent-step", "step of descent / of Levenberg-Marquardt", "grasps", factor=TIME),
+    Ratio("bookkeeping", "share of CPU time in no query, pose or derivative", "grasps", slack=0.08),
+    Ratio("steps", "steps of a grasp, mean", "grasps", factor=COUNT),
+    Ratio("queries", "narrow-phase queries of a grasp, mean", "grasps", factor=COUNT),
+    Ratio("solved", "share of grasps within 1 mm of all targets", "grasps", higher=True, slack=0.01),
+    Ratio("solved-finely", "share within 0.1 mm", "grasps", higher=True, slack=0.03),
+    Ratio("holding", "grasp with forces that balance / by geometry only", "forces", factor=TIME),
+    Ratio("good", "share of grasps that should hold", "forces", higher=True, slack=0.07),
+)
+"""All of them, in the order of the table."""

@@ -1,0 +1,225 @@
+"""A real Dask cluster on this machine: shards come out as without it, also when workers die, hang or are not fit."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from dask_cluster import DaskCluster
+from distributed import Client
+from grasp_refine.apps.batch.cluster import run_on_cluster
+from grasp_refine.apps.batch.cluster_workers import fault_of
+from grasp_refine.apps.batch.on_cluster import Seen
+from grasp_refine.apps.batch.shard import Done, Failed
+from shard_works import Tally, done, some_shards, tallies, work
+
+from grasp_refine.errors import GraspRefineError
+
+HERE = Seen((("grasp-refine", "1.0"), ("Python", "3.11"), ("distributed", "2026.8.0")), True, True)
+
+
+def ignore(number: int, what: str, share: float) -> None:
+    pass
+
+
+def workers_of(cluster: DaskCluster, count: int, seconds: float = 60.0) -> None:
+    """Wait for so many workers."""
+    with Client(cluster.address, set_as_default=False) as client:
+        client.wait_for_workers(count, timeout=seconds)
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskCluster]:
+    """Two workers, each restarted when it dies."""
+    started = DaskCluster(tmp_path_factory.mktemp("cluster"))
+    try:
+        started.add_workers("--nworkers", "2", "--nthreads", "1")
+        yield started
+    finally:
+        started.end()
+
+
+@pytest.fixture
+def address(cluster: DaskCluster) -> str:
+    """Of a cluster whose two workers are there."""
+    workers_of(cluster, 2)
+    return cluster.address
+
+
+def outcomes(
+    address: str, folder: Path, *tasks: str, tries: int = 2, beat: Callable = ignore
+) -> dict[int, Done | Failed]:
+    """Number -> what came of it."""
+    shards = some_shards(folder, *tasks)
+    results = run_on_cluster(shards, work, address=address, tries=tries, patience_s=2.0, beat=beat)
+    return {each.number: each for each in results}
+
+
+def test_every_shard_comes_out_and_what_work_raises_is_told(address: str, tmp_path: Path):
+    told: list[tuple[int, str, float]] = []
+    tasks = ["a:write", "a:raise mesh", "b:raise stubborn", "b:beat 1.5", "a:write", "b:write"]
+    found = outcomes(address, tmp_path, *tasks, beat=lambda *what: told.append(what))
+    failures = {number: found.pop(number) for number in (1, 2)}
+    shards = some_shards(tmp_path, *tasks)
+    assert found == {shard.number: done(shard) for shard in shards if shard.number not in failures}
+    assert [(each.reason, each.message, each.tries) for each in failures.values()] == [
+        ("error", "mug.obj: no such mesh; try another", 1),
+        ("error", "StubbornError: it cannot say what went wrong", 1),
+    ]
+    assert "in _raise" in failures[1].traceback
+    assert len({(tmp_path / f"{number}.txt").read_text() for number in found}) == 2
+    assert (0, "write", 0.25) in told and (3, "still there", 0.5) in told
+    assert not list(tmp_path.glob(".probe*"))
+
+
+def test_work_keeps_what_it_has_loaded(address: str, tmp_path: Path):
+    """Each shard once came with a copy of the work that had loaded nothing."""
+    shards = some_shards(tmp_path, *["write"] * 6)
+    assert len(list(run_on_cluster(shards, Tally(), address=address, beat=ignore))) == 6
+    assert len(calls := tallies(tmp_path)) <= 2
+    assert all(each == list(range(1, len(each) + 1)) for each in calls)
+
+
+def test_shards_of_lost_workers_are_tried_again(address: str, tmp_path: Path):
+    """One worker is killed in the middle of a shard, one kills itself whenever it gets a certain shard."""
+    tasks = ["a:crash once SIGKILL", "b:crash SIGKILL", *["c:write"] * 6]
+    found = outcomes(address, tmp_path, *tasks)
+    lost = found.pop(1)
+    assert found == {shard.number: done(shard) for shard in some_shards(tmp_path, *tasks) if shard.number != 1}
+    assert (lost.reason, lost.tries) == ("crashed", 2)
+    assert lost.message.startswith("worker tcp://127.0.0.1:") and lost.message.endswith(" was lost")
+
+
+def test_a_worker_that_hangs_is_restarted(address: str, tmp_path: Path):
+    found = outcomes(address, tmp_path, "a:sleep 600", "b:beat 4", "b:write", tries=1)
+    hung = found.pop(0)
+    assert found == {shard.number: done(shard) for shard in some_shards(tmp_path, "", "", "")[1:]}
+    assert (hung.reason, hung.tries) == ("hung", 1)
+    assert hung.message.endswith(" gave no sign of life for 2 s at 25% of the shard: sleep 600")
+
+
+def test_a_caller_who_stops_lets_no_other_shard_begin(address: str, tmp_path: Path):
+    """But those that workers have by then: one each."""
+    results = run_on_cluster(some_shards(tmp_path, *["beat 0.3"] * 8), work, address=address, beat=ignore)
+    next(results)
+    results.close()
+    time.sleep(1.5)
+    assert len(list(tmp_path.glob("*.txt"))) == len(list(tmp_path.glob("*.started"))) <= 4
+
+
+def test_a_folder_that_workers_do_not_see_is_refused(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(GraspRefineError, match=r"^worker tcp://127.0.0.1:\d+ cannot see results: results need a "):
+        outcomes(address, Path("results"), "write")
+    assert list(Path("results").iterdir()) == []
+
+
+def test_without_anybody_there_the_refusal_says_what_to_start(tmp_path: Path):
+    advice = "; start one with `dask scheduler` and give its address, such as tcp://host:8786, or the file that "
+    scheduler = tmp_path / "scheduler.json"
+    for address, why in (
+        ("tcp://127.0.0.1:1", "ConnectionRefusedError: [Errno 111] Connection refused"),
+        ("nonsense", "ValueError: missing port number in address 'nonsense'"),
+        (str(scheduler), f"FileNotFoundError: [Errno 2] No such file or directory: '{scheduler}'"),
+    ):
+        with pytest.raises(GraspRefineError) as raised:
+            outcomes(address, tmp_path, "write")
+        assert str(raised.value).startswith(f"{address}: no Dask scheduler answers ({why}){advice}")
+
+
+def test_no_shards_need_no_cluster(tmp_path: Path):
+    assert outcomes("nonsense", tmp_path) == {}
+
+
+def test_without_dask_the_refusal_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.delitem(sys.modules, "grasp_refine.apps.batch.cluster_client", raising=False)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(GraspRefineError) as raised:
+        outcomes("tcp://127.0.0.1:1", tmp_path, "write")
+    assert str(raised.value) == (
+        "a cluster needs Dask distributed (distributed is missing): pip install 'grasp-refine[cluster]'"
+    )
+
+
+@pytest.mark.parametrize(
+    ("there", "threads", "fault"),
+    [
+        (HERE, 1, ""),
+        (
+            ModuleNotFoundError("No module named 'grasp_refine'"),
+            1,
+            "cannot run grasp-refine (ModuleNotFoundError: No module named 'grasp_refine'): "
+            "install there what is installed here",
+        ),
+        (None, 1, "cannot run grasp-refine (no answer): install there what is installed here"),
+        (
+            replace(HERE, versions=(("grasp-refine", "2.0"), *HERE.versions[1:])),
+            1,
+            "has grasp-refine 2.0, Python 3.11, distributed 2026.8.0, "
+            "but here are grasp-refine 1.0, Python 3.11, distributed 2026.8.0: install the same in both places",
+        ),
+        (
+            replace(HERE, reads=False),
+            1,
+            "cannot see /out: results need a folder that all machines share, under the same name",
+        ),
+        (
+            replace(HERE, writes=False),
+            1,
+            "cannot write into /out: results need a folder that all machines share, under the same name",
+        ),
+        (HERE, 4, "has 4 threads, but works on one shard at a time: start workers with --nthreads 1"),
+    ],
+)
+def test_what_makes_a_worker_unfit(there: object, threads: int, fault: str):
+    assert fault_of(there, HERE, threads, Path("/out")) == fault
+
+
+@pytest.fixture
+def bare(tmp_path: Path) -> Iterator[DaskCluster]:
+    """A cluster without workers."""
+    (folder := tmp_path / "cluster").mkdir()
+    started = DaskCluster(folder)
+    try:
+        yield started
+    finally:
+        started.end()
+
+
+def test_workers_that_lack_the_package_or_do_not_come_are_named(bare: DaskCluster, tmp_path: Path):
+    with pytest.raises(GraspRefineError) as raised:
+        outcomes(bare.address, tmp_path, "write")
+    assert str(raised.value) == (
+        f"{bare.address}: the cluster has no workers; start some with "
+        f"`dask worker {bare.address} --nworkers 2 --nthreads 1`"
+    )
+    (lacking := tmp_path / "lacking").mkdir()
+    (lacking / "sitecustomize.py").write_text("import sys; sys.modules['grasp_refine'] = None\n")
+    bare.add_workers("--no-nanny", "--nthreads", "1", path=lacking)
+    workers_of(bare, 1)
+    with pytest.raises(GraspRefineError, match="cannot run grasp-refine .*ModuleNotFoundError.*: install there"):
+        outcomes(bare.address, tmp_path, "write")
+
+
+def test_a_worker_that_hangs_for_ever_and_a_scheduler_that_is_lost(bare: DaskCluster, tmp_path: Path):
+    """Nobody restarts this worker, so it gets nothing any more; without a scheduler, the batch ends with advice."""
+    bare.add_workers("--no-nanny", "--nthreads", "1")
+    workers_of(bare, 1)
+    shards = some_shards(tmp_path, "write", "sleep 600", "write")
+    results = run_on_cluster(shards, work, address=bare.address, tries=1, patience_s=2.0, beat=ignore)
+    assert next(results) == done(shards[0])
+    hung = next(results)
+    assert isinstance(hung, Failed) and (hung.number, hung.reason) == (1, "hung")
+    os.killpg(bare.scheduler.pid, signal.SIGKILL)
+    with pytest.raises(GraspRefineError) as raised:
+        next(results)
+    message = str(raised.value)
+    assert message.startswith(f"{bare.address}: the Dask scheduler is lost (")
+    assert message.endswith("; what is done is kept: start it and its workers, and give the same command again")
+    assert not shards[2].path.exists()

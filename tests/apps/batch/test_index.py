@@ -1,0 +1,231 @@
+"""The index: every row of every result file, in order, with nulls where nothing was measured, as Parquet and CSV."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from batch_rows import made_up_rows, refined, save_refined, shard
+from made_results import save_example_results
+
+from apps.batch import index as module
+from apps.batch.index import index_path, index_writer
+from apps.batch.rows import COLUMNS, ENTRIES, Rows, read_rows
+from apps.batch.shard import Shard
+from grasp_refine.errors import GraspFileError, GraspRefineError
+from grasp_refine.report.verdict import HOLDS
+
+
+@pytest.fixture(scope="module")
+def batch(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Shard]]:
+    """A folder of results, with two shards of real refinements."""
+    out = tmp_path_factory.mktemp("out")
+    shards = [shard(k, out / f"examples/{k:05d}.npz") for k in range(2)]
+    outcome = refined("rounded_box")
+    half = len(outcome) // 2
+    save_refined(shards[0].path, outcome.select(np.arange(half)), look=["--object", "a mug.obj"])
+    save_refined(shards[1].path, outcome.select(np.arange(half, len(outcome))))
+    return out, shards
+
+
+def write(path: Path, parts: list[Rows]) -> None:
+    with index_writer(path) as index:
+        for rows in parts:
+            index.add(rows)
+
+
+# Rows
+
+
+def test_rows_are_what_the_result_file_says(batch: tuple[Path, list[Shard]]):
+    out, shards = batch
+    rows = [read_rows(one, out) for one in shards]
+    with np.load(shards[0].path) as file:
+        assert len(rows[0]) == len(file["status"]) > 0 and list(rows[0].columns) == list(COLUMNS)
+        for column, entry in ENTRIES.items():
+            np.testing.assert_array_equal(rows[0][column], file[entry])
+        for column in ("queries", "limits_violated", "moved_palm_m", "moved_palm_rad", "moved_joints_rad", "cpu_s"):
+            np.testing.assert_array_equal(rows[0][column], file[column])
+        np.testing.assert_array_equal(rows[0]["status"], file["status"])
+        np.testing.assert_array_equal(rows[0]["scale"], file["scale"])
+        np.testing.assert_array_equal(rows[0]["good_after"], file["quality_after"] >= HOLDS)
+    first = len(rows[0])
+    for one, number, begin in ((rows[0], 0, 0), (rows[1], 1, first)):
+        assert set(one["job"]) == {"examples"} and set(one["shard"]) == {number}
+        assert set(one["file"]) == {f"examples/{number:05d}.npz"} and set(one["source"]) == {"example.npz"}
+        assert set(one["hand"]) == {"allegro"} and set(one["object"]) == {"rounded_box"}
+        np.testing.assert_array_equal(one["row_in_file"], np.arange(len(one)))
+        np.testing.assert_array_equal(one["row"], begin + np.arange(len(one)))
+        assert np.isnan(one["held_after"]).all() and set(one["reason_after"]) == {""}
+    assert rows[0].look == ("--object", "a mug.obj") and rows[1].look == ()
+
+
+def test_what_an_older_file_lacks_is_null(tmp_path: Path):
+    path = save_example_results(tmp_path / "r.npz", 3)
+    with np.load(path) as file:
+        kept = {name: file[name] for name in file.files if name not in ("queries", "moved_palm_m", "cpu_s", "wall_s")}
+    np.savez(path, **kept)
+    rows = read_rows(shard(0, path), tmp_path)
+    for column in ("queries", "moved_palm_m", "cpu_s", "wall_s", "held_before", "held_after"):
+        assert np.isnan(rows[column]).all()
+
+
+def test_simulation_is_read_and_held_is_no_reason(tmp_path: Path):
+    path = save_example_results(tmp_path / "r.npz", 2)
+    with np.load(path) as file:
+        kept = dict(file)
+    more = {
+        "simulation_before": np.array([False, True]),
+        "simulation_after": np.array([True, False]),
+        "simulation_reason_after": np.array(["held", "moved"]),
+    }
+    np.savez(path, **(kept | more))
+    rows = read_rows(shard(0, path), tmp_path)
+    assert rows["held_before"].tolist() == [0, 1] and rows["held_after"].tolist() == [1, 0]
+    assert rows["reason_after"].tolist() == ["", "moved"]
+
+
+def test_files_that_are_no_results_are_named(tmp_path: Path):
+    with pytest.raises(GraspFileError, match=r"gone\.npz: no such grasp file"):
+        read_rows(shard(0, tmp_path / "gone.npz"), tmp_path)
+    path = save_example_results(tmp_path / "r.npz", 2)
+    with np.load(path) as file:
+        whole = dict(file)
+    np.savez(path, **{name: whole[name] for name in whole if name != "quality_after"})
+    with pytest.raises(GraspFileError, match=r"r\.npz: is no file of refined grasps, it has no quality_after; delete"):
+        read_rows(shard(0, path), tmp_path)
+    np.savez(path, **(whole | {"provenance": np.array("{")}))
+    with pytest.raises(GraspFileError, match=r"r\.npz: provenance is no JSON"):
+        read_rows(shard(0, path), tmp_path)
+    np.savez(path, **(whole | {"provenance": np.array("[1]")}))
+    with pytest.raises(GraspFileError, match=r"r\.npz: provenance must be a JSON object"):
+        read_rows(shard(0, path), tmp_path)
+    np.savez(path, **(whole | {"provenance": np.array(json.dumps({"row": ["a", "b"]}))}))
+    with pytest.raises(GraspFileError, match=r"r\.npz: provenance is damaged; delete the file"):
+        read_rows(shard(0, path), tmp_path)
+    np.savez(path, **(whole | {"quality_after": np.zeros(3)}))
+    with pytest.raises(GraspFileError, match=r"r\.npz: quality_after must be one value or one per grasp, \(2,\)"):
+        read_rows(shard(0, path), tmp_path)
+
+
+# Parquet and CSV
+
+
+def test_both_kinds_read_back_as_the_result_files(batch: tuple[Path, list[Shard]], tmp_path: Path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    out, shards = batch
+    parts = [read_rows(one, out) for one in shards]
+    for ending in ("csv", "parquet"):
+        write(tmp_path / f"index.{ending}", parts)
+    table = parquet.read_table(tmp_path / "index.parquet").to_pylist()
+    with (tmp_path / "index.csv").open(newline="", encoding="utf-8") as stream:
+        lines = list(csv.DictReader(stream))
+    assert len(table) == len(lines) == sum(map(len, parts)) and list(table[0]) == list(lines[0]) == list(COLUMNS)
+    for name, kind in COLUMNS.items():
+        wanted = np.concatenate([rows[name] for rows in parts]).tolist()
+        null = [value == "" or value != value for value in wanted]
+        assert [row[name] is None for row in table] == [line[name] == "" for line in lines] == null
+        for value, row, line in zip(wanted, table, lines, strict=True):
+            if value == "" or value != value:
+                continue
+            assert row[name] == value
+            words = {"flag": str(bool(value)).lower(), "text": value}.get(kind)
+            # Numbers come back to the last bit.
+            assert line[name] == words if words is not None else float(line[name]) == value
+    assert isinstance(table[0]["iterations"], int) and lines[0]["iterations"].isdigit()
+    assert isinstance(table[0]["good_after"], bool)
+
+
+def test_texts_are_kept_once_in_parquet(tmp_path: Path):
+    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    write(tmp_path / "index.parquet", [made_up_rows(1000)])
+    schema = parquet.read_schema(tmp_path / "index.parquet")
+    for name, kind in COLUMNS.items():
+        assert pyarrow.types.is_dictionary(schema.field(name).type) == (kind == "text")
+    assert list(COLUMNS)[-2:] == ["cpu_s", "wall_s"], "what differs between runs comes last"
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_the_same_rows_give_the_same_bytes_however_they_are_cut(
+    ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    parts = [made_up_rows(10, number) for number in range(5)]
+    for name in ("a", "b"):
+        write(tmp_path / f"{name}.{ending}", parts)
+    assert (tmp_path / f"a.{ending}").read_bytes() == (tmp_path / f"b.{ending}").read_bytes()
+    if ending == "parquet":
+        monkeypatch.setattr(module, "ROWS_AT_ONCE", 20)
+        write(tmp_path / "c.parquet", parts)
+        import pyarrow.parquet
+
+        a, c = (pyarrow.parquet.ParquetFile(tmp_path / f"{name}.parquet") for name in "ac")
+        assert (a.num_row_groups, c.num_row_groups) == (1, 3)
+        assert a.read().to_pylist() == c.read().to_pylist()
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_an_index_of_nothing_has_heads_only(ending: str, tmp_path: Path):
+    path = tmp_path / f"index.{ending}"
+    write(path, [])
+    if ending == "csv":
+        assert path.read_text() == ",".join(COLUMNS) + "\n"
+    else:
+        import pyarrow.parquet
+
+        assert pyarrow.parquet.read_table(path).column_names == list(COLUMNS)
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_a_failure_leaves_the_old_index_and_nothing_else(ending: str, tmp_path: Path):
+    path = tmp_path / f"index.{ending}"
+    write(path, [made_up_rows(3)])
+    before = path.read_bytes()
+    with pytest.raises(RuntimeError), index_writer(path) as index:
+        index.add(made_up_rows(5))
+        raise RuntimeError
+    assert path.read_bytes() == before and [one.name for one in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+def test_a_full_disk_is_told_in_one_line(ending: str, tmp_path: Path):
+    path = tmp_path / f"index.{ending}"
+    path.symlink_to("/dev/full")
+    with pytest.raises(GraspRefineError, match=r"index\.\w+: cannot be written \(.*No space left on device"):
+        write(path, [made_up_rows(20_000)])
+
+
+def test_where_the_index_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    pytest.importorskip("pyarrow")
+    assert index_path(tmp_path, "auto") == index_path(tmp_path, "parquet") == tmp_path / "index.parquet"
+    assert index_path(tmp_path, "csv") == tmp_path / "index.csv"
+    monkeypatch.setattr(module, "find_spec", lambda name: None)
+    assert index_path(tmp_path, "auto") == tmp_path / "index.csv"
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(GraspRefineError, match=r'index\.parquet: Parquet needs pyarrow; pip install "grasp-refine'):
+        index_path(tmp_path, "parquet")
+    with pytest.raises(GraspRefineError, match=r"ends with \.csv or \.parquet"), index_writer(tmp_path / "index.xlsx"):
+        pass
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_memory_does_not_grow_with_the_rows(ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(module, "ROWS_AT_ONCE", 256)
+    part = made_up_rows(64)
+
+    def peak(shards: int) -> int:
+        tracemalloc.start()
+        with index_writer(tmp_path / f"index.{ending}") as index:
+            for _ in range(shards):
+                index.add(part)
+        found = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return found
+
+    peak(8)
+    assert peak(80) < 1.2 * peak(8) + 50_000

@@ -1,0 +1,223 @@
+"""The report of a batch: complete, one file, the same for the same input, and safe whatever names say."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from html import unescape
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from batch_rows import document, failure, made_up_rows
+
+from apps.batch.chart import MEASURES, MOVED, chart
+from apps.batch.page import MOST_ALIKE, MOST_KINDS, page, view_command
+from apps.batch.pictures import Picture
+from apps.batch.statistics import Statistics
+from apps.batch.worst import Case
+from grasp_refine.cli import COMMANDS
+
+PNG = b"\x89PNG\r\n\x1a\nnot a picture"
+VOID = {"meta", "img", "br", "link", "input", "hr", "line", "rect"}
+
+
+class Checker(HTMLParser):
+    """Notes tags that are not closed, and what is fetched or run."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.problems: list[str] = []
+        self.links: list[str] = []
+        self.tags: dict[str, int] = {}
+        self.feed(html)
+        self.close()
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.tags[tag] = self.tags.get(tag, 0) + 1
+        self.links += [value or "" for name, value in attributes if name in ("src", "href")]
+        self.problems += [f"{tag} {name}" for name, _ in attributes if name.startswith("on")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in VOID:
+            return
+        if not self.open or self.open.pop() != tag:
+            self.problems.append(f"</{tag}>")
+
+
+def some(*parts: Any) -> Statistics:
+    found = Statistics.empty()
+    for rows in parts or (made_up_rows(40, object="mug"), made_up_rows(40, 1, object="cup")):
+        found.add(rows)
+    return found
+
+
+def case(**changes: Any) -> Case:
+    plain = {
+        "shard": 3, "file": Path("my sets/00003.npz"), "row": 7, "hand": "allegro", "object": "mug", "scale": 1.0,
+        "source": "/data/grasps.npz", "source_row": 11, "status": "stalled", "quality": (0.25, 0.5),
+        "penetration_m": (1e-3, 2.5e-4), "contact_error_m": (np.nan, 1e-2), "held": False, "reason": "turned",
+        "look": ("--object", "/my meshes/mug.obj"),
+    }  # fmt: skip
+    return Case(**(plain | changes))
+
+
+def words_of(html: str) -> str:
+    """What a person reads."""
+    body = re.sub(r"<(style|title|svg)\b.*?</\1>", " ", html, flags=re.S)
+    return " ".join(unescape(re.sub(r"<[^>]+>", " ", body)).split())
+
+
+def test_the_page_is_whole_and_fetches_nothing():
+    html = page(document(), some(), [Picture(case(), PNG, PNG)])
+    checked = Checker(html)
+    assert not checked.problems and not checked.open and "script" not in checked.tags
+    assert all(link.startswith("data:image/png;base64,") or link == "my%20sets/00003.npz" for link in checked.links)
+    assert "url(" not in html and "@import" not in html
+    assert checked.tags["svg"] == len(MEASURES) + len(MOVED) and checked.tags["img"] == 2
+
+
+def test_the_same_input_gives_the_same_bytes():
+    assert page(document(), some(), [Picture(case(), PNG, PNG)]) == page(
+        document(), some(), [Picture(case(), PNG, PNG)]
+    )
+
+
+def test_counts_are_those_of_the_statistics():
+    found = some(
+        made_up_rows(
+            8,
+            status=np.array(["converged"] * 5 + ["no target", "stalled", "stalled"]),
+            good_before=np.arange(8) < 1, good_after=np.arange(8) < 6,
+            held_before=np.arange(8) < 2, held_after=np.arange(8) < 5,
+            reason_after=np.array([""] * 5 + ["moved", "moved", "turned"]),
+        )
+    )  # fmt: skip
+    said = words_of(page(document(), found, ()))
+    assert "Batch of 8 grasps" in said and "7 of 8 grasps were refined" in said
+    assert "12.5 → 75.0 % should hold (quality 0.952 or more): 1 → 6" in said
+    assert "25.0 → 62.5 % hold in simulation: 2 → 5" in said and "12.0 / s grasps" in said
+    assert "moved 2 25.0 % turned 1 12.5 %" in said
+    assert "converged 5 62.5 % stalled 2 25.0 %" in said and "no target 1 12.5 % no contact link is near" in said
+    assert "refine.starts 6" in said and "sets 8 2 2" in said and "refine-grasp batch sets" in said
+
+
+def test_without_simulation_there_is_no_word_of_it():
+    found = some(made_up_rows(4, held_before=np.nan, held_after=np.nan))
+    assert "imulat" not in words_of(page(document(), found, ()))
+
+
+def test_a_case_says_where_it_is_and_how_to_see_it():
+    one = case()
+    said = words_of(page(document(), some(), [Picture(one, PNG, PNG)]))
+    assert "allegro on mug row 11 of grasps.npz" in said
+    assert "quality 0.250 → 0.500 · penetration 1.00 → 0.25 mm · contact error – → 10.00 mm · stalled" in said
+    assert "did not hold: turned" in said
+    assert view_command(one) in said
+    assert shlex.split(view_command(one)) == [
+        "refine-grasp", "view", "my sets/00003.npz", "--index", "7", "--object", "/my meshes/mug.obj",
+    ]  # fmt: skip
+    assert "view" in COMMANDS
+
+
+def test_a_case_without_a_picture_says_why():
+    html = page(document(), some(), [Picture(case(), problem="not drawn: mug.obj: no such file")])
+    assert "not drawn: mug.obj: no such file" in words_of(html) and "<img" not in html
+
+
+def test_failures_are_told_by_reason():
+    failed = [
+        failure(None, "x.npz: not an .npz grasp file", "refused"),
+        *(failure(k, "ended with SIGKILL", "crashed") for k in range(MOST_ALIKE + 5)),
+        failure(99),
+    ]
+    said = words_of(page(document(failed=failed), some(), ()))
+    assert "26 shards and 1 job failed; these numbers are without their grasps" in said
+    crashed, torn = said.index("crashed : ended with SIGKILL (25 shards)"), said.index("error : torn.obj: has holes")
+    assert crashed < torn and "and 5 more" in said and "refused : x.npz: not an .npz grasp file (1 job)" in said
+    assert "part 3, tried 2 times out/3.npz" in said and "Traceback of <99>" in said
+
+
+def test_the_page_stays_small_whatever_failed():
+    failed = [failure(k, f"mesh {k}.obj has holes") for k in range(5000)]
+    html = page(document(failed=failed), some(), ())
+    assert len(html) < 150_000 and f"and {5000 - MOST_KINDS} more kinds of failure" in words_of(html)
+
+
+def test_a_part_of_a_batch_says_so():
+    said = words_of(page(document(totals={"shards": 9, "complete": 2}, failed=[failure(1)]), some(), ()))
+    assert "This is a part of the batch: 6 of 9 shards to be done yet." in said
+    assert "1 shard failed; these numbers are without its grasps" in said
+
+
+def test_a_batch_of_nothing_has_a_page():
+    html = page(document(failed=[failure(0)]), Statistics.empty(), ())
+    assert "Batch of 0 grasps" in html and "<svg" not in html and not Checker(html).problems
+
+
+def test_where_the_time_went_comes_in_its_order():
+    profile = {
+        "solver": {"cpu_s": 1.0, "wall_s": 1.5, "calls": 7},
+        "narrow phase": {"cpu_s": 3.0, "wall_s": 3.5, "calls": 1234},
+        "forces": {"cpu_s": 0.0, "wall_s": 0.0, "calls": 0},
+    }
+    said = words_of(page(document(profile=profile), some(), ()))
+    assert "narrow phase 3.00 75.0 % 3.50 1 234 solver 1.00 25.0 % 1.50 7" in said and "forces 0" not in said
+
+
+def test_names_and_messages_cannot_become_html():
+    bad = "<script>alert(1)</script>"
+    html = page(
+        document(failed=[failure(1, bad)], jobs=[{"job": bad}], invocation=bad, config={bad: bad}),
+        some(made_up_rows(3, object=bad, status=bad)),
+        [Picture(case(object=bad, hand=bad, source=bad, file=Path('"><b>')), problem=bad)],
+    )
+    checked = Checker(html)
+    assert "<script" not in html and not checked.problems and checked.links == ["%22%3E%3Cb%3E"]
+
+
+# Charts
+
+
+def bars(svg: str, kind: str) -> list[float]:
+    """Heights of the bars."""
+    return [float(value) for value in re.findall(rf'class="{kind}"[^>]* height="([\d.]+)"', svg)]
+
+
+def test_bars_are_as_high_as_shares_and_hovering_says_them():
+    quality = next(one for one in MEASURES if one.title == "quality")
+    found = some(made_up_rows(8, quality_before=0.1, quality_after=np.repeat([0.5, 0.97], [2, 6])))
+    svg = chart(quality, found.distributions)
+    assert bars(svg, "before") == [104.0] and bars(svg, "after") == [26.0, 78.0]
+    assert "0.960 to 1.00: 0.0 % before, 75.0 % after" in svg and 'class="mark"' in svg
+
+
+def test_what_is_nothing_stands_apart_and_what_is_huge_is_not_lost():
+    penetration = next(one for one in MEASURES if one.title == "penetration")
+    found = some(made_up_rows(4, penetration_before_m=[1e-3, 1e-3, 5.0, 5.0], penetration_after_m=0.0))
+    svg = chart(penetration, found.distributions)
+    assert ">~0</text>" in svg and "below 0.0001 mm: 0.0 % before, 100.0 % after" in svg
+    assert bars(svg, "after") == [104.0] and bars(svg, "before") == [52.0, 52.0]
+    assert "or more mm: 50.0 % before" in svg
+
+
+def test_what_nobody_measured_is_not_drawn():
+    found = some(made_up_rows(4, moved_palm_m=np.nan, contact_error_before_m=np.nan))
+    assert chart(MOVED[0], found.distributions) == ""
+    assert bars(chart(MEASURES[2], found.distributions), "before") == []
+
+
+@pytest.mark.parametrize("measure", [*MEASURES, *MOVED], ids=lambda one: one.title)
+def test_any_values_can_be_drawn(measure: Any):
+    columns = {name: np.nan for name in (measure.before, measure.after) if name}
+    for values in ([0.0], [1e-12, 1e6], [3e-3], np.geomspace(1e-9, 1e2, 50), [1.0, np.nan]):
+        found = some(made_up_rows(len(values), **(columns | {measure.after: np.array(values)})))
+        svg = chart(measure, found.distributions)
+        assert "nan" not in svg and "inf" not in svg and not Checker(svg).problems
+        places = [float(value) for value in re.findall(r' x1?="(-?[\d.]+)"', svg)]
+        assert min(places) >= 0 and max(places) <= 321 and sum(bars(svg, "after")) >= 104

@@ -1,0 +1,134 @@
+"""Pictures of the worst cases: small, of both poses, from one side, and never the end of a report."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from batch_rows import shard
+from made_results import save_example_results
+
+Image = pytest.importorskip("PIL.Image", reason="pictures are written with Pillow")
+
+from apps.batch.pictures import draw_cases  # noqa: E402
+from apps.batch.portrait import HEIGHT, WIDTH, Pose, bones, portrait  # noqa: E402
+from apps.batch.rows import read_rows  # noqa: E402
+from apps.batch.statistics import Statistics  # noqa: E402
+from apps.batch.worst import Case  # noqa: E402
+from grasp_refine.assets import resource_dir  # noqa: E402
+from grasp_refine.errors import GraspRefineError, MeshError  # noqa: E402
+from grasp_refine.grasps import load_grasps, match_joints  # noqa: E402
+from grasp_refine.hand import Hand, load_hand  # noqa: E402
+from grasp_refine.objects import Object, load_object  # noqa: E402
+from grasp_refine.se3 import transform_from_pose  # noqa: E402
+
+
+def pixels(png: bytes) -> np.ndarray:
+    with Image.open(io.BytesIO(png)) as image:
+        return np.asarray(image.convert("RGB")).astype(int)
+
+
+def shares(png: bytes) -> tuple[float, float, float]:
+    """How much of a picture is background, bluish as the object, and orange as the fingertips."""
+    r, g, b = pixels(png).transpose(2, 0, 1)
+    return float((np.minimum(r, g) > 240).mean()), float((b - r > 12).mean()), float((r - b > 60).mean())
+
+
+@pytest.fixture(scope="module")
+def allegro() -> Hand:
+    return load_hand("allegro")
+
+
+@pytest.fixture
+def cases(tmp_path: Path) -> tuple[Case, ...]:
+    """Three grasps of a result file in tmp_path."""
+    rows = read_rows(shard(0, save_example_results(tmp_path / "r.npz", 3)), tmp_path)
+    statistics = Statistics.empty()
+    statistics.add(rows)
+    return statistics.worst()
+
+
+def example(hand: Hand) -> Pose:
+    grasps = load_grasps(resource_dir("robots") / "allegro" / "example_mug.npz").select([0])
+    return Pose(transform_from_pose(grasps.hand_pose)[0], match_joints(grasps, hand)[0][0])
+
+
+def test_a_case_is_drawn_before_and_after(cases: tuple[Case, ...], allegro: Hand, tmp_path: Path):
+    heard = []
+    picture, *_ = draw_cases(
+        cases[:1],
+        tmp_path,
+        lambda case: (allegro, load_object("mug")),
+        tell=lambda what, share: heard.append((what, share)),
+    )
+    assert picture.problem == "" and picture.case == cases[0] and heard == [("drawing allegro on mug", 0.0)]
+    for png in (picture.before, picture.after):
+        assert png.startswith(b"\x89PNG") and len(png) < 60_000 and pixels(png).shape == (HEIGHT, WIDTH, 3)
+        background, blue, orange = shares(png)
+        assert 0.1 < background < 0.8 and blue > 0.02 and orange > 0.005
+    # The hand moved by up to a centimetre.
+    assert 0.02 < (np.abs(pixels(picture.before) - pixels(picture.after)).max(axis=2) > 30).mean() < 0.6
+
+
+def test_what_cannot_be_drawn_takes_its_picture_only(cases: tuple[Case, ...], allegro: Hand, tmp_path: Path):
+    def load(case: Case) -> tuple[Hand, Object]:
+        raise {0: MeshError("mug.obj: has\nholes"), 1: OSError("gone"), 2: ValueError("no")}[cases.index(case)]
+
+    assert [picture.problem for picture in draw_cases(cases, tmp_path, load)] == [
+        "not drawn: mug.obj: has holes", "not drawn: gone", "not drawn: no",
+    ]  # fmt: skip
+    (tmp_path / "r.npz").unlink()
+    (picture,) = draw_cases(cases[:1], tmp_path, lambda case: (allegro, load_object("mug")))
+    assert picture.problem.startswith("not drawn: ") and picture.problem.endswith("no such grasp file")
+
+
+def test_pictures_take_no_more_time_than_allowed(cases: tuple[Case, ...], tmp_path: Path):
+    def load(case: Case) -> tuple[Hand, Object]:
+        raise GraspRefineError("tried")
+
+    assert {picture.problem for picture in draw_cases(cases, tmp_path, load, patience_s=-1.0)} == {
+        "not drawn: the others took more than -1 s"
+    }
+
+
+def test_a_grasp_that_is_not_finite_has_no_picture(allegro: Hand):
+    pose = example(allegro)
+    with pytest.raises(ValueError, match="not finite"):
+        portrait(bones(allegro), load_object("mug"), [pose, Pose(pose.T_world_root * np.nan, pose.q)])
+
+
+def test_the_same_grasp_looks_the_same_twice(allegro: Hand):
+    pose, drawn = example(allegro), bones(allegro)
+    first, again = portrait(drawn, load_object("mug"), [pose, pose])
+    assert first == again
+
+
+@pytest.mark.parametrize("name", ["allegro", "shadow"])
+def test_hands_are_drawn_with_few_triangles_that_stay_where_they_were(name: str):
+    hand = load_hand(name)
+    drawn = bones(hand)
+    assert sum(len(model.faces) for model in drawn.models) < 6000
+    for model, points, link in zip(
+        drawn.models, drawn.points, (link for link in hand.links if link.body is not None), strict=True
+    ):
+        # What is left are corners of the pieces, so nothing grows; and nothing shrinks by more than can be seen.
+        low, high = points.min(0), points.max(0)
+        assert (model.vertices.min(0) >= low - 2e-3).all() and (model.vertices.max(0) <= high + 2e-3).all(), link.name
+        assert (np.ptp(model.vertices, axis=0) > high - low - 1.2e-2).all(), link.name
+
+
+def test_an_object_of_any_size_and_many_triangles_can_be_drawn(allegro: Hand):
+    from dataclasses import replace
+
+    import trimesh
+
+    large = load_object("sphere:0.5")
+    fine = replace(load_object("mug"), mesh=trimesh.creation.icosphere(subdivisions=5, radius=0.04))
+    assert len(fine.mesh.faces) > 20_000
+    for obj in (large, fine):
+        (png,) = portrait(bones(allegro), obj, [example(allegro)])
+        background, blue, _ = shares(png)
+        assert blue > 0.02

@@ -1,0 +1,95 @@
+"""The table at the end of a batch: numbers of the statistics, lines that fit, failures by name."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from batch_rows import document, failure, made_up_rows
+from rich.console import Console
+
+from apps.batch.statistics import Statistics
+from apps.batch.table import batch_table
+
+
+def printed(document: dict, statistics: Statistics, width: int = 80) -> list[str]:
+    console = Console(file=io.StringIO(), width=width, highlight=False)
+    console.print(batch_table(document, statistics))
+    return [line.rstrip() for line in console.file.getvalue().splitlines()]
+
+
+def some(objects: int, **columns: object) -> Statistics:
+    found = Statistics.empty()
+    for number in range(objects):
+        found.add(made_up_rows(10, number, object=f"object-{number:02d}", **columns))
+    return found
+
+
+def test_a_line_for_each_object_and_one_for_all():
+    found = Statistics.empty()
+    held = {"good_before": [1, 0, 0, 0], "held_before": [1, 1, 0, 0], "reason_after": ["", "", "", "moved"]}
+    quality = {"quality_before": 0.25, "quality_after": 0.75, "penetration_after_m": 2e-3}
+    found.add(made_up_rows(4, object="mug", good_after=[1, 1, 1, 0], held_after=[1, 1, 1, 0], **held, **quality))
+    found.add(made_up_rows(4, 1, object="cup", good_after=[1, 1, 0, 0], held_after=[1, 1, 0, 0], **held, **quality))
+    lines = printed(document(), found)
+    assert lines[0] == "8 grasps, most failures first"
+    rows = [line.replace("→", "").split() for line in lines]
+    assert ["cup", "4", "50.0", "50.0", "25.0", "50.0", "0.250", "0.750", "2.00"] in rows
+    assert ["mug", "4", "50.0", "75.0", "25.0", "75.0", "0.250", "0.750", "2.00"] in rows
+    assert ["all", "8", "50.0", "62.5", "25.0", "62.5", "0.250", "0.750", "2.00"] in rows
+    assert "5 of 8 grasps should hold (quality 0.952 or more), 2 as they came" in lines
+    assert "5 of 8 hold in simulation, 4 as they came" in lines and "  2 moved" in lines
+    assert lines[-1] == "12.0 grasps/s, at most 512 MiB a process"
+
+
+def test_without_simulation_it_is_told_what_converged():
+    found = Statistics.empty()
+    found.add(
+        made_up_rows(4, held_before=np.nan, held_after=np.nan, status=["converged", "stalled", "no target", "budget"])
+    )
+    lines = printed(document(), found)
+    assert "verged" in lines[1] and not any("simulation" in line for line in lines)
+    assert "1 were not refined: 1 no target" in lines
+
+
+@pytest.fixture(scope="module")
+def large() -> Statistics:
+    """Of many grasps, with long names."""
+    found = some(2, hand="shadow_left", quality_after=1.0)
+    found.add(made_up_rows(12_345, 7, object="a-long-name-of-an-object-0123456789", penetration_after_m=0.1))
+    return found
+
+
+@pytest.mark.parametrize("width", [80, 100, 120])
+def test_no_number_is_cut_and_no_line_too_long(width: int, large: Statistics):
+    lines = printed(document(), large, width)
+    assert max(map(len, lines)) <= width and not any("…" in line for line in lines)
+    # Where there is no room, the name goes on in the next line.
+    names = "".join(line.split("  ")[0] for line in lines)
+    assert "a-long-name-of-an-object-0123456789" in names
+    assert any("12\u202f345" in line and line.endswith("100.00") for line in lines)
+
+
+def test_of_many_objects_most_are_together():
+    lines = printed(document(), some(30))
+    assert sum("object-" in line for line in lines) == 20
+    (others,) = (line for line in lines if "others" in line)
+    assert others.startswith("10 others") and others.split()[2] == "100"
+
+
+def test_failures_are_named_up_to_twenty():
+    failed = [failure(None, "x.npz: not an .npz grasp file", "refused"), *(failure(k, "[red]no") for k in range(24))]
+    lines = printed(document(failed=failed), some(1))
+    assert "24 shards and 1 job failed:" in lines
+    assert "  part None: refused: x.npz: not an .npz grasp file" in lines and "  part 0: error: [red]no" in lines
+    assert sum(line.startswith("  part") for line in lines) == 20
+    assert "  and 5 more, in the JSON summary and the report" in lines
+    crashed = printed(document(failed=[failure(3, "SIGKILL", "crashed")]), some(1))
+    assert "1 shard failed:" in crashed and "  part 3: crashed, 2 times: SIGKILL" in crashed
+
+
+def test_a_part_of_a_batch_says_so_and_nothing_at_all_is_no_table():
+    totals = {"shards": 10, "complete": 4}
+    lines = printed(document(totals=totals, failed=[failure(1), failure(None, "no", "refused")]), Statistics.empty())
+    assert "5 of 10 shards to be done yet" in lines and not any("→" in line for line in lines)

@@ -1,0 +1,159 @@
+"""Verdicts of the gate: which way each ratio may not go, when it is measured again, and baselines that are none."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from apps.bench.gate.baseline import Known, judged, load_baseline, updated
+from apps.bench.gate.ratios import COUNT, RATIOS, TIME, Group, Ratio
+from apps.bench.gate.table import gate_table
+from grasp_refine.assets import resource_dir
+from grasp_refine.errors import GraspRefineError
+
+COMMITTED = resource_dir("apps") / "bench" / "baseline.json"
+BY_NAME = {ratio.name: ratio for ratio in RATIOS}
+
+
+def values(native: bool = False) -> dict[str, float]:
+    """A value of each ratio."""
+    return {ratio.name: 0.5 + 0.01 * k for k, ratio in enumerate(RATIOS) if native or not ratio.native}
+
+
+def known(native: bool = False) -> dict[str, Known]:
+    return {name: Known(value, BY_NAME[name].limit(value)) for name, value in values(native).items()}
+
+
+class Measuring:
+    """Gives values that some change, from the first time on or only then, and remembers who asked."""
+
+    def __init__(self, first: dict[str, float], later: dict[str, float] | None = None) -> None:
+        self.first, self.later, self.asked = first, first if later is None else later, []
+
+    def __call__(self, group: Group) -> dict[str, float]:
+        now = self.later if group in self.asked else self.first
+        self.asked.append(group)
+        return {name: value for name, value in now.items() if BY_NAME[name].group == group}
+
+
+def test_a_limit_lies_on_the_worse_side():
+    assert Ratio("a", "", "grasps", factor=1.5, slack=0.1).limit(2.0) == pytest.approx(3.1)
+    assert Ratio("a", "", "grasps", higher=True, factor=1.5, slack=0.1).limit(3.0) == pytest.approx(1.9)
+    for ratio in RATIOS:
+        limit = ratio.limit(0.7)
+        assert (limit < 0.7) == ratio.higher and ratio.allowed(0.7, limit)
+        assert not ratio.allowed(0.999 * limit if ratio.higher else 1.001 * limit, limit)
+        assert not ratio.allowed(float("nan"), limit) and not ratio.allowed(float("inf"), limit)
+        assert ratio.better(1.0, 2.0) == (2.0 if ratio.higher else 1.0)
+
+
+def test_ratios_have_names_of_their_own_and_some_room():
+    assert len(BY_NAME) == len(RATIOS) and {ratio.group for ratio in RATIOS} == set(get_args(Group))
+    assert TIME > COUNT > 1.0 and all(ratio.factor > 1.0 or ratio.slack > 0.0 for ratio in RATIOS)
+
+
+def test_what_is_as_it_was_passes_and_is_measured_once():
+    measuring = Measuring(values())
+    verdicts = judged(known(), measuring)
+    assert [one.ratio for one in verdicts] == list(RATIOS)
+    assert [one.ok for one in verdicts] == [None if ratio.native else True for ratio in RATIOS]
+    assert measuring.asked == list(get_args(Group)) and not any(one.again for one in verdicts)
+
+
+@pytest.mark.parametrize("ratio", RATIOS, ids=lambda ratio: ratio.name)
+def test_each_ratio_that_gets_worse_fails(ratio: Ratio):
+    before = values(native=True)
+    limit = ratio.limit(before[ratio.name])
+    measuring = Measuring(before | {ratio.name: 0.9 * limit if ratio.higher else 1.1 * limit})
+    verdicts = judged(known(native=True), measuring)
+    assert [one.ratio.name for one in verdicts if one.ok is False] == [ratio.name]
+    # It had its second chance, and nobody else.
+    assert [one.ratio.name for one in verdicts if one.again] == [ratio.name]
+    assert measuring.asked.count(ratio.group) == 2 and len(measuring.asked) == 1 + len(get_args(Group))
+
+
+@pytest.mark.parametrize("bad", [100.0, float("nan")])
+def test_a_disturbed_measurement_is_made_up_for_by_the_next(bad: float):
+    verdicts = judged(known(), Measuring(values() | {"grasp": bad}, values()))
+    (one,) = [one for one in verdicts if one.again]
+    assert (one.ratio.name, one.now, one.ok) == ("grasp", values()["grasp"], True)
+    twice = judged(known(), Measuring(values() | {"grasp": 100.0}, values() | {"grasp": bad}))
+    assert [one.ok for one in twice if one.again] == [False]
+
+
+def test_what_gets_better_passes():
+    better = {name: 2.0 * value if BY_NAME[name].higher else 0.1 * value for name, value in values().items()}
+    assert all(one.ok for one in judged(known(), Measuring(better)) if not one.ratio.native)
+
+
+def test_the_table_says_what_fails(capsys: pytest.CaptureFixture[str]):
+    from rich.console import Console
+
+    verdicts = judged(known(), Measuring(values() | {"steps": 100.0}))
+    Console(width=110).print(gate_table(verdicts))
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line.strip()}
+    assert re.search(r"steps +100 +0\.\d+ +≤ 0\.\d+ +FAIL +steps of a grasp, mean \(measured twice\)", lines["steps"])
+    assert re.search(r"solved +0\.\d+ +0\.\d+ +≥ 0\.\d+ +ok ", lines["solved"])
+    assert re.search(r"engines +- +- +not here ", lines["engines"])
+
+
+def test_a_baseline_comes_back_as_it_was_written(tmp_path: Path):
+    path = tmp_path / "baseline.json"
+    document = updated(path, "python", values(), {"machine": {"cpus": 2}})
+    path.write_text(json.dumps(document))
+    assert load_baseline(path, "python") == {
+        name: Known(pytest.approx(one.value, rel=1e-3), pytest.approx(one.limit, rel=1e-3))
+        for name, one in known().items()
+    }
+    assert document["engines"]["python"]["machine"] == {"cpus": 2}
+    # That of another engine is added, and neither disturbs the other.
+    both = updated(path, "native", values(native=True), {})
+    path.write_text(json.dumps(both))
+    assert both["engines"]["python"] == document["engines"]["python"]
+    assert set(load_baseline(path, "native")) == set(BY_NAME)
+    with pytest.raises(GraspRefineError, match="steps: not finite, so that there is nothing to compare with later"):
+        updated(path, "python", values() | {"steps": float("inf")}, {})
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("[1", "is no baseline (JSONDecodeError: "),
+        ("[]", "is no baseline (TypeError: "),
+        ('{"engines": {"python": {}}}', "is no baseline (KeyError: 'ratios')"),
+        ('{"engines": {}}', "is a baseline for the collision engine of nobody, not for the python one"),
+        ('{"engines": {"python": {"ratios": {}}}}', "lacks backward, bookkeeping, "),
+        (
+            '{"engines": {"python": {"ratios": {"old": {"value": 1, "limit": 2}}}}}',
+            "warm-query and has no use for old (python engine)",
+        ),
+    ],
+)
+def test_what_is_no_baseline_is_refused(text: str, complaint: str, tmp_path: Path):
+    path = tmp_path / "baseline.json"
+    path.write_text(text)
+    with pytest.raises(GraspRefineError) as error:
+        load_baseline(path, "python")
+    said = str(error.value)
+    assert said.startswith(f"{path}: ") and complaint in said
+    assert said.endswith("; refine-grasp bench --gate --update FILE writes a new one")
+
+
+def test_a_file_that_is_no_baseline_is_not_replaced(tmp_path: Path):
+    path = tmp_path / "notes.json"
+    path.write_text('{"mine": 1}')
+    with pytest.raises(GraspRefineError, match=r"notes.json: is no baseline \(KeyError: 'engines'\), and is kept"):
+        updated(path, "python", values(), {})
+
+
+@pytest.mark.parametrize("engine", ["python"])
+def test_the_committed_baseline_is_one(engine: str):
+    for name, one in load_baseline(COMMITTED, engine).items():
+        # Limits were not written by hand, unless to be stricter.
+        loosest = BY_NAME[name].limit(one.value)
+        assert one.limit >= 0.995 * loosest if BY_NAME[name].higher else one.limit <= 1.005 * loosest
+    assert load_baseline(COMMITTED, engine)["solved"].value >= 0.99

@@ -1,0 +1,86 @@
+"""Rows of small cases: counts are exact and again the same, times are positive, what is warm is told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from apps.bench.queries.cases import Case
+from apps.bench.queries.labels import cases, label, methods
+from apps.bench.queries.rows import rows
+from apps.bench.queries.runner import FEWEST, CaseJob
+from apps.bench.queries.timing import MOST, WARM_UP, cpu_times
+from grasp_refine.collision.engine import engines
+
+CASES = (Case(batch=8), Case("mixed", 4, batch=40), Case("concave", 4, state="deep", batch=40))
+
+
+def measured(case: Case, **changed: Any) -> list[dict[str, Any]]:
+    job = {"engines": engines(), "methods": ("contact-kinematics",), "peers": ("coal-reused",)} | changed
+    return rows([CaseJob(case, rounds=2, least_s=0.0, seed=2, **job).do(lambda share: None)])
+
+
+@pytest.fixture(scope="module", params=CASES, ids=lambda case: case.kind)
+def found(request: pytest.FixtureRequest) -> list[dict[str, Any]]:
+    return measured(request.param)
+
+
+def test_what_was_asked_and_what_was_pruned_are_all_piece_pairs(found: list[dict[str, Any]]):
+    case = next(case for case in CASES if case.kind == found[0]["kind"])
+    for row in found:
+        assert row["poses"] == max(case.batch, FEWEST) and row["piece_pairs"] == row["poses"] * case.piece_pairs
+        assert row["queries_asked"] + row["pruned"] == row["piece_pairs"]
+        if row["peer"]:
+            assert row["pruned"] == 0
+        else:
+            # At least one query a pose, and never more than there are; of convex bodies, exactly one.
+            assert row["poses"] <= row["queries_asked"] <= row["piece_pairs"]
+            assert case.kind != "convex" or row["queries_asked"] == row["poses"]
+            assert case.kind == "convex" or row["pruned"] > 0.5 * row["piece_pairs"]
+
+
+def test_times_are_positive_and_finite(found: list[dict[str, Any]]):
+    for row in found:
+        assert 0 < row["forward_us"] < 1e6 and 0 < row["forward_ratio"] < 1e4
+    first, *others = found
+    assert (first["by"], first["warm"], first["forward_ratio"]) == (engines()[0], False, 1.0)
+    assert first["backward_contact_kinematics_us"] > 0 and first["layer_us"] > 0
+    # The derivative is the same, whatever answers.
+    assert all(row["backward_contact_kinematics_us"] is None and row["layer_us"] is None for row in others[:1])
+
+
+def test_answers_agree_and_only_what_was_apart_is_warm(found: list[dict[str, Any]]):
+    for row in found:
+        assert row["distance_error_m"] is None or row["distance_error_m"] < 1e-9
+        apart = row["poses"] if row["state"] == "near" else 0
+        assert row["queries_warm"] == (apart if row["warm"] else 0)
+    assert {label(row) for row in found} >= {"python", "python, warm", "coal-reused"}
+    assert len(cases(found)) == 1 and methods(found) == ["backward_contact_kinematics_us"]
+
+
+def test_counts_are_again_the_same():
+    names = ("by", "warm", "poses", "queries_asked", "pruned", "queries_warm", "distance_error_m")
+    first, again = ([[row[name] for name in names] for row in measured(CASES[1])] for _ in range(2))
+    assert first == again
+
+
+def test_the_bare_loop_asks_what_the_compiled_engine_asks():
+    if "native" not in engines():
+        pytest.skip("the compiled engine is not there")
+    found = measured(CASES[1])
+    native, bare = (next(row for row in found if row["by"] == name) for name in ("native", "bare-loop"))
+    assert bare["queries_asked"] == native["queries_asked"] and 0 < bare["forward_us"]
+
+
+def test_times_are_taken_in_turn_after_a_warm_up():
+    called = []
+    runs = {name: (lambda name=name: called.append(name)) for name in "ab"}
+    times = cpu_times(runs, 3, 0.0)
+    assert "".join(called) == "a" * WARM_UP + "b" * WARM_UP + "ababab"
+    assert all(found.shape == (3,) and (found >= 0).all() for found in times.values())
+    called.clear()
+    cpu_times(runs, 1, 1.0)
+    assert len(called) <= 2 * (WARM_UP + MOST)
+    assert np.isfinite(list(times.values())).all()

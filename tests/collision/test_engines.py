@@ -1,0 +1,297 @@
+"""The compiled engine against the one in Python, and which of them is used."""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import fields
+from itertools import product
+
+import numpy as np
+import pytest
+from shapes_for_tests import convex_body, ring_body
+from twists import random_poses
+
+from grasp_refine.collision import engine
+from grasp_refine.collision.engine import VARIABLE, chosen, engines, why_not_native
+from grasp_refine.collision.narrowphase import NarrowPhase, Tolerances
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query, query_items
+from grasp_refine.errors import CollisionError
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, hull, sphere
+
+native = pytest.mark.skipif(bool(why_not_native()), reason=f"no compiled engine: {why_not_native()}")
+
+
+def mixed_body(seed: int, pieces: int) -> Body:
+    """Spheres, capsules, hulls, boxes and hulls with a radius."""
+    rng = np.random.default_rng(seed)
+    parts: list[Piece] = []
+    for index, center in enumerate(rng.normal(size=(pieces, 3)) * 0.04):
+        points, T = rng.normal(size=(24, 3)) * 0.012 + center, np.eye(4)
+        T[:3, 3] = center
+        thick = hull(points)
+        parts.append(
+            [
+                sphere(0.012, center),
+                capsule(0.006, center, center + rng.normal(size=3) * 0.02),
+                Piece(thick.vertices, thick.faces, radius=0.004),
+                box([0.02, 0.03, 0.01], T),
+                hull(points),
+            ][index % 5]
+        )
+    return build_body(f"mixed {seed}", parts, candidates=16)
+
+
+BODIES = [
+    mixed_body(0, 8), mixed_body(1, 23), mixed_body(2, 1), convex_body(3, 300), ring_body(),
+    build_body("disc", [cylinder(0.03, 0.02, sides=400)], candidates=16),
+]  # fmt: skip
+
+SIDES = tuple(zip(*product(BODIES, BODIES), strict=True))
+
+
+@pytest.fixture(scope="module")
+def both() -> tuple[Pairs, Pairs]:
+    """All pairs of these bodies, for the compiled and for the Python engine."""
+    return Pairs(*SIDES, engine="native"), Pairs(*SIDES, engine="python")
+
+
+def scattered(batch: int, spread: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of all pairs."""
+    count = len(SIDES[0])
+    return tuple(
+        random_poses(batch * count, 2 * seed + side, (0.02, spread)[side]).reshape(batch, count, 4, 4)
+        for side in range(2)
+    )
+
+
+def assert_same(found: Witness, other: Witness) -> None:
+    """The same answers, and the same work but where a bound is a distance to the last bit."""
+    for field in ("point_a", "point_b", "normal", "distance"):
+        np.testing.assert_allclose(getattr(found, field), getattr(other, field), rtol=0, atol=1e-12, err_msg=field)
+    for field in ("status", "winner"):
+        np.testing.assert_array_equal(getattr(found, field), getattr(other, field), err_msg=field)
+    assert (found.asked != other.asked).mean() < 0.01 and np.abs(found.asked - other.asked).max(initial=0) <= 3
+
+
+@native
+@pytest.mark.parametrize("spread", [0.02, 0.06, 0.2])
+@pytest.mark.parametrize("cutoff", [np.inf, 0.01, -0.002])
+def test_both_engines_give_the_same_answers_cold_and_warm(
+    both: tuple[Pairs, Pairs], spread: float, cutoff: float
+) -> None:
+    T_a, T_b = scattered(8, spread)
+    previous = None
+    for _ in range(3):
+        found, other = (query(pairs, T_a, T_b, cutoff=cutoff, previous=previous) for pairs in both)
+        assert_same(found, other)
+        previous, T_b = other, T_b.copy()
+        T_b[..., :3, 3] += 1e-3
+    assert other.valid.any() and np.isinf(cutoff) == other.valid.all()
+
+
+@native
+@pytest.mark.parametrize("gap", [1e-3, 1e-6, 1e-9, 0.0, -1e-9, -1e-6, -1e-3])
+def test_both_engines_give_the_same_answers_at_contact(both: tuple[Pairs, Pairs], gap: float) -> None:
+    T_a, T_b = scattered(3, 0.2, seed=5)
+    for _ in range(5):
+        w = query(both[1], T_a, T_b)
+        T_b[..., :3, 3] += (gap - w.distance)[..., None] * w.normal
+    assert (np.abs(query(both[1], T_a, T_b).distance - gap) < 1e-8).mean() > 0.5
+    assert_same(query(both[0], T_a, T_b), query(both[1], T_a, T_b))
+
+
+@native
+def test_both_engines_take_listed_items_limits_of_their_own_and_poses_that_are_not_finite(
+    both: tuple[Pairs, Pairs],
+) -> None:
+    T_a, T_b = (T.reshape(-1, 4, 4) for T in scattered(4, 0.08))
+    rng = np.random.default_rng(0)
+    pair, cutoff = rng.integers(len(SIDES[0]), size=len(T_a)), rng.choice([np.inf, -np.inf, 0.03, 0.0], len(T_a))
+    T_a[3, 1, 1], T_b[7, 0, 3], T_a[9], T_b[9] = np.nan, np.inf, np.inf, np.inf
+    found, other = (query_items(pairs, pair, T_a, T_b, cutoff=cutoff) for pairs in both)
+    assert_same(found, other)
+    assert (found.status[[3, 7, 9]] == QueryStatus.NOT_FINITE).all() and set(found.status) == {0, 1, 2, 4}
+    # Rows that are not next to each other in memory, and other number types.
+    again = query_items(both[0], pair[::2], T_a[::2].astype(np.float32), T_b[::2], cutoff=cutoff[::2])
+    np.testing.assert_allclose(again.distance, found.distance[::2], atol=1e-7)
+
+
+@native
+def test_both_engines_fail_where_no_answer_is_above_its_bound() -> None:
+    """A slack below zero makes answers at their bounds wrong: for balls, these are the distances."""
+    ball, T = build_body("ball", [sphere(0.01)], candidates=16), np.tile(np.eye(4), (2, 3, 1, 1, 1))
+    T[1, :, 0, 0, 3] = 0.015, 0.05, 0.08
+    for slack, status in ((1e-6, [1, 0, 2]), (-1e-6, [3, 3, 2])):
+        pairs = (Pairs((ball,), (ball,), Tolerances(slack=slack), engine=name) for name in ("native", "python"))
+        found, other = (query(each, *T, cutoff=0.05) for each in pairs)
+        assert found.status[:, 0].tolist() == status
+        assert_same(found, other)
+
+
+@native
+def test_threads_change_nothing(both: tuple[Pairs, Pairs]) -> None:
+    pairs = both[0]
+    T_a, T_b = (T.reshape(-1, 4, 4) for T in scattered(12, 0.06))
+    limit, pair = np.full(len(T_a), np.inf), np.tile(np.arange(len(pairs)), 12)
+    one = pairs.native.ask(pair, T_a, T_b, limit, None, 1)
+    warm = pairs.native.ask(pair, T_a, T_b, limit, (one[5], one[0], one[1], one[4]), 1)
+    for threads in (1, 2, 4, 7):
+        for previous, expected in ((None, one), ((one[5], one[0], one[1], one[4]), warm)):
+            for field, value, known in zip(
+                fields(Witness), pairs.native.ask(pair, T_a, T_b, limit, previous, threads), expected, strict=True
+            ):
+                np.testing.assert_array_equal(value, known, err_msg=f"{field.name} with {threads} threads")
+
+
+@native
+@pytest.mark.parametrize(("told", "threads"), [("1", 1), ("2", 2), ("3,1", 3)])
+def test_the_number_of_threads_is_that_of_openmp_and_few_items_take_one(told: str, threads: int) -> None:
+    code = "from grasp_refine.collision.native_search import _threads; print(*map(_threads, (1, 1000, 10**6)))"
+    result = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | {"OMP_NUM_THREADS": told}, capture_output=True, text=True
+    )
+    assert result.stdout.split() == ["1", "1", str(threads)], result.stderr
+
+
+@native
+def test_other_threads_run_meanwhile(both: tuple[Pairs, Pairs]) -> None:
+    """With the GIL held, a thread that counts could take no step between the begin and the end of a query."""
+    pairs = both[0]
+    T_a, T_b = (T.reshape(-1, 4, 4) for T in scattered(150, 0.02))
+    limit, pair = np.full(len(T_a), np.inf), np.tile(np.arange(len(pairs)), 150)
+    steps, done = [0], threading.Event()
+
+    def count() -> None:
+        while not done.is_set():
+            steps[0] += 1
+            time.sleep(1e-4)
+
+    other = threading.Thread(target=count)
+    other.start()
+    try:
+        before = steps[0]
+        pairs.native.ask(pair, T_a, T_b, limit, None, 1)
+        assert steps[0] > before + 10
+    finally:
+        done.set()
+        other.join()
+
+
+@native
+def test_two_threads_of_python_may_ask_at_once(both: tuple[Pairs, Pairs]) -> None:
+    pairs = both[0]
+    poses = [scattered(6, spread) for spread in (0.02, 0.1)]
+    alone = [query(pairs, *T) for T in poses]
+    found: dict[int, Witness] = {}
+
+    def ask(i: int) -> None:
+        for _ in range(5):
+            found[i] = query(pairs, *poses[i])
+
+    threads = [threading.Thread(target=ask, args=(i,)) for i in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for i in range(2):
+        np.testing.assert_array_equal(found[i].point_a, alone[i].point_a)
+
+
+@native
+def test_the_bare_loop_asks_what_the_search_does(both: tuple[Pairs, Pairs]) -> None:
+    pairs = both[0]
+    T_a, T_b = (T.reshape(-1, 4, 4) for T in scattered(3, 0.06))
+    limit, pair = np.full(len(T_a), np.inf), np.tile(np.arange(len(pairs)), 3)
+    previous = None
+    for _ in range(2):
+        found = pairs.native.ask(pair, T_a, T_b, limit, previous, 1)
+        distance = pairs.native.bare_loop(pair, T_a, T_b, limit, previous, 1)()
+        assert len(distance) == found[6].sum()
+        order = np.argsort(pair, kind="stable")
+        starts = np.concatenate([[0], np.cumsum(found[6][order])])[:-1]
+        np.testing.assert_array_equal(np.minimum.reduceat(distance, starts), found[3][order])
+        previous = (found[5], found[0], found[1], found[4])
+
+
+# which engine
+
+
+@pytest.fixture
+def forgotten() -> Iterator[None]:
+    """What is known of the compiled engine is found out again."""
+    why_not_native.cache_clear()
+    yield
+    why_not_native.cache_clear()
+
+
+def test_the_engines_that_are_there_are_listed_the_fastest_first() -> None:
+    assert engines() == (("python",) if why_not_native() else ("native", "python"))
+    assert chosen("python") == "python"
+
+
+def test_auto_is_what_the_environment_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(VARIABLE, raising=False)
+    assert chosen("auto") == engines()[0]
+    monkeypatch.setenv(VARIABLE, "auto")
+    assert chosen("auto") == engines()[0]
+    monkeypatch.setenv(VARIABLE, "python")
+    assert chosen("auto") == "python"
+    pairs = Pairs((BODIES[2],), (BODIES[2],))
+    assert pairs.native is None and isinstance(pairs.narrow_phase, NarrowPhase)
+    assert pairs.take(np.array([0])).engine == "auto"
+    monkeypatch.setenv(VARIABLE, "fast")
+    with pytest.raises(CollisionError, match="GRASP_REFINE_ENGINE is 'fast'; choose auto, native, python"):
+        Pairs((BODIES[2],), (BODIES[2],))
+
+
+def test_an_engine_that_does_not_exist_is_an_error() -> None:
+    with pytest.raises(CollisionError, match="engine is 'gpu'; choose auto, native, python"):
+        chosen("gpu")
+
+
+def test_an_engine_that_was_not_built_is_left_alone(monkeypatch: pytest.MonkeyPatch, forgotten: None) -> None:
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setattr(engine, "COMPILED", "grasp_refine.collision._nowhere")
+    assert why_not_native().startswith("not built: with a C++ compiler")
+    assert engines() == ("python",) and chosen("auto") == "python"
+    message = r"engine is 'native', which is not there \(not built: .*\); choose auto or python"
+    with pytest.raises(CollisionError, match=message):
+        Pairs((BODIES[2],), (BODIES[2],), engine="native")
+    monkeypatch.setenv(VARIABLE, "native")
+    with pytest.raises(CollisionError, match="GRASP_REFINE_ENGINE is 'native', which is not there"):
+        chosen("auto")
+
+
+def test_an_engine_that_does_not_load_is_left_alone(tmp_path: os.PathLike) -> None:
+    """A file that is no library of this system: what is left of another installation."""
+    code = f"""
+import importlib.machinery, importlib.util, sys
+suffix = importlib.machinery.EXTENSION_SUFFIXES[0]
+class Broken:
+    def find_spec(name, path=None, target=None):
+        if name == "grasp_refine.collision._native":
+            return importlib.util.spec_from_file_location(name, {str(tmp_path)!r} + "/_native" + suffix)
+open({str(tmp_path)!r} + "/_native" + suffix, "wb").write(b"no library")
+sys.meta_path.insert(0, Broken)
+from grasp_refine.collision.engine import engines, why_not_native
+print(engines(), why_not_native())
+"""
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.startswith("('python',) does not load: ") and "_native" in result.stdout
+
+
+@native
+def test_an_engine_for_another_coal_is_left_alone(monkeypatch: pytest.MonkeyPatch, forgotten: None) -> None:
+    from importlib.metadata import version
+
+    from grasp_refine.collision import native_search
+
+    assert native_search.built_for() == version("coal")
+    monkeypatch.setattr(native_search._native, "coal_version", "3.0.0")
+    here = version("coal")
+    assert why_not_native() == f"built for coal 3.0.0, but coal {here} is installed: install grasp-refine again"
+    assert engines() == ("python",)
