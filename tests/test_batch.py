@@ -318,8 +318,16 @@ def wait_for(out: Path, files: int) -> None:
         time.sleep(0.02)
 
 
-def left_running(process: subprocess.Popen[str]) -> list[str]:
-    """Names of processes of a session that still run; ended ones may wait for whoever adopted them."""
+def left_running(process: subprocess.Popen[str], seconds: float = 5.0) -> list[str]:
+    """Names of processes of a session that still run after a while; what looks after resources ends last."""
+    limit = time.monotonic() + seconds
+    while (found := _running(process)) and time.monotonic() < limit:
+        time.sleep(0.05)
+    return found
+
+
+def _running(process: subprocess.Popen[str]) -> list[str]:
+    """Those that run now; ended ones may wait for whoever adopted them."""
     found = []
     for entry in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -396,10 +404,7 @@ def test_killed_at_any_moment_it_goes_on_and_comes_out_the_same(tmp_path: Path, 
         time.sleep(random.uniform(0, 0.5))
         process.kill()
         process.communicate()
-        limit = time.monotonic() + 5
-        while left_running(process):
-            assert time.monotonic() < limit, "workers go on without their parent"
-            time.sleep(0.05)
+        assert left_running(process) == [], "workers go on without their parent"
     assert finished(running(sources, out, *options)) == 0
     assert_same(out, expected)
     assert {path.name for path in out.rglob(".*")} == set()

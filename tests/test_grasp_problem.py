@@ -315,6 +315,37 @@ def test_forces_that_balance_are_one_term_among_the_others(gripper: Hand) -> Non
     assert np.abs(gradients[1] - gradients[0]).max() > 1e-5
 
 
+@pytest.mark.parametrize("kind", ["forces", "some targets", "directions"])
+def test_curvatures_are_fitted_only_where_a_term_looks_and_nothing_else_changes(
+    examples: Scene, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, weights = examples, with_forces(1e-3)
+    if kind != "forces":
+        scene, weights = aimed_at(examples, 3, 6), ALL
+        # The last two grasps have no target on the second link.
+        scene.target_link[2:, 1] = scene.target_object[2:, 1] = np.nan
+        scene = with_directions(scene, 2, 7) if kind == "directions" else scene
+    problem = GraspProblem(scene, goal_of(scene, Touching(reach=0.02)), Config(weights=weights))
+    rows, at = every(scene), point_of(scene)
+    known = problem.evaluate(rows, at, None)
+    fit, counts = problem.curvatures.fit, []
+
+    def counted(pair: np.ndarray, *arguments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        counts.append(len(pair))
+        return fit(pair, *arguments)
+
+    monkeypatch.setattr(type(problem.curvatures), "fit", lambda self, *arguments: counted(*arguments))
+    found = linearized(problem, at, known, 1.0)
+    plain = GraspProblem._curvatures
+    monkeypatch.setattr(
+        GraspProblem, "_curvatures", lambda self, looked, *rest: plain(self, np.ones_like(looked), *rest)
+    )
+    for one, other in zip(found, linearized(problem, at, known, 1.0), strict=True):
+        np.testing.assert_array_equal(one, other)
+    few, all_of_them = counts
+    assert 0 < few < all_of_them or (kind == "directions" and few == all_of_them)
+
+
 def test_with_given_targets_forces_need_not_balance(examples: Scene) -> None:
     """Targets say where contacts are."""
     scene = aimed_at(examples, 3, 24)

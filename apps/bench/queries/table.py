@@ -42,7 +42,7 @@ def _times(rows: Sequence[Row]) -> Table:
         ratios = {row["by"]: row["forward_ratio"] for row in its if not row["warm"]}
         table.add_row(
             bodies(cold),
-            cold["state"][:7],
+            cold["state"],
             str(cold["batch"]),
             number(cold["forward_us"]),
             number(warm["forward_us"]),

@@ -13,6 +13,7 @@ from made_results import save_example_results
 
 Image = pytest.importorskip("PIL.Image", reason="pictures are written with Pillow")
 
+from apps.batch import portrait as portraits  # noqa: E402
 from apps.batch.pictures import draw_cases  # noqa: E402
 from apps.batch.portrait import HEIGHT, WIDTH, Pose, bones, portrait  # noqa: E402
 from apps.batch.rows import read_rows  # noqa: E402
@@ -40,6 +41,14 @@ def shares(png: bytes) -> tuple[float, float, float]:
 @pytest.fixture(scope="module")
 def allegro() -> Hand:
     return load_hand("allegro")
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures that take less time."""
+    monkeypatch.setattr(portraits, "WIDTH", WIDTH // 3)
+    monkeypatch.setattr(portraits, "HEIGHT", HEIGHT // 3)
+    monkeypatch.setattr(portraits, "SHADOW_SIZE", 100)
 
 
 @pytest.fixture
@@ -100,7 +109,7 @@ def test_a_grasp_that_is_not_finite_has_no_picture(allegro: Hand):
         portrait(bones(allegro), load_object("mug"), [pose, Pose(pose.T_world_root * np.nan, pose.q)])
 
 
-def test_the_same_grasp_looks_the_same_twice(allegro: Hand):
+def test_the_same_grasp_looks_the_same_twice(allegro: Hand, small: None):
     pose, drawn = example(allegro), bones(allegro)
     first, again = portrait(drawn, load_object("mug"), [pose, pose])
     assert first == again
@@ -120,8 +129,7 @@ def test_hands_are_drawn_with_few_triangles_that_stay_where_they_were(name: str)
         assert (np.ptp(model.vertices, axis=0) > high - low - 1.2e-2).all(), link.name
 
 
-def test_an_object_of_any_size_and_many_triangles_can_be_drawn(allegro: Hand):
-    from dataclasses import replace
+def test_an_object_of_any_size_and_many_triangles_can_be_drawn(allegro: Hand, small: None):
 
     import trimesh
 
