@@ -100,6 +100,7 @@ def test_options_say_what_is_measured_and_on_what_skips_are_shown():
     assert shown.examples == (("leap", "mug"), ("leap", "rounded_box")) and shown.commands == DEFAULT.commands
     assert BenchQueries(preset="skips").study().cases == ()
     assert BenchQueries(skips=False).preset_of().examples == ()
+    assert (DEFAULT.count, BenchQueries(count=3).preset_of().count, PRESETS["smoke"].count) == (16, 3, 4)
     assert BenchQueries(engines=("python", "python")).study().engines == ("python",)
 
 
@@ -115,8 +116,9 @@ def test_options_say_what_is_measured_and_on_what_skips_are_shown():
         ("--rounds 0", "--rounds must be at least 1, got 0"),
         ("--states upside-down", "invalid choice 'upside-down' for argument '--states'"),
         ("--engines gpu", "invalid choice 'gpu' for argument '--engines'"),
-        ("--no-skips --hands leap", "--hands and --objects are for skips: add --skips, or leave them out"),
-        ("--batches 4 --objects mug", "--hands and --objects are for skips: add --skips, or leave them out"),
+        ("--no-skips --hands leap", "--hands, --objects and --count are for skips: add --skips, or leave them out"),
+        ("--batches 4 --objects mug", "--hands, --objects and --count are for skips: add --skips, or leave them out"),
+        ("--preset skips --count 0", "--count must be at least 1, got 0"),
         ("--preset skips --no-skips", "--preset skips --no-skips: nothing is left to measure"),
         ("--preset skips --objects teapot", "no example grasps of hand 'allegro' on 'teapot'"),
         ("--json same --html same", "--json and --html are both same: one would replace the other"),

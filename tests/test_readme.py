@@ -17,7 +17,7 @@ from grasp_refine.grasps import OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
 from grasp_refine.hand import HAND_TOML, load_hand
 from grasp_refine.report.verdict import HOLDS
 
-BENCHES = ("bench align", "bench grasp", "bench hold")
+BENCHES = ("bench align", "bench grasp", "bench hold", "bench --gate")
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -143,13 +143,20 @@ class ClusterWorkers:
         for run in list(self._runs.values()):
             if run.worker not in self._faults:
                 news.append(self._lost(run, "crashed", "was lost"))
-            elif self._patience_s is not None and self._clock_s - run.heard_s > self._patience_s + BEAT_S + LOOK_S:
+            elif self._hangs(run):
                 news.append(self._lost(run, "hung", f"gave no sign of life for {self._patience_s:g} s"))
                 hanging.append(run.worker)
         # Only now, because nobody listens meanwhile.
         for worker in hanging:
             self._restart(worker)
         return news
+
+    def _hangs(self, run: _Run) -> bool:
+        """Whether a shard that was begun is not worked on any more; one that waits for something else may wait."""
+        if self._patience_s is None or run.doing is None:
+            return False
+        # What was said may be followed by some that was not sent, or not listened to yet.
+        return self._clock_s - run.heard_s > self._patience_s + BEAT_S + LOOK_S
 
     def _put_sign(self, event: tuple[float, tuple[int, str, float]]) -> None:
         """Take in what a worker said: its clock, and number of the shard, what it does, and the share done."""

@@ -50,17 +50,21 @@ def attempt_there(work: bytes, shard: Shard, topic: str) -> Done | Failed:
     The worker keeps the unpickled `Work` for the other shards of this topic, with all that it has loaded.
     """
     worker = distributed.get_worker()
-    kept = getattr(worker, _KEPT, ("", None))
-    if kept[0] != topic:
-        kept = (topic, pickle.loads(work))
-        setattr(worker, _KEPT, kept)
     heard = -BEAT_S
+
+    def tell(what: str, share: float) -> None:
+        worker.log_event(topic, [shard.number, what, float(share)])
 
     def beat(what: str, share: float) -> None:
         nonlocal heard
         now = time.monotonic()
         if now - heard >= BEAT_S:
             heard = now
-            worker.log_event(topic, [shard.number, what, float(share)])
+            tell(what, share)
 
+    tell("beginning", 0.0)
+    kept = getattr(worker, _KEPT, ("", None))
+    if kept[0] != topic:
+        kept = (topic, pickle.loads(work))
+        setattr(worker, _KEPT, kept)
     return attempt(kept[1], shard, beat)

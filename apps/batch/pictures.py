@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -66,7 +66,7 @@ def draw_cases(
         try:
             found.append(_drawn(case, out, load, prepared))
         # Whatever is wrong with one of many inputs takes its picture, not the report.
-        except (GraspRefineError, OSError, ValueError) as error:
+        except (GraspRefineError, OSError, ValueError, LookupError) as error:
             found.append(Picture(case, problem=f"not drawn: {' '.join(str(error).split())}"))
     return tuple(found)
 
@@ -79,14 +79,10 @@ def _drawn(case: Case, out: Path, load: Load, prepared: Callable[[Hand], Bones])
     """
     hand, obj = load(case)
     path = out / case.file
-    grasps = load_grasps(path).select([case.row])
-    file = load_npz(path)
-    q_after, _ = match_joints(grasps, hand)
-    q_before = q_after.copy()
-    places = [grasps.joint_names.index(name) for name in hand.joint_names if name in grasps.joint_names]
-    named = [k for k, name in enumerate(hand.joint_names) if name in grasps.joint_names]
-    q_before[0, named] = file.numbers("initial_q")[case.row, places]
-    T_before = transform_from_pose(file.numbers("initial_pose")[case.row][None])[0]
-    T_after = transform_from_pose(grasps.hand_pose)[0]
-    before, after = portrait(prepared(hand), obj, [Pose(T_before, q_before[0]), Pose(T_after, q_after[0])])
-    return Picture(case, before, after)
+    after, file = load_grasps(path).select([case.row]), load_npz(path)
+    initial = {key: file.numbers(f"initial_{name}")[[case.row]] for key, name in (("hand_pose", "pose"), ("q", "q"))}
+    poses = []
+    for grasp in (replace(after, **initial), after):
+        q, _ = match_joints(grasp, hand)
+        poses.append(Pose(transform_from_pose(grasp.hand_pose)[0], q[0]))
+    return Picture(case, *portrait(prepared(hand), obj, poses))

@@ -34,7 +34,7 @@ OVERSAMPLING = 1.5
 """Everything is drawn this many times larger and averaged, for smooth edges."""
 COLORS = 128
 """Colours of a picture, which halve the size of its file."""
-SHADOW_SIZE = 400
+SHADOW_SIZE = 300
 """Pixels along each side of the shadow map."""
 EXTENT = 0.2
 """Metres that a picture is high after scaling; the rasterizer's outlines and shadows are made for this size."""

@@ -179,6 +179,8 @@ def query(
         Witness points in world coordinates. Pairs with a pose that is not finite get the status NOT_FINITE.
     """
     shape = T_world_a.shape[:2]
+    if pairs.native is not None:
+        return _ask_native(pairs, None, T_world_a, T_world_b, np.full(shape, cutoff, dtype=np.float64), previous)
     flat = None if previous is None else previous.reshape(-1)
     poses = np.reshape(T_world_a, (-1, 4, 4)), np.reshape(T_world_b, (-1, 4, 4))
     pair = np.tile(np.arange(shape[1]), shape[0])
@@ -207,21 +209,29 @@ def query_items(
         cutoff: Items surely farther apart than this (metres; one number or one an item) are not asked.
         previous: The answer at nearby poses of the same items.
     """
-    T_a, T_b = (np.ascontiguousarray(T, dtype=np.float64) for T in (T_world_a, T_world_b))
     limit = np.full(len(pair), cutoff, dtype=np.float64)
     if pairs.native is not None:
-        found = Witness(*pairs.native.ask(pair, T_a, T_b, limit, _last(previous)))
-    else:
-        found = _ask(pairs, pair, T_a, T_b, limit, previous)
+        return _ask_native(pairs, pair, T_world_a, T_world_b, limit, previous)
+    T_a, T_b = (np.asarray(T, dtype=np.float64) for T in (T_world_a, T_world_b))
+    found = _ask(pairs, pair, T_a, T_b, limit, previous)
     count_queries(found.asked)
     return found
 
 
-def _last(previous: Witness | None) -> tuple[np.ndarray, ...] | None:
-    """What the compiled engine wants of the last answer."""
-    if previous is None:
-        return None
-    return previous.winner, previous.point_a, previous.point_b, previous.status
+def _ask_native(
+    pairs: Pairs,
+    pair: np.ndarray | None,
+    T_a: np.ndarray,
+    T_b: np.ndarray,
+    limit: np.ndarray,
+    previous: Witness | None,
+) -> Witness:
+    """The answers of the compiled engine, in the shape of `limit`; without `pair` all pairs, over and over."""
+    last = None if previous is None else (previous.winner, previous.point_a, previous.point_b, previous.status)
+    T_a, T_b = (np.ascontiguousarray(T, dtype=np.float64) for T in (T_a, T_b))
+    found = Witness(*pairs.native.ask(pair, T_a, T_b, limit, last))
+    count_queries(found.asked)
+    return found
 
 
 def _ask(

@@ -161,7 +161,7 @@ class Batch:
                 states = {shard.number: State.MISSING if self.sharding.again else state_of(shard) for shard in asked}
                 _tell_states(asked, states, progress)
             todo = [shard for shard in asked if states[shard.number] is not State.COMPLETE]
-            session = Session({number for number, state in states.items() if state is State.COMPLETE})
+            session = Session({number for number, state in states.items() if state is State.COMPLETE}, len(asked))
             session.skipped = sum(shard.size for shard in asked if shard.number in session.complete)
             self._work(todo, ShardWork(config, protocol, described, self.output.profile), session, console)
             with Progress(console, (), 1) as progress:
@@ -267,16 +267,23 @@ class Batch:
 
                 run = partial(run_on_cluster, address=self.sharding.dask)
             else:
-                run = partial(run_local, workers=workers, patience_s=self.sharding.patience)
+                run = partial(run_local, workers=workers)
             by_number = {shard.number: shard for shard in todo}
             try:
-                with closing(run(todo, work, tries=self.sharding.tries, beat=progress.beat)) as results:
+                with closing(
+                    run(
+                        todo,
+                        work,
+                        patience_s=self.sharding.patience,
+                        tries=self.sharding.tries,
+                        beat=progress.beat,
+                    )
+                ) as results:
                     for result in results:
                         session.take(result, by_number[result.number], progress)
             except KeyboardInterrupt:
                 progress.say(
-                    f"{len(session.complete)} of {len(session.complete) + len(todo) - session.done - session.failed} "
-                    "shards are complete; the same command goes on from there"
+                    f"{len(session.complete)} of {session.asked} shards are complete; the same command goes on from there"
                 )
                 raise
         session.wall_s = time.perf_counter() - began

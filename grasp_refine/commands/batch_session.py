@@ -22,6 +22,8 @@ class Session:
 
     complete: set[int]
     """Numbers of the shards with result files."""
+    asked: int
+    """How many shards were asked for."""
     skipped: int = 0
     """Grasps that were there already."""
     done: int = 0

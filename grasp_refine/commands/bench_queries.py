@@ -23,7 +23,7 @@ from grasp_refine.apps.bench.queries.presets import (
     cases_of,
 )
 from grasp_refine.apps.bench.queries.runner import MethodName
-from grasp_refine.apps.bench.queries.skips.skip import Example
+from grasp_refine.apps.bench.queries.skips.skip import Example, several
 from grasp_refine.apps.bench.queries.study import Outcome, Study, run_study
 from grasp_refine.apps.bench.queries.table import bench_tables
 from grasp_refine.collision.engine import chosen, engines
@@ -82,6 +82,8 @@ class BenchQueries:
         None
     )
     """Objects of these examples."""
+    count: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 16, or the preset's)")] = None
+    """Grasps of each example: its own, then disturbed ones."""
     seed: int = 0
     """Seed of bodies, poses, and what solvers draw."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
@@ -101,7 +103,7 @@ class BenchQueries:
             def say(line: str) -> None:
                 console.print(escape(line), style="dim", soft_wrap=True)
 
-            return run_study(study, [self._example(*both, say) for both in preset.examples], progress)
+            return run_study(study, [self._example(*both, preset.count, say) for both in preset.examples], progress)
 
         return run_benchmark(
             "bench queries",
@@ -135,9 +137,11 @@ class BenchQueries:
             )
             preset = replace(preset, cases=cases)
         shown = not custom if self.skips is None else self.skips
+        if self.count is not None:
+            preset = replace(preset, count=self.count)
         if not shown:
-            if self.hands is not None or self.objects is not None:
-                raise GraspRefineError("--hands and --objects are for skips: add --skips, or leave them out")
+            if any(getattr(self, name) is not None for name in ("hands", "objects", "count")):
+                raise GraspRefineError("--hands, --objects and --count are for skips: add --skips, or leave them out")
             if not preset.cases:
                 raise GraspRefineError("--preset skips --no-skips: nothing is left to measure")
             return replace(preset, examples=(), commands=())
@@ -167,7 +171,7 @@ class BenchQueries:
             seed=self.seed,
         )
 
-    def _example(self, hand: str, obj: str, say: Callable[[str], None]) -> Example:
-        """The example grasps of a hand on an object."""
+    def _example(self, hand: str, obj: str, count: int, say: Callable[[str], None]) -> Example:
+        """So many grasps of a hand on an object, the example's own first."""
         (group,) = Inputs(hand=hand, object=obj).load(self.seed, say).groups
-        return Example(hand, obj, group.scene, Config(seed=self.seed))
+        return Example(hand, obj, several(group.scene, count, self.seed), Config(seed=self.seed))

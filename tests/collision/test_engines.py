@@ -202,6 +202,38 @@ def test_two_threads_of_python_may_ask_at_once(both: tuple[Pairs, Pairs]) -> Non
 
 
 @native
+def test_arrays_for_other_items_are_refused(both: tuple[Pairs, Pairs]) -> None:
+    T_a, T_b = scattered(2, 0.06)
+    last = query(both[0], T_a, T_b)
+    for arguments in ((T_a[:1], T_b, None), (T_a, T_b[:1], None), (T_a, T_b, last.rows(slice(1)))):
+        with pytest.raises(ValueError, match="are for other items, or of other shapes"):
+            query(both[0], *arguments[:2], previous=arguments[2])
+    for pair in ([0, len(both[0])], [-1, 0], [0]):
+        with pytest.raises(ValueError, match="are for other items, or of other shapes"):
+            query_items(both[0], np.array(pair), T_a[0, :2], T_b[0, :2], cutoff=np.full(2, np.inf)[: len(pair)])
+
+
+@native
+def test_a_forked_process_does_not_wait_for_threads_that_it_lost() -> None:
+    code = """
+import os, signal, sys
+import numpy as np
+from grasp_refine.collision.query import Pairs
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import sphere
+ball = build_body("ball", [sphere(0.01)], candidates=16)
+pairs, T = Pairs((ball,), (ball,), engine="native"), np.tile(np.eye(4), (2000, 1, 1))
+ask = lambda: pairs.native.ask(np.zeros(2000, np.int64), T, T, np.full(2000, np.inf), None, 2)[3].sum()
+before, child = ask(), os.fork()
+if child == 0:
+    signal.alarm(20)
+    os._exit(0 if ask() == before else 1)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    assert subprocess.run([sys.executable, "-c", code], timeout=30).returncode == 0
+
+
+@native
 def test_the_bare_loop_asks_what_the_search_does(both: tuple[Pairs, Pairs]) -> None:
     pairs = both[0]
     T_a, T_b = (T.reshape(-1, 4, 4) for T in scattered(3, 0.06))

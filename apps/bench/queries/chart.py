@@ -38,7 +38,10 @@ def sweep_chart(rows: Sequence[Row], axis: Axis) -> str:
     for key, its in list(swept.items())[:MOST]:
         words = dict(zip(fixed, key, strict=True))
         heading = ", ".join(
-            [str(words["kind"]), *(f"{words[name]} {name}" for name in ("pieces", "vertices") if words.get(name, 1) != 1)]
+            [
+                str(words["kind"]),
+                *(f"{words[name]} {name}" for name in ("pieces", "vertices") if words.get(name, 1) != 1),
+            ]
         )
         heading += f", {words['state']}" + (f", batch {words['batch']}" if "batch" in words else "")
         panels.append((heading, _lines(its, axis, styles), _time))

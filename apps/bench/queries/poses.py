@@ -54,10 +54,10 @@ def draw_poses(pairs: Pairs, distance: float, count: int, seed: int) -> tuple[np
     raise GraspRefineError(f"bodies of this kind cannot be {1e3 * distance:g} mm apart: choose other states or pieces")
 
 
-def nearby(T: np.ndarray, seed: int) -> np.ndarray:
-    """Poses as far from `T` (..., 4, 4) as a step of a solver."""
+def nearby(T: np.ndarray, seed: int, step: tuple[float, float] = STEP) -> np.ndarray:
+    """Poses a random step from `T` (..., 4, 4), with standard deviations in metres and radians."""
     rng = np.random.default_rng(seed)
-    scale = np.repeat(STEP, 3)
+    scale = np.repeat(step, 3)
     noise = exp_se3(rng.normal(size=(*T.shape[:-2], 6)) * scale)
     moved = T.copy()
     moved[..., :3, :3] = noise[..., :3, :3] @ T[..., :3, :3]

@@ -35,7 +35,9 @@ class Preset:
     """How often each time is taken; medians count."""
     least_s: float = 0.004
     """CPU seconds of a measurement of a query, for which short calls are repeated."""
-    skip_rounds: int = 2
+    count: int = 16
+    """Grasps of each example: its own, then disturbed ones."""
+    skip_rounds: int = 1
     """How often each refinement is timed, after a first time if more than once."""
 
 
@@ -84,7 +86,7 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
             (("allegro", "rounded_box"),),
             rounds=3,
             least_s=0.001,
-            skip_rounds=1,
+            count=4,
         ),
     }
 )

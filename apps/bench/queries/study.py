@@ -34,7 +34,7 @@ class Study:
     """How often each time is taken."""
     least_s: float = 0.004
     """CPU seconds of a measurement of a query."""
-    skip_rounds: int = 2
+    skip_rounds: int = 1
     """How often each refinement is timed."""
     commands: tuple[str, ...] = ()
     """Command lines whose imports are counted."""
@@ -88,8 +88,8 @@ def skip_jobs(study: Study, examples: Sequence[Example]) -> Iterator[SkipJob]:
     """What is undone: in refinements, then at the start of hands, objects and commands."""
     rounds = study.skip_rounds
     for one in examples:
-        yield SkipJob(f"{one.name}, queries", 6.0 * rounds, partial(asking_skips, one, rounds))
-        yield SkipJob(f"{one.name}, solver", 3.0 * rounds, partial(solving_skips, one, rounds))
+        yield SkipJob(f"{one.name}, queries", 8.0 * rounds, partial(asking_skips, one, rounds))
+        yield SkipJob(f"{one.name}, solver", 4.0 * rounds, partial(solving_skips, one, rounds))
     for hand, one in {one.hand: one for one in examples}.items():
         yield SkipJob(hand, 1.0, partial(_of_hand, one, study.seed, rounds))
     for obj in {one.object: one.scene.object for one in examples if one.scene.object.convex}.values():

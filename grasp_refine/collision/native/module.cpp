@@ -8,10 +8,13 @@
 
 #include <coal/config.hh>
 
+#include <unistd.h>
+
 #include <exception>
 #include <mutex>
 #include <numeric>
 #include <optional>
+#include <stdexcept>
 
 #include "search.h"
 
@@ -25,9 +28,13 @@ template <class T>
 using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
 using RowMatrix = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 
+// Where we were loaded. A fork of it has lost the threads of OpenMP, which would wait for them for ever.
+const pid_t kProcess = getpid();
+
 // Call work(i) for all i of `order` on several threads, one item after the other on each; the first error is thrown.
 template <class Work>
 void for_each(const std::vector<size_t>& order, int threads, const Work& work) {
+  if (getpid() != kProcess) threads = 1;
   std::exception_ptr error;
   std::mutex guard;
   const auto count = static_cast<int64_t>(order.size());
@@ -65,6 +72,10 @@ Transform3s relative(const double* a, const double* b) {
     t[c] = between[0] * a[c] + between[1] * a[4 + c] + between[2] * a[8 + c];
   }
   return Transform3s(R, t);
+}
+
+void check(bool fits) {
+  if (!fits) throw std::invalid_argument("poses, limits and the last answer are for other items, or of other shapes");
 }
 
 struct Poses {
@@ -131,6 +142,10 @@ void query(const Search& search, std::optional<In<int64_t>> pair, In<double> T_a
   const int64_t* listed = pair ? pair->data() : nullptr;
   const double* limits = limit.data();
   const auto pair_of = [=](size_t i) { return listed ? static_cast<size_t>(listed[i]) : i % pairs; };
+  check(T_a.size() == 16 * count && T_b.size() == 16 * count && (!pair || pair->size() == count));
+  check(!listed || std::all_of(listed, listed + count, [=](int64_t p) { return 0 <= p && p < int64_t(pairs); }));
+  check(!winner || (winner->size() == count && point_a->size() == 3 * count && point_b->size() == 3 * count &&
+                    status->size() == count));
 
   nb::gil_scoped_release without_the_gil;
   for_each(by_key(count, pairs, pair_of), threads, [&](size_t i) {

@@ -50,7 +50,9 @@ struct Warm {
 
 // What one thread writes to in a search.
 struct Scratch {
-  std::vector<Vec3s> y;               // Centres of b in the frame of a.
+  Eigen::Matrix<double, Eigen::Dynamic, 3> y;    // Centres of the balls of b in the frame of a,
+  std::vector<double> y_square;                  // and the squares of their lengths.
+  std::vector<double> square, gap;               // Of centres, for all columns: squared distance; likelihood.
   std::vector<double> reach_a, reach_b;
   std::vector<Entry> left;
   std::vector<Entry>* trace = nullptr;  // Where the queries that are asked are noted, if anywhere.
@@ -67,7 +69,7 @@ class Search {
     const int64_t columns = a.count(pair) * b.count(pair);
     place(pair, T, scratch);
     int64_t column = warm.winner - first_pair[pair];
-    if (warm.winner < 0 || column >= columns) column = likeliest(pair, scratch);
+    if (column < 0 || column >= columns) column = likeliest(pair, scratch);
     Found found;
     // A single piece pair without a limit is wanted whatever its bound is.
     double bound = a.width * b.width == 1 && std::isinf(limit) ? -kInfinity : ball_bound(pair, column, scratch);
@@ -89,36 +91,46 @@ class Search {
   }
 
  private:
+  // The squared distances of the centres of all columns, which rounding must not make longer.
   void place(int64_t pair, const Transform3s& T, Scratch& scratch) const {
-    scratch.y.resize(b.count(pair));
-    for (int64_t j = 0; j < b.count(pair); ++j)
-      scratch.y[j] = T.getRotation() * b.center[b.begin(pair) + j] + T.getTranslation();
-  }
-
-  // The square of the distance of two centres, which rounding must not make longer.
-  static double shorter_square(const Vec3s& x, const Vec3s& y) {
-    constexpr double eps = 16 * std::numeric_limits<double>::epsilon();
-    return std::max((y - x).squaredNorm() - eps * (x.squaredNorm() + y.squaredNorm()), 0.0);
+    constexpr double shorter = 1.0 - 16 * std::numeric_limits<double>::epsilon();
+    const int64_t count_a = a.count(pair), count_b = b.count(pair);
+    scratch.y.resize(count_b, 3);
+    scratch.y_square.resize(count_b);
+    scratch.square.resize(count_a * count_b);
+    for (int64_t j = 0; j < count_b; ++j) {
+      const Vec3s y = T.getRotation() * b.center[b.begin(pair) + j] + T.getTranslation();
+      scratch.y.row(j) = y;
+      scratch.y_square[j] = shorter * y.squaredNorm();
+    }
+    const double *y0 = scratch.y.col(0).data(), *y1 = scratch.y.col(1).data(), *y2 = scratch.y.col(2).data();
+    const double* y_square = scratch.y_square.data();
+    for (int64_t i = 0; i < count_a; ++i) {
+      const Vec3s& x = a.center[a.begin(pair) + i];
+      const double x0 = -2 * x[0], x1 = -2 * x[1], x2 = -2 * x[2], x_square = shorter * x.squaredNorm();
+      double* out = scratch.square.data() + i * count_b;
+      for (int64_t j = 0; j < count_b; ++j)
+        out[j] = std::max(x0 * y0[j] + x1 * y1[j] + x2 * y2[j] + x_square + y_square[j], 0.0);
+    }
   }
 
   double ball_bound(int64_t pair, int64_t column, const Scratch& scratch) const {
     const auto [i, j] = split(pair, column);
-    const double between = std::sqrt(shorter_square(a.center[i], scratch.y[j - b.begin(pair)]));
-    return between - (a.radius[i] + b.radius[j]);
+    return std::sqrt(scratch.square[column]) - (a.radius[i] + b.radius[j]);
   }
 
   // The closest piece pair with balls of half the size: pieces seldom fill theirs.
-  int64_t likeliest(int64_t pair, const Scratch& scratch) const {
-    int64_t best = 0, column = 0;
-    double least = kInfinity;
-    for (int64_t i = a.begin(pair); i < a.begin(pair) + a.count(pair); ++i) {
-      for (int64_t j = 0; j < b.count(pair); ++j, ++column) {
-        const double half_radii = 0.5 * (a.radius[i] + b.radius[b.begin(pair) + j]);
-        const double gap = std::sqrt(shorter_square(a.center[i], scratch.y[j])) - half_radii;
-        if (gap < least) least = gap, best = column;
-      }
+  int64_t likeliest(int64_t pair, Scratch& scratch) const {
+    const int64_t count_a = a.count(pair), count_b = b.count(pair);
+    const double* radius_b = b.radius.data() + b.begin(pair);
+    scratch.gap.resize(scratch.square.size());
+    for (int64_t i = 0; i < count_a; ++i) {
+      const double radius = a.radius[a.begin(pair) + i];
+      const double* square = scratch.square.data() + i * count_b;
+      double* gap = scratch.gap.data() + i * count_b;
+      for (int64_t j = 0; j < count_b; ++j) gap[j] = std::sqrt(square[j]) - 0.5 * (radius + radius_b[j]);
     }
-    return best;
+    return std::min_element(scratch.gap.begin(), scratch.gap.end()) - scratch.gap.begin();
   }
 
   // Ask all but one column that can still beat what was found.
@@ -144,12 +156,11 @@ class Search {
   // The columns whose balls are nearer than `best`.
   void below(int64_t pair, double best, int64_t done, Scratch& scratch) const {
     scratch.left.clear();
+    const double* radius_b = b.radius.data() + b.begin(pair);
     int64_t column = 0;
     for (int64_t i = a.begin(pair); i < a.begin(pair) + a.count(pair); ++i) {
-      const Vec3s& x = a.center[i];
       for (int64_t j = 0; j < b.count(pair); ++j, ++column) {
-        const double radii = a.radius[i] + b.radius[b.begin(pair) + j], reach = best + radii;
-        const double square = shorter_square(x, scratch.y[j]);
+        const double radii = a.radius[i] + radius_b[j], reach = best + radii, square = scratch.square[column];
         // Most are ruled out without a root.
         if (reach <= 0 || square > reach * reach * (1 + 1e-14) || column == done) continue;
         const double bound = std::sqrt(square) - radii;

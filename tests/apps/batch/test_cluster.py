@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
@@ -81,7 +82,8 @@ def test_every_shard_comes_out_and_what_work_raises_is_told(address: str, tmp_pa
 def test_work_keeps_what_it_has_loaded(address: str, tmp_path: Path):
     """Each shard once came with a copy of the work that had loaded nothing."""
     shards = some_shards(tmp_path, *["write"] * 6)
-    assert len(list(run_on_cluster(shards, Tally(), address=address, beat=ignore))) == 6
+    (scheduler := tmp_path / "scheduler.json").write_text(json.dumps({"address": address}))
+    assert len(list(run_on_cluster(shards, Tally(), address=str(scheduler), beat=ignore))) == 6
     assert len(calls := tallies(tmp_path)) <= 2
     assert all(each == list(range(1, len(each) + 1)) for each in calls)
 
@@ -102,6 +104,15 @@ def test_a_worker_that_hangs_is_restarted(address: str, tmp_path: Path):
     assert found == {shard.number: done(shard) for shard in some_shards(tmp_path, "", "", "")[1:]}
     assert (hung.reason, hung.tries) == ("hung", 1)
     assert hung.message.endswith(" gave no sign of life for 2 s at 25% of the shard: sleep 600")
+
+
+def test_a_shard_that_waits_for_others_is_not_taken_for_one_that_hangs(address: str, tmp_path: Path):
+    """What somebody else gave to the workers, and what is left of an interrupted batch, comes first."""
+    with Client(address, set_as_default=False) as other:
+        busy = [other.submit(time.sleep, 6.0, workers=[worker], pure=False) for worker in other.nthreads()]
+        time.sleep(0.5)
+        assert outcomes(address, tmp_path, "write", tries=1) == {0: done(some_shards(tmp_path, "")[0])}
+        assert any(future.done() for future in busy)
 
 
 def test_a_caller_who_stops_lets_no_other_shard_begin(address: str, tmp_path: Path):

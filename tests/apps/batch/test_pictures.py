@@ -51,10 +51,16 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(portraits, "SHADOW_SIZE", 100)
 
 
-@pytest.fixture
-def cases(tmp_path: Path) -> tuple[Case, ...]:
-    """Three grasps of a result file in tmp_path."""
-    rows = read_rows(shard(0, save_example_results(tmp_path / "r.npz", 3)), tmp_path)
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of results."""
+    return tmp_path_factory.mktemp("out")
+
+
+@pytest.fixture(scope="module")
+def cases(out: Path) -> tuple[Case, ...]:
+    """Three grasps of a result file in it."""
+    rows = read_rows(shard(0, save_example_results(out / "r.npz", 3)), out)
     statistics = Statistics.empty()
     statistics.add(rows)
     return statistics.worst()
@@ -65,11 +71,11 @@ def example(hand: Hand) -> Pose:
     return Pose(transform_from_pose(grasps.hand_pose)[0], match_joints(grasps, hand)[0][0])
 
 
-def test_a_case_is_drawn_before_and_after(cases: tuple[Case, ...], allegro: Hand, tmp_path: Path):
+def test_a_case_is_drawn_before_and_after(cases: tuple[Case, ...], allegro: Hand, out: Path):
     heard = []
     picture, *_ = draw_cases(
         cases[:1],
-        tmp_path,
+        out,
         lambda case: (allegro, load_object("mug")),
         tell=lambda what, share: heard.append((what, share)),
     )
@@ -82,23 +88,22 @@ def test_a_case_is_drawn_before_and_after(cases: tuple[Case, ...], allegro: Hand
     assert 0.02 < (np.abs(pixels(picture.before) - pixels(picture.after)).max(axis=2) > 30).mean() < 0.6
 
 
-def test_what_cannot_be_drawn_takes_its_picture_only(cases: tuple[Case, ...], allegro: Hand, tmp_path: Path):
+def test_what_cannot_be_drawn_takes_its_picture_only(cases: tuple[Case, ...], allegro: Hand, out: Path):
     def load(case: Case) -> tuple[Hand, Object]:
         raise {0: MeshError("mug.obj: has\nholes"), 1: OSError("gone"), 2: ValueError("no")}[cases.index(case)]
 
-    assert [picture.problem for picture in draw_cases(cases, tmp_path, load)] == [
+    assert [picture.problem for picture in draw_cases(cases, out, load)] == [
         "not drawn: mug.obj: has holes", "not drawn: gone", "not drawn: no",
     ]  # fmt: skip
-    (tmp_path / "r.npz").unlink()
-    (picture,) = draw_cases(cases[:1], tmp_path, lambda case: (allegro, load_object("mug")))
+    (picture,) = draw_cases(cases[:1], out / "moved", lambda case: (allegro, load_object("mug")))
     assert picture.problem.startswith("not drawn: ") and picture.problem.endswith("no such grasp file")
 
 
-def test_pictures_take_no_more_time_than_allowed(cases: tuple[Case, ...], tmp_path: Path):
+def test_pictures_take_no_more_time_than_allowed(cases: tuple[Case, ...], out: Path):
     def load(case: Case) -> tuple[Hand, Object]:
         raise GraspRefineError("tried")
 
-    assert {picture.problem for picture in draw_cases(cases, tmp_path, load, patience_s=-1.0)} == {
+    assert {picture.problem for picture in draw_cases(cases, out, load, patience_s=-1.0)} == {
         "not drawn: the others took more than -1 s"
     }
 

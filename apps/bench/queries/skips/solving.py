@@ -36,6 +36,7 @@ BATCH, FRAMES = 256, 20
 
 def solving_skips(example: Example, rounds: int) -> Iterator[Skip]:
     """What is left out in a refinement of the example."""
+    example.warm_up()
     yield finished_skip(example, rounds)
     yield curvature_skip(example)
     yield layer_skip(example, rounds)

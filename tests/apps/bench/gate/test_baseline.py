@@ -150,7 +150,7 @@ def test_a_file_that_is_no_baseline_is_not_replaced(tmp_path: Path):
         updated(path, "python", values(), {})
 
 
-@pytest.mark.parametrize("engine", ["python"])
+@pytest.mark.parametrize("engine", ["python", "native"])
 def test_the_committed_baseline_is_one(engine: str):
     for name, one in load_baseline(COMMITTED, engine).items():
         # Limits were not written by hand, unless to be stricter.

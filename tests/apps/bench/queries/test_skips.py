@@ -13,7 +13,7 @@ from apps.bench.queries.bodies import make_pairs
 from apps.bench.queries.cases import Case
 from apps.bench.queries.poses import draw_poses
 from apps.bench.queries.skips.asking import asking_skips, unbounded
-from apps.bench.queries.skips.skip import Example, Skip, replaced, timed
+from apps.bench.queries.skips.skip import Example, Skip, replaced, several, timed
 from apps.bench.queries.skips.solving import BATCH, curvature_skip, finished_skip, frame_skip, layer_skip
 from apps.bench.queries.skips.starting import _modules, decomposition_skip, import_skips, self_collision_skips
 from grasp_refine.collision.query import query
@@ -34,6 +34,19 @@ def example() -> Example:
 
 def by_name(skips: list[Skip]) -> dict[str, Skip]:
     return {skip.skip: skip for skip in skips}
+
+
+def test_grasps_come_again_disturbed_within_the_limits(example: Example):
+    scene = several(example.scene, 11, 5)
+    assert len(scene.q) == len(scene.T_world_root) == 11
+    np.testing.assert_array_equal(scene.q[:4], example.scene.q)
+    np.testing.assert_array_equal(scene.T_world_root[:4], example.scene.T_world_root)
+    assert (scene.q >= scene.hand.lower).all() and (scene.q <= scene.hand.upper).all()
+    palm = np.linalg.norm(scene.T_world_root[4:8, :3, 3] - example.scene.T_world_root[:, :3, 3], axis=1)
+    assert (
+        (palm > 1e-4).all() and (palm < 0.03).all() and (scene.q[4:] != example.scene.q[np.arange(7) % 4]).any(1).all()
+    )
+    np.testing.assert_array_equal(several(example.scene, 2, 5).q, example.scene.q[:2])
 
 
 def test_every_piece_pair_is_asked_where_nothing_is_known_of_them():
