@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from math import degrees, floor, log10
@@ -16,6 +16,8 @@ from .histogram import LINEAR, Histogram
 
 WIDTH, HIGH, LEFT, TOP = 320, 104, 6, 8
 """Units of the drawing: its width, how high the highest bar is, and what is left free beside and above."""
+BASE = TOP + HIGH
+"""How far down the bars stand."""
 BELOW = 22
 """Room for the marks of the axis."""
 TOGETHER = 4
@@ -98,6 +100,56 @@ MOVED = (
 """What is told after only."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Axis:
+    """Which bars are drawn where."""
+
+    edges: np.ndarray
+    """Edges of all bars but those of what lies below and above."""
+    scale: str
+    """How they go on."""
+    first: int
+    """The leftmost bar,"""
+    last: int
+    """and the rightmost one."""
+    lowest: bool
+    """Whether what lies below is drawn, too, apart from the others."""
+
+    @staticmethod
+    def of(edges: np.ndarray, scale: str, parts: Sequence[np.ndarray]) -> _Axis:
+        """The bars that are needed for some shares."""
+        most = len(edges) - 2
+        used = np.flatnonzero(sum(its[1:-1] for its in parts))
+        first, last = (int(used.min()), int(used.max())) if len(used) else (0, 0)
+        if scale == LINEAR:
+            first, last = 0, most
+        while last - first + 1 < min(FEWEST, most + 1):
+            first, last = max(first - 1, 0), min(last + 1, most)
+        return _Axis(edges, scale, first, last, any(its[0] > 0 for its in parts))
+
+    @property
+    def step(self) -> float:
+        """Room of a bar."""
+        return (WIDTH - 2 * LEFT) / (self.last - self.first + 1 + (1 + GAP) * self.lowest)
+
+    @property
+    def begin(self) -> float:
+        """Where the leftmost bar begins."""
+        return LEFT + (1 + GAP) * self.lowest * self.step
+
+    @property
+    def places(self) -> list[tuple[float, int]]:
+        """Where each bar begins, and which share it shows."""
+        bars = range(self.first, self.last + 1)
+        return [(LEFT, 0)] * self.lowest + [(self.begin + (k - self.first) * self.step, k + 1) for k in bars]
+
+    def at(self, value: float) -> float:
+        """Where a value is."""
+        low, high = self.edges[self.first], self.edges[self.last + 1]
+        along = (value - low) / (high - low) if self.scale == LINEAR else log10(value / low) / log10(high / low)
+        return self.begin + along * self.step * (self.last - self.first + 1)
+
+
 def chart(measure: Measure, distributions: Mapping[str, Histogram]) -> str:
     """An SVG element: bars of the share of grasps, before behind after; empty where nothing was measured."""
     after = distributions[measure.after]
@@ -105,58 +157,53 @@ def chart(measure: Measure, distributions: Mapping[str, Histogram]) -> str:
     if not before.count and not after.count:
         return ""
     parts = [its.shares(TOGETHER) for its in (before, after)]
-    edges = after.bins.edges[::TOGETHER]
-    used = np.flatnonzero((parts[0] + parts[1])[1:])
-    # What lies above the bins is drawn in the last one.
-    first, last = (min(used.min(), len(edges) - 2), min(used.max(), len(edges) - 2)) if len(used) else (0, 0)
-    if after.bins.scale == LINEAR:
-        first, last = 0, len(edges) - 2
-    while last - first + 1 < FEWEST:
-        first, last = max(first - 1, 0), min(last + 1, len(edges) - 2)
     for its in parts:
+        # What lies above the bins is drawn in the last one.
         its[-2] += its[-1]
-    lowest = any(its[0] > 0 for its in parts)
-    shift = 1 + GAP if lowest else 0.0
-    step = (WIDTH - 2 * LEFT) / (last - first + 1 + shift)
-    places = [(LEFT, 0)] * lowest + [(LEFT + (shift + k - first) * step, k + 1) for k in range(first, last + 1)]
-    highest = max(its[at] for its in parts for _, at in places)
-    bars = [
-        f'<rect class="{name}" x="{x + inset * step:.1f}" y="{TOP + HIGH * (1 - its[at] / highest):.1f}" '
-        f'width="{(1 - 2 * inset) * step:.1f}" height="{HIGH * its[at] / highest:.1f}"/>'
-        for name, its, inset in (("before", parts[0], 0.04), ("after", parts[1], 0.2))
-        for x, at in places
-        if its[at] > 0
-    ]
-    hovers = [
-        f'<rect class="over" x="{x:.1f}" y="{TOP}" width="{step:.1f}" height="{HIGH}"><title>'
-        f"{escape(_range(measure, edges, at))}: {_shares(measure, parts, at)}</title></rect>"
-        for x, at in places
-    ]
-    base = TOP + HIGH
-    axis = [f'<line class="axis" x1="{LEFT}" x2="{WIDTH - LEFT}" y1="{base}" y2="{base}"/>']
-    begin = LEFT + shift * step
-    for value, text in _marks(measure, edges[first], edges[last + 1], after.bins.scale):
-        x = begin + _along(value, edges[first], edges[last + 1], after.bins.scale) * step * (last - first + 1)
-        axis.append(f'<line class="axis" x1="{x:.1f}" x2="{x:.1f}" y1="{base}" y2="{base + 4}"/>')
-        # Nothing is written over what the lowest bar is called.
-        if not lowest or x > LEFT + step / 2 + CLEAR:
-            anchor = "end" if x > WIDTH - 20 else "start" if x < 12 else "middle"
-            axis.append(f'<text x="{x:.1f}" y="{base + 16}" text-anchor="{anchor}">{escape(text)}</text>')
-    if lowest:
-        axis.append(f'<text x="{LEFT + step / 2:.1f}" y="{base + 16}" text-anchor="middle">~0</text>')
-    if measure.mark is not None:
-        x = begin + _along(measure.mark, edges[first], edges[last + 1], after.bins.scale) * step * (last - first + 1)
-        axis.append(f'<line class="mark" x1="{x:.1f}" x2="{x:.1f}" y1="{TOP - 6}" y2="{base}"/>')
+    axis = _Axis.of(after.bins.edges[::TOGETHER], after.bins.scale, parts)
     label = escape(f"distribution of {measure.title}")
-    return (
-        f'<svg class="bars" viewBox="0 0 {WIDTH} {TOP + HIGH + BELOW}" role="img" aria-label="{label}">'
-        f"{''.join(bars + axis + hovers)}</svg>"
-    )
+    drawn = "".join([*_bars(axis, parts), *_scale(axis, measure), *_hovers(axis, measure, parts)])
+    return f'<svg class="bars" viewBox="0 0 {WIDTH} {BASE + BELOW}" role="img" aria-label="{label}">{drawn}</svg>'
 
 
-def _along(value: float, low: float, high: float, scale: str) -> float:
-    """Where a value lies between two others, from 0 to 1."""
-    return (value - low) / (high - low) if scale == LINEAR else log10(value / low) / log10(high / low)
+def _bars(axis: _Axis, parts: Sequence[np.ndarray]) -> Iterator[str]:
+    """All bars, the highest as high as there is room."""
+    highest = max(its[k] for its in parts for _, k in axis.places)
+    for name, its, inset in (("before", parts[0], 0.04), ("after", parts[1], 0.2)):
+        for x, k in axis.places:
+            if its[k] > 0:
+                height = HIGH * its[k] / highest
+                yield (
+                    f'<rect class="{name}" x="{x + inset * axis.step:.1f}" y="{BASE - height:.1f}" '
+                    f'width="{(1 - 2 * inset) * axis.step:.1f}" height="{height:.1f}"/>'
+                )
+
+
+def _hovers(axis: _Axis, measure: Measure, parts: Sequence[np.ndarray]) -> Iterator[str]:
+    """What is told of each bar below the pointer."""
+    for x, k in axis.places:
+        told = escape(f"{_range(measure, axis.edges, k)}: {_shares(measure, parts, k)}")
+        yield (
+            f'<rect class="over" x="{x:.1f}" y="{TOP}" width="{axis.step:.1f}" height="{HIGH}">'
+            f"<title>{told}</title></rect>"
+        )
+
+
+def _scale(axis: _Axis, measure: Measure) -> Iterator[str]:
+    """The line below the bars, with what is written there, and the value that is marked."""
+    yield f'<line class="axis" x1="{LEFT}" x2="{WIDTH - LEFT}" y1="{BASE}" y2="{BASE}"/>'
+    for value, text in _marks(measure, axis.edges[axis.first], axis.edges[axis.last + 1], axis.scale):
+        x = axis.at(value)
+        yield f'<line class="axis" x1="{x:.1f}" x2="{x:.1f}" y1="{BASE}" y2="{BASE + 4}"/>'
+        # Nothing is written over what the lowest bar is called.
+        if not axis.lowest or x > LEFT + axis.step / 2 + CLEAR:
+            anchor = "end" if x > WIDTH - 20 else "start" if x < 12 else "middle"
+            yield f'<text x="{x:.1f}" y="{BASE + 16}" text-anchor="{anchor}">{escape(text)}</text>'
+    if axis.lowest:
+        yield f'<text x="{LEFT + axis.step / 2:.1f}" y="{BASE + 16}" text-anchor="middle">~0</text>'
+    if measure.mark is not None:
+        x = axis.at(measure.mark)
+        yield f'<line class="mark" x1="{x:.1f}" x2="{x:.1f}" y1="{TOP - 6}" y2="{BASE}"/>'
 
 
 def _marks(measure: Measure, low: float, high: float, scale: str) -> Sequence[tuple[float, str]]:

@@ -72,8 +72,6 @@ class Pose:
 class Bones:
     """What is drawn of a hand, link by link, in link frames."""
 
-    hand: Hand
-    """The hand."""
     kinematics: Kinematics
     """Poses of the links that have geometry."""
     models: tuple[Model, ...]
@@ -121,7 +119,7 @@ def bones(hand: Hand) -> Bones:
         _pieces(link.body, CONTACT_COLOR if touches else LINK_COLOR, grid)
         for link, touches in zip(links, touching, strict=True)
     )
-    return Bones(hand, kinematics, tuple(models), points, touching)
+    return Bones(kinematics, tuple(models), points, touching)
 
 
 def portrait(bones: Bones, obj: Object, poses: Sequence[Pose]) -> list[bytes]:

@@ -73,7 +73,8 @@ class Progress:
         elif self._shards:
             before = f", {words.whole(self._skipped)} were done before" if self._skipped else ""
             now = words.grasps(self._total - self._skipped)
-            self.say(f"refining {now} in {words.count(len(self._shards), 'shard')}{before}")
+            shards, workers = words.count(len(self._shards), "shard"), words.count(self._workers, "worker")
+            self.say(f"refining {now} in {shards} with {workers}{before}")
         return self
 
     def __exit__(

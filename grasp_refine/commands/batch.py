@@ -363,8 +363,10 @@ def _shown(shards: Mapping[int, Shard], kept: Kept, seed: int, case: Case) -> tu
     """Hand and object of one of the worst cases."""
     shard = shards[case.shard]
     problem = kept.get("problem", case.shard, lambda: problem_of(shard.task, seed, kept, lambda what, share: None))
-    group = next(group for group in problem.groups if group.scale == case.scale)
-    return problem.hand, group.scene.object
+    for group in problem.groups:
+        if group.scale == case.scale:
+            return problem.hand, group.scene.object
+    raise GraspRefineError(f"{shard.name}: no object is of the scale {case.scale:g} any more")
 
 
 def cores() -> int:

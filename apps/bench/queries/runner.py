@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
@@ -24,7 +23,7 @@ from .bodies import make_pairs
 from .cases import DISTANCE, Case
 from .peers import PEERS, Loop, Peer
 from .poses import draw_poses, nearby
-from .skips.skip import replaced
+from .skips.skip import one_thread
 from .timing import cpu_times
 
 MethodName = Literal["contact-kinematics", "distance", "direction", "analytical"]
@@ -180,18 +179,6 @@ class CaseJob:
             warm=apart,
             error=float(np.abs(found.distance - reference.distance).max()),
         )
-
-
-@contextmanager
-def one_thread(engines: tuple[str, ...]) -> Iterator[None]:
-    """The compiled engine works with one thread, as all others do: waiting for a second one would count as its time."""
-    if "native" not in engines:
-        yield
-        return
-    from grasp_refine.collision import native_search
-
-    with replaced(native_search, "_available", lambda: 1):
-        yield
 
 
 def _bare(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray, batch: int) -> Callable[[], None]:

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from grasp_refine.collision.engine import engines
+
 from ..jobs import Job, run_jobs
 from .cases import Case
 from .peers import PEERS
 from .rows import rows
 from .runner import CaseJob, Measured, MethodName
 from .skips.asking import asking_skips
-from .skips.skip import Example, Skip
+from .skips.skip import Example, Skip, one_thread
 from .skips.solving import frame_skip, solving_skips
 from .skips.starting import decomposition_skip, import_skips, self_collision_skips
 
@@ -62,7 +64,8 @@ class SkipJob:
 
     def do(self, progress: Callable[[float], None]) -> tuple[Skip, ...]:
         """What they save."""
-        return tuple(self.run())
+        with one_thread(engines()):
+            return tuple(self.run())
 
 
 def run_study(study: Study, examples: Sequence[Example], progress: Callable[[float, str], None]) -> Outcome:

@@ -230,12 +230,13 @@ std::vector<T> list_of(const In<T>& array) {
 Side side_of(In<int64_t> body, In<int64_t> first, In<double> center, In<double> half, In<double> axes,
              In<double> radius, In<double> supports, size_t cells) {
   Side side{list_of(body), list_of(first), {}, {}, {}, list_of(radius), supports.data(), supports.shape(1),
-            supports.shape(2), cells};
+            supports.shape(2), cells, {}};
   for (size_t k = 0; k < radius.size(); ++k) {
     side.center.push_back(Eigen::Map<const Vec3s>(center.data() + 3 * k));
     side.half.push_back(Eigen::Map<const Vec3s>(half.data() + 3 * k));
     side.axes.push_back(Eigen::Map<const RowMatrix>(axes.data() + 9 * k));
   }
+  side.enclose();
   return side;
 }
 

@@ -21,6 +21,25 @@ struct Side {
   const double* supports;               // How far pieces reach (body, direction, piece), see supports.py.
   size_t directions, width, cells;      // Number of directions, of pieces that a body has at most, of cells.
 
+  // A ball around the centres of a body, and the largest radius of its pieces.
+  struct Whole {
+    Vec3s center = Vec3s::Zero();
+    double spread = 0, radius = -kInfinity;
+  };
+  std::vector<Whole> whole;
+
+  void enclose() {
+    for (size_t k = 0; k + 1 < first.size(); ++k) {
+      Whole of;
+      for (int64_t i = first[k]; i < first[k + 1]; ++i) of.center += center[i] / double(first[k + 1] - first[k]);
+      for (int64_t i = first[k]; i < first[k + 1]; ++i) {
+        of.spread = std::max(of.spread, (center[i] - of.center).norm());
+        of.radius = std::max(of.radius, radius[i]);
+      }
+      whole.push_back(of);
+    }
+  }
+
   int64_t begin(int64_t pair) const { return first[body[pair]]; }
   int64_t count(int64_t pair) const { return first[body[pair] + 1] - begin(pair); }
 
@@ -50,13 +69,17 @@ struct Warm {
 
 // What one thread writes to in a search.
 struct Scratch {
-  Eigen::Matrix<double, Eigen::Dynamic, 3> y;    // Centres of the balls of b in the frame of a,
-  std::vector<double> y_square;                  // and the squares of their lengths.
-  std::vector<double> square, gap;               // Of centres, for all columns: squared distance; likelihood.
+  Eigen::Matrix<double, Eigen::Dynamic, 3> y;  // Centres of the balls of b in the frame of a,
+  std::vector<double> y_square;                // and the squares of their lengths.
+  std::vector<double> between;                 // How near a piece of a is to any centre of b at least.
+  std::vector<double> row;                     // Of one piece of a and all of b.
   std::vector<double> reach_a, reach_b;
   std::vector<Entry> left;
   std::vector<Entry>* trace = nullptr;  // Where the queries that are asked are noted, if anywhere.
 };
+
+// Rounding must not make squared distances longer, nor distances by more than this.
+constexpr double kShorter = 1.0 - 16 * std::numeric_limits<double>::epsilon(), kRounding = 1e-9;
 
 class Search {
  public:
@@ -91,46 +114,60 @@ class Search {
   }
 
  private:
-  // The squared distances of the centres of all columns, which rounding must not make longer.
   void place(int64_t pair, const Transform3s& T, Scratch& scratch) const {
-    constexpr double shorter = 1.0 - 16 * std::numeric_limits<double>::epsilon();
     const int64_t count_a = a.count(pair), count_b = b.count(pair);
-    scratch.y.resize(count_b, 3);
-    scratch.y_square.resize(count_b);
-    scratch.square.resize(count_a * count_b);
+    scratch.y.resize(count_b, 3), scratch.y_square.resize(count_b), scratch.row.resize(count_b);
     for (int64_t j = 0; j < count_b; ++j) {
       const Vec3s y = T.getRotation() * b.center[b.begin(pair) + j] + T.getTranslation();
       scratch.y.row(j) = y;
-      scratch.y_square[j] = shorter * y.squaredNorm();
+      scratch.y_square[j] = kShorter * y.squaredNorm();
     }
-    const double *y0 = scratch.y.col(0).data(), *y1 = scratch.y.col(1).data(), *y2 = scratch.y.col(2).data();
-    const double* y_square = scratch.y_square.data();
-    for (int64_t i = 0; i < count_a; ++i) {
-      const Vec3s& x = a.center[a.begin(pair) + i];
-      const double x0 = -2 * x[0], x1 = -2 * x[1], x2 = -2 * x[2], x_square = shorter * x.squaredNorm();
-      double* out = scratch.square.data() + i * count_b;
-      for (int64_t j = 0; j < count_b; ++j)
-        out[j] = std::max(x0 * y0[j] + x1 * y1[j] + x2 * y2[j] + x_square + y_square[j], 0.0);
-    }
+    const Side::Whole& whole = b.whole[b.body[pair]];
+    const Vec3s middle = T.getRotation() * whole.center + T.getTranslation();
+    scratch.between.resize(count_a);
+    for (int64_t i = 0; i < count_a; ++i)
+      scratch.between[i] = (a.center[a.begin(pair) + i] - middle).norm() - whole.spread - kRounding;
   }
 
-  double ball_bound(int64_t pair, int64_t column, const Scratch& scratch) const {
+  // The squared distances from the center of a's piece i to those of all of b.
+  const double* squares(int64_t pair, int64_t i, Scratch& scratch) const {
+    const Vec3s &x = a.center[a.begin(pair) + i], u = -2 * x;
+    const double *y0 = scratch.y.col(0).data(), *y1 = scratch.y.col(1).data(), *y2 = scratch.y.col(2).data();
+    const double *y_square = scratch.y_square.data(), x_square = kShorter * x.squaredNorm();
+    double* row = scratch.row.data();
+    const int64_t count = scratch.row.size();
+    for (int64_t j = 0; j < count; ++j)
+      row[j] = std::max(u[0] * y0[j] + u[1] * y1[j] + u[2] * y2[j] + x_square + y_square[j], 0.0);
+    return row;
+  }
+
+  double ball_bound(int64_t pair, int64_t column, Scratch& scratch) const {
     const auto [i, j] = split(pair, column);
-    return std::sqrt(scratch.square[column]) - (a.radius[i] + b.radius[j]);
+    const double* square = squares(pair, i - a.begin(pair), scratch);
+    return std::sqrt(square[j - b.begin(pair)]) - (a.radius[i] + b.radius[j]);
   }
 
   // The closest piece pair with balls of half the size: pieces seldom fill theirs.
   int64_t likeliest(int64_t pair, Scratch& scratch) const {
     const int64_t count_a = a.count(pair), count_b = b.count(pair);
-    const double* radius_b = b.radius.data() + b.begin(pair);
-    scratch.gap.resize(scratch.square.size());
-    for (int64_t i = 0; i < count_a; ++i) {
-      const double radius = a.radius[a.begin(pair) + i];
-      const double* square = scratch.square.data() + i * count_b;
-      double* gap = scratch.gap.data() + i * count_b;
-      for (int64_t j = 0; j < count_b; ++j) gap[j] = std::sqrt(square[j]) - 0.5 * (radius + radius_b[j]);
+    const double *radius_a = a.radius.data() + a.begin(pair), *radius_b = b.radius.data() + b.begin(pair);
+    const double widest = b.whole[b.body[pair]].radius;
+    const auto& between = scratch.between;
+    int64_t start = 0, best = 0;
+    for (int64_t i = 1; i < count_a; ++i)
+      if (between[i] - 0.5 * radius_a[i] < between[start] - 0.5 * radius_a[start]) start = i;
+    double least = kInfinity;
+    // The most promising piece first rules out most others.
+    for (int64_t k = 0; k < count_a; ++k) {
+      const int64_t i = k == 0 ? start : k <= start ? k - 1 : k;
+      if (between[i] - 0.5 * (radius_a[i] + widest) > least) continue;
+      squares(pair, i, scratch);
+      double* gap = scratch.row.data();
+      for (int64_t j = 0; j < count_b; ++j) gap[j] = std::sqrt(gap[j]) - 0.5 * (radius_a[i] + radius_b[j]);
+      const int64_t j = std::min_element(gap, gap + count_b) - gap, column = i * count_b + j;
+      if (gap[j] < least || (gap[j] == least && column < best)) least = gap[j], best = column;
     }
-    return std::min_element(scratch.gap.begin(), scratch.gap.end()) - scratch.gap.begin();
+    return best;
   }
 
   // Ask all but one column that can still beat what was found.
@@ -156,15 +193,18 @@ class Search {
   // The columns whose balls are nearer than `best`.
   void below(int64_t pair, double best, int64_t done, Scratch& scratch) const {
     scratch.left.clear();
+    const int64_t count_b = b.count(pair);
     const double* radius_b = b.radius.data() + b.begin(pair);
-    int64_t column = 0;
-    for (int64_t i = a.begin(pair); i < a.begin(pair) + a.count(pair); ++i) {
-      for (int64_t j = 0; j < b.count(pair); ++j, ++column) {
-        const double radii = a.radius[i] + radius_b[j], reach = best + radii, square = scratch.square[column];
+    for (int64_t i = 0; i < a.count(pair); ++i) {
+      const double radius = a.radius[a.begin(pair) + i];
+      if (scratch.between[i] - radius - b.whole[b.body[pair]].radius >= best) continue;
+      const double* square = squares(pair, i, scratch);
+      for (int64_t j = 0; j < count_b; ++j) {
+        const double radii = radius + radius_b[j], reach = best + radii;
         // Most are ruled out without a root.
-        if (reach <= 0 || square > reach * reach * (1 + 1e-14) || column == done) continue;
-        const double bound = std::sqrt(square) - radii;
-        if (bound < best) scratch.left.push_back({bound, column});
+        if (reach <= 0 || square[j] > reach * reach * (1 + 1e-14) || i * count_b + j == done) continue;
+        const double bound = std::sqrt(square[j]) - radii;
+        if (bound < best) scratch.left.push_back({bound, i * count_b + j});
       }
     }
   }

@@ -57,7 +57,7 @@ def picture(progress: Progress, width: int = 80) -> list[str]:
 def test_a_file_gets_a_line_now_and_then_and_at_each_failure(clock: Clock):
     console = plain()
     with Progress(console, shards(4), 2, skipped=20, clock=clock) as progress:
-        assert said(console) == ["refining 40 grasps in 4 shards, 20 were done before"]
+        assert said(console) == ["refining 40 grasps in 4 shards with 2 workers, 20 were done before"]
         for _ in range(50):
             clock.now += 0.2
             progress.beat(0, "refining", 0.4)

@@ -1,7 +1,7 @@
 """Queries that a refinement does not ask: of what is far, cannot win, or is rejected anyway; and those it warm-starts.
 
 A refinement asks through `query_near`. To undo a skip, the whole refinement runs again and asks through one of the
-functions here. Answers are the same to rounding, and so is what comes out.
+functions here. Answers are the same to rounding, and so is what comes out, unless rounding grows over many iterations.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from grasp_refine.self_collision import Sampling, candidate_pairs, judged_pairs,
 
 from .skip import Skip, timed
 
-CONFIGURATIONS = 64
+CONFIGURATIONS = 512
 """Random configurations at which pairs of links are asked."""
 
 PROGRAM = """
