@@ -132,31 +132,88 @@ def render(
     return image
 
 
-def _rasterize(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nearest face (H, W), -1 for none, its barycentric weights (H, W, 3), and depth (H, W) in metres."""
+def _rasterize(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Nearest face (H, W), -1 for none, and depth (H, W) in metres; of several at the same depth the first face."""
     shape = camera.height, camera.width
-    nearest, weights, depths = np.full(shape, -1), np.zeros((*shape, 3)), np.full(shape, np.inf)
-    corners = camera.project(vertices)[faces]
-    size = (camera.width, camera.height)
-    low = np.clip(np.floor(corners[:, :, :2].min(axis=1)), 0, size).astype(int)
-    high = np.clip(np.ceil(corners[:, :, :2].max(axis=1)) + 1, 0, size).astype(int)
-    for index, ((ax, ay, az), (bx, by, bz), (cx, cy, cz)) in enumerate(corners):
-        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        (x0, y0), (x1, y1) = low[index], high[index]
-        if abs(area) < 1e-9 or x0 >= x1 or y0 >= y1:
-            continue
-        x, y = np.arange(x0, x1) + 0.5, np.arange(y0, y1)[:, None] + 0.5
-        u = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area  # of b
-        v = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area  # of c
-        weight = np.stack([1.0 - u - v, u, v], axis=-1)
-        # In a perspective picture the inverse of the depth, not the depth, is linear in pixels.
-        depth = 1.0 / (weight @ [1 / az, 1 / bz, 1 / cz]) if camera.perspective else weight @ [az, bz, cz]
-        window = np.s_[y0:y1, x0:x1]
-        front = (weight.min(axis=-1) >= -1e-9) & (depth < depths[window])
-        depths[window][front] = depth[front]
-        nearest[window][front] = index
-        weights[window][front] = weight[front]
-    return nearest, weights, depths
+    x, y, depth = np.moveaxis(camera.project(vertices)[faces.T], -1, 0)
+    # In a perspective picture the inverse of the depth, not the depth, is linear in pixels.
+    key = -1.0 / depth if camera.perspective else depth
+    nearest, least = np.full(camera.height * camera.width, -1), np.full(camera.height * camera.width, np.inf)
+    for face, begin, count, start, slope in _spans(x, y, key, shape):
+        span, step = _counted(count)
+        pixel, value = begin[span] + step, start[span] + slope[span] * step
+        nearer = np.flatnonzero(value < least[pixel])
+        span, pixel, value = span[nearer], pixel[nearer], value[nearer]
+        np.minimum.at(least, pixel, value)
+        # Of values assigned to the same pixel the last one stays, so that the order is turned round.
+        won = np.flatnonzero(value == least[pixel])[::-1]
+        nearest[pixel[won]] = face[span[won]]
+    if camera.perspective:
+        least = np.divide(-1.0, least, out=np.full(len(least), np.inf), where=nearest >= 0)
+    return nearest.reshape(shape), least.reshape(shape)
+
+
+def _spans(
+    x: np.ndarray, y: np.ndarray, key: np.ndarray, shape: tuple[int, int]
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """What triangles cover, row by row: on the line of a row their weights are linear, so it lies between two columns.
+
+    Args:
+        x: Pixel coordinates of the corners (3, F), to the right.
+        y: The same, downwards.
+        key: Values (3, F) at the corners of what is linear in between.
+        shape: Height and width of the picture.
+
+    Yields:
+        Face, first pixel (counted row by row), number of pixels, key there and how much it grows from pixel to pixel;
+        one for each span (S,), in order of faces, in blocks of about `BLOCK` pixels.
+    """
+    left, right = _centers(x, shape[1])
+    top, bottom = _centers(y, shape[0])
+    area = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0])
+    box = (right - left) * (bottom - top)
+    drawn = np.flatnonzero((box > 0) & (np.abs(area) >= 1e-9))
+    block = np.cumsum(box[drawn]) // BLOCK
+    for some in np.split(drawn, np.flatnonzero(np.diff(block)) + 1):
+        (ax, bx, cx), (ay, by, cy), (a, b, c) = x[:, some], y[:, some], key[:, some]
+        # By how much the weights of a, b and c, and so the key, grow from pixel to pixel to the right and downwards.
+        to_right = np.stack([by - cy, cy - ay, ay - by]) / area[some]
+        downwards = np.stack([cx - bx, ax - cx, bx - ax]) / area[some]
+        key_right, key_down = ((b - a) * weight[1] + (c - a) * weight[2] for weight in (to_right, downwards))
+        # In which column, from a's on, a weight is zero: at + shift * (rows from a's on). A tiny slope stands for none.
+        slope = np.where(to_right == 0.0, 1e-30, to_right)
+        at, shift = (-SLACK - np.array([[1.0], [0.0], [0.0]])) / slope, -downwards / slope
+
+        face, row = _counted((bottom - top)[some])
+        row += top[some][face]
+        below = row + 0.5 - ay[face]
+        zero, rising = at[:, face] + shift[:, face] * below, (slope > 0.0)[:, face]
+        begin = np.where(rising, zero, -np.inf).max(axis=0) + (ax[face] - 0.5)
+        end = np.where(rising, np.inf, zero).min(axis=0) + (ax[face] + 0.5)
+        low, high = left[some][face], right[some][face]
+        begin, end = (np.clip(edge, low, high).astype(int) for edge in (np.ceil(begin), np.floor(end)))
+        full = np.flatnonzero(begin < end)
+        face, row, begin, end, below = (array[full] for array in (face, row, begin, end, below))
+        start = a[face] + key_right[face] * (begin + 0.5 - ax[face]) + key_down[face] * below
+        yield some[face], row * shape[1] + begin, end - begin, start, key_right[face]
+
+
+def _centers(corners: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """First and, plus one, last pixel (F,) of `size` whose centre may lie between the corners (3, F)."""
+    low, high = np.ceil(corners.min(axis=0) - 0.5), np.floor(corners.max(axis=0) + 0.5)
+    return np.clip(low, 0, size).astype(int), np.clip(high, 0, size).astype(int)
+
+
+def _counted(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each index as often as `count` (N,) says, and beside it 0, 1, 2 ... from its first time on."""
+    which = np.repeat(np.arange(len(count)), count)
+    return which, np.arange(len(which)) - (np.cumsum(count) - count)[which]
+
+
+def _weights(vertices: np.ndarray, faces: np.ndarray, camera: Camera, pixel: np.ndarray) -> np.ndarray:
+    """Barycentric weights (N, 3) in faces (N, 3) at the centres of pixels (N,), counted row by row."""
+    x, y, depth = np.moveaxis(camera.project(vertices)[faces.T], -1, 0)
+    raise NotImplementedError
 
 
 def _unshadowed(

@@ -30,7 +30,7 @@ Stage = Literal[
 - loading: files, convex pieces, and what is built once for a hand and an object.
 - kinematics: poses and joint axes of links.
 - broad phase: which pieces can matter, and what goes into the narrow phase and comes out of it.
-- narrow phase: coal; of the native engine, with the choice of pieces in its loop.
+- narrow phase: coal; of the compiled engine, with the choice of pieces in its loop.
 - derivative: residuals with their Jacobians, and gradients.
 - solver: loss, steps and accounts of the loop.
 - forces: quadratic programs of contact forces.

@@ -165,8 +165,9 @@ import sys
 sys.meta_path = [finder for finder in sys.meta_path if not type(finder).__module__.startswith("_editable")]
 sys.path.insert(0, {str(site)!r})
 from grasp_refine.collision.engine import engines
+found = engines()
 import grasp_refine.collision._native as native
-print(*engines(), native.__file__.startswith({str(site)!r}))
+print(*found, native.__file__.startswith({str(site)!r}))
 """
     environment = {name: value for name, value in os.environ.items() if name != "LD_LIBRARY_PATH"}
     result = subprocess.run([sys.executable, "-c", code], env=environment, cwd=site, capture_output=True, text=True)

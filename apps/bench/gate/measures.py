@@ -36,7 +36,8 @@ from ..queries.bodies import make_pairs
 from ..queries.cases import DISTANCE, Case
 from ..queries.peers import fresh_coal
 from ..queries.poses import draw_poses
-from ..queries.runner import CaseJob, Measured, one_thread
+from ..queries.runner import CaseJob, Measured
+from ..queries.skips.skip import one_thread
 from ..queries.timing import cpu_times
 from ..shares import REST, cpu_share
 from .ratios import Group
