@@ -17,7 +17,7 @@ from grasp_refine.grasps import OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
 from grasp_refine.hand import HAND_TOML, load_hand
 from grasp_refine.report.verdict import HOLDS
 
-BENCHES = ("bench align", "bench grasp", "bench hold", "bench --gate")
+BENCHES = ("bench align", "bench queries", "bench grasp", "bench hold", "bench --gate")
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -101,12 +101,12 @@ def test_the_links_and_places_exist():
 
 def test_the_options_are_those_of_the_commands():
     known = set()
-    for command in ("run", "validate", "view", "hands", "convert", "assets fetch", *BENCHES):
+    for command in ("run", "batch", "validate", "view", "hands", "convert", "assets fetch", *BENCHES):
         code = f"from grasp_refine.cli import main; main([*{command.split()}, '--help'])"
         result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
         known |= set(re.findall(r"--[a-z][\w.-]*", result.stdout))
     named = set(re.findall(r"`(--[a-z][\w.-]*)", TEXT)) | set(re.findall(r" (--[a-z][\w.]*-?[\w.]*) ", TEXT))
-    elsewhere = {"--help"}
+    elsewhere = {"--help", "--scheduler-file", "--nworkers", "--nthreads", "--parsable", "--wrap"}
     assert {"--hand", "--transport", "--distance.coupling", "--preset"} <= named
     assert named - elsewhere <= known
 
@@ -116,7 +116,10 @@ def test_the_quality_from_which_on_grasps_should_hold_is_told():
     assert len(told) >= 3 and set(told) == {f"{HOLDS:.3f}"}
 
 
-@pytest.mark.parametrize(("heading", "bench"), [("Benchmarks", "align"), ("Benchmark of grasps", "grasp")])
+@pytest.mark.parametrize(
+    ("heading", "bench"),
+    [("Benchmarks", "align"), ("Benchmark of queries", "queries"), ("Benchmark of grasps", "grasp")],
+)
 def test_the_presets_of_the_benchmarks_are_listed(heading: str, bench: str):
     presets = import_module(f"grasp_refine.apps.bench.{bench}.presets").PRESETS
     section = TEXT.partition(f"## {heading}\n")[2].partition("\n## ")[0]
