@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -68,7 +69,7 @@ class Camera:
     perspective: bool = True
     """False: a parallel projection."""
 
-    @property
+    @cached_property
     def axes(self) -> Float[np.ndarray, "3 3"]:
         """Unit vectors to the right, down and forward, as rows, world frame; world z is up in the picture."""
         forward = (self.target - self.eye) / np.linalg.norm(self.target - self.eye)

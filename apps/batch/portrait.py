@@ -213,12 +213,10 @@ def _photo(hand: list[Model], obj: Model, camera: Camera) -> Float[np.ndarray, "
     """Hand and slightly transparent object before the background; red, green, blue in [0, 1]."""
     right, down, forward = camera.axes
     light = LIGHT[0] * right - LIGHT[1] * down - forward
-
-    def on_background(models: list[Model]) -> np.ndarray:
-        image = render(models, camera, light, SHADOW_SIZE)
-        return image[..., :3] * image[..., 3:] + np.array(BACKGROUND) * (1.0 - image[..., 3:])
-
-    return OPACITY * on_background([*hand, obj]) + (1.0 - OPACITY) * on_background(hand)
+    image = OPACITY * render([*hand, obj], camera, light, SHADOW_SIZE)
+    image += (1.0 - OPACITY) * render(hand, camera, light, SHADOW_SIZE)
+    # Where there is nothing the picture is black, so that the background can be added.
+    return image[..., :3] + np.array(BACKGROUND) * (1.0 - image[..., 3:])
 
 
 def _png(photo: np.ndarray, scale: float) -> bytes:

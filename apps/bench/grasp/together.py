@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -58,7 +59,8 @@ def _received(child: Any, mine: Connection) -> Any:
 
 
 def _do(work: Callable[[Callable[[], None]], Any], barrier: Barrier, told: Connection) -> None:
-    """The child's part."""
+    """The child's part, with one thread: the other cores are for the others."""
+    os.environ["OMP_NUM_THREADS"] = "1"
     try:
         result = work(lambda: barrier.wait(PATIENCE))
     except Exception as error:
