@@ -200,13 +200,13 @@ def _seen(points: np.ndarray, wanted: np.ndarray, direction: np.ndarray, near: f
     if not wanted.any():
         return 0.0
     axes = Camera(direction, np.zeros(3), 1, 1, 1.0, perspective=False).axes
-    at = points @ axes.T
-    cell = np.round(at[:, :2] / near).astype(int)
-    cell -= cell.min(0)
-    key = cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1]
+    x, y, depth = axes @ points.T
+    column, row = (np.round(at / near).astype(int) for at in (x, y))
+    column, row = column - column.min(), row - row.min()
+    key = column * (row.max() + 1) + row
     nearest = np.full(key.max() + 1, np.inf)
-    np.minimum.at(nearest, key, at[:, 2])
-    return float((at[wanted, 2] < nearest[key[wanted]] + near).mean())
+    np.minimum.at(nearest, key, depth)
+    return float((depth[wanted] < nearest[key[wanted]] + near).mean())
 
 
 def _photo(hand: list[Model], obj: Model, camera: Camera) -> Float[np.ndarray, "H W 3"]:

@@ -51,7 +51,5 @@ def chosen(engine: str) -> str:
     if asked not in get_args(Engine):
         raise CollisionError(f"{where} is '{asked}'; choose {', '.join(get_args(Engine))}")
     if asked == "native" and why_not_native():
-        raise CollisionError(
-            f"{where} is 'native', which is not there ({why_not_native()}); choose auto or python"
-        )
+        raise CollisionError(f"{where} is 'native', which is not there ({why_not_native()}); choose auto or python")
     return engines()[0] if asked == "auto" else asked

@@ -30,6 +30,7 @@ from grasp_refine.apps.batch.rows import read_rows
 from grasp_refine.apps.batch.shard import Shard
 from grasp_refine.apps.batch.table import batch_table
 from grasp_refine.apps.batch.worst import Case
+from grasp_refine.collision.engine import chosen
 from grasp_refine.commands.batch_document import save_batch
 from grasp_refine.commands.batch_session import Session, Summary
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
@@ -150,7 +151,13 @@ class Batch:
         config, protocol, part = self._checked()
         out = self.output.out.absolute()
         index = index_path(out, self.output.index)
-        described = {"refine": settings(config), "proof": settings(self.proof), "protocol": settings(protocol)}
+        described = {
+            "refine": settings(config),
+            "proof": settings(self.proof),
+            "protocol": settings(protocol),
+            # Both engines give the same to rounding, but not to the last bit.
+            "engine": chosen("auto"),
+        }
         console = screen(stderr=True)
         with _terminated_as_interrupted():
             with Progress(console, (), 1) as progress:
