@@ -24,7 +24,7 @@ SHADOW_BIAS = 0.0012
 """How much farther from the light than the shadow map says (metres) a point must be to lie in shadow."""
 SLACK = 1e-9
 """A triangle is larger than it is by this share of its height, so that no gaps open between neighbours."""
-BLOCK = 2**17
+BLOCK = 2**16
 """Triangles are drawn together up to so many pixels of the boxes around them, which bounds the memory."""
 OUTLINE, CREASE = 0.006, 0.0005
 """Depth step between neighbouring pixels (metres) that is drawn as an outline: in a model, between two models."""
@@ -126,7 +126,8 @@ def render(
     x, y = pixel % camera.width + 0.5, pixel // camera.width + 0.5
     point = camera.lift(x, y, depth.ravel()[pixel])
     corners = faces[seen].T
-    weight = _weights(*np.moveaxis(camera.project(vertices)[corners], -1, 0)[:2], x, y)
+    on_screen = camera.project(vertices)
+    weight = _weights(on_screen[:, 0][corners], on_screen[:, 1][corners], x, y)
     normal = _unit(sum(share[:, None] * normals[corner] for share, corner in zip(weight, corners, strict=True)))
     view = _unit(camera.eye - point)
     normal *= np.where(_dot(normal, view) < 0, -1.0, 1.0)[:, None]
@@ -242,12 +243,12 @@ def _counted(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return which, np.arange(len(which)) - (np.cumsum(count) - count)[which]
 
 
-def _weights(x: np.ndarray, y: np.ndarray, at_x: np.ndarray, at_y: np.ndarray) -> np.ndarray:
-    """Barycentric weights (3, N) at pixel coordinates (N,) in triangles with these corners (3, N)."""
-    (ax, bx, cx), (ay, by, cy) = x, y
+def _weights(corner_x: np.ndarray, corner_y: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Barycentric weights (3, N) of the corners (3, N) at pixel coordinates x (N,) and y (N,)."""
+    (ax, bx, cx), (ay, by, cy) = corner_x, corner_y
     area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    u = ((at_x - ax) * (cy - ay) - (at_y - ay) * (cx - ax)) / area  # of b
-    v = ((bx - ax) * (at_y - ay) - (by - ay) * (at_x - ax)) / area  # of c
+    u = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area  # of b
+    v = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area  # of c
     return np.stack([1.0 - u - v, u, v])
 
 
