@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from grasp_refine.apps.batch.shard import Shard
+
 from grasp_refine.assets import resource_dir
 from grasp_refine.commands.inputs import Inputs
 from grasp_refine.commands.job_list import read_jobs

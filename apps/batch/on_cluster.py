@@ -12,6 +12,7 @@ from pathlib import Path
 import distributed
 
 import grasp_refine
+from grasp_refine.collision.engine import chosen
 
 from .attempt import attempt
 from .shard import Done, Failed, Shard
@@ -40,6 +41,8 @@ def seen(probe: Path) -> Seen:
         ("grasp-refine", grasp_refine.__version__),
         ("Python", ".".join(platform.python_version_tuple()[:2])),
         ("distributed", distributed.__version__),
+        # Engines give the same to rounding, but not to the last bit.
+        ("collision engine", chosen("auto")),
     )
     return Seen(versions, probe.is_file(), os.access(probe.parent, os.W_OK))
 

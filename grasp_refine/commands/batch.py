@@ -289,9 +289,8 @@ class Batch:
                     for result in results:
                         session.take(result, by_number[result.number], progress)
             except KeyboardInterrupt:
-                progress.say(
-                    f"{len(session.complete)} of {session.asked} shards are complete; the same command goes on from there"
-                )
+                there = f"{len(session.complete)} of {session.asked} shards are complete"
+                progress.say(f"{there}; the same command goes on from there")
                 raise
         session.wall_s = time.perf_counter() - began
 

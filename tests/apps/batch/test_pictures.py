@@ -134,6 +134,19 @@ def test_hands_are_drawn_with_few_triangles_that_stay_where_they_were(name: str)
         assert (np.ptp(model.vertices, axis=0) > high - low - 1.2e-2).all(), link.name
 
 
+def test_a_point_is_seen_from_where_no_other_hides_it():
+    y, z = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41)))
+    wall, points = np.stack([np.ones(y.shape), y, z], axis=1), np.array([[0.0, 0.3, 0.1], [0.0, 0.5, 3.0]])
+    wanted = np.arange(len(wall) + 2) >= len(wall)
+    seen = [
+        portraits._seen(np.concatenate([wall, points]), wanted, np.array(direction), 0.2)
+        for direction in ([1.0, 0.0, 0.0], [-1.0, 0.0, 0.0])
+    ]
+    # The second looks over the wall.
+    assert seen == [0.5, 1.0]
+    assert portraits._seen(wall, np.zeros(len(wall), dtype=bool), np.array([1.0, 0.0, 0.0]), 0.2) == 0.0
+
+
 def test_an_object_of_any_size_and_many_triangles_can_be_drawn(allegro: Hand, small: None):
 
     import trimesh

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from grasp_refine.apps.batch.record import (
     State,
     clean,
@@ -18,6 +17,7 @@ from grasp_refine.apps.batch.record import (
     state_of,
 )
 from grasp_refine.apps.batch.shard import Failed, Shard
+
 from grasp_refine.errors import GraspRefineError
 
 
