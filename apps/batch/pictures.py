@@ -19,7 +19,7 @@ from .portrait import Bones, Pose, bones, portrait
 from .worst import Case
 
 PATIENCE = 60.0
-"""CPU seconds after which no further picture is begun; a dozen takes a quarter of it."""
+"""CPU seconds after which no further picture is begun; a dozen takes a few."""
 
 Load = Callable[[Case], tuple[Hand, Object]]
 """Gives the hand and the object of a case."""
