@@ -2,12 +2,30 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import platform
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from grasp_refine.errors import GraspRefineError
+
+_BETWEEN = ".partial."
+"""What stands in the names of files that are being written between the process and the machine."""
+
+
+def half_written(name: str) -> tuple[int | None, str]:
+    """The process of this machine that wrote such a file, and what it would be called; None: it is none."""
+    pid, between, rest = name.removeprefix(".").partition(_BETWEEN)
+    host, _, whole = rest.partition(".")
+    ours = name.startswith(".") and between and pid.isdecimal() and host == _here()
+    return (int(pid), whole) if ours else (None, name)
+
+
+def _here() -> str:
+    """This machine: several may write into one folder, and have processes of the same number."""
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
 
 
 @contextmanager
@@ -27,7 +45,7 @@ def written_whole(path: str | Path, error: type[GraspRefineError] = GraspRefineE
     path = Path(path)
     # Beside the target, so that os.replace stays within one file system; not by tempfile, whose files nobody else
     # may read.
-    partial = path.with_name(f".{os.getpid()}.partial.{path.name}")
+    partial = path.with_name(f".{os.getpid()}{_BETWEEN}{_here()}.{path.name}")
     try:
         if path.is_symlink() or (path.exists() and not path.is_file()):
             yield path

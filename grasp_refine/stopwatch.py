@@ -74,7 +74,8 @@ class Stopwatch:
     _token: Token | None = None
 
     def __enter__(self) -> Stopwatch:
-        """Begin to count what happens in this context, instead of a stopwatch that runs in it already."""
+        """Begin to count what happens in this context, instead of another one that runs in it already."""
+        assert not self.running, "it runs already"
         self._token = _RUNNING.set(self)
         self._since, self._children = _now(), _of_children()
         self._open.append("other")
@@ -116,9 +117,10 @@ class Stopwatch:
         self.spent[name].calls += 1
 
     def end(self) -> None:
-        """The stage ends that began last."""
-        self._count()
-        self._open.pop()
+        """The stage ends that began last, unless the stopwatch stopped in the middle of it."""
+        if len(self._open) > 1:
+            self._count()
+            self._open.pop()
 
     def _count(self, *, last: bool = False) -> None:
         """What passed since the last time counts for the present stage."""
@@ -181,6 +183,11 @@ def count_queries(asked: Any) -> None:
     watch = _RUNNING.get()
     if watch is not None:
         watch.queries += int(np.sum(asked))
+
+
+def cpu_seconds() -> float:
+    """CPU time of this process so far: of all its threads, and of the child processes that have ended."""
+    return time.process_time() + _of_children()
 
 
 def _now() -> tuple[float, float]:

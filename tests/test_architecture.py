@@ -14,7 +14,9 @@ ROOT = Path(__file__).resolve().parents[1] / PACKAGE
 ORDER = (
     "errors",
     "versions",
+    "cores",
     "stopwatch",
+    "cores",
     "se3",
     "batch",
     "assets",

@@ -169,12 +169,25 @@ def test_other_settings_and_other_inputs_are_made_anew(
     assert all(int(row["iterations"]) <= 5 for row in index(copy))
 
 
-def test_parts_of_a_batch_make_up_the_whole(whole: Path, sources: Path, tmp_path: Path):
+@pytest.mark.slow
+def test_parts_of_a_batch_make_up_the_whole(
+    whole: Path, sources: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     out = tmp_path / "out"
     for part in ("2/2", "1/2"):
-        assert batch(sources, "--out", out, "--shard-size", 3, "--shard", part, *QUICK) == 0
-        assert len(index(out)) == (4 if part == "2/2" else 8)
+        command = ("--out", out, "--shard-size", 3, "--shard", part, "--json", tmp_path / "part.json")
+        assert batch(sources, *command, *WITH_REPORT) == 0
+        assert json.loads((tmp_path / "part.json").read_text())["totals"]["n"] == 4
+        assert "written by the same command without --shard" in " ".join(capsys.readouterr().out.split())
+    assert {path.name for path in out.iterdir()} == {"example_bottle", "example_rounded_box"}
+    assert batch(sources, "--out", out, "--shard-size", 3, *QUICK) == 0
+    assert (out / "index.csv").exists()
     assert_same(out, whole)
+
+
+def test_a_part_without_shards_is_done(sources: Path, tmp_path: Path):
+    command = ("--out", tmp_path / "out", "--shard", "3/20", "--index", "csv")
+    assert batch(sources / "example_bottle.npz", *command) == 0
 
 
 def test_bad_jobs_among_good_ones_are_named_and_the_rest_is_done(
@@ -225,11 +238,21 @@ def test_bad_jobs_among_good_ones_are_named_and_the_rest_is_done(
     assert not list(out.rglob("*.failed.json"))
 
 
-def test_results_are_no_grasps_of_the_next_run(tmp_path: Path, sources: Path, capsys: pytest.CaptureFixture[str]):
-    shutil.copy(sources / "example_bottle.npz", tmp_path)
-    for _ in range(2):
-        assert batch(tmp_path, "--out", tmp_path / "out", *QUICK) == 0
-        assert len(index(tmp_path / "out")) == 4
+def test_results_are_no_grasps_of_the_next_run(
+    copy: Path, sources: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    """Neither those of the same command, by whatever path, nor those of another one."""
+    folder = copy.parent
+    for name in ("rounded_box", "bottle"):
+        shutil.copy(sources / f"example_{name}.npz", folder)
+    (folder / "below").mkdir()
+    monkeypatch.chdir(folder / "below")
+    assert batch("..", "--out", "../below/../out", "--shard-size", 3, *QUICK) == 0
+    assert "4 of 4 shards are complete and skipped" in capsys.readouterr().err
+    copy.rename(folder / "older")
+    monkeypatch.chdir(folder)
+    assert batch(".", "--out", "older2", "--shard", "4/4", "--shard-size", 3, *QUICK) == 0
+    assert "4 files are results of a batch and no grasps to refine" in " ".join(capsys.readouterr().err.split())
 
 
 def test_simulation_and_where_the_time_goes_are_part_of_the_results(
@@ -250,6 +273,7 @@ def test_simulation_and_where_the_time_goes_are_part_of_the_results(
     assert "narrow phase" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_sampled_grasps_are_a_job(tmp_path: Path):
     out = tmp_path / "out"
     options = ("--hand", "allegro", "--object", "rounded_box", "--shard-size", 2, *QUICK)
@@ -284,10 +308,28 @@ def test_bad_input_is_refused(
     assert said in refused(capfd, "batch", *arguments)
 
 
-def test_results_take_the_place_of_no_input(workplace: Path, sources: Path, capfd: pytest.CaptureFixture[str]):
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("grasps.npz", "--out", "out", "--json", "grasps.npz"),
+        ("lists/index.csv", "--out", "lists", "--index", "csv"),
+    ],
+    ids=["grasps", "list"],
+)
+def test_results_take_the_place_of_no_input(
+    workplace: Path, sources: Path, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...]
+):
     shutil.copy(sources / "example_bottle.npz", "grasps.npz")
-    message = refused(capfd, "batch", "grasps.npz", "--out", "out", "--json", "grasps.npz")
-    assert "grasps.npz: the results would overwrite an input" in message
+    Path("lists").mkdir()
+    Path("lists/index.csv").write_text("grasps\n../grasps.npz\n")
+    message = refused(capfd, "batch", *arguments)
+    assert "the results would overwrite an input" in message
+
+
+def test_an_index_of_somebody_else_stays(copy: Path, sources: Path):
+    (copy / "index.parquet").write_text("mine")
+    assert batch(sources, "--out", copy, "--shard-size", 3, *QUICK) == 0
+    assert (copy / "index.parquet").read_text() == "mine"
 
 
 def running(sources: Path, out: Path, *options: str) -> subprocess.Popen[str]:
@@ -356,6 +398,22 @@ def test_interrupted_it_says_how_to_go_on_and_leaves_nothing_running(
     assert not list((tmp_path / "out").rglob(".*"))
 
 
+def test_a_failure_that_cannot_be_noted_is_told_all_the_same(
+    copy: Path, sources: Path, capsys: pytest.CaptureFixture[str]
+):
+    path = copy / "example_bottle" / "allegro_bottle_00001.npz"
+    path.unlink()
+    path.symlink_to("/dev/full")
+    (note := path.with_name(path.name + ".failed.json")).mkdir()
+    (note / "in the way").touch()
+    command = ("--out", copy, "--shard-size", 3, *QUICK)
+    assert batch(sources, *command, "--json", copy / "full.json") == 1
+    (failed,) = json.loads((copy / "full.json").read_text())["failed"]
+    assert failed["path"] == str(path)
+    assert f"{path.name}.failed.json: cannot be written" in "".join(capsys.readouterr().err.split("\n"))
+
+
+@pytest.mark.slow
 def test_a_full_disk_costs_only_what_cannot_be_written(copy: Path, whole: Path, sources: Path):
     path = copy / "example_bottle" / "allegro_bottle_00001.npz"
     path.unlink()
@@ -376,9 +434,8 @@ def workers_of(process: subprocess.Popen[str]) -> list[int]:
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="there is no /proc to find the workers in")
-@pytest.mark.parametrize(
-    "signal_", [signal.SIGKILL, pytest.param(signal.SIGSTOP, marks=pytest.mark.slow)], ids=["killed", "hung"]
-)
+@pytest.mark.parametrize("signal_", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "hung"])
+@pytest.mark.slow
 def test_a_worker_that_is_lost_is_replaced(tmp_path: Path, sources: Path, signal_: signal.Signals):
     out, summary = tmp_path / "out", tmp_path / "summary.json"
     options = ("--workers", "2", "--no-report", "--patience", "10", "--json", str(summary))
@@ -397,7 +454,9 @@ def test_killed_at_any_moment_it_goes_on_and_comes_out_the_same(tmp_path: Path, 
     options = ("--workers", "2", "--geometry-only", "--no-report", "--index", "csv")
     expected, out = tmp_path / "expected", tmp_path / "out"
     assert finished(running(sources, expected, *options)) == 0
-    random = np.random.default_rng()
+    seed = time.time_ns()
+    print("seed", seed)
+    random = np.random.default_rng(seed)
     for done in range(5):
         process = running(sources, out, *options)
         wait_for(out, done + 1)

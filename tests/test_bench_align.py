@@ -81,8 +81,8 @@ def test_a_run_prints_a_table_and_writes_its_rows(capfd: pytest.CaptureFixture[s
     lines = [line.split() for line in out.splitlines() if line.startswith("distance")]
     assert [line[1] for line in lines] == ["20", "40"] and all(len(line) == 11 for line in lines)
     assert list(found) == [
-        "schema", "command", "invocation", "versions", "machine", "preset", "config", "seed", "wall_s", "cpu_s",
-        "problems", "rows",
+        "schema", "command", "invocation", "versions", "machine", "engine", "preset", "config", "seed", "wall_s",
+        "cpu_s", "problems", "rows",
     ]  # fmt: skip
     assert found["invocation"] == "refine-grasp bench align --kinds convex --pairs 1 --targets 3 --budgets 20 40"
     assert (found["schema"], found["command"], found["preset"], found["seed"]) == (1, "bench align", None, 0)

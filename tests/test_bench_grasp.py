@@ -55,8 +55,8 @@ def test_a_run_prints_its_tables_and_writes_its_rows(capfd: pytest.CaptureFixtur
     assert "allegro example, 2 grasps, given targets" in out and "allegro example, 2 grasps, given nothing" in out
     assert max(map(len, map(str.rstrip, out.splitlines()))) <= 80 and "wrote bench.json" in out
     assert list(found) == [
-        "schema", "command", "invocation", "versions", "machine", "preset", "config", "seed", "wall_s", "cpu_s",
-        "problems", "rows",
+        "schema", "command", "invocation", "versions", "machine", "engine", "preset", "config", "seed", "wall_s",
+        "cpu_s", "problems", "rows",
     ]  # fmt: skip
     assert (found["schema"], found["command"], found["preset"]) == (1, "bench grasp", None)
     assert found["invocation"] == ("refine-grasp bench grasp --object rounded_box --batches 2 --count 2 --noise 0.1")

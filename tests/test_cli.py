@@ -20,6 +20,7 @@ from command_line import PROGRAM, call, interruptible, refused, subprocess_envir
 import grasp_refine
 from grasp_refine.assets import resource_dir
 from grasp_refine.cli import COMMANDS, main
+from grasp_refine.collision.engine import chosen
 from grasp_refine.grasps import load_grasps
 from grasp_refine.hand import load_hand
 
@@ -141,7 +142,10 @@ def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixt
     assert max(map(len, captured.out.splitlines())) <= 80
 
     document = json.loads(Path("deep/report.json").read_text())
-    assert list(document) == ["schema", "command", "versions", "config", "seed", "totals", "profile", "grasps"]
+    assert list(document) == [
+        "schema", "command", "versions", "engine", "config", "seed", "totals", "profile", "grasps"
+    ]  # fmt: skip
+    assert document["engine"] == chosen("auto")
     assert (document["schema"], document["command"], document["seed"]) == (1, "run", 0)
     assert document["versions"]["grasp-refine"] == grasp_refine.__version__
     assert document["config"]["refine"]["solver"]["type"] == "LevenbergMarquardt"
@@ -578,7 +582,7 @@ def test_the_doctor_says_which_engine_answers_queries(
 
     def told(environment: str) -> tuple[str, dict]:
         monkeypatch.setenv("GRASP_REFINE_ENGINE", environment)
-        main(["doctor", "--json", "doctor.json"])
+        assert main(["doctor", "--json", "doctor.json"]) == 0
         (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("engine:"))
         return line.removeprefix("engine:").strip(), json.loads(Path("doctor.json").read_text())["engine"]
 
@@ -588,13 +592,30 @@ def test_the_doctor_says_which_engine_answers_queries(
     else:
         assert line == f"native, compiled for coal {version('coal')}" and found["coal"] == version("coal")
         assert told("python")[0] == "python, the slower one, as GRASP_REFINE_ENGINE says"
-    assert told("fast")[0] == "GRASP_REFINE_ENGINE is 'fast'; choose auto, native, python"
+        from grasp_refine.collision import native_search
+
+        monkeypatch.setattr(native_search, "has_threads", lambda: False)
+        line, found = told("auto")
+        assert line == f"native, compiled for coal {version('coal')}; one thread, as it was built without OpenMP"
+        assert found["threads"] is False
 
     monkeypatch.setattr(doctor, "why_not_native", lambda: "not built")
     monkeypatch.setattr(doctor, "chosen", lambda engine: "python")
     line, found = told("auto")
     assert line == "python, the slower one; native: not built"
-    assert found == {"used": "python", "coal": None, "why_not_native": "not built", "fault": None}
+    assert found == {"used": "python", "coal": None, "threads": None, "why_not_native": "not built", "fault": None}
+
+
+def test_an_engine_that_cannot_be_used_is_a_problem(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setenv("GRASP_REFINE_ENGINE", "fast")
+    assert main(["doctor", "--json", "doctor.json"]) == 1
+    out, said = capsys.readouterr().out, "GRASP_REFINE_ENGINE is 'fast'; choose auto, native, python"
+    assert f"problem: {said}" in " ".join(out.split()) and "engine:  none, see the problem" in out
+    # It is not the installation that is broken.
+    assert "install again" not in out and "everything that is needed" not in out
+    assert json.loads(Path("doctor.json").read_text())["problems"] == [said]
 
 
 def test_the_doctor_names_what_is_missing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):

@@ -41,7 +41,8 @@ def test_a_folder_has_a_job_for_each_grasp_file_below_it_in_natural_order(folder
 
 def test_a_pattern_has_a_job_for_each_match(folder: Path):
     assert [job.name for job in jobs(f"{folder}/*.npz")] == ["b9", "b10"]
-    assert [job.name for job in jobs(f"{folder}/**/*.n*")] == ["b9", "b10", "b9_2"]
+    assert [job.name for job in jobs(f"{folder}/**/*.n*")] == ["b9", "b10", "deep/b9"]
+    assert [job.name for job in jobs(f"{folder}/d*p")] == ["deep/b9", "deep/er/c"]
 
 
 def test_sources_are_joined_and_equal_names_are_told_apart(folder: Path):
@@ -51,6 +52,43 @@ def test_sources_are_joined_and_equal_names_are_told_apart(folder: Path):
         "er/c",
         "sample_5",
     ]
+
+
+def test_what_is_named_twice_counts_once(folder: Path):
+    assert [job.name for job in jobs(folder / "b9.npz", folder, f"{folder}/*.npz")] == [
+        "b9",
+        "b10",
+        "deep/b9",
+        "deep/er/c",
+    ]
+
+
+def test_folders_behind_links_are_looked_into_once(folder: Path, tmp_path_factory: pytest.TempPathFactory):
+    other = tmp_path_factory.mktemp("other")
+    (other / "far.npz").touch()
+    (other / "back").symlink_to(folder)
+    (folder / "link").symlink_to(other)
+    assert [job.name for job in jobs(folder)] == ["b9", "b10", "deep/b9", "deep/er/c", "link/far"]
+
+
+def test_a_folder_can_be_one_job(folder: Path):
+    (job,) = read_jobs([str(folder)], Inputs(), together=True)
+    assert job.inputs.grasps == folder
+    assert job.named
+
+
+def test_names_win_over_folders_beside_the_list(folder: Path):
+    for name in ("allegro", "mug", "palm"):
+        (folder / name).mkdir()
+    text = '[[job]]\ngrasps = "b9.npz"\nhand = "allegro"\nobject_name = "mug"\nbase_link = "palm"\n'
+    (job,) = jobs(listed(folder, text))
+    assert (job.inputs.hand, job.inputs.object_name, job.inputs.base_link) == ("allegro", "mug", "palm")
+    (job,) = jobs(listed(folder, '[[job]]\ngrasps = "b9.npz"\nhand = "./allegro"\n'))
+    assert job.inputs.hand == str(folder / "allegro")
+
+
+def test_only_files_that_were_named_are_named(folder: Path):
+    assert [job.named for job in jobs(folder / "b9.npz", folder / "deep")] == [True, False, False]
 
 
 def test_options_are_defaults_of_every_job(folder: Path):
@@ -89,7 +127,6 @@ def test_a_toml_list_has_defaults_and_jobs_with_paths_relative_to_it(folder: Pat
         grasps=folder / "deep/b9.npy", hand="allegro", scale=2.0, object=str(folder / "cup.obj"), holes="cap"
     )
     assert found[3].inputs == Inputs(grasps=Path("sample:8"), hand="leap", scale=2.0, object="mug")
-    assert found[3].origin == f"{path}: job 3"
 
 
 def test_a_csv_list_has_a_job_in_each_line_and_empty_cells_are_left_to_the_options(folder: Path):

@@ -30,7 +30,7 @@ from grasp_refine.report.profile import profile_entry, profile_table
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import exp_se3
 from grasp_refine.solvers.adam import Adam
-from grasp_refine.stopwatch import STAGES, Stopwatch, count_queries, stage
+from grasp_refine.stopwatch import STAGES, Stopwatch, count_queries, cpu_seconds, stage
 from grasp_refine.targets import Touching
 
 
@@ -126,6 +126,30 @@ def test_it_runs_again_and_counts_on(clock: SimpleNamespace):
     assert (cpu(watch), watch.spent["loading"].calls) == ({"loading": 3.0}, 3)
 
 
+def test_a_stage_may_end_after_the_stopwatch_stopped(clock: SimpleNamespace):
+    watch, late = Stopwatch(), stage("solver")
+    with watch:
+        late.__enter__()
+        passes(clock, 1.0)
+    passes(clock, 1000.0)
+    late.__exit__(None, None, None)
+    assert cpu(watch) == {"solver": 1.0}
+    with watch:
+        passes(clock, 2.0)
+        # Nor does it end what began later.
+        late.__exit__(None, None, None)
+        passes(clock, 4.0)
+    assert cpu(watch) == {"solver": 1.0, "other": 6.0}
+
+
+def test_one_that_runs_does_not_begin_again(clock: SimpleNamespace):
+    with Stopwatch() as watch, pytest.raises(AssertionError, match="it runs already"), watch:
+        pass
+    with watch:
+        passes(clock, 1.0)
+    assert cpu(watch) == {"other": 1.0}
+
+
 def test_of_two_that_run_the_inner_one_has_the_stages(clock: SimpleNamespace):
     with Stopwatch() as outer, stage("measuring"):
         passes(clock, 1.0)
@@ -158,12 +182,14 @@ def test_another_thread_has_none(clock: SimpleNamespace):
 
 def test_it_counts_the_cpu_time_of_threads_and_of_children_that_ended():
     code = "import time\nend = time.process_time() + 0.3\nwhile time.process_time() < end: pass"
+    before = cpu_seconds()
     with Stopwatch() as watch:
         with stage("loading"):
             subprocess.run([sys.executable, "-c", code], check=True)
         with stage("measuring"):
             time.sleep(0.2)
     assert watch.spent["loading"].cpu_s > 0.29
+    assert cpu_seconds() - before > 0.29
     assert watch.spent["measuring"].cpu_s < 0.1 <= watch.spent["measuring"].wall_s
 
 

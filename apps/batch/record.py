@@ -4,25 +4,27 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import zipfile
 import zlib
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict
 from enum import Enum
 from pathlib import Path
 
 import numpy as np
-from grasp_refine.apps.batch.shard import Failed, Shard
 
+from grasp_refine.atomic import half_written
 from grasp_refine.npz import DAMAGED
 from grasp_refine.report.writing import save_json
+
+from .shard import Failed, Shard
 
 NOTE = ".failed.json"
 """What is added to the name of a result file that did not come out."""
 
-_PARTIAL = re.compile(r"\.(\d+)\.partial\.")
-"""How files that are being written begin; the number is that of the process."""
+_UNREADABLE = (*DAMAGED, zipfile.BadZipFile, zlib.error, ValueError, KeyError)
+"""How a damaged file, or one of something else, shows."""
 
 
 class State(Enum):
@@ -44,13 +46,28 @@ def state_of(shard: Shard) -> State:
         with zipfile.ZipFile(shard.path) as archive:
             if archive.testzip() is not None:
                 return State.DAMAGED
-        with np.load(shard.path, allow_pickle=False) as entries:
-            provenance = json.loads(str(entries["provenance"]))
-    except (*DAMAGED, zipfile.BadZipFile, zlib.error, ValueError, KeyError):
+        stamp = _stamp(shard.path)
+    except _UNREADABLE:
         return State.DAMAGED
-    batch = provenance.get("batch") if isinstance(provenance, dict) else None
-    stamp = batch.get("stamp") if isinstance(batch, dict) else None
     return State.COMPLETE if stamp == shard.stamp else State.CHANGED
+
+
+def is_result(path: Path) -> bool:
+    """Whether a file is a result of a batch."""
+    if path.suffix != ".npz":
+        return False
+    try:
+        return _stamp(path) is not None
+    except _UNREADABLE:
+        return False
+
+
+def _stamp(path: Path) -> str | None:
+    """What a result file of a batch is stamped with; None: it is another file."""
+    with np.load(path, allow_pickle=False) as entries:
+        provenance = json.loads(str(entries["provenance"]))
+    batch = provenance.get("batch") if isinstance(provenance, dict) else None
+    return batch.get("stamp") if isinstance(batch, dict) else None
 
 
 def note_failure(shard: Shard, failed: Failed) -> None:
@@ -81,13 +98,17 @@ def forget_failure(shard: Shard) -> None:
         _note(shard).unlink(missing_ok=True)
 
 
-def clean(shard: Shard) -> None:
-    """Take away what processes that were killed have left of a result file."""
-    with suppress(OSError):
-        for partial in shard.path.parent.glob(f".*.partial.{shard.path.name}"):
-            found = _PARTIAL.match(partial.name)
-            if found and not _alive(int(found[1])):
-                partial.unlink(missing_ok=True)
+def clean(shards: Iterable[Shard]) -> None:
+    """Take away what processes of this machine that were killed have left of result files."""
+    names: dict[Path, set[str]] = {}
+    for shard in shards:
+        names.setdefault(shard.path.parent, set()).add(shard.path.name)
+    for folder, here in names.items():
+        with suppress(OSError):
+            for entry in os.scandir(folder):
+                pid, name = half_written(entry.name)
+                if name in here and pid is not None and not _alive(pid):
+                    Path(entry.path).unlink(missing_ok=True)
 
 
 def _note(shard: Shard) -> Path:

@@ -118,7 +118,7 @@ def read_rows(shard: Shard, out: Path) -> Rows:
         out: Folder of the results.
 
     Raises:
-        GraspFileError: the file is missing, damaged, or holds no results.
+        GraspFileError: the file is missing, damaged, holds no results, or those of another batch.
     """
     file = load_npz(shard.path)
     missing = [name for name in NEEDED if name not in file.entries]
@@ -127,6 +127,8 @@ def read_rows(shard: Shard, out: Path) -> Rows:
     status = file.text("status")
     n = len(status)
     provenance, batch = _provenance(file)
+    if batch.get("stamp") != shard.stamp:
+        raise file.error("was replaced meanwhile by that of another batch")
     inside = shard.path.is_relative_to(out)
 
     def each(value: Any, kind: type = float) -> np.ndarray:

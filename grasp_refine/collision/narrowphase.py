@@ -30,6 +30,11 @@ _NO_GUESS, _NO_HINT = np.array([1.0, 0.0, 0.0]), np.zeros(2, dtype=np.int32)
 """Where GJK begins without a guess, and at which two vertices it begins to look for support points."""
 
 
+def coal_version() -> str:
+    """The version of coal's library, as it says itself."""
+    return getattr(coal, "__version__", "of an unknown version")
+
+
 @dataclass(frozen=True)
 class Tolerances:
     """Convergence tolerances of the two algorithms, in metres."""

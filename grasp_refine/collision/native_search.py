@@ -3,22 +3,27 @@
 It gives what the Python engine gives, to rounding, whatever the number of threads. The GIL is free meanwhile.
 """
 
+import hashlib
 import os
 from collections.abc import Callable, Sequence
 from functools import cache
-from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 
-from grasp_refine.collision.narrowphase import Closest, Tolerances  # Loads coal's library, which _native needs.
+# Loads coal's library, which _native needs.
+from grasp_refine.collision.narrowphase import Closest, Tolerances, coal_version
 from grasp_refine.collision.relative import in_frame, relative
 from grasp_refine.collision.shapes import build_shape
 from grasp_refine.collision.supports import CELLS
 from grasp_refine.collision.table import PieceTable, Side
+from grasp_refine.cores import usable_cores
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.stopwatch import stage
 
 from grasp_refine.collision import _native  # isort: skip
+
+_SOURCES = Path(__file__).with_name("native")
 
 _ITEMS_PER_THREAD = 512
 """Fewer, about 2 ms of work, are not worth a thread, which also waits for more work for some milliseconds."""
@@ -29,12 +34,29 @@ def built_for() -> str:
     return _native.coal_version
 
 
+def has_threads() -> bool:
+    """Whether the engine was built with OpenMP; without it, it works with one thread."""
+    return _native.openmp
+
+
 def mismatch() -> str:
     """Why the engine must not be used; empty: it may."""
-    here = version("coal")
-    if here == built_for():
-        return ""
-    return f"built for coal {built_for()}, but coal {here} is installed: install grasp-refine again"
+    built, here = built_for(), coal_version()
+    if here != built:
+        return (
+            f"built for coal {built}, but coal {here} is installed: pip install coal=={built}, or install grasp-refine "
+            "again with --no-build-isolation"
+        )
+    if sources() not in (None, getattr(_native, "sources", None)):
+        return "built from other sources than those that are here: install grasp-refine again"
+    return ""
+
+
+def sources(folder: Path = _SOURCES) -> str | None:
+    """A hash of the engine's sources as `native/CMakeLists.txt` makes it; None: they are not here, as in a wheel."""
+    files = sorted([*folder.glob("*.cpp"), *folder.glob("*.h")])
+    hashes = "".join(hashlib.sha256(file.read_bytes()).hexdigest() for file in files)
+    return hashlib.sha256(hashes.encode()).hexdigest() if files else None
 
 
 class NativeNarrowPhase:
@@ -165,4 +187,4 @@ def _threads(items: int) -> int:
 def _available() -> int:
     """The threads that we may use."""
     told = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0]
-    return int(told) if told.isdecimal() and int(told) > 0 else len(os.sched_getaffinity(0))
+    return int(told) if told.isdecimal() and int(told) > 0 else usable_cores()

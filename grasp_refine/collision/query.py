@@ -177,8 +177,13 @@ def query(
 
     Returns:
         Witness points in world coordinates. Pairs with a pose that is not finite get the status NOT_FINITE.
+
+    Raises:
+        CollisionError: the poses are of another number of pairs.
     """
     shape = T_world_a.shape[:2]
+    if shape[1] != len(pairs):
+        raise CollisionError(f"poses of {shape[1]} pairs of bodies, but there are {len(pairs)}: give one pose of each")
     if pairs.native is not None:
         return _ask_native(pairs, None, T_world_a, T_world_b, np.full(shape, cutoff, dtype=np.float64), previous)
     flat = None if previous is None else previous.reshape(-1)

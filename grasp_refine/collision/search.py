@@ -160,7 +160,7 @@ class Search:
         active, starts = left.runs(len(normal))
         u = normal[active]
         # Any unit direction gives a bound: without an answer there is none that is better than others.
-        u[np.abs((u * u).sum(axis=1) - 1.0) > 1e-12] = [1.0, 0.0, 0.0]
+        u[~(np.abs((u * u).sum(axis=1) - 1.0) <= 1e-12)] = [1.0, 0.0, 0.0]
         run = np.repeat(np.arange(len(active)), np.diff(starts))
         return self.table.gap_bound(run, left.column, self.pair.take(active), u, self.R[active], self.t[active])
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import signal
 import threading
@@ -10,50 +9,45 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 from uuid import uuid4
 
 from rich.console import Console
 from tyro.conf import DisallowNone, Positional, Suppress, arg
 
-from grasp_refine.apps.batch.index import index_path, index_writer
-from grasp_refine.apps.batch.page import page
-from grasp_refine.apps.batch.pictures import draw_cases
+from grasp_refine.apps.batch.index import IndexKind, index_path
 from grasp_refine.apps.batch.pool import run_local
 from grasp_refine.apps.batch.progress import Progress
 from grasp_refine.apps.batch.record import State, clean, state_of
-from grasp_refine.apps.batch.rows import read_rows
 from grasp_refine.apps.batch.shard import Shard
 from grasp_refine.apps.batch.table import batch_table
-from grasp_refine.apps.batch.worst import Case
 from grasp_refine.collision.engine import chosen
-from grasp_refine.commands.batch_document import save_batch
+from grasp_refine.commands.batch_outputs import Outputs
 from grasp_refine.commands.batch_session import Session, Summary
 from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
-from grasp_refine.commands.inputs import NEAREST, Inputs
+from grasp_refine.commands.inputs import NEAREST, SAMPLE, Inputs
 from grasp_refine.commands.invocation import invocation
 from grasp_refine.commands.job_list import read_jobs
-from grasp_refine.commands.kept import Kept
 from grasp_refine.commands.options import check_numbers
 from grasp_refine.commands.settings import Settings
 from grasp_refine.commands.shard_plan import Plan, Planner, part_of
-from grasp_refine.commands.shard_work import ShardWork, problem_of
+from grasp_refine.commands.shard_work import ShardWork
 from grasp_refine.config import Config
+from grasp_refine.cores import usable_cores
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.hand import Hand
-from grasp_refine.objects import Object
 from grasp_refine.report.document import settings
 from grasp_refine.report.profile import profile_entry, profile_table
 from grasp_refine.report.screen import screen
-from grasp_refine.report.writing import SCHEMA, check_no_input, check_writable, save_text
+from grasp_refine.report.writing import SCHEMA
 from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
 from grasp_refine.versions import versions
 
-REPORT = "report.html"
+MOST_NAMED = 10
+"""Most damaged files that are named."""
 
 LEAST_PATIENCE = 5.0
 """Seconds that a worker has in any case: it takes some to start."""
@@ -91,6 +85,9 @@ class Sharding:
     """Processes on this machine; each is replaced when it crashes or hangs, and takes 0.3 to 1 GB."""
     shard_size: int = 64
     """Most grasps of a shard, the unit of all work: a shard becomes one result file, or none."""
+    together: bool = False
+    """A folder is one set of grasps, as it is for `run`, and not a job for each file in it: for generators that write a
+    file for each grasp."""
     shard: Annotated[DisallowNone[str | None], arg(metavar="I/N", help_behavior_hint="(default: everything)")] = None
     """Do only part I (from 1 on) of N of the batch, for the array jobs of a scheduler; all parts share --out."""
     dask: Annotated[DisallowNone[str | None], arg(metavar="ADDRESS", help_behavior_hint="(default: none)")] = None
@@ -110,7 +107,7 @@ class Output:
 
     out: Path = Path("grasp-refine-batch")
     """Folder of the results: <job>/<hand>_<object>_<part>.npz, index.parquet or .csv, report.html."""
-    index: Literal["auto", "parquet", "csv"] = "auto"
+    index: IndexKind = "auto"
     """The table of all grasps with all measures; auto: Parquet where pyarrow is installed, else CSV."""
     report: bool = True
     """Write report.html: distributions before and after, the worst cases with pictures, what failed and why."""
@@ -149,8 +146,7 @@ class Batch:
         """
         wall, cpu = time.perf_counter(), cpu_seconds()
         config, protocol, part = self._checked()
-        out = self.output.out.absolute()
-        index = index_path(out, self.output.index)
+        outputs = self._outputs()
         described = {
             "refine": settings(config),
             "proof": settings(self.proof),
@@ -161,8 +157,8 @@ class Batch:
         console = screen(stderr=True)
         with _terminated_as_interrupted():
             with Progress(console, (), 1) as progress:
-                plan = self._plan(out, described, config.seed, progress)
-                self._check_outputs(plan, out, index)
+                plan = self._plan(outputs.out, described, config.seed, progress)
+                outputs.check(plan)
                 progress.wait("looking at what is there")
                 asked = part_of(plan.shards, *part)
                 states = {shard.number: State.MISSING if self.sharding.again else state_of(shard) for shard in asked}
@@ -172,10 +168,7 @@ class Batch:
             session.skipped = sum(shard.size for shard in asked if shard.number in session.complete)
             self._work(todo, ShardWork(config, protocol, described, self.output.profile), session, console)
             with Progress(console, (), 1) as progress:
-                # Other parts of the batch may have come out meanwhile.
-                others = [shard for shard in plan.shards if shard.number not in states]
-                session.complete |= {shard.number for shard in others if state_of(shard) is State.COMPLETE}
-                summary = Summary.of(plan, session)
+                summary = outputs.read(Summary.of(asked, plan.refused, session), progress)
                 document = {
                     "schema": SCHEMA,
                     "command": "batch",
@@ -184,14 +177,38 @@ class Batch:
                     "config": described
                     | {"inputs": settings(self.inputs.plain()), "sharding": settings(self.sharding)},
                     "seed": config.seed,
+                    "totals": summary.totals(session, time.perf_counter() - wall, cpu_seconds() - cpu),
+                    "failed": summary.failed,
+                    "jobs": summary.jobs(),
+                    "profile": profile_entry(session.profile or None),
                 }
-                written = self._write(document, plan, summary, session, index, (wall, cpu), progress)
-        table = screen()
-        table.print(batch_table(document, summary.statistics))
+                outputs.write(document, summary, progress)
+        self._show(document, summary, session, outputs, time.perf_counter() - wall)
+        return NOTHING_USABLE if summary.failed or (asked and not summary.statistics.all.usable) else 0
+
+    def _outputs(self) -> Outputs:
+        """The files that are written; a part of a batch has results and a summary only.
+
+        Raises:
+            GraspRefineError: the index cannot be of the kind that is asked for.
+        """
+        out = self.output.out.absolute()
+        index = index_path(out, self.output.index)
+        whole = self.sharding.shard is None
+        return Outputs(out, index if whole else None, self.output.report and whole, self.output.json)
+
+    def _show(
+        self, document: dict[str, Any], summary: Summary, session: Session, outputs: Outputs, wall_s: float
+    ) -> None:
+        """Print the tables."""
+        console = screen()
+        console.print(batch_table(document, summary.statistics))
         if session.profile:
-            table.print(profile_table(session.profile))
-        table.print(f"{time.perf_counter() - wall:.1f} s; wrote", *written, soft_wrap=True, markup=False)
-        return NOTHING_USABLE if summary.failed or not summary.statistics.all.usable else 0
+            console.print(profile_table(session.profile))
+        if outputs.index is None:
+            console.print("index and report are written by the same command without --shard, when all parts are done")
+        written = outputs.files or (outputs.out,)
+        console.print(f"{wall_s:.1f} s; wrote", *written, soft_wrap=True, markup=False)
 
     def _checked(self) -> tuple[Config, Protocol | None, tuple[int, int]]:
         """How grasps are refined and simulated, and which part of how many is done.
@@ -224,9 +241,10 @@ class Batch:
         Raises:
             GraspRefineError: none can be done.
         """
-        jobs = read_jobs(self.jobs, self.inputs.plain())
+        jobs = read_jobs(self.jobs, self.inputs.plain(), together=self.sharding.together)
         # Results of an earlier run may lie in the folder of the grasps.
-        jobs = [job for job in jobs if not Path(str(job.inputs.grasps)).is_relative_to(out)]
+        inside = out.resolve()
+        jobs = [job for job in jobs if not Path(str(job.inputs.grasps)).resolve().is_relative_to(inside)]
         if not jobs:
             raise GraspRefineError(
                 f"{', '.join(self.jobs)}: no jobs in it but the results in {out}; give another --out"
@@ -238,22 +256,12 @@ class Batch:
         if not plan.shards:
             more = f" (and {len(plan.refused) - 1} more jobs)" if len(plan.refused) > 1 else ""
             raise GraspRefineError(f"no job can be done: {plan.refused[0].job}: {plan.refused[0].message}{more}")
+        if plan.results:
+            progress.say(f"{plan.results} files are results of a batch and no grasps to refine; named, they would be")
         for refused in plan.refused:
             progress.say(f"{refused.job} cannot be done: {refused.message}")
-        return plan
-
-    def _check_outputs(self, plan: Plan, out: Path, index: Path) -> None:
-        """Nothing, when what is written can be and takes the place of no input.
-
-        Raises:
-            GraspRefineError: it cannot, or would.
-        """
-        written = [index, out / REPORT, *([self.output.json] if self.output.json is not None else [])]
-        for path in (*written, plan.shards[0].path):
-            check_writable(path)
-        inputs = set(plan.files)
-        for path in (*written, *(shard.path for shard in plan.shards if shard.path.exists())):
-            check_no_input(path, inputs, "the results would overwrite an input; give another --out or --json")
+        lists = (Path(source) for source in self.jobs if not source.startswith(SAMPLE))
+        return replace(plan, files=(*plan.files, *lists))
 
     def _work(self, todo: list[Shard], work: ShardWork, session: Session, console: Console) -> None:
         """Do what is left, and note what becomes of each shard.
@@ -263,9 +271,8 @@ class Batch:
         """
         if not todo:
             return
-        for shard in todo:
-            clean(shard)
-        workers = min(self.sharding.workers or cores(), len(todo))
+        clean(todo)
+        workers = min(self.sharding.workers or usable_cores(), len(todo))
         simulated = work.protocol is not None
         began = time.perf_counter()
         with Progress(console, todo, workers, session.skipped, simulated=simulated) as progress:
@@ -290,53 +297,10 @@ class Batch:
                         session.take(result, by_number[result.number], progress)
             except KeyboardInterrupt:
                 there = f"{len(session.complete)} of {session.asked} shards are complete"
-                progress.say(f"{there}; the same command goes on from there")
+                goes_on = "without --again, the command" if self.sharding.again else "the same command"
+                progress.say(f"{there}; {goes_on} goes on from there")
                 raise
         session.wall_s = time.perf_counter() - began
-
-    def _write(
-        self,
-        document: dict[str, Any],
-        plan: Plan,
-        summary: Summary,
-        session: Session,
-        index: Path,
-        began: tuple[float, float],
-        progress: Progress,
-    ) -> list[Path]:
-        """Write index, report and summary, from the result files alone; completes the document, returns the files."""
-        out, complete = self.output.out.absolute(), summary.complete
-        progress.wait("writing the index")
-        with index_writer(index) as writer:
-            for shard in complete:
-                rows = read_rows(shard, out)
-                writer.add(rows)
-                summary.statistics.add(rows)
-        # One of the other kind would be of another day.
-        index.with_suffix({".csv": ".parquet", ".parquet": ".csv"}[index.suffix]).unlink(missing_ok=True)
-        wall, cpu = time.perf_counter() - began[0], cpu_seconds() - began[1]
-        document |= {
-            "totals": summary.totals(session, wall, cpu),
-            "failed": summary.failed,
-            "jobs": summary.jobs(),
-        }
-        if session.profile:
-            document["profile"] = profile_entry(session.profile)
-        written = [index]
-        if self.output.report:
-            written.append(out / REPORT)
-            pictures = draw_cases(
-                summary.statistics.worst(),
-                out,
-                partial(_shown, {shard.number: shard for shard in plan.shards}, Kept(), document["seed"]),
-                tell=lambda what, share: progress.wait(what),
-            )
-            save_text(out / REPORT, page(document, summary.statistics, pictures))
-        if self.output.json is not None:
-            progress.wait("writing the summary")
-            save_batch(self.output.json, document, complete)
-            written.append(self.output.json)
-        return written
 
 
 def _part(text: str | None) -> tuple[int, int]:
@@ -360,24 +324,11 @@ def _tell_states(shards: Sequence[Shard], states: Mapping[int, State], progress:
         progress.say(f"{count[State.COMPLETE]} of {len(shards)} shards are complete and skipped")
     if count[State.CHANGED]:
         progress.say(f"{count[State.CHANGED]} are of other inputs, settings or versions and are made anew")
-    for shard in shards:
-        if states[shard.number] is State.DAMAGED:
-            progress.say(f"{shard.path} cannot be read and is made anew")
-
-
-def _shown(shards: Mapping[int, Shard], kept: Kept, seed: int, case: Case) -> tuple[Hand, Object]:
-    """Hand and object of one of the worst cases."""
-    shard = shards[case.shard]
-    problem = kept.get("problem", case.shard, lambda: problem_of(shard.task, seed, kept, lambda what, share: None))
-    for group in problem.groups:
-        if group.scale == case.scale:
-            return problem.hand, group.scene.object
-    raise GraspRefineError(f"{shard.name}: no object is of the scale {case.scale:g} any more")
-
-
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    damaged = [shard.path for shard in shards if states[shard.number] is State.DAMAGED]
+    for path in damaged[:MOST_NAMED]:
+        progress.say(f"{path} cannot be read and is made anew")
+    if len(damaged) > MOST_NAMED:
+        progress.say(f"and so are {len(damaged) - MOST_NAMED} others")
 
 
 @contextmanager

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from grasp_refine.apps.batch.progress import Progress
 from grasp_refine.apps.batch.record import forget_failure, note_failure, noted_failure
 from grasp_refine.apps.batch.shard import Done, Failed, Shard
 from grasp_refine.apps.batch.statistics import Statistics
-from grasp_refine.commands.shard_plan import Plan
+from grasp_refine.commands.shard_plan import Refused
 from grasp_refine.commands.shard_work import peak_bytes
 from grasp_refine.errors import GraspRefineError
 
@@ -28,8 +29,8 @@ class Session:
     """Grasps that were there already."""
     done: int = 0
     """Shards that came out."""
-    failed: int = 0
-    """Shards that did not."""
+    failed: dict[int, Failed] = field(default_factory=dict)
+    """Number of each shard that did not -> why."""
     grasps: int = 0
     """Grasps that came out."""
     wall_s: float = 0.0
@@ -46,7 +47,7 @@ class Session:
     def take(self, result: Done | Failed, shard: Shard, progress: Progress) -> None:
         """Note and show what became of a shard."""
         if isinstance(result, Failed):
-            self.failed += 1
+            self.failed[shard.number] = result
             progress.failed(result)
             try:
                 note_failure(shard, result)
@@ -71,53 +72,40 @@ class Session:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """What there is of a batch after a run of the command, whichever runs made it."""
+    """What there is of a batch, or of a part of it, after a run of the command, whichever runs made it."""
 
-    plan: Plan
+    shards: tuple[Shard, ...]
+    """All shards that were asked for."""
     complete: tuple[Shard, ...]
-    """Shards with result files, in order."""
+    """Those with result files, in order."""
     failed: list[dict[str, Any]]
     """Shards, and jobs, that did not come out, and why."""
     statistics: Statistics
     """Of all grasps in the result files."""
 
     @staticmethod
-    def of(plan: Plan, session: Session) -> Summary:
+    def of(shards: tuple[Shard, ...], refused: Sequence[Refused], session: Session) -> Summary:
         """The summary, still without statistics."""
-        complete = tuple(shard for shard in plan.shards if shard.number in session.complete)
-        failed = [
-            {
-                "shard": None,
-                "name": refused.job,
-                "path": None,
-                "reason": "refused",
-                "message": refused.message,
-                "tries": 0,
-                "traceback": "",
-            }
-            for refused in plan.refused
-        ]
-        for shard in plan.shards:
-            noted = None if shard.number in session.complete else noted_failure(shard)
-            if noted is not None:
-                failed.append(
-                    {
-                        "shard": shard.number,
-                        "name": shard.name,
-                        "path": shard.path,
-                        "reason": noted.reason,
-                        "message": noted.message,
-                        "tries": noted.tries,
-                        "traceback": noted.traceback,
-                    }
-                )
-        return Summary(plan, complete, failed, Statistics.empty())
+        failed = [_entry(None, one.job, None, "refused", one.message, 0, "") for one in refused]
+        for shard in shards:
+            if shard.number not in session.complete:
+                # A note may be missing: it could not be written.
+                why = session.failed.get(shard.number) or noted_failure(shard)
+                if why is not None:
+                    told = (why.reason, why.message, why.tries, why.traceback)
+                    failed.append(_entry(shard.number, shard.name, shard.path, *told))
+        complete = tuple(shard for shard in shards if shard.number in session.complete)
+        return Summary(shards, complete, failed, Statistics.empty())
+
+    def of_complete(self, complete: Sequence[Shard]) -> Summary:
+        """The same with fewer shards that have result files."""
+        return replace(self, complete=tuple(complete))
 
     def totals(self, session: Session, wall_s: float, cpu_s: float) -> dict[str, Any]:
         """Counts of the whole batch, and what this run cost."""
         return {
             **self.statistics.totals(),
-            "shards": len(self.plan.shards),
+            "shards": len(self.shards),
             "done": session.done,
             "complete": len(self.complete),
             "skipped": session.skipped,
@@ -133,8 +121,23 @@ class Summary:
         """How many grasps and shards each job has, and how many of them are there."""
         there = {shard.number for shard in self.complete}
         counts: dict[str, Counter[str]] = {}
-        for shard in self.plan.shards:
+        for shard in self.shards:
             count = counts.setdefault(shard.task.job, Counter())
             found: Mapping[str, int] = {"grasps": shard.size, "shards": 1, "complete": int(shard.number in there)}
             count.update(found)
         return [{"job": job, **count} for job, count in counts.items()]
+
+
+def _entry(
+    number: int | None, name: str, path: Path | None, reason: str, message: str, tries: int, traceback: str
+) -> dict[str, Any]:
+    """What is told of a shard or a job that did not come out."""
+    return {
+        "shard": number,
+        "name": name,
+        "path": path,
+        "reason": reason,
+        "message": message,
+        "tries": tries,
+        "traceback": traceback,
+    }

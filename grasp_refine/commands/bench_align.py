@@ -163,7 +163,7 @@ class BenchAlign:
             raise GraspRefineError(
                 "--budgets and --seconds exclude each other: a budget is in iterations or in CPU seconds"
             )
-        preset = PRESETS[self.preset] if self.preset is not None else Preset("", self._variants())
+        preset = PRESETS[self.preset] if self.preset is not None else Preset(self._variants())
         check_device(self.device, self.dtype)
         if self.seconds is not None and any(variant.solver != "descent" for variant in preset.variants):
             raise GraspRefineError(

@@ -17,10 +17,10 @@ from grasp_refine.apps.bench.gate.table import gate_table
 from grasp_refine.apps.bench.machine import machine
 from grasp_refine.assets import resource_dir
 from grasp_refine.collision.engine import chosen
-from grasp_refine.commands.ending import cpu_seconds
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA, check_writable, save_json
+from grasp_refine.stopwatch import cpu_seconds
 from grasp_refine.versions import versions
 
 WORSE = 1

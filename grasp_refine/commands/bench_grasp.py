@@ -71,7 +71,7 @@ class Options:
     batches: Annotated[
         DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 1 16 64 256, or the preset's)")
     ] = None
-    """Grasps that are worked on at once; with 1, each is a call of its own, and times are medians."""
+    """Grasps that are worked on at once; with 1, each is a call of its own. Times are means."""
     count: Annotated[
         DisallowNone[int | None], arg(help_behavior_hint=f"(default: {COUNT} with targets, else all; or the preset's)")
     ] = None
@@ -146,7 +146,7 @@ class BenchGrasp:
         check_asked(options, COMPARED)
         if self.inputs.targets != AUTO:
             raise GraspRefineError("--targets: the benchmark makes its own targets, from grasps that touch exactly")
-        preset = PRESETS[options.preset] if options.preset is not None else Preset("", self._variants())
+        preset = PRESETS[options.preset] if options.preset is not None else Preset(self._variants())
         variants = preset.variants
         if options.workers > 1 and any(variant.processes is not None for variant in variants):
             raise GraspRefineError(f"--preset {options.preset} has processes of its own: leave out --workers")

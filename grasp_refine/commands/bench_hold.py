@@ -84,7 +84,7 @@ class BenchHold:
         check_asked(options, COMPARED)
         if self.inputs.targets != AUTO:
             raise GraspRefineError("--targets: the benchmark refines grasps for which nobody says where to touch")
-        preset = PRESETS[options.preset] if options.preset is not None else Preset("")
+        preset = PRESETS[options.preset] if options.preset is not None else Preset()
         count = options.count if options.count is not None else preset.count
         settings = tuple(dict.fromkeys(options.settings))
         # The tensors of a batch of grasps are small.

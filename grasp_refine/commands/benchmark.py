@@ -13,13 +13,15 @@ from rich.console import Console, RenderableType
 
 from grasp_refine.apps.bench.bar import progress_bar
 from grasp_refine.apps.bench.machine import machine
-from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
+from grasp_refine.collision.engine import chosen
+from grasp_refine.commands.ending import NOTHING_USABLE
 from grasp_refine.commands.invocation import invocation
 from grasp_refine.commands.options import flag
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.report.document import settings
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA, check_writable, save_json, save_text
+from grasp_refine.stopwatch import cpu_seconds
 from grasp_refine.versions import versions
 
 
@@ -105,6 +107,7 @@ def run_benchmark(
         "invocation": invocation(command, asked),
         "versions": versions(),
         "machine": machine(),
+        "engine": chosen("auto"),
         "preset": options.preset,
         "config": settings(asked),
         "seed": options.seed,

@@ -12,7 +12,7 @@ from grasp_refine import __version__
 from grasp_refine.commands.inputs import AUTO, NEAREST, Inputs
 from grasp_refine.commands.object_source import ObjectSource
 from grasp_refine.description.mesh_files import resolve_mesh
-from grasp_refine.errors import HandError
+from grasp_refine.errors import GraspRefineError, HandError
 from grasp_refine.hand_source import hand_files
 from grasp_refine.report.document import settings
 from grasp_refine.report.results import fingerprint
@@ -67,6 +67,15 @@ class Digests:
         path = Path(source.source)
         return self.file(path)["sha256"] if path.exists() else str(source.source)
 
+    def check(self, what: str, planned: str, now: str) -> None:
+        """Nothing, when a hash is still what it was.
+
+        Raises:
+            GraspRefineError: it is not.
+        """
+        if now != planned:
+            raise GraspRefineError(f"{what}: changed since the batch was planned; give the same command again")
+
     def stamp(self, inputs: Inputs, **depends: Any) -> str:
         """Hash of the inputs' settings, the targets, this version, and all that it `depends` on besides."""
         told = {name: value for name, value in settings(inputs).items() if name not in PATHS}
@@ -76,16 +85,20 @@ class Digests:
         return _sha256({"layout": LAYOUT, "version": __version__, "inputs": told, "targets": targets, **depends})
 
 
-def _meshes(path: Path) -> list[Path]:
-    """The meshes that a URDF or MJCF file names and that are there, in a fixed order."""
+def _meshes(path: Path, seen: tuple[Path, ...] = ()) -> list[Path]:
+    """The meshes, and the files with more of them, that a URDF or MJCF file names and that are there."""
     text = path.read_text(encoding="utf-8", errors="replace")
     found, folders = [], sorted(set(_FOLDER.findall(text)))
     for name in sorted(set(_NAMED.findall(text))):
         try:
-            found.append(resolve_mesh(name, path))
+            files = [resolve_mesh(name, path)]
         except HandError:
             # What is missing is told when the hand is loaded; MJCF files may name a folder for their meshes.
-            found += [file for folder in folders if (file := path.parent / folder / name).is_file()]
+            files = [file for folder in folders if (file := path.parent / folder / name).is_file()]
+        found += files
+        for file in files:
+            if file.suffix == ".xml" and file not in (*seen, path):
+                found += _meshes(file, (*seen, path))
     return found
 
 

@@ -72,12 +72,15 @@ def examine() -> dict[str, Any]:
     except AssetError as error:
         hands = []
         problems.append(str(error))
+    engine = _engine()
+    if engine["fault"]:
+        problems.append(engine["fault"])
     return {
         "platform": platform.platform(),
         "cpu_count": os.cpu_count(),
         "packages": packages,
         "devices": devices,
-        "engine": _engine(),
+        "engine": engine,
         "gpu": any(device["name"] != "cpu" for device in devices),
         "cache": _cache(),
         "assets": _assets(),
@@ -115,16 +118,16 @@ def _devices() -> tuple[list[dict[str, str]], str]:
 
 def _engine() -> dict[str, Any]:
     """Who answers collision queries, the coal that the compiled engine is for, and why that one is not there."""
-    lacks, used, fault, coal = why_not_native(), None, None, None
+    lacks, used, fault, coal, threads = why_not_native(), None, None, None, None
     try:
         used = chosen("auto")
     except CollisionError as error:
         fault = str(error)
     if not lacks:
-        from grasp_refine.collision.native_search import built_for
+        from grasp_refine.collision.native_search import built_for, has_threads
 
-        coal = built_for()
-    return {"used": used, "coal": coal, "why_not_native": lacks or None, "fault": fault}
+        coal, threads = built_for(), has_threads()
+    return {"used": used, "coal": coal, "threads": threads, "why_not_native": lacks or None, "fault": fault}
 
 
 def _pictures() -> str | None:
@@ -182,9 +185,9 @@ def _show(found: dict[str, Any], console: Console) -> None:
         console.print(line, markup=False, soft_wrap=True)
     for problem in found["problems"]:
         console.print(f"[red]problem[/]: {escape(problem)}")
-    if found["problems"]:
+    if set(found["problems"]) - {found["engine"]["fault"]}:
         console.print(f"install again: pip install --upgrade {NAME}")
-    else:
+    elif not found["problems"]:
         console.print("[green]everything that is needed is here[/]")
 
 
@@ -211,6 +214,7 @@ def _lines(found: dict[str, Any]) -> list[str]:
 
 def _engine_text(engine: dict[str, Any]) -> str:
     if engine["used"] == "native":
-        return f"native, compiled for coal {engine['coal']}"
+        alone = "" if engine["threads"] else "; one thread, as it was built without OpenMP"
+        return f"native, compiled for coal {engine['coal']}{alone}"
     reason = f"; native: {engine['why_not_native']}" if engine["why_not_native"] else f", as {ENGINE} says"
-    return engine["fault"] or f"python, the slower one{reason}"
+    return "none, see the problem" if engine["fault"] else f"python, the slower one{reason}"

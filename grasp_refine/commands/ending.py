@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import os
+from grasp_refine.stopwatch import cpu_seconds as cpu_seconds
 
 NOTHING_USABLE = 1
 """Exit code when nothing usable came out."""
-
-
-def cpu_seconds() -> float:
-    """CPU time so far: of all threads, and of the child processes that have ended."""
-    times = os.times()
-    return times.user + times.system + times.children_user + times.children_system

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import glob
+import itertools
+import os
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -12,7 +14,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from grasp_refine.commands.inputs import AUTO, NEAREST, SAMPLE, Inputs
+from grasp_refine.commands.inputs import SAMPLE, Inputs
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.formats.folders import natural
 from grasp_refine.formats.reading import SUFFIXES
@@ -24,6 +26,10 @@ KEYS = tuple(field.name for field in fields(Inputs) if field.name != "index")
 """What a job list may say of a job, besides its name: the options of `refine-grasp run` of these names."""
 
 
+NAMES_OR_PATHS = ("hand", "object", "targets")
+"""Inputs that are names, or paths where they can be nothing else."""
+
+
 @dataclass(frozen=True)
 class Job:
     """Grasps of one file, or sampled ones, with their hand and objects."""
@@ -32,65 +38,90 @@ class Job:
     """What it is called in results; no two jobs of a batch are called the same."""
     inputs: Inputs
     """What is refined; the grasps are always given, and nothing depends on the working folder."""
-    origin: str
-    """Where it was asked for, for messages."""
+    named: bool = True
+    """Whether its file was named, and not found in a folder or by a pattern: then it is refined whatever it is."""
 
 
-def read_jobs(sources: Sequence[str], defaults: Inputs) -> list[Job]:
-    """The jobs that some sources name.
+def read_jobs(sources: Sequence[str], defaults: Inputs, *, together: bool = False) -> list[Job]:
+    """The jobs that some sources name; what is named twice counts once.
 
     Args:
         sources: Job lists (.toml, .csv), grasp files, folders of them at any depth, patterns such as "sets/*.npz", or
             sample:N.
         defaults: What a job does not say itself.
+        together: A folder is one job.
 
     Raises:
         GraspRefineError: a source that names nothing, or a list that cannot be read; names the line.
     """
-    found: list[tuple[str, Inputs, str]] = []
+    found: list[Job] = []
     for source in sources:
         if Path(source).suffix.lower() in LISTS and not Path(source).is_dir():
-            found += _listed(Path(source), defaults)
+            found += _listed(Path(source), defaults, together)
         else:
-            found += [
-                (name, replace(defaults, grasps=path), source) for name, path in _files(source, empty_is_error=True)
-            ]
+            found += _jobs(source, defaults, "", together)
     if not found:
         raise GraspRefineError(f"{', '.join(sources)}: no jobs in it")
-    names = _distinct([name for name, _, _ in found])
-    return [Job(name, _anywhere(inputs), origin) for name, (_, inputs, origin) in zip(names, found, strict=True)]
+    once = {job.inputs: job for job in reversed(found)}
+    return _distinct([job for job in found if once[job.inputs] is job])
 
 
-def _files(source: str, *, empty_is_error: bool) -> list[tuple[str, Path]]:
-    """Name and path of each grasp file that a path, a folder or a pattern means."""
+def _jobs(source: str, inputs: Inputs, name: str, together: bool) -> Iterator[Job]:
+    """A job for each grasp file that a source means, with these inputs.
+
+    Raises:
+        GraspRefineError: it means none.
+    """
     if source.startswith(SAMPLE):
-        return [(source.replace(":", "_"), Path(source))]
+        yield Job(name or source.replace(":", "_"), _anywhere(replace(inputs, grasps=Path(source))))
+        return
     path = Path(source).expanduser()
-    matches = [path] if path.exists() or not glob.has_magic(source) else _matches(str(path))
-    found = []
-    for match in matches:
-        if match.is_dir():
-            inside = [file for file in match.rglob("*") if file.suffix.lower() in SUFFIXES and file.is_file()]
-            # Not the temporary files of another batch.
-            inside = [file for file in inside if not file.name.startswith(".")]
-            inside.sort(key=lambda file: natural(file.relative_to(match).as_posix()))
-            found += [(file.relative_to(match).with_suffix("").as_posix(), file) for file in inside]
-        else:
-            # A file that is not there is told with its job, so that the others can go on.
-            found.append((match.stem, match))
-    if not found and empty_is_error:
-        kinds = ", ".join(SUFFIXES)
+    if not glob.has_magic(source) or path.exists():
+        # A file that is not there is told with its job, so that the others can go on.
+        whole = together or not path.is_dir()
+        found = [(path.stem if path.suffix and not path.is_dir() else path.name, path)] if whole else _below(path, path)
+        named = whole
+    else:
+        fixed = Path(*itertools.takewhile(lambda part: not glob.has_magic(part), path.parts))
+        found, named = [], False
+        for match in sorted(glob.glob(str(path), recursive=True), key=natural):
+            is_folder = Path(match).is_dir()
+            found += (
+                _below(Path(match), fixed)
+                if is_folder and not together
+                else [(_named(Path(match), fixed), Path(match))]
+            )
+    if not found:
         what = "matches no grasp files" if glob.has_magic(source) else "no grasp files in this folder or below it"
-        raise GraspRefineError(f"{source}: {what}; they end with {kinds}")
-    return found
+        raise GraspRefineError(f"{source}: {what}; they end with {', '.join(SUFFIXES)}")
+    for stem, file in found:
+        label = stem if not name else name if len(found) == 1 else f"{name}/{stem}"
+        yield Job(label, _anywhere(replace(inputs, grasps=file)), named)
 
 
-def _matches(pattern: str) -> list[Path]:
-    return [Path(name) for name in sorted(glob.glob(pattern, recursive=True), key=natural)]
+def _below(folder: Path, within: Path) -> list[tuple[str, Path]]:
+    """Name and path of each grasp file in a folder and below it, also behind links; names begin at `within`."""
+    found, seen = [], set()
+    for place, folders, files in os.walk(folder, followlinks=True):
+        real = os.path.realpath(place)
+        if real in seen:
+            folders.clear()
+            continue
+        seen.add(real)
+        # Hidden files are half written ones of another batch.
+        found += [Path(place, file) for file in files if not file.startswith(".")]
+    found = [file for file in found if file.suffix.lower() in SUFFIXES and file.is_file()]
+    found.sort(key=lambda file: natural(file.relative_to(folder).as_posix()))
+    return [(_named(file, within), file) for file in found]
 
 
-def _listed(path: Path, defaults: Inputs) -> Iterator[tuple[str, Inputs, str]]:
-    """Name, inputs and origin of each job of a list."""
+def _named(file: Path, within: Path) -> str:
+    """The name of a file that was found in a folder."""
+    return file.relative_to(within).with_suffix("").as_posix()
+
+
+def _listed(path: Path, defaults: Inputs, together: bool) -> Iterator[Job]:
+    """The jobs of a list."""
     rows, common = _read_toml(path) if path.suffix.lower() == ".toml" else (_read_csv(path), {})
     defaults = replace(defaults, **_values(common, path, f"{path}: [defaults]"))
     for number, row in enumerate(rows, 1):
@@ -102,9 +133,7 @@ def _listed(path: Path, defaults: Inputs) -> Iterator[tuple[str, Inputs, str]]:
         inputs = replace(defaults, **_values(row, path, where))
         if inputs.grasps is None:
             raise GraspRefineError(f'{where}: says no grasps = "FILE" (or a folder, a pattern, or sample:N)')
-        files = _files(str(inputs.grasps), empty_is_error=True)
-        for stem, file in files:
-            yield (name if len(files) == 1 else f"{name}/{stem}") if name else stem, replace(inputs, grasps=file), where
+        yield from _jobs(str(inputs.grasps), inputs, name, together)
 
 
 def _read_toml(path: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
@@ -155,10 +184,10 @@ def _values(raw: Mapping[str, Any], path: Path, where: str) -> dict[str, Any]:
     """The fields of `Inputs` that a table gives."""
     _check_keys(list(raw), where)
     hints = get_type_hints(Inputs)
-    return {key: _value(value, hints[key], path.parent, f"{where}: {key}") for key, value in raw.items()}
+    return {key: _value(key, value, hints[key], path.parent, f"{where}: {key}") for key, value in raw.items()}
 
 
-def _value(value: Any, hint: Any, folder: Path, where: str) -> Any:
+def _value(key: str, value: Any, hint: Any, folder: Path, where: str) -> Any:
     """A value of a list as its field holds it; paths are relative to the list, where something lies there."""
     kinds = [kind for kind in _alternatives(hint) if kind is not type(None)]
     choices = [choice for kind in kinds if get_origin(kind) is Literal for choice in get_args(kind)]
@@ -174,11 +203,17 @@ def _value(value: Any, hint: Any, folder: Path, where: str) -> Any:
         raise GraspRefineError(f"{where} must be text, got {value!r}")
     if choices and value not in choices:
         raise GraspRefineError(f"{where} must be one of {', '.join(choices)}, got '{value}'")
+    if choices or value.startswith(SAMPLE) or not (Path in kinds or (key in NAMES_OR_PATHS and _is_path(value))):
+        return value if Path not in kinds else Path(value)
     near = folder / Path(value).expanduser()
-    is_pattern = glob.has_magic(value) and not value.startswith(SAMPLE)
-    there = not choices and (near.exists() or (is_pattern and bool(glob.glob(str(near), recursive=True))))
+    there = near.exists() or (glob.has_magic(value) and bool(glob.glob(str(near), recursive=True)))
     value = str(near) if there else value
     return Path(value) if Path in kinds else value
+
+
+def _is_path(name: str) -> bool:
+    """Whether a name of a hand or an object can only be a path: names win over folders that are called the same."""
+    return ":" not in name and ("/" in name or bool(Path(name).suffix))
 
 
 def _alternatives(hint: Any) -> tuple[Any, ...]:
@@ -190,16 +225,17 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
     return (hint,)
 
 
-def _distinct(names: Sequence[str]) -> list[str]:
-    """The names, and a number after those that came before."""
-    taken: set[str] = set()
+def _distinct(jobs: Sequence[Job]) -> list[Job]:
+    """The jobs, with a number after names that came before."""
+    taken: dict[str, int] = {}
     found = []
-    for name in names:
-        new, number = name, 2
-        while new in taken:
-            new, number = f"{name}_{number}", number + 1
-        taken.add(new)
-        found.append(new)
+    for job in jobs:
+        name = job.name
+        while name in taken:
+            taken[job.name] += 1
+            name = f"{job.name}_{taken[job.name]}"
+        taken[name] = 1
+        found.append(replace(job, name=name))
     return found
 
 
@@ -213,10 +249,7 @@ def _anywhere(inputs: Inputs) -> Inputs:
         return type(value)(path.absolute()) if path.exists() else value
 
     given = {name: absolute(getattr(inputs, name)) for name in ("urdf", "mjcf", "objects", "grasps")}
-    # Names win over folders of the same name; only what can be nothing else is a path.
-    for name in ("hand", "object"):
+    for name in NAMES_OR_PATHS:
         value = getattr(inputs, name)
-        is_path = value is not None and (Path(value).suffix or "/" in value) and ":" not in value
-        given[name] = absolute(value) if is_path else value
-    given["targets"] = inputs.targets if inputs.targets in (AUTO, NEAREST) else absolute(inputs.targets)
+        given[name] = absolute(value) if value is not None and _is_path(value) else value
     return replace(inputs, **given)

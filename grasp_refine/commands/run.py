@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from tyro.conf import DisallowNone, arg
 
-from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
+from grasp_refine.commands.ending import NOTHING_USABLE
 from grasp_refine.commands.inputs import NEAREST, Inputs
 from grasp_refine.commands.refining import proved, refined
 from grasp_refine.commands.settings import Settings
@@ -33,7 +33,7 @@ from grasp_refine.report.results import fingerprint, result_paths, save_results
 from grasp_refine.report.screen import screen
 from grasp_refine.report.table import grasp_table
 from grasp_refine.report.writing import check_no_input, check_writable, save_json
-from grasp_refine.stopwatch import Stopwatch
+from grasp_refine.stopwatch import Stopwatch, cpu_seconds
 from grasp_refine.targets import Touching
 from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
 from grasp_refine.validation.trials import Trials

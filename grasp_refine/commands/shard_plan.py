@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.apps.batch.record import is_result
 from grasp_refine.apps.batch.shard import Shard
 from grasp_refine.commands.digests import Digests
 from grasp_refine.commands.inputs import SAMPLE, Inputs
@@ -18,11 +19,18 @@ from grasp_refine.commands.kept import Kept, KeptInputs
 from grasp_refine.commands.object_source import chosen_object
 from grasp_refine.commands.sources import on_disk
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.formats.folders import object_folder
 from grasp_refine.grasps import choose_rows
 from grasp_refine.hand_source import check_known
 
-_PLAIN = re.compile(r"[^\w.,=+-]+")
-"""What no name of a file has."""
+READ = ("grasps", "hand", "urdf", "mjcf", "object", "objects", "targets")
+"""Inputs that may be files or folders."""
+
+RESERVED = ("report.html", "index.csv", "index.parquet")
+"""Files beside the folders of results."""
+
+LONGEST = 150
+"""Bytes of a name; what is added to it while it is written, and when it fails, has to fit as well (255)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +45,10 @@ class Task:
     """The inputs of the job."""
     source: dict[str, Any]
     """The grasp file, or the hand of sampled grasps, and its hash."""
+    hand: tuple[str, str]
+    """Where the hand comes from, and the hash of its files."""
+    object_digest: str
+    """Hash of the object's files."""
     object: str
     """The object, as the grasp file calls it."""
     rows: np.ndarray
@@ -66,7 +78,9 @@ class Plan:
     refused: tuple[Refused, ...]
     """Jobs that cannot be done."""
     files: tuple[Path, ...]
-    """All files that are read, none of which may be overwritten."""
+    """All files and folders that are named as inputs, none of which may be overwritten."""
+    results: int
+    """How many files were found that are results of a batch, and so no grasps to refine."""
 
 
 @dataclass(frozen=True)
@@ -92,30 +106,31 @@ class Planner:
             say: Hears what is fetched.
             progress: Hears how many jobs are planned, and which one is next.
         """
-        digests, files = Digests(), []
+        digests, kept, results = Digests(), Kept(), 0
         shards: list[Shard] = []
         refused: list[Refused] = []
         for number, job in enumerate(jobs):
             progress(number, job.name)
-            # A folder of jobs is read one after the other: only the last one is needed.
-            inputs = KeptInputs.of(job.inputs, Kept())
+            inputs = KeptInputs.of(job.inputs, kept)
             try:
-                found = list(self._shards(job, inputs, digests, say))
+                if not job.named and is_result(Path(str(inputs.grasps))):
+                    results += 1
+                    continue
+                shards += list(self._shards(job, inputs, digests, say))
             except GraspRefineError as error:
                 refused.append(Refused(job.name, " ".join(str(error).split())))
-                continue
-            shards += found
-            files += [path for path in (job.inputs.grasps, job.inputs.object, job.inputs.urdf) if path is not None]
         # What shares a hand and an object is done together; else jobs stay in order.
         first: dict[str, int] = {}
         for place, shard in enumerate(shards):
             first.setdefault(shard.group, place)
         shards.sort(key=lambda shard: first[shard.group])
+        named = [getattr(job.inputs, name) for job in jobs for name in READ]
+        files = dict.fromkeys(Path(path) for path in named if path is not None)
         paths = _distinct([shard.path for shard in shards])
         numbered = [
             replace(shard, number=n, path=path) for n, (shard, path) in enumerate(zip(shards, paths, strict=True))
         ]
-        return Plan(tuple(numbered), tuple(refused), tuple(Path(path) for path in files))
+        return Plan(tuple(numbered), tuple(refused), tuple(files), results)
 
     def _shards(self, job: Job, inputs: KeptInputs, digests: Digests, say: Callable[[str], None]) -> Iterator[Shard]:
         """The shards of a job, still without numbers.
@@ -123,6 +138,7 @@ class Planner:
         Raises:
             GraspRefineError: the job cannot be done.
         """
+        inputs.check_numbers()
         if str(inputs.grasps).startswith(SAMPLE):
             yield from self._sampled(job, inputs, digests, say)
             return
@@ -130,7 +146,8 @@ class Planner:
         read = inputs.read(path, say)
         if inputs.hand is None:
             check_known(read.grasps.hand, path)
-        hand, hand_digest = digests.hand(inputs.hand or read.grasps.hand, inputs, say)
+        named = inputs.hand or read.grasps.hand
+        hand, hand_digest = digests.hand(named, inputs, say)
         source = digests.file(path)
         for name, where in inputs.named_objects(read.grasps, path, say).items():
             object_digest = digests.object(where)
@@ -139,8 +156,8 @@ class Planner:
             order = np.argsort(read.grasps.scale[rows], kind="stable")
             for number, start in enumerate(range(0, len(rows), self.size)):
                 index = order[start : start + self.size]
-                task = Task(self.batch, job.name, job.inputs, source, name, rows[index], index)
-                yield self._shard(task, hand, hand_digest, object_digest, number, digests)
+                of = (self.batch, job.name, job.inputs, source, (named, hand_digest), object_digest, name)
+                yield self._shard(Task(*of, rows[index], index), hand, number, digests)
 
     def _sampled(self, job: Job, inputs: KeptInputs, digests: Digests, say: Callable[[str], None]) -> Iterator[Shard]:
         """The shards of a job whose grasps are drawn, each in a draw of its own."""
@@ -152,28 +169,27 @@ class Planner:
         for number, start in enumerate(range(0, count, self.size)):
             size, nothing = min(self.size, count - start), np.zeros(0, dtype=np.int64)
             source = {"sampled": f"{SAMPLE}{size}", "draw": number, "hand": hand_digest}
-            task = Task(self.batch, job.name, job.inputs, source, name, nothing, nothing, (size, number))
-            yield self._shard(task, hand, hand_digest, object_digest, number, digests)
+            of = (self.batch, job.name, job.inputs, source, (inputs.hand, hand_digest), object_digest, name)
+            yield self._shard(Task(*of, nothing, nothing, (size, number)), hand, number, digests)
 
-    def _shard(
-        self, task: Task, hand: str, hand_digest: str, object_digest: str, number: int, digests: Digests
-    ) -> Shard:
+    def _shard(self, task: Task, hand: str, number: int, digests: Digests) -> Shard:
         stamp = digests.stamp(
             task.inputs,
             **self.depends,
             seed=self.seed,
             source=task.source.get("sha256", task.source),
-            hand=hand_digest,
-            object=[task.object, object_digest],
+            hand=task.hand[1],
+            object=[task.object, task.object_digest],
             rows=task.rows,
             sampled=task.sampled,
         )
-        stem = f"{_plain(hand)}_{_plain(task.object)}"
-        folder = self.out.joinpath(*(_plain(part) for part in task.job.split("/")))
+        stem = _short(f"{object_folder(hand)}_{object_folder(task.object)}")
+        first, *rest = (_short(object_folder(part)) for part in task.job.split("/") if part)
+        folder = self.out.joinpath(f"{first}_" if first in RESERVED else first, *rest)
         size = task.sampled[0] if task.sampled is not None else len(task.rows)
         return Shard(
             number=-1,
-            group=f"{hand_digest} {task.object} {object_digest}",
+            group=f"{task.hand[1]} {task.object} {task.object_digest}",
             name=f"{task.job}: {hand}, {task.object}, part {number}",
             size=size,
             path=folder / f"{stem}_{number:05d}.npz",
@@ -201,6 +217,8 @@ def _distinct(paths: list[Path]) -> list[Path]:
     return paths
 
 
-def _plain(name: str) -> str:
-    """The name with only what any file system takes; never a folder above."""
-    return _PLAIN.sub("_", name).lstrip(".") or "_"
+def _short(name: str) -> str:
+    """The name, or what stands for one that is too long for a file."""
+    if len(name.encode()) <= LONGEST:
+        return name
+    return f"{name.encode()[: LONGEST - 9].decode(errors='ignore')}_{hashlib.sha256(name.encode()).hexdigest()[:8]}"

@@ -5,10 +5,13 @@ from __future__ import annotations
 import resource
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from grasp_refine.apps.batch.shard import Beat, Done, Shard
+from grasp_refine.commands.digests import Digests
 from grasp_refine.commands.inputs import AUTO, NEAREST, Inputs
 from grasp_refine.commands.invocation import words
 from grasp_refine.commands.kept import Kept, KeptInputs, kept_for
@@ -73,7 +76,7 @@ class ShardWork:
             if self.protocol is not None:
                 world = kept.get(
                     "world",
-                    (problem.hand, group.scene.object, self.protocol),
+                    (problem.hand, group.scene.object, self.protocol, group.scene.table),
                     lambda scene=group.scene: _world(kept, scene.hand, scene.object, self.protocol, scene.table),
                 )
                 trials.append(proved(group, parts[-1], world, share.proving, threads=1))
@@ -152,10 +155,26 @@ def problem_of(task: Task, seed: int, kept: Kept, beat: Beat) -> Problem:
         return inputs.load_sampled(count, seed, say, say, draw)
     path = on_disk(inputs.grasps, say)
     read = inputs.read(path, say)
+    planned = (task.source["sha256"], *task.hand, task.object, task.object_digest)
+    kept.get("unchanged", (inputs, *planned), lambda: _check_unchanged(task, inputs, path, say))
     some = replace(read, grasps=read.grasps.select(task.rows))
     # Targets were read with the file.
     targets = NEAREST if inputs.targets == NEAREST else AUTO
     return replace(inputs, object_name=task.object, targets=targets).load_read(some, path, seed, say)
+
+
+def _check_unchanged(task: Task, inputs: KeptInputs, path: Path, say: Callable[[str], None]) -> None:
+    """Nothing, when grasps, hand and object are still those that the shard was planned with.
+
+    Raises:
+        GraspRefineError: they are not, so that the stamp would not be true.
+    """
+    digests = Digests()
+    source, planned = task.hand
+    digests.check(str(path), task.source["sha256"], digests.file(path)["sha256"])
+    digests.check(f"hand {source}", planned, digests.hand(source, inputs, say)[1])
+    where = replace(inputs, object_name=task.object).named_objects(inputs.read(path, say).grasps, path, say)
+    digests.check(f"object {task.object}", task.object_digest, digests.object(where[task.object]))
 
 
 def _look(inputs: Inputs) -> list[str]:

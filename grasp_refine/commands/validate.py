@@ -13,7 +13,7 @@ import torch
 from rich.markup import escape
 from tyro.conf import DisallowNone, Positional, arg
 
-from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
+from grasp_refine.commands.ending import NOTHING_USABLE
 from grasp_refine.commands.options import check_numbers, flag
 from grasp_refine.commands.recording import Recording
 from grasp_refine.commands.simulating import Robustness, Simulation
@@ -28,6 +28,7 @@ from grasp_refine.report.screen import screen
 from grasp_refine.report.validation_document import check_table, flat_rows, save_table, validate_document
 from grasp_refine.report.validation_table import comparison_table, validation_table
 from grasp_refine.report.writing import check_no_input, check_writable, save_json
+from grasp_refine.stopwatch import cpu_seconds
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Trials

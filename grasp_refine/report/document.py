@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
+from grasp_refine.collision.engine import chosen
 from grasp_refine.config import Config
 from grasp_refine.report.outcome import Outcome
 from grasp_refine.report.profile import Profile, profile_entry
@@ -41,6 +42,7 @@ def run_document(
         "schema": SCHEMA,
         "command": "run",
         "versions": versions(),
+        "engine": chosen("auto"),
         "config": config,
         "seed": refined.seed,
         "totals": {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from grasp_refine import stopwatch
+from grasp_refine.cores import usable_cores
 from grasp_refine.se3 import distances, exp_so3, log_so3, pose_from_transform, transform
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import AXES, Protocol
@@ -249,9 +249,7 @@ def _steps(protocol: Protocol) -> int:
 
 
 def _threads(threads: int | None) -> int:
-    if threads is not None:
-        return threads
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return usable_cores() if threads is None else threads
 
 
 @dataclass(frozen=True, eq=False)

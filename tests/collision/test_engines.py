@@ -7,7 +7,9 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import fields
+from hashlib import sha256
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -214,6 +216,27 @@ def test_arrays_for_other_items_are_refused(both: tuple[Pairs, Pairs]) -> None:
 
 
 @native
+def test_answers_are_written_where_they_are_wanted_or_refused(both: tuple[Pairs, Pairs]) -> None:
+    """An array of another type was converted, and the answer written into the copy."""
+    pairs, count = both[0].take(np.array([0])), 2
+    poses, limit = np.tile(np.eye(4), (count, 1, 1)), np.full(count, np.inf)
+
+    def ask(distance: np.ndarray, winner: np.ndarray) -> None:
+        points = np.empty((3, count, 3))
+        out = (*points, distance, np.empty(count, np.int8), winner, np.empty(count, np.int64))
+        pairs.native._compiled.query(None, poses, poses, limit, None, None, None, None, *out, 1)
+
+    ask(np.empty(count), np.empty(count, np.int64))
+    for distance, winner in (
+        (np.empty(count, np.float32), np.empty(count, np.int64)), (np.empty(count), np.empty(count, np.int32))
+    ):  # fmt: skip
+        with pytest.raises(TypeError, match="incompatible function arguments"):
+            ask(distance, winner)
+    with pytest.raises(ValueError, match="are for other items, or of other shapes"):
+        ask(np.empty(count), np.empty(count + 1, np.int64))
+
+
+@native
 def test_a_forked_process_does_not_wait_for_threads_that_it_lost() -> None:
     code = """
 import os, signal, sys
@@ -322,8 +345,39 @@ def test_an_engine_for_another_coal_is_left_alone(monkeypatch: pytest.MonkeyPatc
 
     from grasp_refine.collision import native_search
 
-    assert native_search.built_for() == version("coal")
-    monkeypatch.setattr(native_search._native, "coal_version", "3.0.0")
     here = version("coal")
-    assert why_not_native() == f"built for coal 3.0.0, but coal {here} is installed: install grasp-refine again"
+    assert native_search.built_for() == native_search.coal_version() == here
+    monkeypatch.setattr(native_search._native, "coal_version", "3.0.0")
+    assert why_not_native() == (
+        f"built for coal 3.0.0, but coal {here} is installed: pip install coal==3.0.0, or install grasp-refine again "
+        "with --no-build-isolation"
+    )
     assert engines() == ("python",)
+
+
+@native
+def test_an_engine_of_other_sources_is_left_alone(monkeypatch: pytest.MonkeyPatch, forgotten: None) -> None:
+    from grasp_refine.collision import native_search
+
+    assert native_search.sources() == native_search._native.sources
+    monkeypatch.setattr(native_search._native, "sources", "0" * 64)
+    assert why_not_native() == "built from other sources than those that are here: install grasp-refine again"
+    # Before there was such a hash.
+    monkeypatch.delattr(native_search._native, "sources")
+    assert native_search.mismatch().startswith("built from other sources")
+    # In a wheel there are none.
+    monkeypatch.setattr(native_search, "sources", lambda: None)
+    assert native_search.mismatch() == ""
+
+
+@native
+def test_the_hash_of_sources_is_that_of_their_contents(tmp_path: Path) -> None:
+    from grasp_refine.collision.native_search import sources
+
+    assert sources(tmp_path) is None
+    (tmp_path / "a.h").write_text("one")
+    (tmp_path / "CMakeLists.txt").write_text("no source")
+    assert sources(tmp_path) == sha256(sha256(b"one").hexdigest().encode()).hexdigest()
+    before = sources(tmp_path)
+    (tmp_path / "a.h").write_text("two")
+    assert sources(tmp_path) != before

@@ -131,6 +131,25 @@ def test_the_cutoff_hides_only_what_is_farther() -> None:
     assert cut.asked.sum() < full.asked.sum()
 
 
+def test_nothing_is_below_a_cutoff_that_is_no_number() -> None:
+    T_a, T_b = scattered(5, 3, 0.1)
+    cutoff = np.full((5, 2), np.inf)
+    cutoff[[0, 3], [0, 1]] = cutoff[4] = np.nan
+    pairs = Pairs((cluster(0), single(sphere(0.01))), (cluster(1), single(sphere(0.01))))
+    T_a, T_b = (np.tile(T, (1, 2, 1, 1)) for T in (T_a, T_b))
+    found, hidden = query(pairs, T_a, T_b, cutoff=cutoff), np.isnan(cutoff)
+    assert (found.status[hidden] == QueryStatus.FAR).all() and np.isnan(found.distance[hidden]).all()
+    assert not found.asked[hidden].any() and (found.winner[hidden] == -1).all() and not found.point_a[hidden].any()
+    np.testing.assert_array_equal(found.distance[~hidden], query(pairs, T_a, T_b).distance[~hidden])
+
+
+def test_poses_of_another_number_of_pairs_are_refused() -> None:
+    """The compiled engine took the pairs over and over, whatever they were."""
+    pairs, T = Pairs((cluster(0),) * 3, (cluster(1),) * 3), np.tile(np.eye(4), (4, 2, 1, 1))
+    with pytest.raises(CollisionError, match="poses of 2 pairs of bodies, but there are 3: give one pose of each"):
+        query(pairs, T, T)
+
+
 def test_the_last_answer_changes_the_work_and_not_the_result() -> None:
     a, b = cluster(0), cluster(1)
     T_a, T_b = scattered(100, 11, 0.1)

@@ -25,8 +25,6 @@ EPSILON = 1e-5
 class Preset:
     """An experiment."""
 
-    what: str
-    """One line on what it shows."""
     variants: tuple[Variant, ...]
     """What is compared, at the largest budget."""
     classes: tuple[str, ...] = CLASSES[:3]
@@ -105,23 +103,19 @@ def _smoke() -> tuple[Variant, ...]:
 
 PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
-        "table1": Preset("all methods, with face-face targets apart", _table1(), classes=CLASSES),
-        "table2": Preset("smoothing x sampling, and which gradients are used; margins 0 and 1 mm", _table2()),
-        "table3": Preset("CPU time of a query by method, forward and backward", _table3(), budgets=(200,)),
-        "table4": Preset("CPU time of a backward pass by its parts", _table4(), budgets=(200,)),
-        "margin": Preset("the contact margin, for smoothing by distance and by direction", _margin()),
-        "step-size": Preset("the size of the first steps, for four methods plain and at their best", _step_size()),
-        "coupling": Preset("one-sided (the paper's equations) against coupled slips", _coupling()),
+        "table1": Preset(_table1(), classes=CLASSES),
+        "table2": Preset(_table2()),
+        "table3": Preset(_table3(), budgets=(200,)),
+        "table4": Preset(_table4(), budgets=(200,)),
+        "margin": Preset(_margin()),
+        "step-size": Preset(_step_size()),
+        "coupling": Preset(_coupling()),
         "solvers": Preset(
-            "Levenberg-Marquardt at 200 and 500 iterations against descent at 2000; margins 0 and 1 mm",
             _solvers(),
             budgets=(),
         ),
-        "patch": Preset(
-            "targets on two faces: plain against patch witness points", _patch(), classes=("face-face",), budgets=()
-        ),
+        "patch": Preset(_patch(), classes=("face-face",), budgets=()),
         "smoke": Preset(
-            "every method on a few tasks, in less than a minute",
             _smoke(),
             classes=CLASSES,
             pairs=2,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ..timing import one_thread
 from .aligned import Aligned, Visit, errors_at, padded
 from .bodies import KINDS, BodyPair
 from .descent import AlignDescent, align
@@ -53,7 +54,9 @@ class Job:
     def do(self, progress: Callable[[float], None]) -> Done:
         """Run the variant on the tasks, in this process."""
         torch.set_num_threads(self.threads)
-        variant, aligned = self.variant, self.solved(progress)
+        variant = self.variant
+        with one_thread():
+            aligned = self.solved(progress)
         if variant.patch is None:
             return Done(self, aligned)
         poses = aligned.T_world_a, aligned.T_world_b

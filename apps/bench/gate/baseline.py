@@ -70,8 +70,7 @@ def load_baseline(path: Path, engine: str) -> dict[str, Known]:
         GraspRefineError: it cannot be read, or is not of these ratios or not of this engine.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-        engines = document["engines"]
+        engines = _engines(path)
         ratios = {
             name: {key: Known(float(one["value"]), float(one["limit"])) for key, one in its["ratios"].items()}
             for name, its in engines.items()
@@ -100,7 +99,7 @@ def updated(path: Path, engine: str, measured: Mapping[str, float], about: Mappi
     engines: dict[str, Any] = {}
     if path.is_file():
         try:
-            engines = dict(json.loads(path.read_text(encoding="utf-8"))["engines"])
+            engines = _engines(path)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise GraspRefineError(f"{path}: is no baseline ({type(error).__name__}: {error}), and is kept") from None
     wrong = [name for name, value in measured.items() if not isfinite(value)]
@@ -114,10 +113,21 @@ def updated(path: Path, engine: str, measured: Mapping[str, float], about: Mappi
 
 
 def judged(known: Mapping[str, Known], measure: Measure) -> list[Verdict]:
-    """Verdicts on all ratios; a group with one beyond its limit is measured once more, before it is told."""
+    """Verdicts on all ratios; a group with one beyond its limit is measured once more, before it is told.
+
+    Raises:
+        GraspRefineError: a ratio is measured and not in the baseline, or the other way round.
+    """
     verdicts: dict[str, Verdict] = {}
     for group in get_args(Group):
         found, its = measure(group), [ratio for ratio in RATIOS if ratio.group == group]
+        wanted = {one.name for one in its} & set(known)
+        if set(found) != wanted:
+            new, gone = (", ".join(sorted(names)) or "nothing" for names in (set(found) - wanted, wanted - set(found)))
+            raise GraspRefineError(
+                f"{group}: measured, but not in the baseline: {new}; in the baseline, but not measured: {gone}; "
+                f"{UPDATE}"
+            )
         verdicts |= {one.name: Verdict(one, found.get(one.name), known.get(one.name), False) for one in its}
         worse = [verdicts[one.name] for one in its if verdicts[one.name].ok is False]
         if worse:
@@ -127,6 +137,18 @@ def judged(known: Mapping[str, Known], measure: Measure) -> list[Verdict]:
                 now = _better(one.ratio, one.now, second[name])
                 verdicts[name] = Verdict(one.ratio, now, one.known, True)
     return [verdicts[ratio.name] for ratio in RATIOS]
+
+
+def _engines(path: Path) -> dict[str, Any]:
+    """What a baseline holds of each engine.
+
+    Raises:
+        OSError, ValueError, KeyError, TypeError: it is no baseline.
+    """
+    document = json.loads(path.read_text(encoding="utf-8"))
+    if document["schema"] != SCHEMA:
+        raise ValueError(f"schema is {document['schema']}, not {SCHEMA}")
+    return dict(document["engines"])
 
 
 def _better(ratio: Ratio, one: float, other: float) -> float:

@@ -37,9 +37,8 @@ from ..queries.cases import DISTANCE, Case
 from ..queries.peers import fresh_coal
 from ..queries.poses import draw_poses
 from ..queries.runner import CaseJob, Measured
-from ..queries.skips.skip import one_thread
-from ..queries.timing import cpu_times
 from ..shares import REST, cpu_share
+from ..timing import cpu_times, one_thread
 from .ratios import Group
 
 ROUNDS, LEAST_S = 5, 0.02
@@ -48,7 +47,7 @@ ROUNDS, LEAST_S = 5, 0.02
 HAND, OBJECT, EXAMPLE = "allegro", "rounded_box", "allegro/example_rounded_box.npz"
 """What is grasped: a convex object, of which no decomposition decides how long it takes."""
 
-TASKS, BATCH, SINGLES, FORCED = 256, 64, 8, 16
+TASKS, BATCH, SINGLES, FORCED = 256, 64, 8, 32
 """Grasps in all, worked on at once, one at a time, and with forces."""
 
 DESCENT_STEPS = 20
@@ -62,7 +61,7 @@ SEED = 0
 def measure(group: Group, progress: Callable[[float], None]) -> dict[str, float]:
     """Name -> value of the ratios of a group that this machine has."""
     torch.set_num_threads(1)
-    with one_thread((chosen("auto"),)):
+    with one_thread():
         return MEASURES[group](progress)
 
 

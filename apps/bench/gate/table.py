@@ -20,6 +20,9 @@ def gate_table(verdicts: Sequence[Verdict]) -> Table:
     table.add_column("")
     table.add_column("what it means")
     for one in verdicts:
+        notes = " (measured twice)" if one.again else ""
+        if one.ok is False and one.ratio.own:
+            notes += ", or what it is compared with got faster"
         bound = "" if one.known is None else f"{'≥' if one.ratio.higher else '≤'} {one.known.limit:.3g}"
         table.add_row(
             one.ratio.name,
@@ -27,6 +30,6 @@ def gate_table(verdicts: Sequence[Verdict]) -> Table:
             "-" if one.known is None else f"{one.known.value:.3g}",
             bound,
             WORDS[one.ok],
-            one.ratio.what + (" (measured twice)" if one.again else ""),
+            one.ratio.what + notes,
         )
     return table

@@ -17,8 +17,6 @@ FIRST_ORDER = ("descent", "adam")
 class Preset:
     """An experiment."""
 
-    what: str
-    """One line on what it shows."""
     variants: tuple[Variant, ...]
     """What is compared."""
     kinds: tuple[Kind, ...] = ("targets", "nothing")
@@ -45,25 +43,21 @@ def _over_time() -> tuple[Variant, ...]:
 PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
         "targets": Preset(
-            "true grasps that were disturbed: Levenberg-Marquardt at batch 1 to 256",
             tuple(Variant(batch=batch) for batch in (1, 16, 64, 256)),
             kinds=("targets",),
             count=256,
         ),
         "nothing": Preset(
-            "real grasps as they come: Levenberg-Marquardt at batch 1 to 256",
             tuple(Variant(batch=batch) for batch in (1, 16, 64, 256)),
             kinds=("nothing",),
         ),
         "time-to-error": Preset(
-            "error over CPU time of Levenberg-Marquardt, descent and Adam on the same disturbed grasps",
             _over_time(),
             kinds=("targets",),
             count=32,
             scenes=3,
         ),
         "contacts": Preset(
-            "time by number of contacts, and of joints: disturbed true grasps of several hands",
             tuple(Variant(contacts=count) for count in (1, 2, 3, 4, 5)),
             kinds=("targets",),
             count=64,
@@ -71,19 +65,16 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
             every_hand=True,
         ),
         "pieces": Preset(
-            "time by number of convex pieces: disturbed true grasps of one object cut into 1 to 64",
             tuple(Variant(pieces=count) for count in (1, 2, 4, 8, 16, 32, 64)),
             kinds=("targets",),
             count=64,
         ),
         "workers": Preset(
-            "grasps per second, and CPU time of each, with 1 and with 2 processes that share the same tasks",
             tuple(Variant(processes=count) for count in (1, 2)),
             kinds=("targets",),
             count=256,
         ),
         "smoke": Preset(
-            "every solver on a few tasks of both kinds, in less than a minute",
             (
                 Variant(batch=1),
                 Variant(batch=16),

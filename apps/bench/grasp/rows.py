@@ -11,7 +11,8 @@ from grasp_refine.solvers.status import Status
 
 from ..shares import cpu_share, told_apart
 from .measures import Measures
-from .runner import Done, Part
+from .runner import Done, Part, calls
+from .variants import Variant
 
 PARTS = told_apart("kinematics", "broad phase", "narrow phase", "derivative")
 """What of the CPU time is told apart."""
@@ -45,7 +46,7 @@ def _of_job(done: Done) -> list[Row]:
             "task": job.kind,
             **job.variant.columns(),
             **_sizes(parts),
-            **_statistics(parts, job.kind == "targets", job.variant.batch),
+            **_statistics(parts, job.kind == "targets", job.variant),
             "grasps_per_s": _rate(done) if name == "all" else None,
             "cpu_share": cpu_share([part.watch for part in parts], PARTS),
         }
@@ -72,7 +73,7 @@ def _rate(done: Done) -> float | None:
     return sum(len(part.tasks) for part in done.parts) / (done.span[1] - done.span[0])
 
 
-def _statistics(parts: Sequence[Part], aimed: bool, batch: int) -> Row:
+def _statistics(parts: Sequence[Part], aimed: bool, variant: Variant) -> Row:
     before, after = (_joined([getattr(part, name) for part in parts]) for name in ("before", "after"))
     touching = np.concatenate([part.touching for part in parts])
     status, iterations, queries, cpu_s, wall_s, solver_cpu_s = (
@@ -83,8 +84,7 @@ def _statistics(parts: Sequence[Part], aimed: bool, batch: int) -> Row:
         name: np.concatenate([getattr(part.moved, name) for part in parts])
         for name in ("palm_m", "palm_rad", "joints_rad")
     }
-    # One of several calls may be disturbed; of one call there is only its own time.
-    typical = np.median if batch == 1 else np.mean
+    batch, several = variant.batch, sum(len(calls(len(part.tasks), variant)) for part in parts) > 1
     return {
         "grasps": len(status),
         "batch_mean": float(np.concatenate([[min(batch, len(p.tasks))] * len(p.tasks) for p in parts]).mean()),
@@ -100,9 +100,11 @@ def _statistics(parts: Sequence[Part], aimed: bool, batch: int) -> Row:
         "iterations_mean": float(iterations.mean()),
         "iterations_median": float(np.median(iterations)),
         "queries_mean": float(queries.mean()),
-        "cpu_ms_per_grasp": 1e3 * float(typical(cpu_s)),
-        "wall_ms_per_grasp": 1e3 * float(typical(wall_s)),
-        "solver_cpu_ms_per_grasp": 1e3 * float(typical(solver_cpu_s)),
+        "cpu_ms_per_grasp": 1e3 * float(cpu_s.mean()),
+        # The grasps of a call share its time evenly: of one call there is nothing but the mean.
+        "cpu_ms_per_grasp_median": 1e3 * float(np.median(cpu_s)) if several else None,
+        "wall_ms_per_grasp": 1e3 * float(wall_s.mean()),
+        "solver_cpu_ms_per_grasp": 1e3 * float(solver_cpu_s.mean()),
         **{f"moved_{name.replace('_', '_median_')}": _median(values) for name, values in moved.items()},
     }
 

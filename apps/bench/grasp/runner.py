@@ -15,6 +15,7 @@ from grasp_refine.refine import Refinement, refine
 from grasp_refine.stopwatch import Stopwatch
 from grasp_refine.validation.geometry import Movement, movement
 
+from ..timing import one_thread
 from .measures import Measures, measured
 from .sets import GraspSet
 from .tasks import Kind, Tasks
@@ -102,6 +103,10 @@ class SetJob:
     def run(self, ready: Callable[[], None], progress: Callable[[float], None] = lambda share: None) -> Done:
         """Refine and measure all tasks in this process; `ready` is called before anything is timed."""
         torch.set_num_threads(self.threads)
+        with one_thread():
+            return self._run(ready, progress)
+
+    def _run(self, ready: Callable[[], None], progress: Callable[[float], None]) -> Done:
         # What is built once for a hand and an object is not timed.
         prepared = [self._prepared(tasks) for tasks in self.tasks]
         total, finished, timed = sum(map(len, self.tasks)), 0, []

@@ -6,7 +6,7 @@ import multiprocessing
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from multiprocessing.synchronize import Barrier
 from threading import BrokenBarrierError
 from typing import Any, TypeVar
@@ -29,22 +29,27 @@ def together(works: Sequence[Callable[[Callable[[], None]], Result]]) -> list[Re
     # A forked child of a process that has used torch may hang.
     context = multiprocessing.get_context("spawn")
     barrier = context.Barrier(len(works))
-    children = []
+    children, found = {}, {}
     try:
         for work in works:
             mine, its = context.Pipe(duplex=False)
             child = context.Process(target=_do, args=(work, barrier, its))
             child.start()
             its.close()
-            children.append((child, mine))
-        found = [_received(*each) for each in children]
-        errors = [one for one in found if isinstance(one, BaseException)]
-        # That the others were not waited for any longer is no news.
-        for error in sorted(errors, key=lambda one: isinstance(one, BrokenBarrierError)):
-            raise error
-        return found
+            children[mine] = child
+        while len(found) < len(children):
+            # Whichever comes first: one that ended may be what the others wait for.
+            for mine in wait([mine for mine in children if mine not in found]):
+                found[mine] = _received(children[mine], mine)
+                # That the others were not waited for any longer is no news.
+                if isinstance(found[mine], Exception) and not isinstance(found[mine], BrokenBarrierError):
+                    raise found[mine]
+        for one in found.values():
+            if isinstance(one, Exception):
+                raise one
+        return [found[mine] for mine in children]
     finally:
-        for child, mine in children:
+        for mine, child in children.items():
             child.terminate()
             child.join()
             mine.close()

@@ -14,15 +14,11 @@ STARTS = (1, 6)
 class Preset:
     """An experiment."""
 
-    what: str
-    """One line on what it shows."""
     starts: tuple[int, ...] = STARTS
     """Numbers of starts."""
     count: int | None = None
     """Most grasps on each object at each scale; None: all."""
 
 
-PRESETS: Mapping[str, Preset] = MappingProxyType(
-    {"smoke": Preset("every method on two grasps, in seconds", starts=(1, 2), count=2)}
-)
+PRESETS: Mapping[str, Preset] = MappingProxyType({"smoke": Preset(starts=(1, 2), count=2)})
 """Name -> experiment."""

@@ -18,6 +18,7 @@ from grasp_refine.validation.protocol import SETTINGS, SettingName
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import World, build_world
 
+from ..timing import one_thread
 from .measures import Measures, measured
 from .methods import Method
 
@@ -86,6 +87,10 @@ class GroupJob:
 
     def do(self, progress: Callable[[float], None]) -> tuple[Part, ...]:
         """What came of each method, in this process."""
+        with one_thread():
+            return self._parts(progress)
+
+    def _parts(self, progress: Callable[[float], None]) -> tuple[Part, ...]:
         scene = self.group.scene
         worlds = {name: build_world(self.model, scene.object, SETTINGS[name], scene.table) for name in self.settings}
         # What is built once for a hand and an object is not timed.

@@ -23,8 +23,6 @@ CONVEX, MIXED, CONCAVE = Case("convex"), Case("mixed", 16), Case("concave", 16)
 class Preset:
     """An experiment."""
 
-    what: str
-    """One line on what it shows."""
     cases: tuple[Case, ...] = ()
     """What is measured."""
     examples: tuple[tuple[str, str], ...] = ()
@@ -66,22 +64,18 @@ def _sweeps() -> tuple[Case, ...]:
 EXAMPLES = tuple(product(("allegro", "shadow"), ("mug", "rounded_box")))
 """What skips are shown on."""
 
-DEFAULT = Preset(
-    "batches, vertices, pieces and states, one varied at a time, and all skips", _sweeps(), EXAMPLES, COMMANDS
-)
+DEFAULT = Preset(_sweeps(), EXAMPLES, COMMANDS)
 """What is run where nobody says what."""
 
 PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
         "full": Preset(
-            "every combination of batches, vertices, pieces and states, and all skips",
             cases_of(("convex", "mixed", "concave"), PIECES, VERTICES, STATES, BATCHES),
             EXAMPLES,
             COMMANDS,
         ),
-        "skips": Preset("what is saved by what is not done, without times of queries", (), EXAMPLES, COMMANDS),
+        "skips": Preset((), EXAMPLES, COMMANDS),
         "smoke": Preset(
-            "a few small cases, and all skips but those of imports once, in seconds",
             (Case(batch=16), Case(state="deep", batch=16), Case("mixed", 4, batch=16), Case("concave", 4, batch=16)),
             (("allegro", "rounded_box"),),
             rounds=3,

@@ -19,12 +19,11 @@ from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
 
+from ..timing import cpu_times, one_thread
 from .bodies import make_pairs
 from .cases import DISTANCE, Case
 from .peers import PEERS, Loop, Peer
 from .poses import draw_poses, nearby
-from .skips.skip import one_thread
-from .timing import cpu_times
 
 MethodName = Literal["contact-kinematics", "distance", "direction", "analytical"]
 
@@ -117,7 +116,7 @@ class CaseJob:
     def do(self, progress: Callable[[float], None]) -> Measured:
         """Measure it, in this process and with one thread of torch."""
         torch.set_num_threads(1)
-        with one_thread(self.engines):
+        with one_thread():
             return self._measured(progress)
 
     def _measured(self, progress: Callable[[float], None]) -> Measured:

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from grasp_refine.collision.engine import engines
-
 from ..jobs import Job, run_jobs
+from ..timing import one_thread
 from .cases import Case
 from .peers import PEERS
 from .rows import rows
 from .runner import CaseJob, Measured, MethodName
 from .skips.asking import asking_skips
-from .skips.skip import Example, Skip, one_thread
+from .skips.skip import Example, Skip
 from .skips.solving import frame_skip, solving_skips
 from .skips.starting import decomposition_skip, import_skips, self_collision_skips
 
@@ -64,7 +63,7 @@ class SkipJob:
 
     def do(self, progress: Callable[[float], None]) -> tuple[Skip, ...]:
         """What they save."""
-        with one_thread(engines()):
+        with one_thread():
             return tuple(self.run())
 
 

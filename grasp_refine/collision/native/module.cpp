@@ -144,6 +144,9 @@ void query(const Search& search, std::optional<In<int64_t>> pair, In<double> T_a
   const auto pair_of = [=](size_t i) { return listed ? static_cast<size_t>(listed[i]) : i % pairs; };
   check(T_a.size() == 16 * count && T_b.size() == 16 * count && (!pair || pair->size() == count));
   check(!listed || std::all_of(listed, listed + count, [=](int64_t p) { return 0 <= p && p < int64_t(pairs); }));
+  check(new_point_a.size() == 3 * count && new_point_b.size() == 3 * count && new_normal.size() == 3 * count);
+  check(new_distance.size() == count && new_status.size() == count && new_winner.size() == count &&
+        new_asked.size() == count);
   check(!winner || (winner->size() == count && point_a->size() == 3 * count && point_b->size() == 3 * count &&
                     status->size() == count));
 
@@ -252,6 +255,7 @@ NB_MODULE(_native, m) {
   // At the end of a program pieces may be alive, and their shapes with them.
   nb::set_leak_warnings(false);
   m.attr("coal_version") = COAL_VERSION;
+  m.attr("sources") = GRASP_REFINE_SOURCES;
 #ifdef _OPENMP
   m.attr("openmp") = true;
 #else
@@ -280,7 +284,8 @@ NB_MODULE(_native, m) {
       .def("__init__", [](NarrowPhase* self, const Shapes& a, const Shapes& b, double gjk, double epa, double retry,
                           double slack) { new (self) NarrowPhase(narrow_phase_of(a, b, gjk, epa, retry, slack)); })
       .def("closest", &closest, "R"_a, "t"_a, "starts"_a, "pair"_a, "bound"_a, "limit"_a, "guess"_a.none(),
-           "guess_valid"_a.none(), "distance"_a, "point"_a, "normal"_a, "winner"_a, "asked"_a, "failed"_a)
+           "guess_valid"_a.none(), "distance"_a.noconvert(), "point"_a.noconvert(), "normal"_a.noconvert(),
+           "winner"_a.noconvert(), "asked"_a.noconvert(), "failed"_a.noconvert())
       .def("distances", &distances);
 
   nb::class_<Side>(m, "Side").def(
@@ -301,7 +306,8 @@ NB_MODULE(_native, m) {
           },
           nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>())
       .def("query", &query, "pair"_a.none(), "T_a"_a, "T_b"_a, "limit"_a, "winner"_a.none(), "point_a"_a.none(),
-           "point_b"_a.none(), "status"_a.none(), "new_point_a"_a, "new_point_b"_a, "new_normal"_a, "new_distance"_a,
-           "new_status"_a, "new_winner"_a, "new_asked"_a, "threads"_a)
+           "point_b"_a.none(), "status"_a.none(), "new_point_a"_a.noconvert(), "new_point_b"_a.noconvert(),
+           "new_normal"_a.noconvert(), "new_distance"_a.noconvert(), "new_status"_a.noconvert(),
+           "new_winner"_a.noconvert(), "new_asked"_a.noconvert(), "threads"_a)
       .def("trace", &trace);
 }

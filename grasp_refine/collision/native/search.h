@@ -72,7 +72,8 @@ struct Scratch {
   Eigen::Matrix<double, Eigen::Dynamic, 3> y;  // Centres of the balls of b in the frame of a,
   std::vector<double> y_square;                // and the squares of their lengths.
   std::vector<double> between;                 // How near a piece of a is to any centre of b at least.
-  std::vector<double> row;                     // Of one piece of a and all of b.
+  std::vector<double> square;                  // Squared distances of centres (count_a, count_b),
+  std::vector<char> known;                     // and of which pieces of a they are there.
   std::vector<double> reach_a, reach_b;
   std::vector<Entry> left;
   std::vector<Entry>* trace = nullptr;  // Where the queries that are asked are noted, if anywhere.
@@ -88,7 +89,10 @@ class Search {
   std::vector<int64_t> first_pair;  // The first piece pair of each body pair; (i, j) follows i count_b + j later.
 
   // The closest piece pair of body pair `pair` that is below the limit.
-  Found minimum(int64_t pair, const Transform3s& T, double limit, const Warm& warm, Asker& asker, Scratch& scratch) const {
+  Found minimum(int64_t pair, const Transform3s& T, double limit, const Warm& warm, Asker& asker,
+                Scratch& scratch) const {
+    // Nothing is below a limit that is no number.
+    if (std::isnan(limit)) return Found();
     const int64_t columns = a.count(pair) * b.count(pair);
     place(pair, T, scratch);
     int64_t column = warm.winner - first_pair[pair];
@@ -116,7 +120,8 @@ class Search {
  private:
   void place(int64_t pair, const Transform3s& T, Scratch& scratch) const {
     const int64_t count_a = a.count(pair), count_b = b.count(pair);
-    scratch.y.resize(count_b, 3), scratch.y_square.resize(count_b), scratch.row.resize(count_b);
+    scratch.y.resize(count_b, 3), scratch.y_square.resize(count_b), scratch.square.resize(count_a * count_b);
+    scratch.known.assign(count_a, false);
     for (int64_t j = 0; j < count_b; ++j) {
       const Vec3s y = T.getRotation() * b.center[b.begin(pair) + j] + T.getTranslation();
       scratch.y.row(j) = y;
@@ -129,13 +134,15 @@ class Search {
       scratch.between[i] = (a.center[a.begin(pair) + i] - middle).norm() - whole.spread - kRounding;
   }
 
-  // The squared distances from the center of a's piece i to those of all of b.
+  // The squared distances from the center of a's piece i to those of all of b, computed once.
   const double* squares(int64_t pair, int64_t i, Scratch& scratch) const {
+    const int64_t count = scratch.y_square.size();
+    double* row = scratch.square.data() + i * count;
+    if (scratch.known[i]) return row;
+    scratch.known[i] = true;
     const Vec3s &x = a.center[a.begin(pair) + i], u = -2 * x;
     const double *y0 = scratch.y.col(0).data(), *y1 = scratch.y.col(1).data(), *y2 = scratch.y.col(2).data();
     const double *y_square = scratch.y_square.data(), x_square = kShorter * x.squaredNorm();
-    double* row = scratch.row.data();
-    const int64_t count = scratch.row.size();
     for (int64_t j = 0; j < count; ++j)
       row[j] = std::max(u[0] * y0[j] + u[1] * y1[j] + u[2] * y2[j] + x_square + y_square[j], 0.0);
     return row;
@@ -161,11 +168,15 @@ class Search {
     for (int64_t k = 0; k < count_a; ++k) {
       const int64_t i = k == 0 ? start : k <= start ? k - 1 : k;
       if (between[i] - 0.5 * (radius_a[i] + widest) > least) continue;
-      squares(pair, i, scratch);
-      double* gap = scratch.row.data();
-      for (int64_t j = 0; j < count_b; ++j) gap[j] = std::sqrt(gap[j]) - 0.5 * (radius_a[i] + radius_b[j]);
-      const int64_t j = std::min_element(gap, gap + count_b) - gap, column = i * count_b + j;
-      if (gap[j] < least || (gap[j] == least && column < best)) least = gap[j], best = column;
+      const double* square = squares(pair, i, scratch);
+      for (int64_t j = 0; j < count_b; ++j) {
+        const double radii = 0.5 * (radius_a[i] + radius_b[j]), reach = least + radii + kRounding;
+        // Most are ruled out without a root.
+        if (reach <= 0 || square[j] > reach * reach) continue;
+        const double gap = std::sqrt(square[j]) - radii;
+        const int64_t column = i * count_b + j;
+        if (gap < least || (gap == least && column < best)) least = gap, best = column;
+      }
     }
     return best;
   }

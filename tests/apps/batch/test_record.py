@@ -12,12 +12,14 @@ from grasp_refine.apps.batch.record import (
     State,
     clean,
     forget_failure,
+    is_result,
     note_failure,
     noted_failure,
     state_of,
 )
 from grasp_refine.apps.batch.shard import Failed, Shard
 
+from grasp_refine.atomic import written_whole
 from grasp_refine.errors import GraspRefineError
 
 
@@ -88,20 +90,32 @@ def test_a_note_that_cannot_be_written_is_told(tmp_path: Path):
 
 def test_what_killed_processes_left_is_taken_away_and_what_others_write_is_not(tmp_path: Path):
     one = shard(tmp_path)
-    one.path.parent.mkdir()
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
-    left, mine, other = (
-        one.path.with_name(name)
-        for name in (
-            f".{ended.pid}.partial.{one.path.name}",
-            f".{os.getpid()}.partial.{one.path.name}",
-            f".{ended.pid}.partial.other.npz",
+    with written_whole(one.path) as partial:
+        partial.touch()
+        mine = partial.name
+        left, other, elsewhere = (
+            partial.with_name(name)
+            for name in (
+                mine.replace(str(os.getpid()), str(ended.pid), 1),
+                mine.replace(str(os.getpid()), str(ended.pid), 1).replace("00000", "00001"),
+                f".{ended.pid}.partial.another0.{one.path.name}",
+            )
         )
-    )
-    for path in (left, mine, other):
-        path.touch()
-    clean(one)
-    assert not left.exists()
-    assert mine.exists()
-    assert other.exists()
+        for path in (left, other, elsewhere):
+            path.touch()
+        clean([one])
+        assert not left.exists()
+        assert partial.exists()
+        assert other.exists()
+        assert elsewhere.exists()
+
+
+def test_a_result_is_known_from_other_files(tmp_path: Path):
+    assert is_result(written(shard(tmp_path), {"batch": {"stamp": "abc"}}).path)
+    assert not is_result(written(shard(tmp_path), {}).path)
+    (tmp_path / "grasps.npz").write_text("none")
+    assert not is_result(tmp_path / "grasps.npz")
+    assert not is_result(tmp_path / "grasps.npy")
+    assert not is_result(tmp_path)

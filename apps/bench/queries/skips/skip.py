@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -16,6 +14,7 @@ from grasp_refine.config import Config
 from grasp_refine.hand_object import HandObject
 from grasp_refine.refine import Refinement, refine
 from grasp_refine.scene import Scene
+from grasp_refine.stopwatch import cpu_seconds
 
 from ..poses import nearby
 
@@ -125,18 +124,6 @@ def replaced(owner: Any, name: str, value: Any) -> Iterator[None]:
         setattr(owner, name, before)
 
 
-@contextmanager
-def one_thread(engines: tuple[str, ...]) -> Iterator[None]:
-    """The compiled engine works with one thread, as all others do: waiting for a second one would count as its time."""
-    if "native" not in engines:
-        yield
-        return
-    from grasp_refine.collision import native_search
-
-    with replaced(native_search, "_available", lambda: 1):
-        yield
-
-
 def timed(runs: Mapping[str, Callable[[], Any]], rounds: int = 1) -> dict[str, tuple[Any, float]]:
     """What calls give, and their CPU seconds: of all threads, and of child processes that end in them.
 
@@ -148,12 +135,7 @@ def timed(runs: Mapping[str, Callable[[], Any]], rounds: int = 1) -> dict[str, t
     times: dict[str, list[float]] = {name: [] for name in runs}
     for _ in range(rounds):
         for name, run in runs.items():
-            start = _cpu_seconds()
+            start = cpu_seconds()
             results[name] = run()
-            times[name].append(_cpu_seconds() - start)
+            times[name].append(cpu_seconds() - start)
     return {name: (results[name], min(times[name])) for name in runs}
-
-
-def _cpu_seconds() -> float:
-    times = os.times()
-    return time.process_time() + times.children_user + times.children_system

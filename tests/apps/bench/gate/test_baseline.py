@@ -7,12 +7,15 @@ import re
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 
-from apps.bench.gate.baseline import Known, judged, load_baseline, updated
+from apps.bench.gate import measures
+from apps.bench.gate.baseline import Known, _of, judged, load_baseline, updated
 from apps.bench.gate.ratios import COUNT, RATIOS, TIME, Group, Ratio
 from apps.bench.gate.table import gate_table
 from grasp_refine.assets import resource_dir
+from grasp_refine.collision.engine import VARIABLE, why_not_native
 from grasp_refine.errors import GraspRefineError
 
 COMMITTED = resource_dir("apps") / "bench" / "baseline.json"
@@ -20,8 +23,12 @@ BY_NAME = {ratio.name: ratio for ratio in RATIOS}
 
 
 def values(native: bool = False) -> dict[str, float]:
-    """A value of each ratio."""
-    return {ratio.name: 0.5 + 0.01 * k for k, ratio in enumerate(RATIOS) if native or not ratio.native}
+    """A value of each ratio, better than what is promised."""
+    return {
+        ratio.name: 0.5 + 0.01 * k + 10.0 * (ratio.promised is not None and ratio.higher)
+        for k, ratio in enumerate(RATIOS)
+        if native or not ratio.native
+    }
 
 
 def known(native: bool = False) -> dict[str, Known]:
@@ -44,11 +51,48 @@ def test_a_limit_lies_on_the_worse_side():
     assert Ratio("a", "", "grasps", factor=1.5, slack=0.1).limit(2.0) == pytest.approx(3.1)
     assert Ratio("a", "", "grasps", higher=True, factor=1.5, slack=0.1).limit(3.0) == pytest.approx(1.9)
     for ratio in RATIOS:
-        limit = ratio.limit(0.7)
-        assert (limit < 0.7) == ratio.higher and ratio.allowed(0.7, limit)
+        value = values(native=True)[ratio.name]
+        limit = ratio.limit(value)
+        assert (limit < value) == ratio.higher and ratio.allowed(value, limit)
         assert not ratio.allowed(0.999 * limit if ratio.higher else 1.001 * limit, limit)
         assert not ratio.allowed(float("nan"), limit) and not ratio.allowed(float("inf"), limit)
         assert ratio.better(1.0, 2.0) == (2.0 if ratio.higher else 1.0)
+
+
+def test_no_baseline_takes_back_what_is_promised():
+    engines, loop = BY_NAME["engines"], BY_NAME["bare-loop"]
+    assert [engines.limit(value) for value in (2.0, 4.0, 9.0)] == [3.0, 3.0, 6.0]
+    assert [loop.limit(value) for value in (1.0, 1.2, 2.0)] == pytest.approx([1.5, 1.7, 1.7])
+    verdicts = judged(known(native=True), Measuring(values(native=True) | {"engines": 2.9, "bare-loop": 1.71}))
+    assert [one.ratio.name for one in verdicts if one.ok is False] == ["engines", "bare-loop"]
+
+
+def test_what_is_on_one_side_only_is_refused():
+    """A ratio that nobody measures any longer passed."""
+    less = {name: value for name, value in values().items() if name != "steps"}
+    with pytest.raises(GraspRefineError) as error:
+        judged(known(), Measuring(less))
+    assert str(error.value) == (
+        "grasps: measured, but not in the baseline: nothing; in the baseline, but not measured: steps; "
+        "refine-grasp bench --gate --update FILE writes a new one"
+    )
+    before = {name: one for name, one in known().items() if name != "good"}
+    with pytest.raises(GraspRefineError, match="forces: measured, but not in the baseline: good; in the baseline, but"):
+        judged(before, Measuring(values()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["native", "python"])
+def test_what_is_measured_is_what_is_judged(engine: str, monkeypatch: pytest.MonkeyPatch):
+    if engine == "native" and why_not_native():
+        pytest.skip(f"no compiled engine: {why_not_native()}")
+    monkeypatch.setenv(VARIABLE, engine)
+    monkeypatch.setattr(measures, "ROUNDS", 1)
+    monkeypatch.setattr(measures, "LEAST_S", 0.0)
+    for group in get_args(Group):
+        found = measures.measure(group, lambda share: None)
+        assert set(found) == {ratio.name for ratio in _of(engine) if ratio.group == group}
+        assert np.isfinite(list(found.values())).all()
 
 
 def test_ratios_have_names_of_their_own_and_some_room():
@@ -101,6 +145,15 @@ def test_the_table_says_what_fails(capsys: pytest.CaptureFixture[str]):
     assert re.search(r"engines +- +- +not here ", lines["engines"])
 
 
+def test_the_table_says_that_what_it_is_compared_with_may_have_got_faster():
+    worse = Measuring(values() | {"steps": 100.0, "backward": 100.0})
+    whats = list(gate_table(judged(known(), worse)).columns[-1].cells)
+    (said,) = (what for what in whats if "got faster" in what)
+    assert said == (
+        "backward pass of the witness layer / forward (measured twice), or what it is compared with got faster"
+    )
+
+
 def test_a_baseline_comes_back_as_it_was_written(tmp_path: Path):
     path = tmp_path / "baseline.json"
     document = updated(path, "python", values(), {"machine": {"cpus": 2}})
@@ -124,11 +177,13 @@ def test_a_baseline_comes_back_as_it_was_written(tmp_path: Path):
     [
         ("[1", "is no baseline (JSONDecodeError: "),
         ("[]", "is no baseline (TypeError: "),
-        ('{"engines": {"python": {}}}', "is no baseline (KeyError: 'ratios')"),
-        ('{"engines": {}}', "is a baseline for the collision engine of nobody, not for the python one"),
-        ('{"engines": {"python": {"ratios": {}}}}', "lacks backward, bookkeeping, "),
+        ('{"engines": {}}', "is no baseline (KeyError: 'schema')"),
+        ('{"schema": 2, "engines": {}}', "is no baseline (ValueError: schema is 2, not 1)"),
+        ('{"schema": 1, "engines": {"python": {}}}', "is no baseline (KeyError: 'ratios')"),
+        ('{"schema": 1, "engines": {}}', "is a baseline for the collision engine of nobody, not for the python one"),
+        ('{"schema": 1, "engines": {"python": {"ratios": {}}}}', "lacks backward, bookkeeping, "),
         (
-            '{"engines": {"python": {"ratios": {"old": {"value": 1, "limit": 2}}}}}',
+            '{"schema": 1, "engines": {"python": {"ratios": {"old": {"value": 1, "limit": 2}}}}}',
             "warm-query and has no use for old (python engine)",
         ),
     ],
@@ -146,7 +201,7 @@ def test_what_is_no_baseline_is_refused(text: str, complaint: str, tmp_path: Pat
 def test_a_file_that_is_no_baseline_is_not_replaced(tmp_path: Path):
     path = tmp_path / "notes.json"
     path.write_text('{"mine": 1}')
-    with pytest.raises(GraspRefineError, match=r"notes.json: is no baseline \(KeyError: 'engines'\), and is kept"):
+    with pytest.raises(GraspRefineError, match=r"notes.json: is no baseline \(KeyError: 'schema'\), and is kept"):
         updated(path, "python", values(), {})
 
 

@@ -118,11 +118,15 @@ def test_what_cannot_be_measured_counts_as_the_worst():
     assert row["deep_stuck"] == 1
 
 
-def test_times_are_medians_of_single_calls_and_means_of_others(nothing: Done):
-    assert rows([nothing])[0]["cpu_ms_per_grasp"] == pytest.approx(3.0)
+def test_times_are_means_and_their_median_is_told_where_there_are_several_calls(nothing: Done):
+    pooled, cup, _ = rows([nothing])
+    assert pooled["cpu_ms_per_grasp"] == pytest.approx(3.0)
+    # One call for each object.
+    assert pooled["cpu_ms_per_grasp_median"] == pytest.approx(2.0) and cup["cpu_ms_per_grasp_median"] is None
     single = done("nothing", list(nothing.parts), Variant(batch=1))
-    row = rows([single])[0]
-    assert row["cpu_ms_per_grasp"] == pytest.approx(2.0) and row["wall_ms_per_grasp"] == pytest.approx(4.0)
+    row, cup, _ = rows([single])
+    assert row["cpu_ms_per_grasp"] == pytest.approx(3.0) and row["wall_ms_per_grasp"] == pytest.approx(6.0)
+    assert row["cpu_ms_per_grasp_median"] == pytest.approx(2.0) and cup["cpu_ms_per_grasp_median"] is not None
     assert (row["batch"], row["batch_mean"]) == (1, 1.0)
     # Three and two grasps cannot fill a batch of 64.
     assert rows([nothing])[0]["batch_mean"] == pytest.approx((3 * 3 + 2 * 2) / 5)

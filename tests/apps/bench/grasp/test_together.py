@@ -7,7 +7,7 @@ import os
 from functools import partial
 
 import pytest
-from begun_together import dies, fails, waits
+from begun_together import dies, dies_early, fails, waits
 
 from apps.bench.grasp.together import together
 
@@ -22,7 +22,11 @@ def test_all_begin_when_the_last_one_is_ready():
 
 @pytest.mark.parametrize(
     ("bad", "error", "words"),
-    [(fails, ValueError, "no luck"), (dies, RuntimeError, "a process ended without a result, exit code 7")],
+    [
+        (fails, ValueError, "no luck"),
+        (dies, RuntimeError, "a process ended without a result, exit code 7"),
+        (dies_early, RuntimeError, "a process ended without a result, exit code 7"),
+    ],
 )
 def test_one_that_fails_ends_all(bad: object, error: type[Exception], words: str):
     with pytest.raises(error, match=words):

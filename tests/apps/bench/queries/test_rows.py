@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 from apps.bench.queries.cases import Case
 from apps.bench.queries.labels import cases, label, methods
 from apps.bench.queries.rows import rows
 from apps.bench.queries.runner import FEWEST, CaseJob
-from apps.bench.queries.timing import MOST, WARM_UP, cpu_times
 from grasp_refine.collision.engine import engines
 
 CASES = (Case(batch=8), Case("mixed", 4, batch=40), Case("concave", 4, state="deep", batch=40))
@@ -72,15 +70,3 @@ def test_the_bare_loop_asks_what_the_compiled_engine_asks():
     found = measured(CASES[1])
     native, bare = (next(row for row in found if row["by"] == name) for name in ("native", "bare-loop"))
     assert bare["queries_asked"] == native["queries_asked"] and 0 < bare["forward_us"]
-
-
-def test_times_are_taken_in_turn_after_a_warm_up():
-    called = []
-    runs = {name: (lambda name=name: called.append(name)) for name in "ab"}
-    times = cpu_times(runs, 3, 0.0)
-    assert "".join(called) == "a" * WARM_UP + "b" * WARM_UP + "ababab"
-    assert all(found.shape == (3,) and (found >= 0).all() for found in times.values())
-    called.clear()
-    cpu_times(runs, 1, 1.0)
-    assert len(called) <= 2 * (WARM_UP + MOST)
-    assert np.isfinite(list(times.values())).all()

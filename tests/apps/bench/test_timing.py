@@ -1,0 +1,33 @@
+"""How benchmarks take times: in turn, and with one thread."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from apps.bench.timing import MOST, WARM_UP, cpu_times, one_thread
+from grasp_refine.collision.engine import why_not_native
+
+
+def test_times_are_taken_in_turn_after_a_warm_up():
+    called = []
+    runs = {name: (lambda name=name: called.append(name)) for name in "ab"}
+    times = cpu_times(runs, 3, 0.0)
+    assert "".join(called) == "a" * WARM_UP + "b" * WARM_UP + "ababab"
+    assert all(found.shape == (3,) and (found >= 0).all() for found in times.values())
+    called.clear()
+    cpu_times(runs, 1, 1.0)
+    assert len(called) <= 2 * (WARM_UP + MOST)
+    assert np.isfinite(list(times.values())).all()
+
+
+def test_the_compiled_engine_works_with_one_thread_for_a_while(monkeypatch: pytest.MonkeyPatch):
+    if why_not_native():
+        pytest.skip(f"no compiled engine: {why_not_native()}")
+    from grasp_refine.collision import native_search
+
+    monkeypatch.setattr(native_search, "_available", lambda: 8)
+    with pytest.raises(KeyError), one_thread():
+        assert native_search._threads(10**6) == 1
+        raise KeyError
+    assert native_search._threads(10**6) == 8
