@@ -100,6 +100,8 @@ class Rows:
     """All of `COLUMNS`, each of the same length."""
     look: tuple[str, ...] = ()
     """Options that `refine-grasp view` needs beside the file and --index to show a grasp of it."""
+    stamp: str = ""
+    """That of the shard which the file was made for."""
 
     def __len__(self) -> int:
         """Return the number of grasps."""
@@ -118,7 +120,7 @@ def read_rows(shard: Shard, out: Path) -> Rows:
         out: Folder of the results.
 
     Raises:
-        GraspFileError: the file is missing, damaged, holds no results, or those of another batch.
+        GraspFileError: the file is missing, damaged, or holds no results.
     """
     file = load_npz(shard.path)
     missing = [name for name in NEEDED if name not in file.entries]
@@ -127,8 +129,6 @@ def read_rows(shard: Shard, out: Path) -> Rows:
     status = file.text("status")
     n = len(status)
     provenance, batch = _provenance(file)
-    if batch.get("stamp") != shard.stamp:
-        raise file.error("was replaced meanwhile by that of another batch")
     inside = shard.path.is_relative_to(out)
 
     def each(value: Any, kind: type = float) -> np.ndarray:
@@ -160,7 +160,9 @@ def read_rows(shard: Shard, out: Path) -> Rows:
     reason = file.text("simulation_reason_after") if "simulation_reason_after" in file.entries else np.array("")
     reason = file.per_row("simulation_reason_after", reason, n)
     columns["reason_after"] = np.where(reason == Reason.HELD.label, "", reason)
-    return Rows({name: columns[name] for name in COLUMNS}, tuple(map(str, batch.get("look") or ())))
+    return Rows(
+        {name: columns[name] for name in COLUMNS}, tuple(map(str, batch.get("look") or ())), str(batch.get("stamp"))
+    )
 
 
 def _numbers(file: NpzFile, key: str, n: int) -> np.ndarray:

@@ -78,8 +78,10 @@ class Outputs:
             try:
                 rows = read_rows(shard, self.out)
             except GraspFileError as error:
-                # Somebody else works in the folder.
                 progress.say(str(error))
+                continue
+            if rows.stamp != shard.stamp:
+                progress.say(f"{shard.path}: was replaced meanwhile by that of another batch in this folder")
                 continue
             readable.append(shard)
             summary.statistics.add(rows)

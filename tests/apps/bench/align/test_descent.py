@@ -131,7 +131,7 @@ def test_all_methods_give_numbers_on_concave_bodies(method: str):
         assert np.isfinite(array).all()
     assert result.error.shape == result.last_error.shape == (4, 1)
     assert result.T_world_b.shape == (4, 1, 4, 4)
-    assert result.watch.asked > 0
+    assert result.watch.queries > 0
     passes = result.watch.passes_s
     assert min(passes["forward"], passes["backward"]) > 0.0
     assert passes["forward"] + passes["backward"] < result.cpu_s

@@ -57,7 +57,7 @@ def test_it_solves_tasks_and_tells_how_many_queries_each_took(pair: BodyPair, ma
     # Whoever is not solved has used all that there was.
     solved = result.error < 2 * TOLERANCE
     assert (result.iterations[~solved] == 200).all() and result.iterations[solved].mean() < 100
-    asked = result.watch.asked / result.iterations.sum()
+    asked = result.watch.queries / result.iterations.sum()
     assert asked == 1.0 if pair is PAIR else asked > 1.0
 
 

@@ -70,6 +70,7 @@ def document(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "config": {"pairs": 4, "descent": {"step": 0.001, "none": None}},
         "seed": 5,
         "machine": {"cpus": 2, "cpu": "a processor"},
+        "engine": "native",
         "preset": "methods",
         "invocation": "refine-grasp bench align --preset methods --seed 5",
         "wall_s": 61.2,

@@ -150,8 +150,8 @@ def document(nothing: Done) -> dict[str, Any]:
     ]
     return {
         "schema": 1, "command": "bench grasp", "invocation": "refine-grasp bench grasp", "preset": None, "seed": 0,
-        "versions": {"numpy": "2"}, "machine": {"cpus": 2, "cpu": "<fast>", "system": "Linux"}, "cpu_s": 3.0,
-        "rows": rows([nothing, *found]),
+        "versions": {"numpy": "2"}, "machine": {"cpus": 2, "cpu": "<fast>", "system": "Linux"}, "engine": "native",
+        "cpu_s": 3.0, "rows": rows([nothing, *found]),
     }  # fmt: skip
 
 

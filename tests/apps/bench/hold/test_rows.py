@@ -149,6 +149,7 @@ def test_the_page_is_whole_and_repeats_itself(parts: list[Part]):
         "invocation": "refine-grasp bench hold",
         "cpu_s": 1.0,
         "machine": {"cpus": 2, "cpu": "a <cpu>", "system": "here"},
+        "engine": "native",
         "versions": {"python": "3"},
     }
     text = page(document, SETTINGS)
