@@ -41,7 +41,7 @@ def numbers(row: dict[str, Any]) -> dict[str, float]:
     return {
         key: value
         for key, value in row.items()
-        if isinstance(value, int | float) and not key.endswith(("_ms_per_grasp", "_per_s"))
+        if isinstance(value, int | float) and not ("_ms_per_grasp" in key or key.endswith("_per_s"))
     }
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TextIO
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TextIO, runtime_checkable
 
 import numpy as np
 
@@ -27,6 +27,7 @@ ROWS_AT_ONCE = 2**14
 """So many rows are one group of a Parquet file; the memory that writing takes grows with it, and little else does."""
 
 
+@runtime_checkable
 class IndexWriter(Protocol):
     """Takes the rows of one result file after the other."""
 

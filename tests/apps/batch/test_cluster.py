@@ -95,9 +95,11 @@ def test_shards_of_lost_workers_are_tried_again(address: str, tmp_path: Path):
     lost = found.pop(1)
     assert found == {shard.number: done(shard) for shard in some_shards(tmp_path, *tasks) if shard.number != 1}
     assert (lost.reason, lost.tries) == ("crashed", 2)
-    assert lost.message.startswith("worker tcp://127.0.0.1:") and lost.message.endswith(" was lost")
+    # If it had time for a sign of life, that is told as well.
+    assert lost.message.startswith("worker tcp://127.0.0.1:") and " was lost" in lost.message
 
 
+@pytest.mark.slow
 def test_a_worker_that_hangs_is_restarted(address: str, tmp_path: Path):
     found = outcomes(address, tmp_path, "a:sleep 600", "b:beat 4", "b:write", tries=1)
     hung = found.pop(0)
@@ -218,6 +220,7 @@ def test_workers_that_lack_the_package_or_do_not_come_are_named(bare: DaskCluste
         outcomes(bare.address, tmp_path, "write")
 
 
+@pytest.mark.slow
 def test_a_worker_that_hangs_for_ever_and_a_scheduler_that_is_lost(bare: DaskCluster, tmp_path: Path):
     """Nobody restarts this worker, so it gets nothing any more; without a scheduler, the batch ends with advice."""
     bare.add_workers("--no-nanny", "--nthreads", "1")

@@ -61,10 +61,9 @@ def test_every_piece_pair_is_asked_where_nothing_is_known_of_them():
 def test_queries_that_are_skipped_change_nothing_but_their_number(example: Example):
     found = by_name(list(asking_skips(example, 1)))
     assert len(found) == 4
-    for name, skip in found.items():
-        # No step of these few grasps need be rejected.
-        least = skip.with_ + (name != "pairs of links of steps that are rejected")
-        assert 0 < skip.with_ and least <= skip.without and skip.difference < 1e-6
+    # The other two have nothing to save here: no step is rejected, and what is asked first is right without a last one.
+    for skip in found.values():
+        assert 0 < skip.with_ <= skip.without and skip.difference < 1e-6
     assert found["links that are far from everything"].without > 5 * found["links that are far from everything"].with_
     # One piece against those of each link.
     assert found["pieces whose bounds cannot win"].without > found["pieces whose bounds cannot win"].with_
