@@ -382,7 +382,8 @@ def _running(process: subprocess.Popen[str]) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("signal_", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted_it_says_how_to_go_on_and_leaves_nothing_running(
     tmp_path: Path, sources: Path, signal_: signal.Signals
 ):
