@@ -326,6 +326,13 @@ def test_results_take_the_place_of_no_input(
     assert "the results would overwrite an input" in message
 
 
+def test_nothing_but_results_is_nothing_to_refine(whole: Path, workplace: Path, capfd: pytest.CaptureFixture[str]):
+    message = refused(capfd, "batch", whole / "example_bottle", "--out", "out")
+    assert "no jobs in it but results of a batch" in message
+    message = refused(capfd, "batch", whole / "example_bottle", "--out", whole)
+    assert "no jobs in it but the results in" in message
+
+
 def test_an_index_of_somebody_else_stays(copy: Path, sources: Path):
     (copy / "index.parquet").write_text("mine")
     assert batch(sources, "--out", copy, "--shard-size", 3, *QUICK) == 0

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from math import inf
 from pathlib import Path
 from typing import Annotated, Any
 from uuid import uuid4
@@ -33,6 +32,7 @@ from grasp_refine.commands.inputs import NEAREST, SAMPLE, Inputs
 from grasp_refine.commands.invocation import invocation
 from grasp_refine.commands.job_list import read_jobs
 from grasp_refine.commands.options import check_numbers
+from grasp_refine.commands.proving import Proving
 from grasp_refine.commands.settings import Settings
 from grasp_refine.commands.shard_plan import Plan, Planner, part_of
 from grasp_refine.commands.shard_work import ShardWork
@@ -43,7 +43,7 @@ from grasp_refine.report.document import settings
 from grasp_refine.report.profile import profile_entry, profile_table
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA
-from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
+from grasp_refine.validation.protocol import Protocol
 from grasp_refine.versions import versions
 
 MOST_NAMED = 10
@@ -63,18 +63,6 @@ class Defaults(Inputs):
     def plain(self) -> Inputs:
         """The same as inputs of one job."""
         return Inputs(**{option.name: getattr(self, option.name) for option in fields(Inputs)})
-
-
-@dataclass(frozen=True)
-class Proving:
-    """How it is proved that grasps hold."""
-
-    validate: bool = False
-    """Simulate the grasps before and after: does the object stay in the hand when it is pushed?"""
-    setting: SettingName = "force-closure"
-    """The protocol: force-closure (friction 0.6), strict (friction 0.3), or tabletop (lifted off a table)."""
-    friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the setting)")] = None
-    """Another coefficient of sliding friction."""
 
 
 @dataclass(frozen=True)
@@ -228,12 +216,7 @@ class Batch:
         if self.sharding.dask is not None and self.sharding.workers is not None:
             raise GraspRefineError("--workers is for this machine; a cluster (--dask) has workers of its own")
         config = self.settings.config(nearest=self.inputs.targets == NEAREST)
-        if not self.proof.validate and self.proof != Proving():
-            raise GraspRefineError("--setting and --friction are for --validate: how grasps are simulated")
-        if self.proof.friction is not None and not 0 < self.proof.friction < inf:
-            raise GraspRefineError(f"--friction must be above 0, got {self.proof.friction:g}")
-        protocol = SETTINGS[self.proof.setting].slippery(self.proof.friction) if self.proof.validate else None
-        return config, protocol, _part(self.sharding.shard)
+        return config, self.proof.protocol(), _part(self.sharding.shard)
 
     def _plan(self, out: Path, described: dict[str, Any], seed: int, progress: Progress) -> Plan:
         """All shards of all jobs; those that cannot be done are told.
@@ -244,7 +227,7 @@ class Batch:
         jobs = read_jobs(self.jobs, self.inputs.plain(), together=self.sharding.together)
         # Results of an earlier run may lie in the folder of the grasps.
         inside = out.resolve()
-        jobs = [job for job in jobs if not Path(str(job.inputs.grasps)).resolve().is_relative_to(inside)]
+        jobs = [job for job in jobs if job.named or not Path(str(job.inputs.grasps)).resolve().is_relative_to(inside)]
         if not jobs:
             raise GraspRefineError(
                 f"{', '.join(self.jobs)}: no jobs in it but the results in {out}; give another --out"
@@ -253,6 +236,8 @@ class Batch:
         plan = planner.plan(
             jobs, progress.say, lambda number, name: progress.wait(f"planning {number + 1}/{len(jobs)}: {name}")
         )
+        if not plan.shards and not plan.refused:
+            raise GraspRefineError(f"{', '.join(self.jobs)}: no jobs in it but results of a batch")
         if not plan.shards:
             more = f" (and {len(plan.refused) - 1} more jobs)" if len(plan.refused) > 1 else ""
             raise GraspRefineError(f"no job can be done: {plan.refused[0].job}: {plan.refused[0].message}{more}")

@@ -6,7 +6,6 @@ import time
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from math import inf
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +15,7 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE
 from grasp_refine.commands.inputs import NEAREST, Inputs
+from grasp_refine.commands.proving import Proving
 from grasp_refine.commands.refining import proved, refined
 from grasp_refine.commands.settings import Settings
 from grasp_refine.config import Config
@@ -35,7 +35,7 @@ from grasp_refine.report.table import grasp_table
 from grasp_refine.report.writing import check_no_input, check_writable, save_json
 from grasp_refine.stopwatch import Stopwatch, cpu_seconds
 from grasp_refine.targets import Touching
-from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
+from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Trials
 from grasp_refine.versions import versions
 
@@ -54,18 +54,6 @@ class Output:
     """Show where the time went, by stage: also in the --json file."""
     view: bool = False
     """Show what came out in a browser, as `refine-grasp view` does."""
-
-
-@dataclass(frozen=True)
-class Proving:
-    """How it is proved that grasps hold; `refine-grasp validate` can do more."""
-
-    validate: bool = False
-    """Simulate the grasps before and after: does the object stay in the hand when it is pushed?"""
-    setting: SettingName = "force-closure"
-    """The protocol: force-closure (friction 0.6), strict (friction 0.3), or tabletop (lifted off a table)."""
-    friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the setting)")] = None
-    """Another coefficient of sliding friction."""
 
 
 @dataclass(frozen=True)
@@ -88,11 +76,7 @@ class Run:
         """
         wall, cpu = time.perf_counter(), cpu_seconds()
         config = self.settings.config(nearest=self.inputs.targets == NEAREST)
-        protocol = SETTINGS[self.proof.setting].slippery(self.proof.friction) if self.proof.validate else None
-        if protocol is None and self.proof != Proving():
-            raise GraspRefineError("--setting and --friction are for --validate: how grasps are simulated")
-        if self.proof.friction is not None and not 0 < self.proof.friction < inf:
-            raise GraspRefineError(f"--friction must be above 0, got {self.proof.friction:g}")
+        protocol = self.proof.protocol()
         if self.inputs.table is None and config.weights.table != Weights.table:
             raise GraspRefineError("--weights.table needs a --table")
         # The tensors of a batch of grasps are small.
