@@ -82,7 +82,8 @@ class Sharding:
     """Work on the Dask cluster with this scheduler, such as tcp://host:8786, which sees the same folders; needs the
     extra `cluster`."""
     patience: float = 600.0
-    """Seconds without a sign of life after which a worker is killed and its shard tried again."""
+    """Seconds without a sign of life after which a worker is killed and its shard tried again; while a large mesh is cut
+    into convex pieces, there is none."""
     tries: int = 2
     """How often a shard is tried whose worker crashed or hung, before it is recorded as failed."""
     again: bool = False

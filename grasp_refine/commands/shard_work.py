@@ -67,11 +67,12 @@ class ShardWork:
         task, kept = shard.task, kept_for(shard.task.batch)
         problem = problem_of(task, self.config.seed, kept, beat)
         parts, trials = [], []
-        for number, group in enumerate(problem.groups):
+        share = _Share(beat, len(problem), self._most(), proves=self.protocol is not None)
+        for group in problem.groups:
+            share.group(len(group.rows))
             prepared = kept.get(
                 "prepared", (problem.hand, group.scene.object), lambda scene=group.scene: HandObject.of(scene)
             )
-            share = _Share(beat, number, len(problem.groups), self._most(), proves=self.protocol is not None)
             parts.append(refined(group, self.config, share.refining, prepared))
             if self.protocol is not None:
                 world = kept.get(
@@ -120,26 +121,43 @@ class ShardWork:
         save_results(shard.path, problem.hand, problem.groups[0].scene.links, outcome, provenance, proof)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Share:
-    """Tells what share of a shard is done while one of its groups is worked on."""
+    """Tells what share of a shard is done while its groups are worked on."""
 
     beat: Beat
-    number: int
-    groups: int
+    """Who is told."""
+    total: int
+    """Grasps of the shard."""
     most: int
+    """Most iterations of a grasp."""
     proves: bool
+    """Whether grasps are simulated, which counts for half."""
+    before: int = 0
+    """Grasps of the groups that are done."""
+    count: int = 0
+    """Grasps of the present group."""
+    share: float = 0.0
+    """What was told last."""
+
+    def group(self, count: int) -> None:
+        """The next group begins."""
+        self.before, self.count = self.before + self.count, count
 
     def refining(self, finished: int, iteration: int, mean_loss: float) -> None:
         """As the `progress` of `refine`."""
-        self._tell("refining", min(iteration / self.most, 1.0) * (0.5 if self.proves else 1.0))
+        # Most grasps finish late: those that run count by how far they are.
+        done = finished + (self.count - finished) * min(iteration / self.most, 1.0)
+        self._tell("refining", 0.5 * done if self.proves else done)
 
     def proving(self, what: str, done: float) -> None:
         """As the `tell` of `proved`."""
-        self._tell(what, 0.75)
+        self._tell(what, 0.75 * self.count)
 
-    def _tell(self, what: str, share: float) -> None:
-        self.beat(what, (self.number + share) / self.groups)
+    def _tell(self, what: str, done: float) -> None:
+        # Another start may take up grasps that were finished.
+        self.share = max(self.share, (self.before + done) / max(self.total, 1))
+        self.beat(what, self.share)
 
 
 def problem_of(task: Task, seed: int, kept: Kept, beat: Beat) -> Problem:
