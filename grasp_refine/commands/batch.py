@@ -27,7 +27,7 @@ from grasp_refine.apps.batch.table import batch_table
 from grasp_refine.collision.engine import chosen
 from grasp_refine.commands.batch_outputs import Outputs
 from grasp_refine.commands.batch_session import Session, Summary
-from grasp_refine.commands.ending import NOTHING_USABLE, cpu_seconds
+from grasp_refine.commands.ending import NOTHING_USABLE
 from grasp_refine.commands.inputs import NEAREST, SAMPLE, Inputs
 from grasp_refine.commands.invocation import invocation
 from grasp_refine.commands.job_list import read_jobs
@@ -43,6 +43,7 @@ from grasp_refine.report.document import settings
 from grasp_refine.report.profile import profile_entry, profile_table
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA
+from grasp_refine.stopwatch import cpu_seconds
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.versions import versions
 
@@ -82,8 +83,8 @@ class Sharding:
     """Work on the Dask cluster with this scheduler, such as tcp://host:8786, which sees the same folders; needs the
     extra `cluster`."""
     patience: float = 600.0
-    """Seconds without a sign of life after which a worker is killed and its shard tried again; while a large mesh is cut
-    into convex pieces, there is none."""
+    """Seconds without a sign of life after which a worker is killed and its shard tried again; while a mesh is cut into
+    convex pieces, there is none."""
     tries: int = 2
     """How often a shard is tried whose worker crashed or hung, before it is recorded as failed."""
     again: bool = False

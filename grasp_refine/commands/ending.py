@@ -1,8 +1,4 @@
-"""How commands end: with an exit code, and with what they cost."""
-
-from __future__ import annotations
-
-from grasp_refine.stopwatch import cpu_seconds as cpu_seconds
+"""How commands end: with an exit code."""
 
 NOTHING_USABLE = 1
 """Exit code when nothing usable came out."""

@@ -70,7 +70,7 @@ RATIOS = (
         promised=3.0,
     ),
     Ratio(
-        "bare-loop", "query in the compiled engine / its bare loop", "queries", factor=TIME, native=True, promised=1.7
+        "bare-loop", "query in the compiled engine / its bare loop", "queries", factor=TIME, native=True, promised=2.0
     ),
     Ratio("grasp", "grasp at batch 64 / 100 queries of coal.distance", "grasps", factor=TIME),
     Ratio("single-grasp", "grasp at batch 1 / at batch 256", "grasps", factor=TIME, own=True),
