@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     from grasp_refine.apps.viewer.shown_motion import ShownMotion
 
 
+LOOK = 0.2
+"""Seconds after which a signal is noticed at the latest."""
+
 LONGEST_END = 5.0
 """Seconds that cleaning up may take at the end."""
 
@@ -207,7 +210,8 @@ def _wait() -> None:
     """Return when the user has had enough; then there are so many seconds to clean up."""
     with suppress(KeyboardInterrupt):
         while True:
-            time.sleep(3600.0)
+            # Where another thread gets the signal, this one is not woken by it.
+            time.sleep(LOOK)
     last = threading.Timer(LONGEST_END, os._exit, (0,))
     last.daemon = True
     last.start()
