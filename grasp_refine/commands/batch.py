@@ -71,7 +71,7 @@ class Sharding:
     """How the work is divided."""
 
     workers: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: the cores of this machine)")] = None
-    """Processes on this machine; each is replaced when it crashes or hangs, and takes 0.3 to 1 GB."""
+    """Processes on this machine; each is replaced when it crashes or hangs, and takes 0.4 to 1 GB."""
     shard_size: int = 64
     """Most grasps of a shard, the unit of all work: a shard becomes one result file, or none."""
     together: bool = False
