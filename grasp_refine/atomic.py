@@ -15,6 +15,11 @@ _BETWEEN = ".partial."
 """What stands in the names of files that are being written between the process and the machine."""
 
 
+def half_written_path(path: Path) -> Path:
+    """Where this process writes what shall lie at `path`."""
+    return path.with_name(f".{os.getpid()}{_BETWEEN}{_here()}.{path.name}")
+
+
 def half_written(name: str) -> tuple[int | None, str]:
     """The process of this machine that wrote such a file, and what it would be called; None: it is none."""
     pid, between, rest = name.removeprefix(".").partition(_BETWEEN)
@@ -45,7 +50,7 @@ def written_whole(path: str | Path, error: type[GraspRefineError] = GraspRefineE
     path = Path(path)
     # Beside the target, so that os.replace stays within one file system; not by tempfile, whose files nobody else
     # may read.
-    partial = path.with_name(f".{os.getpid()}{_BETWEEN}{_here()}.{path.name}")
+    partial = half_written_path(path)
     try:
         if path.is_symlink() or (path.exists() and not path.is_file()):
             yield path

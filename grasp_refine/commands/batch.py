@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import threading
 import time
@@ -31,11 +30,11 @@ from grasp_refine.commands.ending import NOTHING_USABLE
 from grasp_refine.commands.inputs import NEAREST, SAMPLE, Inputs
 from grasp_refine.commands.invocation import invocation
 from grasp_refine.commands.job_list import read_jobs
-from grasp_refine.commands.options import check_numbers
 from grasp_refine.commands.proving import Proving
 from grasp_refine.commands.settings import Settings
 from grasp_refine.commands.shard_plan import Plan, Planner, part_of
 from grasp_refine.commands.shard_work import ShardWork
+from grasp_refine.commands.sharding import Sharding
 from grasp_refine.config import Config
 from grasp_refine.cores import usable_cores
 from grasp_refine.errors import GraspRefineError
@@ -50,9 +49,6 @@ from grasp_refine.versions import versions
 MOST_NAMED = 10
 """Most damaged files that are named."""
 
-LEAST_PATIENCE = 5.0
-"""Seconds that a worker has in any case: it takes some to start."""
-
 
 @dataclass(frozen=True)
 class Defaults(Inputs):
@@ -64,31 +60,6 @@ class Defaults(Inputs):
     def plain(self) -> Inputs:
         """The same as inputs of one job."""
         return Inputs(**{option.name: getattr(self, option.name) for option in fields(Inputs)})
-
-
-@dataclass(frozen=True)
-class Sharding:
-    """How the work is divided."""
-
-    workers: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: the cores of this machine)")] = None
-    """Processes on this machine; each is replaced when it crashes or hangs, and takes 0.4 to 1 GB."""
-    shard_size: int = 64
-    """Most grasps of a shard, the unit of all work: a shard becomes one result file, or none."""
-    together: bool = False
-    """A folder is one set of grasps, as it is for `run`, and not a job for each file in it: for generators that write a
-    file for each grasp."""
-    shard: Annotated[DisallowNone[str | None], arg(metavar="I/N", help_behavior_hint="(default: everything)")] = None
-    """Do only part I (from 1 on) of N of the batch, for the array jobs of a scheduler; all parts share --out."""
-    dask: Annotated[DisallowNone[str | None], arg(metavar="ADDRESS", help_behavior_hint="(default: none)")] = None
-    """Work on the Dask cluster with this scheduler, such as tcp://host:8786, which sees the same folders; needs the
-    extra `cluster`."""
-    patience: float = 600.0
-    """Seconds without a sign of life after which a worker is killed and its shard tried again; while a mesh is cut into
-    convex pieces, there is none."""
-    tries: int = 2
-    """How often a shard is tried whose worker crashed or hung, before it is recorded as failed."""
-    again: bool = False
-    """Refine everything anew, also what is there already."""
 
 
 @dataclass(frozen=True)
@@ -210,15 +181,9 @@ class Batch:
             raise GraspRefineError(
                 "name what is to be refined: grasp files, a folder, a pattern, sample:N, or a job list (.toml, .csv)"
             )
-        check_numbers(self.sharding)
-        if self.sharding.patience < LEAST_PATIENCE:
-            raise GraspRefineError(
-                f"--patience must be at least {LEAST_PATIENCE:g} seconds, got {self.sharding.patience:g}"
-            )
-        if self.sharding.dask is not None and self.sharding.workers is not None:
-            raise GraspRefineError("--workers is for this machine; a cluster (--dask) has workers of its own")
+        part = self.sharding.part()
         config = self.settings.config(nearest=self.inputs.targets == NEAREST)
-        return config, self.proof.protocol(), _part(self.sharding.shard)
+        return config, self.proof.protocol(), part
 
     def _plan(self, out: Path, described: dict[str, Any], seed: int, progress: Progress) -> Plan:
         """All shards of all jobs; those that cannot be done are told.
@@ -288,20 +253,6 @@ class Batch:
                 progress.say(f"{there}; {goes_on} goes on from there")
                 raise
         session.wall_s = time.perf_counter() - began
-
-
-def _part(text: str | None) -> tuple[int, int]:
-    """Which part, from 1 on, of how many.
-
-    Raises:
-        GraspRefineError: the text does not say it.
-    """
-    if text is None:
-        return 1, 1
-    found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
-    if not found or not 1 <= int(found[1]) <= int(found[2]):
-        raise GraspRefineError(f"--shard {text}: must be I/N, part I of N from 1/N to N/N, as in --shard 3/20")
-    return int(found[1]), int(found[2])
 
 
 def _tell_states(shards: Sequence[Shard], states: Mapping[int, State], progress: Progress) -> None:

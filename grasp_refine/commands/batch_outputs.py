@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -87,7 +87,7 @@ class Outputs:
             summary.statistics.add(rows)
             if writer is not None:
                 writer.add(rows)
-        return summary.of_complete(readable)
+        return replace(summary, complete=tuple(readable))
 
     def write(self, document: Mapping[str, Any], summary: Summary, progress: Progress) -> None:
         """Write report and summary, as far as they are wanted."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -96,10 +96,6 @@ class Summary:
                     failed.append(_entry(shard.number, shard.name, shard.path, *told))
         complete = tuple(shard for shard in shards if shard.number in session.complete)
         return Summary(shards, complete, failed, Statistics.empty())
-
-    def of_complete(self, complete: Sequence[Shard]) -> Summary:
-        """The same with fewer shards that have result files."""
-        return replace(self, complete=tuple(complete))
 
     def totals(self, session: Session, wall_s: float, cpu_s: float) -> dict[str, Any]:
         """Counts of the whole batch, and what this run cost."""

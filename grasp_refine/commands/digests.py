@@ -12,7 +12,7 @@ from grasp_refine import __version__
 from grasp_refine.commands.inputs import AUTO, NEAREST, Inputs
 from grasp_refine.commands.object_source import ObjectSource
 from grasp_refine.description.mesh_files import resolve_mesh
-from grasp_refine.errors import GraspRefineError, HandError
+from grasp_refine.errors import HandError
 from grasp_refine.hand_source import hand_files
 from grasp_refine.report.document import settings
 from grasp_refine.report.results import fingerprint
@@ -66,15 +66,6 @@ class Digests:
         """Hash of a mesh file or a folder of pieces; of what has no file, its name."""
         path = Path(source.source)
         return self.file(path)["sha256"] if path.exists() else str(source.source)
-
-    def check(self, what: str, planned: str, now: str) -> None:
-        """Nothing, when a hash is still what it was.
-
-        Raises:
-            GraspRefineError: it is not.
-        """
-        if now != planned:
-            raise GraspRefineError(f"{what}: changed since the batch was planned; give the same command again")
 
     def stamp(self, inputs: Inputs, **depends: Any) -> str:
         """Hash of the inputs' settings, the targets, this version, and all that it `depends` on besides."""

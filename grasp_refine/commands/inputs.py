@@ -95,7 +95,7 @@ class Inputs(Sources):
         """
         from grasp_refine.grasp_sampling import sample_grasps
 
-        self._check_numbers()
+        self.check_numbers()
         hand = self._simulated(self.load_hand(self.hand, self.base_link, say))
         source = chosen_object(self.object, say)
         scale = self.scale * (1.0 if source.asset is None else source.asset.scale)

@@ -16,7 +16,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from grasp_refine.commands.inputs import SAMPLE, Inputs
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.formats.folders import natural
+from grasp_refine.formats.folders import natural, told_apart
 from grasp_refine.formats.reading import SUFFIXES
 
 LISTS = (".toml", ".csv")
@@ -24,7 +24,6 @@ LISTS = (".toml", ".csv")
 
 KEYS = tuple(field.name for field in fields(Inputs) if field.name != "index")
 """What a job list may say of a job, besides its name: the options of `refine-grasp run` of these names."""
-
 
 NAMES_OR_PATHS = ("hand", "object", "targets")
 """Inputs that are names, or paths where they can be nothing else."""
@@ -63,7 +62,9 @@ def read_jobs(sources: Sequence[str], defaults: Inputs, *, together: bool = Fals
     if not found:
         raise GraspRefineError(f"{', '.join(sources)}: no jobs in it")
     once = {job.inputs: job for job in reversed(found)}
-    return _distinct([job for job in found if once[job.inputs] is job])
+    jobs = [job for job in found if once[job.inputs] is job]
+    names = told_apart(job.name for job in jobs)
+    return [replace(job, name=name) for job, name in zip(jobs, names, strict=True)]
 
 
 def _jobs(source: str, inputs: Inputs, name: str, together: bool) -> Iterator[Job]:
@@ -84,13 +85,9 @@ def _jobs(source: str, inputs: Inputs, name: str, together: bool) -> Iterator[Jo
     else:
         fixed = Path(*itertools.takewhile(lambda part: not glob.has_magic(part), path.parts))
         found, named = [], False
-        for match in sorted(glob.glob(str(path), recursive=True), key=natural):
-            is_folder = Path(match).is_dir()
-            found += (
-                _below(Path(match), fixed)
-                if is_folder and not together
-                else [(_named(Path(match), fixed), Path(match))]
-            )
+        for match in map(Path, sorted(glob.glob(str(path), recursive=True), key=natural)):
+            whole = together or not match.is_dir()
+            found += [(_named(match, fixed), match)] if whole else _below(match, fixed)
     if not found:
         what = "matches no grasp files" if glob.has_magic(source) else "no grasp files in this folder or below it"
         raise GraspRefineError(f"{source}: {what}; they end with {', '.join(SUFFIXES)}")
@@ -223,20 +220,6 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
     if get_origin(hint) in (Union, UnionType):
         return tuple(kind for part in get_args(hint) for kind in _alternatives(part))
     return (hint,)
-
-
-def _distinct(jobs: Sequence[Job]) -> list[Job]:
-    """The jobs, with a number after names that came before."""
-    taken: dict[str, int] = {}
-    found = []
-    for job in jobs:
-        name = job.name
-        while name in taken:
-            taken[job.name] += 1
-            name = f"{job.name}_{taken[job.name]}"
-        taken[name] = 1
-        found.append(replace(job, name=name))
-    return found
 
 
 def _anywhere(inputs: Inputs) -> Inputs:

@@ -72,14 +72,6 @@ class KeptInputs(Inputs):
 
         return self.kept.get("file", (path, self.format, self.hand, self.urdf, self.targets), aimed)
 
-    def check_numbers(self) -> None:
-        """Nothing, when the numbers are such as they can be.
-
-        Raises:
-            GraspRefineError: names the option.
-        """
-        self._check_numbers()
-
     def named_objects(self, grasps: GraspSet, path: Path, say: Callable[[str], None]) -> dict[str, ObjectSource]:
         """What to load for each object of the grasps that is meant, in the order of the file.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.formats.folders import UNUSUAL, told_apart
 from grasp_refine.problem import Group
 from grasp_refine.replay.export import export_xml
 from grasp_refine.replay.record import record
@@ -69,13 +69,7 @@ class Recording:
             return ()
         if len(files) == 1:
             return (self.replays,)
-        names: list[str] = []
-        for path in files:
-            stem, number = _plain(path.stem), 2
-            name = stem
-            while name in names:
-                name, number = f"{stem}_{number}", number + 1
-            names.append(name)
+        names = told_apart(UNUSUAL.sub("_", path.stem) for path in files)
         return tuple(self.replays / name for name in names)
 
     def record(
@@ -100,7 +94,7 @@ class Recording:
             if replay is None:
                 yield f"{name}: nothing to record, the trial could not start"
                 continue
-            path = folder / f"{_plain(f'{hand}_{thing}_{number}_{direction}')}.npz"
+            path = folder / f"{UNUSUAL.sub('_', f'{hand}_{thing}_{number}_{direction}')}.npz"
             yield f"{name}: {direction} {replay.reason}, {self._save(replay, world, path)}"
 
     def _save(self, replay: Replay, world: World, path: Path) -> str:
@@ -124,8 +118,3 @@ class Recording:
             except GraspRefineError as error:
                 said += f"; no film: {error}"
         return said
-
-
-def _plain(name: str) -> str:
-    """The name with only what any file system takes."""
-    return re.sub(r"[^\w.,=+-]+", "_", name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +48,10 @@ class Task:
     """The grasp file, or the hand of sampled grasps, and its hash."""
     hand: tuple[str, str]
     """Where the hand comes from, and the hash of its files."""
-    object_digest: str
-    """Hash of the object's files."""
     object: str
     """The object, as the grasp file calls it."""
+    object_digest: str
+    """Hash of the object's files."""
     rows: np.ndarray
     """Rows in the grasp file (n,); empty where grasps are sampled."""
     index: np.ndarray
@@ -147,30 +148,38 @@ class Planner:
         if inputs.hand is None:
             check_known(read.grasps.hand, path)
         named = inputs.hand or read.grasps.hand
-        hand, hand_digest = digests.hand(named, inputs, say)
-        source = digests.file(path)
+        hand, digest = digests.hand(named, inputs, say)
+        of_job = partial(Task, self.batch, job.name, job.inputs, source=digests.file(path), hand=(named, digest))
         for name, where in inputs.named_objects(read.grasps, path, say).items():
-            object_digest = digests.object(where)
+            of_object = partial(of_job, object=name, object_digest=digests.object(where))
             rows = choose_rows(read.grasps, object_name=name, index=None)
             # Grasps on objects of one size are refined at once.
             order = np.argsort(read.grasps.scale[rows], kind="stable")
             for number, start in enumerate(range(0, len(rows), self.size)):
                 index = order[start : start + self.size]
-                of = (self.batch, job.name, job.inputs, source, (named, hand_digest), object_digest, name)
-                yield self._shard(Task(*of, rows[index], index), hand, number, digests)
+                yield self._shard(of_object(rows=rows[index], index=index), hand, number, digests)
 
     def _sampled(self, job: Job, inputs: KeptInputs, digests: Digests, say: Callable[[str], None]) -> Iterator[Shard]:
         """The shards of a job whose grasps are drawn, each in a draw of its own."""
         count = inputs.sample_count()
-        hand, hand_digest = digests.hand(inputs.hand, inputs, say)
+        hand, digest = digests.hand(inputs.hand, inputs, say)
         where = chosen_object(inputs.object, say)
-        object_digest = digests.object(where)
         name = where.asset.name if where.asset is not None else Path(str(where.source)).stem
         for number, start in enumerate(range(0, count, self.size)):
             size, nothing = min(self.size, count - start), np.zeros(0, dtype=np.int64)
-            source = {"sampled": f"{SAMPLE}{size}", "draw": number, "hand": hand_digest}
-            of = (self.batch, job.name, job.inputs, source, (inputs.hand, hand_digest), object_digest, name)
-            yield self._shard(Task(*of, nothing, nothing, (size, number)), hand, number, digests)
+            task = Task(
+                self.batch,
+                job.name,
+                job.inputs,
+                source={"sampled": f"{SAMPLE}{size}", "draw": number, "hand": digest},
+                hand=(inputs.hand, digest),
+                object=name,
+                object_digest=digests.object(where),
+                rows=nothing,
+                index=nothing,
+                sampled=(size, number),
+            )
+            yield self._shard(task, hand, number, digests)
 
     def _shard(self, task: Task, hand: str, number: int, digests: Digests) -> Shard:
         stamp = digests.stamp(

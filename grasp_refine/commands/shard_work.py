@@ -19,6 +19,7 @@ from grasp_refine.commands.refining import proved, refined
 from grasp_refine.commands.shard_plan import Task
 from grasp_refine.commands.sources import on_disk
 from grasp_refine.config import Config
+from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand_object import HandObject
 from grasp_refine.holding import most_iterations
 from grasp_refine.problem import Problem
@@ -187,12 +188,15 @@ def _check_unchanged(task: Task, inputs: KeptInputs, path: Path, say: Callable[[
     Raises:
         GraspRefineError: they are not, so that the stamp would not be true.
     """
-    digests = Digests()
-    source, planned = task.hand
-    digests.check(str(path), task.source["sha256"], digests.file(path)["sha256"])
-    digests.check(f"hand {source}", planned, digests.hand(source, inputs, say)[1])
+    digests, (source, hand) = Digests(), task.hand
     where = replace(inputs, object_name=task.object).named_objects(inputs.read(path, say).grasps, path, say)
-    digests.check(f"object {task.object}", task.object_digest, digests.object(where[task.object]))
+    for what, planned, now in (
+        (str(path), task.source["sha256"], digests.file(path)["sha256"]),
+        (f"hand {source}", hand, digests.hand(source, inputs, say)[1]),
+        (f"object {task.object}", task.object_digest, digests.object(where[task.object])),
+    ):
+        if now != planned:
+            raise GraspRefineError(f"{what}: changed since the batch was planned; give the same command again")
 
 
 def _look(inputs: Inputs) -> list[str]:

@@ -86,7 +86,7 @@ class Sources:
 
     def load_read(self, read: Reading, path: Path, seed: int, say: Callable[[str], None]) -> Problem:
         """The same for grasps that were read from `path` already."""
-        self._check_numbers()
+        self.check_numbers()
         grasps = read.grasps
         names = self._names(grasps, path)
         chosen = {name: choose_rows(grasps, object_name=name, index=self.index or None) for name in names}
@@ -110,8 +110,12 @@ class Sources:
                 groups.append(Group(name, metres, scene, grasps.select(rows[at]), rows[at], index[at], place[at]))
         return Problem(hand, self._files(path, read), tuple(groups), tuple(dict.fromkeys(notes)))
 
-    def _check_numbers(self) -> None:
-        """Refuse a scale or a table that can mean nothing."""
+    def check_numbers(self) -> None:
+        """Refuse a scale, a table or a hull limit that can mean nothing.
+
+        Raises:
+            GraspRefineError: names the option.
+        """
         if not (np.isfinite(self.scale) and self.scale > 0):
             raise GraspRefineError(f"--scale must be positive and finite, got {self.scale:g}")
         if self.table is not None and not np.isfinite(self.table):

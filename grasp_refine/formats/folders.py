@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 UNUSUAL = re.compile(r"[^\w.,=+-]+")
 """What names of folders do not have."""
@@ -11,6 +12,20 @@ UNUSUAL = re.compile(r"[^\w.,=+-]+")
 def object_folder(name: str) -> str:
     """A folder for an object; what is unusual in its name is replaced, and it never leads out of where it lies."""
     return UNUSUAL.sub("_", name).lstrip(".") or "object"
+
+
+def told_apart(names: Iterable[str]) -> list[str]:
+    """The names, with a number after those that came before."""
+    latest: dict[str, int] = {}
+    found = []
+    for name in names:
+        new = name
+        while new in latest:
+            latest[name] += 1
+            new = f"{name}_{latest[name]}"
+        latest[new] = 1
+        found.append(new)
+    return found
 
 
 def scale_folder(scale: float) -> str:

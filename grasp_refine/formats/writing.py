@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int
 
-from grasp_refine.atomic import written_whole
+from grasp_refine.atomic import half_written_path, written_whole
 from grasp_refine.errors import GraspFileError
 from grasp_refine.formats.folders import natural
 from grasp_refine.formats.format import Format, Part
@@ -59,7 +58,7 @@ def written(path: Path, to: Format, parts: Sequence[Part]) -> Iterator[tuple[Pat
             _save(partial, parts[0])
             yield partial, parts[0].rows
         return
-    partial = path.with_name(f".{os.getpid()}.partial.{path.name}")
+    partial = half_written_path(path)
     ordered = sorted(parts, key=lambda part: natural(part.path))
     try:
         for part in ordered:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from grasp_refine.formats.folders import UNUSUAL
 from grasp_refine.grasps import OTHER_STAGES, GraspSet, Stage, Targets, save_npz
 from grasp_refine.hand import Hand
 from grasp_refine.report.outcome import Outcome
@@ -24,7 +24,7 @@ def result_paths(folder: Path, hand: str, objects: tuple[str, ...]) -> dict[str,
     """Object name -> path of its result file, <hand>_<object>.npz with whatever is unusual in a name replaced."""
     paths: dict[str, Path] = {}
     for name in objects:
-        stem = re.sub(r"[^\w.,=+-]+", "_", f"{hand}_{name}")
+        stem = UNUSUAL.sub("_", f"{hand}_{name}")
         while folder / f"{stem}.npz" in paths.values():
             stem += "_"
         paths[name] = folder / f"{stem}.npz"
