@@ -252,6 +252,9 @@ class Batch:
                 goes_on = "without --again, the command" if self.sharding.again else "the same command"
                 progress.say(f"{there}; {goes_on} goes on from there")
                 raise
+            finally:
+                # What workers that were killed have half written.
+                clean(todo)
         session.wall_s = time.perf_counter() - began
 
 
