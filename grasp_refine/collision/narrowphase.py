@@ -7,24 +7,28 @@ coal 3.0.3):
 - `DistanceResult.normal` is a view into the reused result; it is copied before the next query.
 - EPA at tight tolerances sometimes ends with a wild number: an answer that is not finite or lies below the
   signed bounding-sphere bound is asked again with a looser tolerance, and reported as failed if that fails too.
-- More than 255 neighbours at a vertex raise (see `shapes`).
+- More than 255 neighbours at a vertex raise, and tolerances suit bodies of one size only (see `shapes`).
+- GJK's tolerance grows with the distance: bodies far apart are asked about again, with a tighter one.
 - A query object looks for support points where its last query found some, so that an answer depends on what was
   asked before, by millimetres where witness points are not unique. Only a request with cached guesses says where
   to begin, so every request has them; the query writes its own over them, so they are set before each one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import coal
 import numpy as np
 
-from grasp_refine.collision.shapes import build_shape
+from grasp_refine.collision.shapes import build_shape, unit_of
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.stopwatch import stage
 
 _WILD = 1e300
 """A distance beyond this, either way, is no answer."""
+
+_DISTANT = 2.0
+"""Beyond this distance, in units of the pieces, GJK's answer is asked for again. As `kDistant` of `native/narrow_phase.h`."""
 
 _NO_GUESS, _NO_HINT = np.array([1.0, 0.0, 0.0]), np.zeros(2, dtype=np.int32)
 """Where GJK begins without a guess, and at which two vertices it begins to look for support points."""
@@ -37,7 +41,7 @@ def coal_version() -> str:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Convergence tolerances of the two algorithms, in metres."""
+    """Convergence tolerances of the two algorithms, in the units of the pieces (see `shapes.unit_of`)."""
 
     gjk: float = 1e-9
     """Duality gap of GJK (separated pieces)."""
@@ -77,11 +81,13 @@ class NarrowPhase:
         identity = coal.Transform3s()
         self._pairs = []
         for a, b in zip(pieces_a, pieces_b, strict=True):
-            (shape_a, T_a), (shape_b, T_b) = _shape_of(a), _shape_of(b)
-            self._pairs.append((coal.ComputeDistance(shape_a, shape_b), T_a or identity, T_b))
+            unit = unit_of(a, b)
+            (shape_a, T_a), (shape_b, T_b) = _shape_of(a, unit), _shape_of(b, unit)
+            self._pairs.append((coal.ComputeDistance(shape_a, shape_b), T_a or identity, T_b, unit))
+        self._tolerances = tolerances
         self._request = _request(tolerances.gjk, tolerances.epa)
+        self._far_request = _request(tolerances.gjk, tolerances.epa)
         self._loose_request = _request(tolerances.retry, tolerances.retry)
-        self._slack = tolerances.slack
 
     @stage("narrow phase")
     def closest(
@@ -115,7 +121,6 @@ class NarrowPhase:
         point, normal = np.zeros((count, 3)), np.zeros((count, 3))
         winner, asked = np.full(count, -1), np.zeros(count, dtype=np.int64)
         failed = np.zeros(count, dtype=bool)
-        pairs, tight = self._pairs, self._request
         result, T = coal.DistanceResult(), coal.Transform3s()
         start_list, pair_list, bound_list, limit_list = (
             starts.tolist(),
@@ -123,42 +128,62 @@ class NarrowPhase:
             bound.tolist(),
             limit.tolist(),
         )
-        # Without a bound, too, there is a limit to what an answer can be.
-        floor_list = np.maximum(bound - self._slack, -_WILD).tolist()
         warm_list = guess_valid.tolist() if guess_valid is not None else None
         # Items with the same pieces follow each other, so that these stay in the processor's cache.
         order = np.argsort(pair[starts[:-1]] if (np.diff(starts) > 0).all() else np.zeros(count), kind="stable")
         for i, R_i, t_i in zip(order.tolist(), R[order], t[order], strict=True):
             T.setRotation(R_i)
-            T.setTranslation(t_i)
-            guess_i = guess[i] if warm_list is not None and warm_list[i] else _NO_GUESS
+            guess_i = guess[i] if warm_list is not None and warm_list[i] else None
             best, first = limit_list[i], start_list[i]
             stop = start_list[i + 1]
             for j in range(first, stop):
                 if bound_list[j] >= best:
                     stop = j
                     break
-                compute, T_a, T_b = pairs[pair_list[j]]
+                compute, T_a, T_b, unit = self._pairs[pair_list[j]]
+                T.setTranslation(t_i / unit)
                 placed = T if T_b is None else T * T_b
-                tight.cached_gjk_guess, tight.cached_support_func_guess = guess_i, _NO_HINT
-                result.clear()
-                d = compute(T_a, placed, tight, result)
-                if not (floor_list[j] <= d < _WILD):
-                    loose = self._loose_request
-                    loose.cached_gjk_guess, loose.cached_support_func_guess = _NO_GUESS, _NO_HINT
-                    result.clear()
-                    d = compute(T_a, placed, loose, result)
-                    if not (floor_list[j] <= d < _WILD):
-                        failed[i] = True
-                        continue
-                if d < best:
+                start = _NO_GUESS if guess_i is None else guess_i / unit
+                d = unit * self._distance(compute, T_a, placed, bound_list[j] / unit, start, result)
+                if d != d:
+                    failed[i] = True
+                elif d < best:
                     best = d
                     distance[i] = d
-                    point[i] = result.getNearestPoint1()
+                    point[i] = unit * result.getNearestPoint1()
                     normal[i] = result.normal
                     winner[i] = pair_list[j]
             asked[i] = stop - first
         return Closest(distance, point, normal, winner, asked, failed)
+
+    def _distance(
+        self,
+        compute: Callable[..., float],
+        T_a: coal.Transform3s,
+        T_b: coal.Transform3s,
+        bound: float,
+        guess: np.ndarray,
+        result: coal.DistanceResult,
+    ) -> float:
+        """The signed distance of two pieces in their unit, at least `bound`; NaN if no answer is usable."""
+
+        def ask(request: coal.DistanceRequest, guess: np.ndarray) -> float:
+            request.cached_gjk_guess, request.cached_support_func_guess = guess, _NO_HINT
+            result.clear()
+            return compute(T_a, T_b, request, result)
+
+        # Without a bound, too, there is a limit to what an answer can be.
+        floor, tight, gjk = max(bound - self._tolerances.slack, -_WILD), self._request, self._tolerances.gjk
+        d = ask(tight, guess)
+        if not (floor <= d < _WILD):
+            d = ask(self._loose_request, _NO_GUESS)
+            return d if floor <= d < _WILD else np.nan
+        if d > _DISTANT:
+            self._far_request.gjk_tolerance = gjk / (1.0 + d)
+            closer = ask(self._far_request, -d * result.normal)
+            # Too tight a tolerance may have no answer.
+            return closer if d - 2.0 * gjk * (1.0 + d) <= closer <= d else ask(tight, guess)
+        return d
 
 
 def _request(gjk_tolerance: float, epa_tolerance: float) -> coal.DistanceRequest:
@@ -170,11 +195,12 @@ def _request(gjk_tolerance: float, epa_tolerance: float) -> coal.DistanceRequest
     return request
 
 
-def _shape_of(piece: Piece) -> tuple[coal.CollisionGeometry, coal.Transform3s | None]:
-    """The coal shape of a piece and its placement in the body (None: the body's own frame), built once."""
-    if "coal" not in piece.derived:
-        piece.derived["coal"] = build_shape(piece, _Factory)
-    return piece.derived["coal"]
+def _shape_of(piece: Piece, unit: float) -> tuple[coal.CollisionGeometry, coal.Transform3s | None]:
+    """The coal shape of a piece in a unit, and its placement in the body (None: its own frame), built once."""
+    shapes = piece.derived.setdefault("coal", {})
+    if unit not in shapes:
+        shapes[unit] = build_shape(piece, unit, _Factory)
+    return shapes[unit]
 
 
 class _Factory:

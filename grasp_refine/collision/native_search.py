@@ -14,7 +14,7 @@ import numpy as np
 # Loads coal's library, which _native needs.
 from grasp_refine.collision.narrowphase import Closest, Tolerances, coal_version
 from grasp_refine.collision.relative import in_frame, relative
-from grasp_refine.collision.shapes import build_shape
+from grasp_refine.collision.shapes import build_shape, unit_of
 from grasp_refine.collision.supports import CELLS
 from grasp_refine.collision.table import PieceTable, Side
 from grasp_refine.cores import usable_cores
@@ -65,8 +65,9 @@ class NativeNarrowPhase:
     def __init__(self, pieces_a: Sequence[Piece], pieces_b: Sequence[Piece], tolerances: Tolerances) -> None:
         """Prepare the pairs (pieces_a[k], pieces_b[k]), k = 0 .. K - 1."""
         t = tolerances
-        sides = [[_shape_of(piece) for piece in pieces] for pieces in (pieces_a, pieces_b)]
-        self.compiled = _native.NarrowPhase(*sides, t.gjk, t.epa, t.retry, t.slack)
+        units = [unit_of(a, b) for a, b in zip(pieces_a, pieces_b, strict=True)]
+        sides = [[_shape_of(*both) for both in zip(pieces, units, strict=True)] for pieces in (pieces_a, pieces_b)]
+        self.compiled = _native.NarrowPhase(*sides, units, t.gjk, t.epa, t.retry, t.slack)
 
     def closest(
         self,
@@ -162,11 +163,12 @@ class NativeSearch:
         return run
 
 
-def _shape_of(piece: Piece) -> "_native.Shape":
-    """The shape of a piece, built once."""
-    if "native" not in piece.derived:
-        piece.derived["native"] = build_shape(piece, _native.Shape)
-    return piece.derived["native"]
+def _shape_of(piece: Piece, unit: float) -> "_native.Shape":
+    """The shape of a piece in a unit of length, built once."""
+    shapes = piece.derived.setdefault("native", {})
+    if unit not in shapes:
+        shapes[unit] = build_shape(piece, unit, _native.Shape)
+    return shapes[unit]
 
 
 def _side(side: Side) -> "_native.Side":

@@ -1,9 +1,13 @@
 """What coal is given for a convex piece, by whichever engine: one recipe, so that both ask about the same bodies.
 
+coal's tolerances are lengths, and right for bodies about as large as the unit of length: on a plate of 0.1 mm, EPA
+at 1e-8 m is off by the thickness. So each pair of pieces is asked about in a unit of its own.
+
 coal counts the neighbours of a hull's vertex in one byte. A hull with too many is triangulated again with few edges
 at each vertex.
 """
 
+import math
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -33,8 +37,18 @@ class Factory(Protocol[Shape]):
         """The polytope with these triangles (F, 3), and all within `radius` of it."""
 
 
-def build_shape(piece: Piece, make: Factory[Shape]) -> Shape:
-    """The shape of a piece; that of a hull takes some milliseconds."""
+def unit_of(a: Piece, b: Piece) -> float:
+    """The unit of length in which two pieces are asked about, in metres: the larger one is 1/8 to 1 of it long.
+
+    A power of 8, so that changing units rounds nothing, and pieces that belong together mostly share one.
+    """
+    _, exponent = math.frexp(max(a.diagonal, b.diagonal))
+    return math.ldexp(1.0, 3 * math.ceil(exponent / 3))
+
+
+def build_shape(piece: Piece, unit: float, make: Factory[Shape]) -> Shape:
+    """The shape of a piece, in a unit of length (metres); that of a hull takes some milliseconds."""
+    piece = piece.scaled(1.0 / unit)
     vertices = np.ascontiguousarray(piece.vertices, dtype=np.float64)
     if len(vertices) == 1:
         return make.sphere(piece.radius, vertices[0])

@@ -42,10 +42,19 @@ class Piece:
         """The piece moved by the rigid transform `T` (4, 4), which maps its present frame to the new one."""
         return Piece(self.vertices @ T[:3, :3].T + T[:3, 3], self.faces, self.radius)
 
+    def scaled(self, factor: float) -> Piece:
+        """The piece `factor` times as large about the origin of its frame."""
+        return Piece(self.vertices * factor, self.faces, self.radius * factor)
+
     @cached_property
     def bounds(self) -> np.ndarray:
         """Lower and upper corner (2, 3) of the axis-aligned bounding box, radius included."""
         return np.stack([self.vertices.min(0) - self.radius, self.vertices.max(0) + self.radius])
+
+    @cached_property
+    def diagonal(self) -> float:
+        """Diagonal in metres of these bounds."""
+        return float(np.linalg.norm(np.ptp(self.bounds, axis=0)))
 
     @cached_property
     def normals(self) -> np.ndarray:

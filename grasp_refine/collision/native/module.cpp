@@ -218,10 +218,10 @@ void distances(const NarrowPhase& narrow_phase, In<int64_t> item, In<int64_t> pa
   std::iota(order.begin(), order.end(), 0);
   for_each(order, threads, [&](size_t k) {
     const int64_t i = item.data()[k];
-    const auto& [a, b] = narrow_phase.pairs[pair.data()[k]];
     const Vec3s warm = Eigen::Map<const Vec3s>(guess.data() + 3 * k);
-    distance.data()[k] = narrow_phase.asker().distance(*a, *b, pose_of(R.data() + 9 * i, t.data() + 3 * i),
-                                                       guess_valid.data()[k] ? &warm : nullptr);
+    distance.data()[k] =
+        narrow_phase.asker().distance(narrow_phase.pairs[pair.data()[k]], pose_of(R.data() + 9 * i, t.data() + 3 * i),
+                                      guess_valid.data()[k] ? &warm : nullptr);
   });
 }
 
@@ -245,9 +245,10 @@ Side side_of(In<int64_t> body, In<int64_t> first, In<double> center, In<double> 
 
 using Shapes = std::vector<std::shared_ptr<Shape>>;
 
-NarrowPhase narrow_phase_of(const Shapes& a, const Shapes& b, double gjk, double epa, double retry, double slack) {
+NarrowPhase narrow_phase_of(const Shapes& a, const Shapes& b, const std::vector<double>& unit, double gjk, double epa,
+                            double retry, double slack) {
   NarrowPhase made{{}, {gjk, epa, retry, slack}};
-  for (size_t k = 0; k < a.size(); ++k) made.pairs.emplace_back(a[k], b.at(k));
+  for (size_t k = 0; k < a.size(); ++k) made.pairs.push_back({a[k], b.at(k), unit.at(k)});
   return made;
 }
 
@@ -281,8 +282,10 @@ NB_MODULE(_native, m) {
       });
 
   nb::class_<NarrowPhase>(m, "NarrowPhase")
-      .def("__init__", [](NarrowPhase* self, const Shapes& a, const Shapes& b, double gjk, double epa, double retry,
-                          double slack) { new (self) NarrowPhase(narrow_phase_of(a, b, gjk, epa, retry, slack)); })
+      .def("__init__", [](NarrowPhase* self, const Shapes& a, const Shapes& b, const std::vector<double>& unit, double gjk,
+                          double epa, double retry, double slack) {
+        new (self) NarrowPhase(narrow_phase_of(a, b, unit, gjk, epa, retry, slack));
+      })
       .def("closest", &closest, "R"_a, "t"_a, "starts"_a, "pair"_a, "bound"_a, "limit"_a, "guess"_a.none(),
            "guess_valid"_a.none(), "distance"_a.noconvert(), "point"_a.noconvert(), "normal"_a.noconvert(),
            "winner"_a.noconvert(), "asked"_a.noconvert(), "failed"_a.noconvert())

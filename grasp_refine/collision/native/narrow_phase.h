@@ -8,10 +8,10 @@
 #include <coal/shape/geometric_shapes.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <limits>
 #include <memory>
-#include <utility>
 #include <vector>
 
 namespace grasp_refine {
@@ -22,12 +22,13 @@ using coal::Vec3s;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kWild = 1e300;  // A distance beyond this, either way, is no answer.
+constexpr double kDistant = 2.0; // Beyond this one, in units of the pieces, GJK is asked again.
 
 struct Tolerances {
   double gjk, epa, retry, slack;
 };
 
-// A convex piece as coal sees it.
+// A convex piece as coal sees it, in a unit of length of its own.
 struct Shape {
   std::unique_ptr<coal::ShapeBase> geometry;
   Transform3s placement;  // In the frame of the body.
@@ -65,6 +66,12 @@ inline Shape polytope(std::shared_ptr<std::vector<Vec3s>> points,
   return swept(new coal::Convex<coal::Triangle>(std::move(points), vertices, std::move(triangles), faces), radius);
 }
 
+// Two pieces that are asked together.
+struct PiecePair {
+  std::shared_ptr<Shape> a, b;
+  double unit;  // Of length, in metres.
+};
+
 // One piece pair and a lower bound of its signed distance.
 struct Entry {
   double bound;
@@ -83,36 +90,35 @@ struct Found {
 class Asker {
  public:
   void set(const Tolerances& tolerances) {
+    tolerances_ = tolerances;
     prepare(tight_, tolerances.gjk, tolerances.epa);
+    prepare(far_, tolerances.gjk, tolerances.epa);
     prepare(loose_, tolerances.retry, tolerances.retry);
-    slack_ = tolerances.slack;
   }
 
   // Ask entries, bounds ascending, until no bound is below the best distance; that has to beat `found.distance`
   // and `limit`. A null guess is none.
-  template <class Pairs>
-  void ask(const Pairs& pairs, const Entry* entry, const Entry* end, const Transform3s& T, double limit,
-           const Vec3s* guess, Found& found) {
+  void ask(const std::vector<PiecePair>& pairs, const Entry* entry, const Entry* end, const Transform3s& T,
+           double limit, const Vec3s* guess, Found& found) {
     double best = std::min(found.distance, limit);
     for (; entry != end && entry->bound < best; ++entry) {
       ++found.asked;
-      const Shape &a = *pairs[entry->pair].first, &b = *pairs[entry->pair].second;
-      const double floor = std::max(entry->bound - slack_, -kWild);
-      double d = distance(a, b, T, tight_, guess);
-      if (!(floor <= d && d < kWild)) d = distance(a, b, T, loose_, nullptr);
-      if (!(floor <= d && d < kWild)) {
+      const PiecePair& pair = pairs[entry->pair];
+      const double d = pair.unit * distance(pair, in_unit(T, pair), entry->bound / pair.unit, start(pair, guess));
+      if (std::isnan(d)) {
         found.failed = true;
       } else if (d < best) {
         best = found.distance = d;
-        found.point = result_.nearest_points[0];
+        found.point = pair.unit * result_.nearest_points[0];
         found.normal = result_.normal;
         found.winner = entry->pair;
       }
     }
   }
 
-  double distance(const Shape& a, const Shape& b, const Transform3s& T, const Vec3s* guess) {
-    return distance(a, b, T, tight_, guess);
+  // The signed distance of two pieces in metres, whatever it is.
+  double distance(const PiecePair& pair, const Transform3s& T, const Vec3s* guess) {
+    return pair.unit * ask(pair, in_unit(T, pair), tight_, start(pair, guess));
   }
 
  private:
@@ -123,10 +129,36 @@ class Asker {
     request.gjk_initial_guess = coal::GJKInitialGuess::CachedGuess;
   }
 
-  double distance(const Shape& a, const Shape& b, const Transform3s& T, coal::DistanceRequest& request,
-                  const Vec3s* guess) {
+  static Transform3s in_unit(const Transform3s& T, const PiecePair& pair) {
+    return Transform3s(T.getRotation(), T.getTranslation() / pair.unit);
+  }
+
+  static Vec3s start(const PiecePair& pair, const Vec3s* guess) {
+    return guess ? Vec3s(*guess / pair.unit) : no_guess();
+  }
+
+  static Vec3s no_guess() { return Vec3s(1, 0, 0); }
+
+  // The signed distance of two pieces in their unit, at least `bound`; NaN if no answer is usable.
+  double distance(const PiecePair& pair, const Transform3s& T, double bound, const Vec3s& guess) {
+    const double floor = std::max(bound - tolerances_.slack, -kWild), gjk = tolerances_.gjk;
+    const auto usable = [floor](double d) { return floor <= d && d < kWild; };
+    const double d = ask(pair, T, tight_, guess);
+    if (!usable(d)) {
+      const double again = ask(pair, T, loose_, no_guess());
+      return usable(again) ? again : std::numeric_limits<double>::quiet_NaN();
+    }
+    if (d <= kDistant) return d;
+    far_.gjk_tolerance = gjk / (1 + d);
+    const double closer = ask(pair, T, far_, -d * result_.normal);
+    // Too tight a tolerance may have no answer.
+    return d - 2 * gjk * (1 + d) <= closer && closer <= d ? closer : ask(pair, T, tight_, guess);
+  }
+
+  double ask(const PiecePair& pair, const Transform3s& T, coal::DistanceRequest& request, const Vec3s& guess) {
     static const coal::DistanceFunctionMatrix table;
-    request.cached_gjk_guess = guess ? *guess : Vec3s(1, 0, 0);
+    const Shape &a = *pair.a, &b = *pair.b;
+    request.cached_gjk_guess = guess;
     request.cached_support_func_guess.setZero();
     solver_.set(request);
     result_.clear();
@@ -136,14 +168,14 @@ class Asker {
   }
 
   coal::GJKSolver solver_;
-  coal::DistanceRequest tight_, loose_;
+  coal::DistanceRequest tight_, far_, loose_;
   coal::DistanceResult result_;
-  double slack_ = 0;
+  Tolerances tolerances_{};
 };
 
 // The piece pairs that are asked, and how.
 struct NarrowPhase {
-  std::vector<std::pair<std::shared_ptr<Shape>, std::shared_ptr<Shape>>> pairs;
+  std::vector<PiecePair> pairs;
   Tolerances tolerances;
 
   // The one of this thread; its solver keeps the memory that it once took.
