@@ -13,6 +13,8 @@ ROOT = Path(__file__).resolve().parents[1] / PACKAGE
 
 ORDER = (
     "errors",
+    "names",
+    "toml_file",
     "versions",
     "cores",
     "stopwatch",
@@ -101,7 +103,7 @@ LIGHT = (
 
 HEAVY = {"torch", "coal", "coacd", "pytorch_kinematics"}
 
-COAL = ("collision.narrowphase", "apps.bench.queries.peers")
+COAL = ("collision.asking", "collision.narrowphase", "apps.bench.queries.peers")
 """The only file that talks to coal, and the benchmark that measures plain coal as its peer."""
 
 

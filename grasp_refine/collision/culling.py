@@ -47,9 +47,9 @@ def query_near(
 
 def nothing_near(bound: np.ndarray) -> Witness:
     """Pairs (M, P) that were not asked, because they are farther apart than their bounds."""
-    point, zero = np.zeros((3, *bound.shape, 3)), np.zeros((2, *bound.shape), dtype=np.int64)
+    (point_a, point_b, normal), (winner, asked) = np.zeros((3, *bound.shape, 3)), np.zeros((2, *bound.shape), np.int64)
     status = np.full(bound.shape, QueryStatus.FAR, dtype=np.int8)
-    return Witness(*point, bound.copy(), status, zero[0] - 1, zero[1])
+    return Witness(point_a, point_b, normal, bound.copy(), status, winner - 1, asked)
 
 
 def bounding_ball(body: Body) -> np.ndarray:

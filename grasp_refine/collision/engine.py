@@ -14,6 +14,9 @@ from grasp_refine.errors import CollisionError
 Engine = Literal["auto", "native", "python"]
 """The compiled engine, the one in Python, or what is there."""
 
+Chosen = Literal["native", "python"]
+"""One of the two."""
+
 VARIABLE = "GRASP_REFINE_ENGINE"
 """Environment variable that says what "auto" means."""
 
@@ -21,7 +24,7 @@ COMPILED = "grasp_refine.collision._native"
 """The module that `native/` becomes."""
 
 
-def engines() -> tuple[str, ...]:
+def engines() -> tuple[Chosen, ...]:
     """The engines that are there, the fastest first."""
     return ("python",) if why_not_native() else ("native", "python")
 
@@ -39,7 +42,7 @@ def why_not_native() -> str:
     return native_search.mismatch()
 
 
-def chosen(engine: str) -> str:
+def chosen(engine: str) -> Chosen:
     """The engine that is used where `engine`, an `Engine`, is asked for: "native" or "python".
 
     Raises:
@@ -52,4 +55,4 @@ def chosen(engine: str) -> str:
         raise CollisionError(f"{where} is '{asked}'; choose {', '.join(get_args(Engine))}")
     if asked == "native" and why_not_native():
         raise CollisionError(f"{where} is 'native', which is not there ({why_not_native()}); choose auto or python")
-    return engines()[0] if asked == "auto" else asked
+    return engines()[0] if asked == "auto" else "native" if asked == "native" else "python"

@@ -1,56 +1,34 @@
 """The narrow phase: closest or deepest points of convex pieces, asked from coal (GJK and EPA).
 
-The only file that imports coal; `native/narrow_phase.h` is the same in C++. What both guard against (measured with
-coal 3.0.3):
+With `asking`, the only file that imports coal; `native/narrow_phase.h` is the same in C++. What both guard against
+(measured with coal 3.0.3):
 
 - `ComputeDistance` does not keep its geometries alive, so this object does.
 - `DistanceResult.normal` is a view into the reused result; it is copied before the next query.
 - EPA at tight tolerances sometimes ends with a wild number: an answer that is not finite or lies below the
   signed bounding-sphere bound is asked again with a looser tolerance, and reported as failed if that fails too.
 - More than 255 neighbours at a vertex raise, and tolerances suit bodies of one size only (see `shapes`).
-- GJK's tolerance grows with the distance: bodies far apart are asked about again, with a tighter one.
+- Answers that are not proven are mended (see `asking`).
 - A query object looks for support points where its last query found some, so that an answer depends on what was
   asked before, by millimetres where witness points are not unique. Only a request with cached guesses says where
   to begin, so every request has them; the query writes its own over them, so they are set before each one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import coal
 import numpy as np
 
+from grasp_refine.collision.asking import Asker, Core, PiecePair, Tolerances
 from grasp_refine.collision.shapes import build_shape, unit_of
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.stopwatch import stage
-
-_WILD = 1e300
-"""A distance beyond this, either way, is no answer."""
-
-_DISTANT = 2.0
-"""Beyond this distance, in units of the pieces, GJK's answer is asked for again. As `kDistant` of `native/narrow_phase.h`."""
-
-_NO_GUESS, _NO_HINT = np.array([1.0, 0.0, 0.0]), np.zeros(2, dtype=np.int32)
-"""Where GJK begins without a guess, and at which two vertices it begins to look for support points."""
 
 
 def coal_version() -> str:
     """The version of coal's library, as it says itself."""
     return getattr(coal, "__version__", "of an unknown version")
-
-
-@dataclass(frozen=True)
-class Tolerances:
-    """Convergence tolerances of the two algorithms, in the units of the pieces (see `shapes.unit_of`)."""
-
-    gjk: float = 1e-9
-    """Duality gap of GJK (separated pieces)."""
-    epa: float = 1e-8
-    """Gap of EPA (penetrating pieces)."""
-    retry: float = 1e-6
-    """Tolerance of both for the second try of a query whose first answer was not usable."""
-    slack: float = 1e-6
-    """How far an answer may lie below its lower bound before it counts as wrong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,16 +56,8 @@ class NarrowPhase:
         """Prepare the pairs (pieces_a[k], pieces_b[k]), k = 0 .. K - 1."""
         # The pieces keep their shapes alive.
         self._keep_alive = (tuple(pieces_a), tuple(pieces_b))
-        identity = coal.Transform3s()
-        self._pairs = []
-        for a, b in zip(pieces_a, pieces_b, strict=True):
-            unit = unit_of(a, b)
-            (shape_a, T_a), (shape_b, T_b) = _shape_of(a, unit), _shape_of(b, unit)
-            self._pairs.append((coal.ComputeDistance(shape_a, shape_b), T_a or identity, T_b, unit))
-        self._tolerances = tolerances
-        self._request = _request(tolerances.gjk, tolerances.epa)
-        self._far_request = _request(tolerances.gjk, tolerances.epa)
-        self._loose_request = _request(tolerances.retry, tolerances.retry)
+        self._pairs = [_piece_pair(a, b) for a, b in zip(pieces_a, pieces_b, strict=True)]
+        self._asker = Asker(tolerances)
 
     @stage("narrow phase")
     def closest(
@@ -121,7 +91,7 @@ class NarrowPhase:
         point, normal = np.zeros((count, 3)), np.zeros((count, 3))
         winner, asked = np.full(count, -1), np.zeros(count, dtype=np.int64)
         failed = np.zeros(count, dtype=bool)
-        result, T = coal.DistanceResult(), coal.Transform3s()
+        asker = self._asker
         start_list, pair_list, bound_list, limit_list = (
             starts.tolist(),
             pair.tolist(),
@@ -132,7 +102,6 @@ class NarrowPhase:
         # Items with the same pieces follow each other, so that these stay in the processor's cache.
         order = np.argsort(pair[starts[:-1]] if (np.diff(starts) > 0).all() else np.zeros(count), kind="stable")
         for i, R_i, t_i in zip(order.tolist(), R[order], t[order], strict=True):
-            T.setRotation(R_i)
             guess_i = guess[i] if warm_list is not None and warm_list[i] else None
             best, first = limit_list[i], start_list[i]
             stop = start_list[i + 1]
@@ -140,67 +109,48 @@ class NarrowPhase:
                 if bound_list[j] >= best:
                     stop = j
                     break
-                compute, T_a, T_b, unit = self._pairs[pair_list[j]]
-                T.setTranslation(t_i / unit)
-                placed = T if T_b is None else T * T_b
-                start = _NO_GUESS if guess_i is None else guess_i / unit
-                d = unit * self._distance(compute, T_a, placed, bound_list[j] / unit, start, result)
+                asked_pair = self._pairs[pair_list[j]]
+                unit = asked_pair.unit
+                guess_j = None if guess_i is None else guess_i / unit
+                d = unit * asker.distance(asked_pair, R_i, t_i / unit, bound_list[j] / unit, guess_j)
                 if d != d:
                     failed[i] = True
                 elif d < best:
                     best = d
                     distance[i] = d
-                    point[i] = unit * result.getNearestPoint1()
-                    normal[i] = result.normal
+                    point[i] = unit * asker.point
+                    normal[i] = asker.normal
                     winner[i] = pair_list[j]
             asked[i] = stop - first
         return Closest(distance, point, normal, winner, asked, failed)
 
-    def _distance(
-        self,
-        compute: Callable[..., float],
-        T_a: coal.Transform3s,
-        T_b: coal.Transform3s,
-        bound: float,
-        guess: np.ndarray,
-        result: coal.DistanceResult,
-    ) -> float:
-        """The signed distance of two pieces in their unit, at least `bound`; NaN if no answer is usable."""
 
-        def ask(request: coal.DistanceRequest, guess: np.ndarray) -> float:
-            request.cached_gjk_guess, request.cached_support_func_guess = guess, _NO_HINT
-            result.clear()
-            return compute(T_a, T_b, request, result)
+@dataclass(frozen=True, eq=False)
+class _Shaped:
+    """A piece in a unit of length."""
 
-        # Without a bound, too, there is a limit to what an answer can be.
-        floor, tight, gjk = max(bound - self._tolerances.slack, -_WILD), self._request, self._tolerances.gjk
-        d = ask(tight, guess)
-        if not (floor <= d < _WILD):
-            d = ask(self._loose_request, _NO_GUESS)
-            return d if floor <= d < _WILD else np.nan
-        if d > _DISTANT:
-            self._far_request.gjk_tolerance = gjk / (1.0 + d)
-            closer = ask(self._far_request, -d * result.normal)
-            # Too tight a tolerance may have no answer.
-            return closer if d - 2.0 * gjk * (1.0 + d) <= closer <= d else ask(tight, guess)
-        return d
+    geometry: coal.CollisionGeometry
+    placement: coal.Transform3s | None
+    """In the frame of the body; None: that frame itself."""
+    core: Core
 
 
-def _request(gjk_tolerance: float, epa_tolerance: float) -> coal.DistanceRequest:
-    """A request that starts from the guesses it holds, which every query overwrites with its own."""
-    request = coal.DistanceRequest()
-    request.gjk_tolerance = gjk_tolerance
-    request.epa_tolerance = epa_tolerance
-    request.gjk_initial_guess = coal.GJKInitialGuess.CachedGuess
-    return request
+def _piece_pair(a: Piece, b: Piece) -> PiecePair:
+    unit = unit_of(a, b)
+    first, second = _shaped(a, unit), _shaped(b, unit)
+    compute = coal.ComputeDistance(first.geometry, second.geometry)
+    T_a = coal.Transform3s() if first.placement is None else first.placement
+    return PiecePair(compute, T_a, second.placement, first.core, second.core, unit)
 
 
-def _shape_of(piece: Piece, unit: float) -> tuple[coal.CollisionGeometry, coal.Transform3s | None]:
-    """The coal shape of a piece in a unit, and its placement in the body (None: its own frame), built once."""
-    shapes = piece.derived.setdefault("coal", {})
-    if unit not in shapes:
-        shapes[unit] = build_shape(piece, unit, _Factory)
-    return shapes[unit]
+def _shaped(piece: Piece, unit: float) -> _Shaped:
+    """The piece as coal sees it, built once for each unit."""
+    built = piece.derived.setdefault("coal", {})
+    if unit not in built:
+        scaled = piece.scaled(1.0 / unit)
+        core = Core(np.ascontiguousarray(scaled.vertices.T, dtype=np.float64), scaled.radius)
+        built[unit] = _Shaped(*build_shape(scaled, _Factory), core)
+    return built[unit]
 
 
 class _Factory:

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 # Loads coal's library, which _native needs.
-from grasp_refine.collision.narrowphase import Closest, Tolerances, coal_version
+from grasp_refine.collision.asking import Tolerances
+from grasp_refine.collision.narrowphase import Closest, coal_version
 from grasp_refine.collision.relative import in_frame, relative
 from grasp_refine.collision.shapes import build_shape, unit_of
 from grasp_refine.collision.supports import CELLS
@@ -167,7 +168,9 @@ def _shape_of(piece: Piece, unit: float) -> "_native.Shape":
     """The shape of a piece in a unit of length, built once."""
     shapes = piece.derived.setdefault("native", {})
     if unit not in shapes:
-        shapes[unit] = build_shape(piece, unit, _native.Shape)
+        scaled = piece.scaled(1.0 / unit)
+        shapes[unit] = build_shape(scaled, _native.Shape)
+        shapes[unit].set_core(np.ascontiguousarray(scaled.vertices.T, dtype=np.float64), scaled.radius)
     return shapes[unit]
 
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from grasp_refine.collision.asking import Tolerances
 from grasp_refine.collision.engine import Engine, chosen
-from grasp_refine.collision.narrowphase import Closest, NarrowPhase, Tolerances
+from grasp_refine.collision.narrowphase import Closest, NarrowPhase
 from grasp_refine.collision.relative import in_frame, relative
 from grasp_refine.collision.search import Search, Warm
 from grasp_refine.collision.table import PieceTable

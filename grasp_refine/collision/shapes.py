@@ -46,9 +46,8 @@ def unit_of(a: Piece, b: Piece) -> float:
     return math.ldexp(1.0, 3 * math.ceil(exponent / 3))
 
 
-def build_shape(piece: Piece, unit: float, make: Factory[Shape]) -> Shape:
-    """The shape of a piece, in a unit of length (metres); that of a hull takes some milliseconds."""
-    piece = piece.scaled(1.0 / unit)
+def build_shape(piece: Piece, make: Factory[Shape]) -> Shape:
+    """The shape of a piece; that of a hull takes some milliseconds."""
     vertices = np.ascontiguousarray(piece.vertices, dtype=np.float64)
     if len(vertices) == 1:
         return make.sphere(piece.radius, vertices[0])

@@ -17,8 +17,9 @@ from shapes_for_tests import convex_body, ring_body
 from twists import random_poses
 
 from grasp_refine.collision import engine
+from grasp_refine.collision.asking import Tolerances
 from grasp_refine.collision.engine import VARIABLE, chosen, engines, why_not_native
-from grasp_refine.collision.narrowphase import NarrowPhase, Tolerances
+from grasp_refine.collision.narrowphase import NarrowPhase
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query, query_items
 from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.body import Body, build_body

@@ -158,7 +158,7 @@ void query(const Search& search, std::optional<In<int64_t>> pair, In<double> T_a
     const double* a = poses.T_a + 16 * i;
     Found found;
     if (finite)
-      found = search.minimum(pair_of(i), T, limits[i], previous.item(i, a), search.narrow_phase.asker(), scratch);
+      found = search.minimum(pair_of(i), T, limits[i], previous.item(i, a), scratch);
     answers.write(i, found, a, finite, limits[i]);
   });
 }
@@ -176,8 +176,7 @@ std::vector<std::pair<int64_t, int64_t>> trace(const Search& search, In<int64_t>
     std::vector<Entry> entries;
     Scratch scratch;
     scratch.trace = &entries;
-    search.minimum(pair.data()[i], poses.relative(i), limit.data()[i], previous.item(i, poses.T_a + 16 * i),
-                   search.narrow_phase.asker(), scratch);
+    search.minimum(pair.data()[i], poses.relative(i), limit.data()[i], previous.item(i, poses.T_a + 16 * i), scratch);
     for (const Entry& entry : entries) asked.emplace_back(i, entry.pair);
   }
   return asked;
@@ -193,15 +192,13 @@ void closest(const NarrowPhase& narrow_phase, In<double> R, In<double> t, In<int
              Out<double> distance, Out<double> point, Out<double> normal, Out<int64_t> winner, Out<int64_t> asked,
              Out<bool> failed) {
   nb::gil_scoped_release without_the_gil;
-  Asker& asker = narrow_phase.asker();
   for (size_t i = 0; i < limit.size(); ++i) {
     std::vector<Entry> entries;
     for (int64_t j = starts.data()[i]; j < starts.data()[i + 1]; ++j)
       entries.push_back({bound.data()[j], pair.data()[j]});
     const Vec3s warm = guess ? Vec3s(Eigen::Map<const Vec3s>(guess->data() + 3 * i)) : Vec3s::Zero();
     Found found;
-    asker.ask(narrow_phase.pairs, entries.data(), entries.data() + entries.size(),
-              pose_of(R.data() + 9 * i, t.data() + 3 * i), limit.data()[i],
+    narrow_phase.ask(entries.data(), entries.data() + entries.size(), pose_of(R.data() + 9 * i, t.data() + 3 * i), limit.data()[i],
               guess_valid && guess_valid->data()[i] ? &warm : nullptr, found);
     distance.data()[i] = found.distance, winner.data()[i] = found.winner, asked.data()[i] = found.asked;
     failed.data()[i] = found.failed;
@@ -220,8 +217,8 @@ void distances(const NarrowPhase& narrow_phase, In<int64_t> item, In<int64_t> pa
     const int64_t i = item.data()[k];
     const Vec3s warm = Eigen::Map<const Vec3s>(guess.data() + 3 * k);
     distance.data()[k] =
-        narrow_phase.asker().distance(narrow_phase.pairs[pair.data()[k]], pose_of(R.data() + 9 * i, t.data() + 3 * i),
-                                      guess_valid.data()[k] ? &warm : nullptr);
+        narrow_phase.distance(pair.data()[k], pose_of(R.data() + 9 * i, t.data() + 3 * i),
+                              guess_valid.data()[k] ? &warm : nullptr);
   });
 }
 
@@ -279,6 +276,13 @@ NB_MODULE(_native, m) {
         for (const int64_t* f = faces.data(); f != faces.data() + faces.size(); f += 3)
           triangles->emplace_back(f[0], f[1], f[2]);
         return std::make_shared<Shape>(polytope(points_of(points.data(), points.shape(0)), triangles, radius));
+      })
+      .def("set_core", [](Shape& shape, In<double> vertices, double radius) {
+        const auto count = static_cast<Eigen::Index>(vertices.shape(1));
+        shape.core.vertices = Eigen::Map<const decltype(Core::vertices)>(vertices.data(), count, 3);
+        shape.core.radius = radius;
+        shape.core.center =
+            0.5 * (shape.core.vertices.colwise().minCoeff() + shape.core.vertices.colwise().maxCoeff()).transpose();
       });
 
   nb::class_<NarrowPhase>(m, "NarrowPhase")

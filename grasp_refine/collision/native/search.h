@@ -89,8 +89,7 @@ class Search {
   std::vector<int64_t> first_pair;  // The first piece pair of each body pair; (i, j) follows i count_b + j later.
 
   // The closest piece pair of body pair `pair` that is below the limit.
-  Found minimum(int64_t pair, const Transform3s& T, double limit, const Warm& warm, Asker& asker,
-                Scratch& scratch) const {
+  Found minimum(int64_t pair, const Transform3s& T, double limit, const Warm& warm, Scratch& scratch) const {
     // Nothing is below a limit that is no number.
     if (std::isnan(limit)) return Found();
     const int64_t columns = a.count(pair) * b.count(pair);
@@ -104,10 +103,10 @@ class Search {
     if (bound < limit) {
       const Entry first{bound, first_pair[pair] + column};
       // Beyond the limit, too, an answer has a normal that is worth having.
-      asker.ask(narrow_phase.pairs, &first, &first + 1, T, kInfinity, warm.apart ? &warm.guess : nullptr, found);
+      narrow_phase.ask(&first, &first + 1, T, kInfinity, warm.apart ? &warm.guess : nullptr, found);
       if (scratch.trace) scratch.trace->push_back(first);
     }
-    if (columns > 1) rest(pair, T, limit, column, asker, scratch, found);
+    if (columns > 1) rest(pair, T, limit, column, scratch, found);
     if (found.distance >= limit) {
       const int64_t asked = found.asked;
       const bool failed = found.failed;
@@ -182,8 +181,7 @@ class Search {
   }
 
   // Ask all but one column that can still beat what was found.
-  void rest(int64_t pair, const Transform3s& T, double limit, int64_t done, Asker& asker, Scratch& scratch,
-            Found& found) const {
+  void rest(int64_t pair, const Transform3s& T, double limit, int64_t done, Scratch& scratch, Found& found) const {
     const double best = std::min(found.distance, limit);
     auto& left = scratch.left;
     below(pair, best, done, scratch);
@@ -196,7 +194,7 @@ class Search {
     });
     for (Entry& entry : left) entry.pair += first_pair[pair];
     const int64_t before = found.asked;
-    asker.ask(narrow_phase.pairs, left.data(), left.data() + left.size(), T, limit, nullptr, found);
+    narrow_phase.ask(left.data(), left.data() + left.size(), T, limit, nullptr, found);
     if (scratch.trace)
       scratch.trace->insert(scratch.trace->end(), left.begin(), left.begin() + (found.asked - before));
   }

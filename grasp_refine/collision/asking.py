@@ -1,0 +1,221 @@
+"""Asking coal about two convex pieces, and making sure of its answer; `native/asking.h` is the same in C++.
+
+For every unit direction u the gap
+
+    g(u) = min_b u . y - max_a u . x
+
+is at most the signed distance, apart and in penetration, and the largest gap is the signed distance. So an answer with
+distance d and normal n is right where g(n) = d, which is checked. GJK and EPA miss it now and then: far apart, where
+GJK's tolerance grows with the distance; for slivers and nearly equal vertices; and within GJK's tolerance of contact,
+where the normal is rounding only, and gaps below it pass for contact.
+
+Then b is moved along u until the gap is a quarter of the pieces' unit, where GJK is at its best. If u is right, so is
+the closest pair of points there: the move adds to g(u) what it is long, and less to all other gaps. If not, the normal
+there is a better direction. It is followed until the gap grows no more; then again from nearer, because a small turn
+moves points less there.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+
+_WILD = 1e300
+"""A distance beyond this, either way, is no answer."""
+
+_NO_GUESS, _NO_HINT = np.array([1.0, 0.0, 0.0]), np.zeros(2, dtype=np.int32)
+"""Where GJK begins without a guess, and at which two vertices it begins to look for support points."""
+
+# The same constants are in `native/asking.h`; all are in units of the pieces.
+_SURE = 1e-10
+"""How far a gap may lie below the distance that it proves."""
+_TOUCHING = 4e-9
+"""A distance within this is contact to GJK, at the default tolerance."""
+_APART = (0.25, 2.0**-10)
+"""The gaps at which GJK is asked again, one after the other."""
+_ROUNDS = 8
+"""How often the normal is followed at each of them."""
+_EPA_ITERATIONS = 256
+"""With coal's own limit of 64, EPA ends at a facet that is not the nearest one of round bodies, and says nothing."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """Convergence tolerances of the two algorithms, in the units of the pieces (see `shapes.unit_of`)."""
+
+    gjk: float = 1e-9
+    """Duality gap of GJK (separated pieces)."""
+    epa: float = 1e-8
+    """Gap of EPA (penetrating pieces)."""
+    retry: float = 1e-6
+    """Tolerance of both for the second try of a query whose first answer was not usable."""
+    slack: float = 1e-6
+    """How far an answer may lie below its lower bound before it counts as wrong."""
+
+
+@dataclass(frozen=True, eq=False)
+class Core:
+    """A piece in some unit of length: all points within `radius` of the hull of some vertices."""
+
+    vertices: np.ndarray
+    """(3, V), in the frame of the body."""
+    radius: float
+
+    @property
+    def center(self) -> np.ndarray:
+        """The middle (3,) of the box around the vertices."""
+        return 0.5 * (self.vertices.min(axis=1) + self.vertices.max(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class PiecePair:
+    """Two pieces that are asked together, in a unit of length of their own."""
+
+    compute: Callable[..., float]
+    """coal's query."""
+    T_a: coal.Transform3s
+    """Where coal's shape of the first piece is in its body."""
+    T_b: coal.Transform3s | None
+    """The same of the second one; None: where the body is."""
+    a: Core
+    b: Core
+    unit: float
+    """In metres."""
+
+    def gap(self, R: np.ndarray, t: np.ndarray, u: np.ndarray) -> float:
+        """The gap g(u) along a unit vector u (3,) in the frame of a; body b is at R (3, 3), t (3,), in the unit."""
+        # Sums in a fixed order: the compiled engine has the same bits.
+        v = u[0] * R[0] + u[1] * R[1] + u[2] * R[2]
+        x, y = self.a.vertices, self.b.vertices
+        end_a = (u[0] * x[0] + u[1] * x[1] + u[2] * x[2]).max() + self.a.radius
+        start_b = (v[0] * y[0] + v[1] * y[1] + v[2] * y[2]).min() - self.b.radius
+        return (u[0] * t[0] + u[1] * t[1] + u[2] * t[2]) + start_b - end_a
+
+
+@dataclass
+class _Climbed:
+    """Where following the normal ended."""
+
+    gap: float
+    normal: np.ndarray
+    point: np.ndarray
+    closed: bool
+    """Whether GJK found nothing nearer than the gap there."""
+
+
+class Asker:
+    """What asks; of two questions the second does not see what the first one left."""
+
+    def __init__(self, tolerances: Tolerances) -> None:
+        """Prepare the requests."""
+        self._tolerances = tolerances
+        self._tight = _request(tolerances.gjk, tolerances.epa)
+        self._loose = _request(tolerances.retry, tolerances.retry)
+        self._result, self._T = coal.DistanceResult(), coal.Transform3s()
+        self.point = self.normal = np.zeros(3)
+        """Of the last answer: witness point (3,) on a, in the unit, and normal (3,); in the frame of a."""
+
+    def distance(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, bound: float, guess: np.ndarray | None) -> float:
+        """The signed distance in the unit of the pieces; NaN if no answer is usable.
+
+        Args:
+            pair: The pieces.
+            R: Rotation (3, 3) of body b in the frame of body a.
+            t: Its origin (3,), in the unit.
+            bound: A lower bound of the signed distance, in the unit.
+            guess: Last seen x_a - x_b (3,), in the unit.
+        """
+        # Without a bound, too, there is a limit to what an answer can be.
+        floor = max(bound - self._tolerances.slack, -_WILD)
+        self._T.setRotation(R)
+        d = self._ask(pair, t, self._tight, _NO_GUESS if guess is None else guess)
+        if not (floor <= d < _WILD):
+            d = self._ask(pair, t, self._loose, _NO_GUESS)
+            if not (floor <= d < _WILD):
+                d = np.nan
+        # Not bit for bit `pair.gap`, but faster.
+        n = self.normal
+        gap = n @ t + (n @ R @ pair.b.vertices).min() - (n @ pair.a.vertices).max() - (pair.a.radius + pair.b.radius)
+        if abs(d) > _TOUCHING and abs(d - gap) <= _SURE:
+            return d
+        d = self._settled(pair, R, t, d)
+        return d if d >= floor else np.nan
+
+    def _ask(self, pair: PiecePair, t: np.ndarray, request: coal.DistanceRequest, guess: np.ndarray) -> float:
+        """Coal's answer for body b at t (3,), as it is."""
+        T, result = self._T, self._result
+        T.setTranslation(t)
+        request.cached_gjk_guess, request.cached_support_func_guess = guess, _NO_HINT
+        result.clear()
+        d = pair.compute(pair.T_a, T if pair.T_b is None else T * pair.T_b, request, result)
+        self.point, self.normal = result.getNearestPoint1(), result.normal.copy()
+        return d
+
+    def _settled(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, d: float) -> float:
+        """The largest gap that is found, where that is not what coal says, d (NaN: nothing)."""
+        close = 2.0 * self._tolerances.gjk * (1.0 + abs(d))
+        best = None
+        for u in self._directions(pair, R, t):
+            found = self._climb(pair, R, t, u)
+            if best is None or found.gap > best.gap:
+                best = found
+            # Apart, nothing is better than a closed gap. In penetration there may be a larger one elsewhere.
+            if (best.gap > 0.0 and best.closed) or abs(d - best.gap) <= close:
+                break
+        else:
+            if abs(d) <= 2.0 * _TOUCHING:
+                best.gap = d
+            elif np.isnan(d) and not best.closed:
+                return np.nan
+        self.point, self.normal = best.point, best.normal
+        return best.gap
+
+    def _directions(self, pair: PiecePair, R: np.ndarray, t: np.ndarray) -> Iterator[np.ndarray]:
+        """Where to begin: coal's normal, the line between the centres, and the axes."""
+        n, (x, y) = self.normal, (pair.a.center, pair.b.center)
+        if abs(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] - 1.0) <= 1e-6:
+            yield n
+        m = R[:, 0] * y[0] + R[:, 1] * y[1] + R[:, 2] * y[2] + t - x
+        length = np.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+        if length > 1e-12:
+            yield m / length
+        for axis in range(3):
+            for sign in (1.0, -1.0):
+                u = np.zeros(3)
+                u[axis] = sign
+                yield u
+
+    def _climb(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, u: np.ndarray) -> _Climbed:
+        """Follow the normal from the direction u to where the gap grows no more."""
+        found = _Climbed(pair.gap(R, t, u), u, np.zeros(3), False)
+        for apart in _APART:
+            for _ in range(_ROUNDS):
+                u, move = found.normal, apart - found.gap
+                d = self._ask(pair, t + move * u, self._tight, -apart * u)
+                if not (0.0 < d < _WILD):
+                    break
+                found.point, found.closed = self.point, abs(d - move - found.gap) <= _SURE
+                n = self.normal
+                gap = pair.gap(R, t, n)
+                if found.gap > 1.0:
+                    # Far apart, a small turn moves much: there it is the line between the points that counts.
+                    w = d * n - move * u
+                    w = w / np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+                    along = pair.gap(R, t, w)
+                    if along > gap:
+                        n, gap = w, along
+                if not gap > found.gap + 1e-14:
+                    break
+                found.gap, found.normal = gap, n
+        return found
+
+
+def _request(gjk_tolerance: float, epa_tolerance: float) -> coal.DistanceRequest:
+    """A request that starts from the guesses it holds, which every query overwrites with its own."""
+    request = coal.DistanceRequest()
+    request.gjk_tolerance = gjk_tolerance
+    request.epa_tolerance = epa_tolerance
+    request.epa_max_iterations = _EPA_ITERATIONS
+    request.gjk_initial_guess = coal.GJKInitialGuess.CachedGuess
+    return request

@@ -1,0 +1,198 @@
+// Asking coal about two convex pieces, and making sure of its answer: asking.py in C++, where it is explained.
+#pragma once
+
+#include <coal/distance_func_matrix.h>
+#include <coal/narrowphase/narrowphase.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <memory>
+
+namespace grasp_refine {
+
+using coal::Matrix3s;
+using coal::Transform3s;
+using coal::Vec3s;
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr double kWild = 1e300;  // A distance beyond this, either way, is no answer.
+
+// As in asking.py, in units of the pieces.
+constexpr double kSure = 1e-10, kTouching = 4e-9, kApart[] = {0.25, 1.0 / 1024};
+constexpr int kRounds = 8, kEpaIterations = 256;
+
+struct Tolerances {
+  double gjk, epa, retry, slack;
+};
+
+// All points within `radius` of the hull of some vertices, in the frame of the body.
+struct Core {
+  Eigen::Matrix<double, Eigen::Dynamic, 3> vertices;
+  double radius = 0;
+  Vec3s center = Vec3s::Zero();  // Of the box around the vertices.
+
+  // u . x of the vertices; sums in the order of asking.py, so that both engines have the same bits.
+  auto along(const Vec3s& u) const {
+    return u[0] * vertices.col(0).array() + u[1] * vertices.col(1).array() + u[2] * vertices.col(2).array();
+  }
+};
+
+// A convex piece as coal sees it, in a unit of length of its own.
+struct Shape {
+  std::unique_ptr<coal::ShapeBase> geometry;
+  Transform3s placement;  // In the frame of the body.
+  bool placed = false;    // Whether that is more than the identity.
+  Core core;
+};
+
+// Two pieces that are asked together.
+struct PiecePair {
+  std::shared_ptr<Shape> a, b;
+  double unit;  // Of length, in metres.
+
+  // The gap min u . y - max u . x, at most the signed distance whatever the unit vector u is.
+  double gap(const Transform3s& T, const Vec3s& u) const {
+    const Matrix3s& R = T.getRotation();
+    Vec3s v;
+    for (int k = 0; k < 3; ++k) v[k] = u[0] * R(0, k) + u[1] * R(1, k) + u[2] * R(2, k);
+    return dot(u, T.getTranslation()) + (b->core.along(v).minCoeff() - b->core.radius) - (a->core.along(u).maxCoeff() + a->core.radius);
+  }
+
+  static double dot(const Vec3s& u, const Vec3s& v) { return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]; }
+};
+
+// What one thread writes to; of two questions the second does not see what the first one left.
+class Asker {
+ public:
+  Vec3s point, normal;  // Of the last answer: on a, in the unit of the pieces; in the frame of a.
+
+  void set(const Tolerances& tolerances) {
+    tolerances_ = tolerances;
+    prepare(tight_, tolerances.gjk, tolerances.epa);
+    prepare(loose_, tolerances.retry, tolerances.retry);
+  }
+
+  // The signed distance in the unit of the pieces, at least `bound`; NaN if no answer is usable. A null guess is none.
+  double distance(const PiecePair& pair, const Transform3s& T, double bound, const Vec3s* guess) {
+    // Without a bound, too, there is a limit to what an answer can be.
+    const double floor = std::max(bound - tolerances_.slack, -kWild);
+    const auto usable = [floor](double d) { return floor <= d && d < kWild; };
+    double d = ask(pair, T, guess);
+    if (!usable(d)) d = ask(pair, T, loose_, no_guess());
+    if (!usable(d)) d = kNaN;
+    if (std::abs(d) > kTouching && std::abs(d - pair.gap(T, normal)) <= kSure) return d;
+    d = settled(pair, T, d);
+    return d >= floor ? d : kNaN;
+  }
+
+  // What coal says, whatever it is.
+  double ask(const PiecePair& pair, const Transform3s& T, const Vec3s* guess) {
+    return ask(pair, T, tight_, guess ? *guess : no_guess());
+  }
+
+ private:
+  // Where following the normal ended.
+  struct Climbed {
+    double gap;
+    Vec3s normal, point = Vec3s::Zero();
+    bool closed = false;  // Whether GJK found nothing nearer than the gap there.
+  };
+
+  static void prepare(coal::DistanceRequest& request, double gjk, double epa) {
+    request.gjk_tolerance = gjk;
+    request.epa_tolerance = epa;
+    request.epa_max_iterations = kEpaIterations;
+    // Without a guess of its own a request starts from where the solver was last.
+    request.gjk_initial_guess = coal::GJKInitialGuess::CachedGuess;
+  }
+
+  static Vec3s no_guess() { return Vec3s(1, 0, 0); }
+
+  double ask(const PiecePair& pair, const Transform3s& T, coal::DistanceRequest& request, const Vec3s& guess) {
+    static const coal::DistanceFunctionMatrix table;
+    const Shape &a = *pair.a, &b = *pair.b;
+    request.cached_gjk_guess = guess;
+    request.cached_support_func_guess.setZero();
+    solver_.set(request);
+    result_.clear();
+    const auto function = table.distance_matrix[a.geometry->getNodeType()][b.geometry->getNodeType()];
+    const double d = function(a.geometry.get(), a.placement, b.geometry.get(), b.placed ? T * b.placement : T,
+                              &solver_, request, result_);
+    point = result_.nearest_points[0], normal = result_.normal;
+    return d;
+  }
+
+  // The largest gap that is found, where that is not what coal says, d (NaN: nothing).
+  double settled(const PiecePair& pair, const Transform3s& T, double d) {
+    const double close = 2 * tolerances_.gjk * (1 + std::abs(d));
+    Vec3s directions[8];
+    const int count = starts(pair, T, directions);
+    Climbed best = climb(pair, T, directions[0]);
+    // Apart, nothing is better than a closed gap. In penetration there may be a larger one elsewhere.
+    const auto sure = [&] { return (best.gap > 0 && best.closed) || std::abs(d - best.gap) <= close; };
+    for (int k = 1; k < count && !sure(); ++k) {
+      const Climbed found = climb(pair, T, directions[k]);
+      if (found.gap > best.gap) best = found;
+    }
+    if (!sure()) {
+      if (std::abs(d) <= 2 * kTouching)
+        best.gap = d;
+      else if (std::isnan(d) && !best.closed)
+        return kNaN;
+    }
+    point = best.point, normal = best.normal;
+    return best.gap;
+  }
+
+  // Where to begin: coal's normal, the line between the centres, and the axes; returns how many there are.
+  int starts(const PiecePair& pair, const Transform3s& T, Vec3s* out) const {
+    int count = 0;
+    if (std::abs(PiecePair::dot(normal, normal) - 1) <= 1e-6) out[count++] = normal;
+    const Matrix3s& R = T.getRotation();
+    const Vec3s &x = pair.a->core.center, &y = pair.b->core.center;
+    Vec3s m;
+    for (int k = 0; k < 3; ++k)
+      m[k] = R(k, 0) * y[0] + R(k, 1) * y[1] + R(k, 2) * y[2] + T.getTranslation()[k] - x[k];
+    const double length = std::sqrt(PiecePair::dot(m, m));
+    if (length > 1e-12) out[count++] = m / length;
+    for (int axis = 0; axis < 3; ++axis)
+      for (const double sign : {1.0, -1.0}) out[count++] = sign * Vec3s::Unit(axis);
+    return count;
+  }
+
+  // Follow the normal from the direction u to where the gap grows no more.
+  Climbed climb(const PiecePair& pair, const Transform3s& T, const Vec3s& start) {
+    Climbed found{pair.gap(T, start), start};
+    for (const double apart : kApart) {
+      for (int round = 0; round < kRounds; ++round) {
+        const Vec3s u = found.normal;
+        const double move = apart - found.gap;
+        const Transform3s moved(T.getRotation(), T.getTranslation() + move * u);
+        const double d = ask(pair, moved, tight_, -apart * u);
+        if (!(0 < d && d < kWild)) break;
+        found.point = point, found.closed = std::abs(d - move - found.gap) <= kSure;
+        Vec3s n = normal;
+        double gap = pair.gap(T, n);
+        if (found.gap > 1) {
+          // Far apart, a small turn moves much: there it is the line between the points that counts.
+          Vec3s w = d * n - move * u;
+          w = w / std::sqrt(PiecePair::dot(w, w));
+          const double along = pair.gap(T, w);
+          if (along > gap) n = w, gap = along;
+        }
+        if (!(gap > found.gap + 1e-14)) break;
+        found.gap = gap, found.normal = n;
+      }
+    }
+    return found;
+  }
+
+  coal::GJKSolver solver_;
+  coal::DistanceRequest tight_, loose_;
+  coal::DistanceResult result_;
+  Tolerances tolerances_{};
+};
+
+}  // namespace grasp_refine
