@@ -120,7 +120,7 @@ class HandAround:
         """Prepare the queries of all links that have geometry."""
         self.links = tuple(link.name for link in hand.links if link.body is not None)
         bodies = hand.links_by_name
-        self._pairs = Pairs.against([bodies[name].body for name in self.links], obj.body)
+        self._pairs = Pairs.against([bodies[name].solid for name in self.links], obj.body)
         self._kinematics = Kinematics(hand, self.links)
 
     def distances(

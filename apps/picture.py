@@ -61,7 +61,7 @@ def hand_models(hand: Hand, T_world_root: Float[np.ndarray, "4 4"], q: Float[np.
 
     models = []
     for link, T in zip(links, poses, strict=True):
-        mesh = trimesh.util.concatenate([piece.mesh() for piece in link.body.pieces]).apply_transform(T)
+        mesh = trimesh.util.concatenate([piece.mesh() for piece in link.solid.pieces]).apply_transform(T)
         models.append(Model.of(mesh, CONTACT_COLOR if link.name in touching else LINK_COLOR, crease=CREASE))
     return models
 
@@ -117,7 +117,9 @@ def _mm(metres: float) -> str:
 def _font(size: float) -> FreeTypeFont:
     from PIL import ImageFont
 
-    return ImageFont.load_default(size * OVERSAMPLING)
+    font = ImageFont.load_default(size * OVERSAMPLING)
+    assert isinstance(font, ImageFont.FreeTypeFont)
+    return font
 
 
 def draw_example() -> Float[np.ndarray, "H W 3"]:
@@ -129,8 +131,7 @@ def draw_example() -> Float[np.ndarray, "H W 3"]:
     q, _ = match_joints(grasps, hand)
     scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q)
     refined = refine(scene)
-    size = OVERSAMPLING * np.array([WIDTH, HEIGHT])
-    camera = Camera(np.array(EYE), np.array(TARGET), *size, EXTENT)
+    camera = Camera(np.array(EYE), np.array(TARGET), OVERSAMPLING * WIDTH, OVERSAMPLING * HEIGHT, EXTENT)
     solid = Model.of(obj.mesh, OBJECT_COLOR, crease=CREASE)
     halves = []
     for title, T, q in (

@@ -233,13 +233,13 @@ def _build(hand: Hand, links: tuple[str, ...]) -> tuple[tuple[str, ...], _Number
         joints = [name for name in parent if depth[name] == level]
         levels.append(sorted(joints, key=lambda name: (-height[name], place[parent[name]])))
     frames = [name for level in levels for name in level]
-    sorted_joints = frames[1:]
+    sorted_joints = [name for name in frames if name is not None]
     ends = np.cumsum([len(level) for level in levels]) - 1
 
     matrix, offset, names = hand.mimic_map()
     rows = [names.index(name) for name in sorted_joints]
     followed = {name: int(np.flatnonzero(row)[0]) if row.any() else 0 for name, row in zip(names, matrix, strict=True)}
-    columns = sorted(parent, key=lambda name: followed[name])
+    columns = sorted((name for name in parent if name is not None), key=lambda name: followed[name])
     m, n = len(columns), len(hand.joint_names)
     gains = np.eye(6 + m, 6 + n)
     gains[6:, 6:] = matrix[[names.index(name) for name in columns]]
@@ -252,7 +252,7 @@ def _build(hand: Hand, links: tuple[str, ...]) -> tuple[tuple[str, ...], _Number
 
     follows = np.zeros((len(links) + m, 6 + m))
     follows[:, :6] = 1.0
-    for row, name in enumerate([carrier[link][0] for link in links] + columns):
+    for row, name in enumerate([*(carrier[link][0] for link in links), *columns]):
         while name is not None:
             follows[row, 6 + columns.index(name)] = 1.0
             name = parent[name]

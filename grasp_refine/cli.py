@@ -34,6 +34,7 @@ COMMANDS = {
     "bench align": "run time against error of witness derivatives: the experiments of the paper",
     "bench grasp": "how accurate and how fast grasps are refined, by solver and batch size",
     "bench queries": "what a witness query costs against coal and MuJoCo, and what skips save",
+    "bench stability": "how many witness queries and derivatives are wrong, by body, size, state and method",
     "bench hold": "run time against success: how many grasps hold after refinement, by method",
     "bench --gate": "is all as fast and as good as it was? ratios of one run against a committed baseline",
     "doctor": "what is installed here, what is missing, and what this machine can do",
@@ -42,7 +43,7 @@ COMMANDS = {
 
 WITH_MUJOCO = (
     "run", "batch", "validate", "view", "convert", "bench align", "bench grasp", "bench hold", "bench queries",
-    "bench --gate",
+    "bench stability", "bench --gate",
 )  # fmt: skip
 """Commands that load MuJoCo, or pytorch-kinematics, which does: that fails with a traceback if `MUJOCO_GL` is wrong."""
 

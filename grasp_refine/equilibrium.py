@@ -66,7 +66,7 @@ class Balance:
     @property
     def pressed(self) -> Bool[np.ndarray, "M L"]:
         """Links (M, L) that press under any of the loads; no derivative looks at the others."""
-        return (self.local[..., 0] > 0).any(axis=1)
+        return np.any(self.local[..., 0] > 0, axis=1)
 
     @property
     def value(self) -> Float[np.ndarray, " M"]:
@@ -83,6 +83,7 @@ class Equilibrium:
     """
 
     chain: Chain
+    """Kinematics of the links whose contacts count."""
     center: Float[np.ndarray, " 3"]
     """The object's centre of mass, world frame."""
     forms: Float[np.ndarray, "E m"]
@@ -90,6 +91,7 @@ class Equilibrium:
     loads: Float[np.ndarray, "P 6"]
     """What pushes at the object, as for `contact_forces`."""
     friction: float = PLANNING_FRICTION
+    """Coefficient of sliding friction of all contacts."""
 
     @staticmethod
     def of(hand: Hand, chain: Chain, center: np.ndarray, friction: float = PLANNING_FRICTION) -> Equilibrium:

@@ -4,9 +4,24 @@ Whatever a file, an argument or a mesh can get wrong is raised as a `GraspRefine
 prints its message in one line and exits with code 2. Anything else that escapes is a defect of ours.
 """
 
+from reprlib import Repr
+
+LONGEST = 4000
+"""Letters of a message that are kept; what is cut off are lists and numbers without end out of files."""
+
 
 class GraspRefineError(Exception):
-    """An input or a request that cannot be used; the message names the value and the valid choices."""
+    """An input or a request that cannot be used; the message names the value and the valid choices.
+
+    Whatever is in it of a file that may come from anyone, the message is one line that a terminal only shows.
+    """
+
+    def __init__(self, message: str) -> None:
+        """Keep the message, with spaces for line breaks and escapes for other letters that nobody can see."""
+        message = str(message)
+        if not message.isprintable():
+            message = "".join(map(_shown, " ".join(message.splitlines())))
+        super().__init__(message if len(message) <= LONGEST else f"{message[: LONGEST - 4]} ...")
 
 
 class MeshError(GraspRefineError):
@@ -27,3 +42,22 @@ class AssetError(GraspRefineError):
 
 class CollisionError(GraspRefineError):
     """A collision query that no tolerance could answer, or poses that are not finite."""
+
+
+def told(value: object) -> str:
+    """A value out of a file, for a message: like `repr`, but of bounded length and depth."""
+    try:
+        return _TOLD.repr(value)
+    except ValueError:
+        return "a whole number of thousands of digits"
+
+
+_TOLD = Repr()
+_TOLD.maxstring = _TOLD.maxother = 200
+_TOLD.maxlevel = 3
+
+
+def _shown(letter: str) -> str:
+    if letter.isprintable():
+        return letter
+    return " " if letter.isspace() else ascii(letter)[1:-1]

@@ -58,7 +58,9 @@ class Known:
     """M grasps at a point: where their links are, and what touches what."""
 
     loss: np.ndarray
+    """Losses (M,) in m^2; NaN where a query could not be answered."""
     asked: np.ndarray
+    """Narrow-phase queries (M,) that this took."""
     T_link: np.ndarray
     """Poses of the links (M, L, 4, 4)."""
     axes: np.ndarray
@@ -275,6 +277,7 @@ class GraspProblem:
 
     def _lowest(self, T: np.ndarray) -> np.ndarray:
         """The lowest point of each link (M, L, 3) over the table, world frame."""
+        assert self.scene.table is not None
         return transform_points(T, self.scene.table.lowest(self.pairs.a, T))
 
     def _away(self, member: np.ndarray, point: Point) -> np.ndarray:
@@ -320,6 +323,7 @@ class GraspProblem:
 
     def _balance(self, member: np.ndarray, known: Known, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rows of the equilibrium."""
+        assert known.forces is not None and self.equilibrium is not None
         columns = self.touching_columns
         w = known.witness.pairs(columns)
         T = known.T_link[:, columns]
@@ -346,6 +350,7 @@ class GraspProblem:
         shape = w.distance.shape
         item = np.flatnonzero((looked & w.valid).reshape(-1))
         count = len(item)
+        assert self.curvatures is not None
         K = self.curvatures.fit(
             np.tile(columns, shape[0])[item],
             T.reshape(-1, 4, 4)[item],

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from grasp_refine.description.mimics import followed
 from grasp_refine.errors import GraspFileError
@@ -114,6 +114,15 @@ class GraspSet:
         """Return the number of grasps N."""
         return len(self.object)
 
+    @property
+    def finite(self) -> Bool[np.ndarray, " N"]:
+        """Which grasps (N,) have, at all stages, poses and joint values that are numbers."""
+        others = (stage for stage in (self.pregrasp, self.squeeze) if stage is not None)
+        stages: list[GraspSet | Stage] = [self, *others]
+        return np.logical_and.reduce(
+            [np.isfinite(values).all(axis=1) for stage in stages for values in (stage.hand_pose, stage.q)]
+        )
+
     def select(self, indices: ArrayLike) -> GraspSet:
         """Return the grasps in the rows `indices`, in that order."""
         rows = np.asarray(indices, dtype=int)
@@ -182,6 +191,7 @@ class GraspSet:
 def load_grasps(path: str | Path) -> GraspSet:
     """Return the grasps of an `.npz` file: float64, unit quaternions, one object name and scale per row.
 
+    Poses and joint values that are not finite come as they are, because one bad grasp should not cost the others.
     Nothing in the file is unpickled. Raises GraspFileError, one line, when the file is missing, not an
     `.npz`, holds pickles, is of a newer version, lacks entries, or when an entry has the wrong type, shape
     or values.
@@ -257,7 +267,9 @@ def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"]
     for name in ignored:
         leads = mimics[name]
         expected = leads.multiplier * q[:, hand.joint_names.index(leads.joint)] + leads.offset
-        off = np.abs(grasps.q[:, column[name]] - expected).max(initial=0.0)
+        with np.errstate(invalid="ignore"):
+            away = np.abs(grasps.q[:, column[name]] - expected)
+        off = away[np.isfinite(away)].max(initial=0.0)
         if off > MIMIC_TOLERANCE:
             notes.append(f"in the file, mimic joint {name} is up to {off:.3g} away from where {leads.joint} puts it")
     return q, tuple(notes)
@@ -293,12 +305,13 @@ def choose_rows(
 
 
 def unit_poses(poses: Float[np.ndarray, "N 7"]) -> tuple[Float[np.ndarray, "N 7"], tuple[int, float] | None]:
-    """Return finite poses (N, 7) with quaternions of length 1, and row and length of the first that is none.
+    """Return poses (N, 7) with quaternions of length 1, and row and length of the first that is none.
 
-    None: all are, up to rounding.
+    None: all are, up to rounding. Poses that are not finite stay as they are.
     """
+    finite = np.isfinite(poses).all(axis=1)
     with np.errstate(over="ignore"):
-        norm = np.linalg.norm(poses[:, 3:], axis=1)
+        norm = np.where(finite, np.linalg.norm(np.where(finite[:, None], poses[:, 3:], 0.5), axis=1), 1.0)
     wrong = np.flatnonzero(np.abs(norm - 1.0) > QUATERNION_TOLERANCE)
     if len(wrong):
         return poses, (int(wrong[0]), float(norm[wrong[0]]))
@@ -315,11 +328,11 @@ def _check_schema(file: NpzFile) -> None:
 
 def _stage(file: NpzFile, pose_key: str, q_key: str, n: int | None, joints: int) -> Stage:
     """The poses and joint values under two keys: those of `n` grasps, or of as many as there are poses."""
-    pose = file.numbers(pose_key)
+    pose = file.numbers(pose_key, finite=False)
     if pose.ndim != 2 or pose.shape[1] != 7 or not len(pose) or n not in (None, len(pose)):
         rows = "(N, 7) with N >= 1" if n is None else f"({n}, 7)"
         raise file.error(f"{pose_key} must have shape {rows}, x y z qw qx qy qz; it has {pose.shape}")
-    q = file.numbers(q_key)
+    q = file.numbers(q_key, finite=False)
     if q.shape != (len(pose), joints):
         raise file.error(
             f"{q_key} must have shape ({len(pose)}, {joints}), one row per hand_pose and one column per "

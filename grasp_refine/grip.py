@@ -138,7 +138,7 @@ def _pad(hand: Hand, index: int) -> np.ndarray:
     contact = hand.contacts[index]
     if contact.point is not None:
         return np.array(contact.point)
-    return bounding_ball(hand.links_by_name[contact.link].body)[:3]
+    return bounding_ball(hand.links_by_name[contact.link].solid)[:3]
 
 
 def _bending(hand: Hand, path: list[Joint]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -162,7 +162,7 @@ def _palm(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
     palm = [link for link, group in zip(solid, link_groups(hand, solid), strict=True) if group == PALM] or solid
     points, facing = [], []
     for link, T in zip(palm, Chain(hand, palm)(np.eye(4)[None], hand.rest[None]).T_world_link[0], strict=True):
-        surface = hand.links_by_name[link].body.candidates
+        surface = hand.links_by_name[link].solid.candidates
         points.append(transform_points(T, surface.points))
         facing.append(surface.areas[:, None] * surface.normals @ T[:3, :3].T)
     return np.concatenate(points), np.concatenate(facing)

@@ -22,6 +22,7 @@ from grasp_refine.errors import HandError, MeshError
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hand_source import HAND_TOML, hand_files, list_hands, needs_urdf
+from grasp_refine.names import at_home
 
 if TYPE_CHECKING:
     import yourdfpy
@@ -42,6 +43,12 @@ class Link:
     """Mass in kg; None where the file gives none."""
     inertia: Inertia | None = None
     """Mass, centre and moments as the file gives them, which need not be possible; None where it has no moments."""
+
+    @property
+    def solid(self) -> Body:
+        """The collision geometry of a link that has some."""
+        assert self.body is not None, f"link '{self.name}' has no collision geometry"
+        return self.body
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,12 +150,13 @@ def load_hand(
     """
     name, toml = hand_files(
         source,
-        None if urdf is None else Path(urdf).expanduser(),
+        None if urdf is None else at_home(Path(urdf)),
         None if mjcf is None else Path(mjcf),
         progress or (lambda line: None),
     )
     if toml.collision == "mjcf" and toml.mjcf is None:
         raise HandError(f"{toml.path}: collision = 'mjcf' needs mjcf = \"FILE\", or --mjcf FILE")
+    assert toml.urdf is not None  # `hand_files` gives one
     tree = read_tree(toml.urdf)
     notes: list[str] = []
     base, why = (base_link, "--base-link says so") if base_link else (toml.base_link, f"{HAND_TOML} says so")

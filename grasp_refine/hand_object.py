@@ -31,7 +31,9 @@ class HandObject:
     """A hand and an object; each part is built when it is first asked for, which takes up to a second in all."""
 
     hand: Hand
+    """The hand that all of this is of."""
     object: Object
+    """Likewise the object."""
 
     @staticmethod
     def of(scene: Scene) -> HandObject:
@@ -41,7 +43,7 @@ class HandObject:
     @cached_property
     def bodies(self) -> tuple[Body, ...]:
         """The bodies of the L links with collision geometry, contact links first (`Scene.links`)."""
-        return tuple(self.hand.links_by_name[name].body for name in links_of(self.hand))
+        return tuple(self.hand.links_by_name[name].solid for name in links_of(self.hand))
 
     @cached_property
     def chain(self) -> Chain:
@@ -63,7 +65,8 @@ class HandObject:
         """The links of the S pairs that can touch each other, first and second (S,)."""
         links = links_of(self.hand)
         pairs = touching_pairs(self.hand)
-        return tuple(np.array([links.index(pair[side]) for pair in pairs], dtype=np.int64) for side in (0, 1))
+        first, second = (np.array([links.index(pair[side]) for pair in pairs], dtype=np.int64) for side in (0, 1))
+        return first, second
 
     @cached_property
     def own_pairs(self) -> Pairs | None:

@@ -12,6 +12,7 @@ from grasp_refine.asset_library.names import find_asset
 from grasp_refine.assets import resource_dir
 from grasp_refine.description.hand_toml import HandToml, only_urdf, read_hand_toml
 from grasp_refine.errors import AssetError, GraspFileError, HandError
+from grasp_refine.names import at_home, exists, is_file
 
 HAND_TOML = "hand.toml"
 """Name of the file beside a URDF that says what the URDF does not."""
@@ -69,10 +70,10 @@ def hand_files(
         except AssetError as error:
             raise AssetError(f"hand '{name}' comes without a URDF: give yours with --urdf FILE, or: {error}") from None
     if mjcf is not None:
-        path = mjcf.expanduser()
-        asset = None if path.is_file() or path.name != str(path) else find_asset(str(mjcf), "hands")
+        path = at_home(mjcf)
+        asset = None if is_file(path) or path.name != str(path) else find_asset(str(mjcf), "hands")
         path = path if asset is None else fetched(asset, say)
-        if not path.is_file():
+        if not is_file(path):
             raise HandError(f"{mjcf}: no such MJCF file")
         toml = replace(toml, mjcf=path)
     return name, toml
@@ -82,11 +83,11 @@ def _located(source: str | Path, urdf: Path | None, say: Callable[[str], None]) 
     """The same, but without a URDF where a hand of ours has none."""
     if isinstance(source, str) and source in list_hands():
         source = resource_dir("robots") / source
-    path = Path(source).expanduser()
-    if not path.exists():
+    path = at_home(Path(source))
+    if not exists(path):
         asset = find_asset(source, "hands") if isinstance(source, str) else None
         if asset is not None:
-            if not asset.main.path.endswith(".urdf"):
+            if asset.main is None or not asset.main.path.endswith(".urdf"):
                 raise HandError(f"{source}: is an MJCF, which goes with a hand: --hand NAME --mjcf {asset.name}")
             ours = resource_dir("robots") / asset.name / HAND_TOML
             urdf = fetched(asset, say) if urdf is None else urdf

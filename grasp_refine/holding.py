@@ -25,7 +25,8 @@ from grasp_refine.quality import DEEP, quality
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import exp_so3, matvec
 from grasp_refine.solvers.least_squares import Minimum, Point, Progress, minimise
-from grasp_refine.solvers.status import Status
+from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.solvers.status import UNUSABLE, Status
 from grasp_refine.squeeze import CONTACTS
 from grasp_refine.targets import Touching
 
@@ -219,12 +220,13 @@ class _Search:
         )
         score = quality(scene.hand, scene.object, prepared.chain, frames, witness).score
         score += free.other_depth(known) / DEEP
-        usable = ~np.isin(found.status, (Status.NO_TARGET, Status.NOT_FINITE))
+        usable = ~np.isin(found.status, UNUSABLE)
         return _Attempt(found, goal, np.where(usable, score, np.inf))
 
     def _through(self, stage: Stage, scene: Scene, rows: np.ndarray, start: Point) -> tuple[Minimum, Goal]:
         """The grasps `rows`, which are those of the scene, after a stage, and what should touch in it."""
         config, prepared = self.config, self.prepared
+        assert isinstance(config.solver, LevenbergMarquardt)
         wall, cpu = time.perf_counter(), time.process_time()
         now = replace(scene, T_world_root=start.T, q=start.q)
         goal = goal_of(now, stage.touching(config.touching), prepared)

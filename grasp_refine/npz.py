@@ -7,18 +7,20 @@ from __future__ import annotations
 
 import io
 import tokenize
+import warnings
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from grasp_refine.atomic import written_whole
 from grasp_refine.errors import GraspFileError
+from grasp_refine.names import are_sound, is_file
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -56,7 +58,7 @@ class NpzFile:
         # An empty list of names is stored by NumPy as float64.
         if value.dtype.kind != "U" and value.size:
             raise self.error(f"{key} must hold text; it holds {value.dtype}")
-        if not is_sound(value.astype(str)):
+        if not are_sound(value.astype(str)):
             raise self.error(f"{key} holds letters that no text has, or that control a terminal")
         return value.astype(str)
 
@@ -74,14 +76,17 @@ class NpzFile:
             raise self.error(f"{key} must be a list of names; it has shape {value.shape}")
         return tuple(value.tolist())
 
-    def numbers(self, key: str, *, nan: bool = False) -> np.ndarray:
-        """Return the entry as float64, of its own shape, finite; with `nan`, NaN may stand for "none"."""
+    def numbers(self, key: str, *, nan: bool = False, finite: bool = True) -> np.ndarray:
+        """Return the entry as float64, of its own shape.
+
+        All are finite; with `nan`, NaN may stand for "none"; with `finite` false, they may be anything.
+        """
         value = self.entries[key]
         if value.dtype.kind not in "fiu":
             raise self.error(f"{key} must hold numbers; it holds {value.dtype}")
         value = value.astype(float)
         bad = np.isinf(value) if nan else ~np.isfinite(value)
-        if bad.any():
+        if finite and bad.any():
             row = int(np.argwhere(bad)[0][0]) if value.ndim else 0
             raise self.error(f"{key} must be finite; row {row} is not")
         return value
@@ -95,30 +100,28 @@ class NpzFile:
         return value
 
 
-def is_sound(text: np.ndarray) -> bool:
-    """Whether an array of texts, which may come from anyone, can be shown and used as names."""
-    codes = np.ascontiguousarray(text).reshape(-1, 1).view(np.uint32) if text.itemsize else np.zeros(0, np.uint32)
-    return bool(((codes >= 32) | (codes == 0)).all() and (codes < 0x110000).all() and (codes != 127).all())
-
-
-def load_npz(path: str | Path) -> NpzFile:
-    """Return the arrays of an `.npz` file, none of them unpickled.
+def load_npz(path: str | Path, *, only: Collection[str] | None = None) -> NpzFile:
+    """Return the arrays of an `.npz` file, or `only` those of some names that are there, none of them unpickled.
 
     Raises GraspFileError when the file is missing, not an `.npz`, damaged, or holds a pickle or anything else
     that is no plain array, or would unpack to more than `LARGEST` bytes or to other sizes than it says.
     """
     path = Path(path)
-    if not path.is_file():
+    if not is_file(path):
         raise GraspFileError(f"{path}: no such grasp file")
-    if not zipfile.is_zipfile(path):
-        raise GraspFileError(f"{path}: not an .npz grasp file")
     entries = {}
     key = ""
     try:
-        _check_sizes(path)
-        with np.load(path, allow_pickle=False) as npz:
-            for key in npz.files:
-                entries[key] = npz[key]
+        # NumPy leaves a file open that it opened itself and could not read.
+        with path.open("rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of heads that Python 2 wrote, or nobody
+            if not zipfile.is_zipfile(file):
+                raise GraspFileError(f"{path}: not an .npz grasp file")
+            _check_sizes(path)
+            with np.load(file, allow_pickle=False) as npz:
+                for key in npz.files:
+                    if only is None or key in only:
+                        entries[key] = npz[key]
     except ValueError as error:
         if "allow_pickle" not in str(error):
             raise GraspFileError(f"{path}: entry '{key}' is damaged") from error
@@ -170,7 +173,9 @@ def array_header(data: bytes) -> tuple[tuple[int, ...], np.dtype, int]:
     try:
         version = np.lib.format.read_magic(stream)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read(stream)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of heads that Python 2 wrote, or nobody
+            shape, _, dtype = read(stream)
     except BAD_HEADER as error:
         raise ValueError(" ".join(str(error).split())[:80]) from None
     if min(shape, default=0) < 0:
@@ -184,7 +189,7 @@ def save_npz(path: str | Path, arrays: Mapping[str, ArrayLike]) -> None:
     Missing folders are made. Raises GraspFileError when the file cannot be written, ValueError when an array
     could only be stored as a pickle.
     """
-    entries = {key: np.asarray(value) for key, value in arrays.items()}
+    entries: dict[str, Any] = {key: np.asarray(value) for key, value in arrays.items()}
     pickled = [key for key, value in entries.items() if value.dtype.hasobject]
     if pickled:
         raise ValueError(f"object arrays cannot be stored without pickle: {', '.join(pickled)}")

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from grasp_refine.errors import AssetError, MeshError
 from grasp_refine.geometry.mesh import SUFFIXES, FlatMeshError, load_groups, load_mesh, watertight
 from grasp_refine.geometry.pieces import Piece, hull
+from grasp_refine.names import is_folder
 
 if TYPE_CHECKING:
     import trimesh
@@ -45,7 +46,7 @@ def find_object(name: str, folder: str | Path) -> Path:
         AssetError: the folder is missing, or none or several of its meshes and folders of pieces fit; lists them.
     """
     folder = Path(folder)
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise AssetError(f"{folder}: no such folder of objects")
     called = {path: path.stem if _is_mesh(path) else path.name for path in sorted(folder.iterdir())}
     plain = _plain(name)
@@ -100,7 +101,9 @@ def surface(folder: Path, pieces: Sequence[Piece], scale: float) -> tuple[trimes
     if not path.is_file() and len(others) == 1:
         (path,) = others
     if not path.is_file():
-        return trimesh.util.concatenate([piece.mesh() for piece in pieces]), ()
+        whole = trimesh.util.concatenate([piece.mesh() for piece in pieces])
+        assert isinstance(whole, trimesh.Trimesh)
+        return whole, ()
     mesh = load_mesh(path, scale)
     try:
         return watertight(mesh, path.name)

@@ -28,6 +28,8 @@ from grasp_refine.losses import (
 )
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import body_gradient, transform_points
+from grasp_refine.solvers.first_order import limits_within
+from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.stopwatch import stage
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.transport import EquivalentTransport
@@ -59,9 +61,9 @@ class Objective:
         own_pairs = prepared.own_pairs if config.weights.self_penetration > 0 else None
         self.own_layer = None if own_pairs is None else WitnessLayer(own_pairs, config.derivative)
         self._own = () if own_pairs is None else prepared.own
-        self.lower = torch.as_tensor(hand.lower, dtype=dtype, device=config.device)
-        self.upper = torch.as_tensor(hand.upper, dtype=dtype, device=config.device)
+        self.lower, self.upper = limits_within(hand.lower, hand.upper, dtype, config.device)
         steps = config.solver
+        assert not isinstance(steps, LevenbergMarquardt)
         self._transport = EquivalentTransport(steps.step_translation, steps.step_rotation) if steps.transport else None
 
     def tensor(self, array: np.ndarray) -> Tensor:

@@ -13,10 +13,12 @@ import numpy as np
 from grasp_refine.errors import AssetError, MeshError
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
+from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.mesh import SUFFIXES, Holes, is_convex, load_mesh, watertight
-from grasp_refine.geometry.pieces import Decomposition, Piece, convex_pieces
+from grasp_refine.geometry.pieces import Piece, convex_pieces
 from grasp_refine.geometry.shapes import EMBEDDED, primitive, primitive_pieces
 from grasp_refine.geometry.units import UNITS, Unit, check_size
+from grasp_refine.names import is_folder
 from grasp_refine.object_folders import given_pieces, surface
 
 if TYPE_CHECKING:
@@ -82,7 +84,7 @@ def load_object(
     pieces: Sequence[Piece] = ()
     notes: tuple[str, ...] = ()
     # An empty path would be the present folder.
-    if text and (text not in EMBEDDED or isinstance(source, Path)) and Path(text).is_dir():
+    if text and (text not in EMBEDDED or isinstance(source, Path)) and is_folder(Path(text)):
         name = Path(os.path.abspath(text)).name
         pieces, notes = given_pieces(Path(text), scale)
         mesh, more = surface(Path(text), pieces, scale)

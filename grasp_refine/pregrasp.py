@@ -31,7 +31,7 @@ def opened(
     Every link is at least `CLEARANCE`, or `CLEARANCE_OTHERS`, away from the object and above the table, if there is
     one, and does not penetrate other links; joints are within their limits. The way there is short, by the root as
     well as by the joints. Where there is none, as for a finger behind a rim, the best try comes back; of a grasp that
-    is not finite, NaN.
+    is nowhere (`Scene.posed`), NaN.
 
     Args:
         scene: Hand, object and grasps; targets mean nothing here.
@@ -44,8 +44,8 @@ def opened(
     config = Config(solver=SOLVER)
     problem = GraspProblem(scene, goal, config, prepared.gloved)
     start = Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper))
-    finite = np.isfinite(scene.T_world_root).all(axis=(1, 2)) & np.isfinite(scene.q).all(axis=1)
-    status = np.where(finite, Status.RUNNING, Status.NOT_FINITE)
+    posed = scene.posed
+    status = np.where(posed, Status.RUNNING, Status.INVALID)
     found = minimise(problem, start, SOLVER, TOLERANCE, status=status, width=config.width, progress=progress).point
-    T, q = np.where(finite[:, None, None], found.T, np.nan), np.where(finite[:, None], found.q, np.nan)
+    T, q = np.where(posed[:, None, None], found.T, np.nan), np.where(posed[:, None], found.q, np.nan)
     return T, q

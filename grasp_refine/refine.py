@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -85,26 +86,28 @@ def refine(
             f"what is prepared for {prepared.hand.name} and {prepared.object.name} is not for the scene's "
             f"{scene.hand.name} and {scene.object.name}"
         )
-    finite = np.isfinite(scene.T_world_root).all(axis=(1, 2)) & np.isfinite(scene.q).all(axis=1)
-    status = np.where(finite, Status.RUNNING, Status.NOT_FINITE)
-    starts = finite.astype(np.int64)
+    sound, given = scene.sound, scene
+    status = np.where(sound, Status.RUNNING, np.where(scene.finite, Status.INVALID, Status.NOT_FINITE))
+    starts = sound.astype(np.int64)
+    scene = scene.masked(sound)
     if config.holds and scene.target_link is None and not config.nearest:
         held = hold(scene, prepared, config, status, progress, watch)
         goal, found, starts = held.goal, held.minimum, held.starts
     else:
         goal = goal_of(scene, config.touching, prepared, nearest=config.nearest)
-        status[finite & ~goal.touching.any(axis=1)] = Status.NO_TARGET
+        status[sound & ~goal.touching.any(axis=1)] = Status.NO_TARGET
         solve = _least_squares if isinstance(config.solver, LevenbergMarquardt) else _first_order
         found = solve(scene, prepared, goal, config, status, progress, watch)
     unreachable = np.isin(found.status, (Status.STALLED, Status.BUDGET))
     off_surface = config.weights.contact * goal.off_surface
     found.status[unreachable & (off_surface > max(config.tolerance, OFF_SURFACE))] = Status.UNREACHABLE
     hand, count = scene.hand, max(len(scene.q), 1)
-    q = np.where(finite[:, None], np.clip(found.point.q, hand.lower, hand.upper), found.point.q)
+    T = np.where(sound[:, None, None], found.point.T, given.T_world_root)
+    q = np.where(sound[:, None], np.clip(found.point.q, hand.lower, hand.upper), given.q)
     # What was done for all grasps is shared out evenly.
     wall, cpu = time.perf_counter() - wall - found.wall_s.sum(), time.process_time() - cpu - found.cpu_s.sum()
     return Refinement(
-        T_world_root=found.point.T,
+        T_world_root=T,
         q=q,
         touching=goal.touching,
         target_link=goal.target_link,
@@ -138,10 +141,11 @@ def _least_squares(
 ) -> Minimum:
     """By Levenberg-Marquardt; with targets, from where inverse kinematics alone comes nearest to them."""
     problem, solver = GraspProblem(scene, goal, config, prepared), config.solver
+    assert isinstance(solver, LevenbergMarquardt)
     rows = np.flatnonzero(status == Status.RUNNING)
     hand = scene.hand
     given = Point(scene.T_world_root, np.clip(scene.q, hand.lower, hand.upper))
-    limits = {"width": config.width, "seconds": config.seconds, "progress": progress}
+    limits: dict[str, Any] = {"width": config.width, "seconds": config.seconds, "progress": progress}
     limits["watch"] = watched(watch, goal, WAY)
     if not goal.aimed.any():
         solver = replace(solver, restarts=0)
@@ -177,6 +181,7 @@ def _first_order(
     from grasp_refine.objective import Objective
     from grasp_refine.solvers.first_order import descend
 
+    assert not isinstance(config.solver, LevenbergMarquardt)
     return descend(
         Objective(scene, goal, config, prepared),
         Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper)),

@@ -5,8 +5,9 @@ V(p) = v + w x p, so T(t) = exp(t xi) T(0); a *body* twist moves T(t) = T(0) exp
 All functions take any number of leading batch dimensions.
 """
 
+from math import factorial
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import array_api_compat
 import numpy as np
@@ -14,8 +15,22 @@ import numpy as np
 Array = Any
 """A NumPy array or a torch tensor."""
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    Same = TypeVar("Same", np.ndarray, Tensor)
+else:
+    # Importing torch takes a second, which only checkers of types need.
+    Same = Any
+
 _SMALL_ANGLE_SQUARED = 1e-8
 """Below this squared angle (rad^2) the maps use their Taylor series; its error is then below 1e-16."""
+
+_SHIFT_ANGLE_SQUARED = 1e-2
+"""The same for the coefficient (x - sin x)/x^3, which cancels: its derivative would lose eps/x^4."""
+
+_SHIFT_SERIES = tuple((-1.0) ** k / factorial(2 * k + 3) for k in reversed(range(4)))
+"""Its Taylor coefficients in x^2, the highest power first."""
 
 
 def array_namespace(array: Array) -> ModuleType:
@@ -24,7 +39,7 @@ def array_namespace(array: Array) -> ModuleType:
     return np if isinstance(array, np.ndarray) else array_api_compat.array_namespace(array)
 
 
-def cross(a: Array, b: Array) -> Array:
+def cross(a: Same, b: Same) -> Same:
     """Cross product a x b of vectors (..., 3)."""
     xp = array_namespace(a)
     a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
@@ -32,7 +47,7 @@ def cross(a: Array, b: Array) -> Array:
     return xp.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], axis=-1)
 
 
-def hat(w: Array) -> Array:
+def hat(w: Same) -> Same:
     """Skew matrices [w] (..., 3, 3) of vectors (..., 3): [w] p = w x p."""
     xp = array_namespace(w)
     skew = xp.zeros_like(w[..., None] + w[..., None, :])
@@ -42,7 +57,7 @@ def hat(w: Array) -> Array:
     return skew
 
 
-def vee(matrix: Array) -> Array:
+def vee(matrix: Same) -> Same:
     """The vector w (..., 3) whose skew matrix [w] is the skew part (M - M^T) / 2 of a matrix (..., 3, 3)."""
     xp = array_namespace(matrix)
     m = matrix
@@ -51,13 +66,13 @@ def vee(matrix: Array) -> Array:
     )
 
 
-def matvec(matrix: Array, vector: Array) -> Array:
+def matvec(matrix: Same, vector: Same) -> Same:
     """The products of matrices (..., m, n) and vectors (..., n), with broadcasting."""
     return (matrix @ vector[..., None])[..., 0]
 
 
-def _sinc_coefficients(angle_squared: Array) -> tuple[Array, Array, Array]:
-    """The coefficients sin(x)/x, (1 - cos x)/x^2 and (x - sin x)/x^3 as functions of x^2, smooth at zero."""
+def _sinc_coefficients(angle_squared: Same) -> tuple[Same, Same]:
+    """The coefficients sin(x)/x and (1 - cos x)/x^2 as functions of x^2, smooth at zero."""
     xp = array_namespace(angle_squared)
     small = angle_squared < _SMALL_ANGLE_SQUARED
     # The guarded angle keeps the branch that is not taken finite, and with it its gradient.
@@ -65,19 +80,30 @@ def _sinc_coefficients(angle_squared: Array) -> tuple[Array, Array, Array]:
     half = xp.sin(0.5 * angle)
     a = xp.where(small, 1.0 - angle_squared / 6.0, xp.sin(angle) / angle)
     b = xp.where(small, 0.5 - angle_squared / 24.0, 2.0 * half * half / (angle * angle))
-    c = xp.where(small, 1.0 / 6.0 - angle_squared / 120.0, (angle - xp.sin(angle)) / angle**3)
-    return a, b, c
+    return a, b
 
 
-def exp_so3(w: Array) -> Array:
+def _shift_coefficient(angle_squared: Same) -> Same:
+    """The coefficient (x - sin x)/x^3 as a function of x^2, smooth at zero."""
+    xp = array_namespace(angle_squared)
+    small = angle_squared < _SHIFT_ANGLE_SQUARED
+    square = xp.where(small, angle_squared, xp.zeros_like(angle_squared))
+    series = _SHIFT_SERIES[0] * square + _SHIFT_SERIES[1]
+    for coefficient in _SHIFT_SERIES[2:]:
+        series = series * square + coefficient
+    angle = xp.sqrt(xp.where(small, xp.ones_like(angle_squared), angle_squared))
+    return xp.where(small, series, (angle - xp.sin(angle)) / angle**3)
+
+
+def exp_so3(w: Same) -> Same:
     """Rotation matrix (..., 3, 3) of a rotation vector (..., 3) in radians (Rodrigues' formula)."""
     xp = array_namespace(w)
-    a, b, _ = _sinc_coefficients(xp.sum(w * w, axis=-1))
+    a, b = _sinc_coefficients(xp.sum(w * w, axis=-1))
     skew = hat(w)
     return _identity_like(skew) + a[..., None, None] * skew + b[..., None, None] * (skew @ skew)
 
 
-def log_so3(R: Array) -> Array:
+def log_so3(R: Same) -> Same:
     """Rotation vector (..., 3) of a rotation matrix (..., 3, 3), with angle in [0, pi]."""
     xp = array_namespace(R)
     quaternion = quaternion_from_matrix(R)
@@ -92,11 +118,12 @@ def log_so3(R: Array) -> Array:
     return xyz * xp.where(small, series, 2.0 * xp.atan2(norm, w) / norm)[..., None]
 
 
-def exp_se3(twist: Array) -> Array:
+def exp_se3(twist: Same) -> Same:
     """Transform (..., 4, 4) of a twist (v, w) (..., 6) followed for unit time."""
     xp = array_namespace(twist)
     v, w = twist[..., :3], twist[..., 3:]
-    a, b, c = _sinc_coefficients(xp.sum(w * w, axis=-1))
+    angle_squared = xp.sum(w * w, axis=-1)
+    (a, b), c = _sinc_coefficients(angle_squared), _shift_coefficient(angle_squared)
     skew = hat(w)
     square = skew @ skew
     eye = _identity_like(skew)
@@ -105,17 +132,18 @@ def exp_se3(twist: Array) -> Array:
     return transform(R, matvec(left, v))
 
 
-def log_se3(T: Array) -> Array:
+def log_se3(T: Same) -> Same:
     """Twist (v, w) (..., 6) whose exponential is the transform T (..., 4, 4)."""
     xp = array_namespace(T)
     w = log_so3(T[..., :3, :3])
-    _, b, c = _sinc_coefficients(xp.sum(w * w, axis=-1))
+    angle_squared = xp.sum(w * w, axis=-1)
+    (_, b), c = _sinc_coefficients(angle_squared), _shift_coefficient(angle_squared)
     skew = hat(w)
     left = _identity_like(skew) + b[..., None, None] * skew + c[..., None, None] * (skew @ skew)
     return xp.concat([matvec(xp.linalg.inv(left), T[..., :3, 3]), w], axis=-1)
 
 
-def transform(R: Array, p: Array) -> Array:
+def transform(R: Same, p: Same) -> Same:
     """Homogeneous matrix (..., 4, 4) of a rotation (..., 3, 3) and a translation (..., 3)."""
     xp = array_namespace(R)
     top = xp.concat([R, p[..., None]], axis=-1)
@@ -124,7 +152,7 @@ def transform(R: Array, p: Array) -> Array:
     return xp.concat([top, bottom], axis=-2)
 
 
-def inverse(T: Array) -> Array:
+def inverse(T: Same) -> Same:
     """Inverse of a rigid transform (..., 4, 4)."""
     xp = array_namespace(T)
     R_transposed = xp.matrix_transpose(T[..., :3, :3])
@@ -140,7 +168,7 @@ def distances(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.nda
     return np.where(finite, moved, np.nan), np.where(finite, turned, np.nan)
 
 
-def adjoint(T: Array) -> Array:
+def adjoint(T: Same) -> Same:
     """Matrix Ad(T) (..., 6, 6) that carries twists (v, w) along: T exp(xi) T^-1 = exp(Ad(T) xi)."""
     xp = array_namespace(T)
     R = T[..., :3, :3]
@@ -149,18 +177,18 @@ def adjoint(T: Array) -> Array:
     return xp.concat([top, bottom], axis=-2)
 
 
-def transform_points(T: Array, points: Array) -> Array:
+def transform_points(T: Same, points: Same) -> Same:
     """Points (..., 3) mapped by transforms (..., 4, 4)."""
     return matvec(T[..., :3, :3], points) + T[..., :3, 3]
 
 
-def retract(T: Array, body_twist: Array) -> Array:
+def retract(T: Same, body_twist: Same) -> Same:
     """T exp(xi): the transform moved by a body twist (..., 6), its rotation orthonormalised again."""
     moved = T @ exp_se3(body_twist)
     return transform(_orthonormalised(moved[..., :3, :3]), moved[..., :3, 3])
 
 
-def tangents(normal: Array) -> Array:
+def tangents(normal: Same) -> Same:
     """Two unit tangents as columns (..., 3, 2) of each unit normal n (..., 3); (t_1, t_2, n) is right-handed.
 
     Duff et al. 2017, "Building an orthonormal basis, revisited".
@@ -175,7 +203,7 @@ def tangents(normal: Array) -> Array:
     return xp.stack([first, second], axis=-1)
 
 
-def matrix_from_quaternion(quaternion: Array) -> Array:
+def matrix_from_quaternion(quaternion: Same) -> Same:
     """Rotation matrix (..., 3, 3) of a unit quaternion (w, x, y, z) (..., 4)."""
     xp = array_namespace(quaternion)
     w, x, y, z = (quaternion[..., i] for i in range(4))
@@ -187,7 +215,7 @@ def matrix_from_quaternion(quaternion: Array) -> Array:
     return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def quaternion_from_matrix(R: Array) -> Array:
+def quaternion_from_matrix(R: Same) -> Same:
     """Unit quaternion (w, x, y, z) (..., 4) of a rotation matrix (..., 3, 3); w may have either sign."""
     xp = array_namespace(R)
     m00, m11, m22 = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
@@ -212,12 +240,12 @@ def quaternion_from_matrix(R: Array) -> Array:
     return quaternion / xp.sqrt(xp.sum(quaternion * quaternion, axis=-1, keepdims=True))
 
 
-def transform_from_pose(pose: Array) -> Array:
+def transform_from_pose(pose: Same) -> Same:
     """Transform (..., 4, 4) of a pose (x, y, z, qw, qx, qy, qz) (..., 7)."""
     return transform(matrix_from_quaternion(pose[..., 3:]), pose[..., :3])
 
 
-def pose_from_transform(T: Array) -> Array:
+def pose_from_transform(T: Same) -> Same:
     """Pose (x, y, z, qw, qx, qy, qz) (..., 7) of a transform (..., 4, 4), with qw >= 0."""
     xp = array_namespace(T)
     quaternion = quaternion_from_matrix(T[..., :3, :3])
@@ -225,7 +253,7 @@ def pose_from_transform(T: Array) -> Array:
     return xp.concat([T[..., :3, 3], quaternion * sign], axis=-1)
 
 
-def ambient_gradient(T: Array, wrench: Array) -> Array:
+def ambient_gradient(T: Same, wrench: Same) -> Same:
     """Gradient (..., 4, 4) in the entries of T whose pairing with any rigid motion is that of a wrench.
 
     A wrench (f, m) (..., 6) is a covector on spatial twists: dL = f . v + m . w. With dR = [w] R and
@@ -238,7 +266,7 @@ def ambient_gradient(T: Array, wrench: Array) -> Array:
     return xp.concat([top, xp.zeros_like(top[..., :1, :])], axis=-2)
 
 
-def body_gradient(T: Array, G: Array) -> Array:
+def body_gradient(T: Same, G: Same) -> Same:
     """Proj(T^-1 G) (..., 6): an entry-wise gradient G (..., 4, 4) as a body twist (v, w).
 
     v = R^T G_p and w = vee(skew(R^T G_R)), which is *half* the derivative of the loss along a body
@@ -249,14 +277,14 @@ def body_gradient(T: Array, G: Array) -> Array:
     return xp.concat([matvec(R_transposed, G[..., :3, 3]), vee(R_transposed @ G[..., :3, :3])], axis=-1)
 
 
-def _identity_like(matrix: Array) -> Array:
+def _identity_like(matrix: Same) -> Same:
     xp = array_namespace(matrix)
     n = matrix.shape[-1]
     keywords = {"device": matrix.device} if hasattr(matrix, "is_cuda") else {}
     return xp.eye(n, dtype=matrix.dtype, **keywords)
 
 
-def _orthonormalised(R: Array) -> Array:
+def _orthonormalised(R: Same) -> Same:
     """One Newton step towards the nearest rotation; removes the rounding that products accumulate."""
     xp = array_namespace(R)
     return R @ (1.5 * _identity_like(R) - 0.5 * (xp.matrix_transpose(R) @ R))

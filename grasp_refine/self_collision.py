@@ -130,12 +130,12 @@ def judged_pairs(
     """What `touching_pairs` found, and why it left out the other pairs."""
     (candidates, neighbours), watched = _candidates(hand), touching_pairs(hand, sampling, cache=cache)
     at_rest, always = _by_design(_distances(hand, candidates, _first_draws(hand, sampling), 0.0), sampling)
-    named = [
+    overlapping, others = (
         tuple(pair for pair, chosen in zip(candidates, which, strict=True) if chosen)
         for which in (at_rest, always & ~at_rest)
-    ]
-    never = len(candidates) - len(watched) - sum(map(len, named))
-    return Judged(neighbours, watched, *named, never)
+    )
+    never = len(candidates) - len(watched) - len(overlapping) - len(others)
+    return Judged(neighbours, watched, overlapping, others, never)
 
 
 def self_penetration(
@@ -206,7 +206,7 @@ def _touching(hand: Hand, candidates: list[LinkPair], sampling: Sampling) -> Boo
     extreme = np.where(within, rng.uniform(lower, upper, end.shape), np.where(end, upper, lower))
     distance = _distances(hand, candidates, first, sampling.margin)
     by_design = np.logical_or(*_by_design(distance, sampling))
-    near = (distance < sampling.margin).any(axis=0)
+    near = np.any(distance < sampling.margin, axis=0)
     for q in np.split(extreme, _ROUNDS):
         left = np.flatnonzero(~near)
         distance = _distances(hand, [candidates[p] for p in left], q, sampling.margin)
@@ -242,7 +242,7 @@ def _distances(
         if hand.links_by_name[name].body is None:
             raise HandError(f"hand {hand.name}: link '{name}' has no collision geometry")
     first, second = ([names.index(pair[side]) for pair in pairs] for side in (0, 1))
-    bodies = [hand.links_by_name[name].body for name in names]
+    bodies = [hand.links_by_name[name].solid for name in names]
     table = Pairs(tuple(bodies[i] for i in first), tuple(bodies[i] for i in second))
     distance = np.empty((len(q), len(pairs)))
     for start in range(0, len(q), _BLOCK):

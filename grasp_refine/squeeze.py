@@ -30,7 +30,7 @@ def squeezed(scene: Scene, prepared: HandObject | None = None, *, total: float =
     whose link is stopped by the object presses with kp times the way it lacks, up to its limit, and these torques J^T f
     are what the forces ask of the joints. The values may lie beyond the limits of the joints, which they do not move
     there: they press all the same. Grasps without contacts, or whose forces are not known, stay as they are; those
-    that are not finite become NaN.
+    that are nowhere (`Scene.posed`) become NaN.
 
     Args:
         scene: Hand, object and grasps. It must be the hand's own `actuator` that moves it: in a simulation with
@@ -40,9 +40,9 @@ def squeezed(scene: Scene, prepared: HandObject | None = None, *, total: float =
     """
     prepared = prepared or HandObject.of(scene)
     hand, chain = scene.hand, prepared.chain
-    finite = np.isfinite(scene.T_world_root).all(axis=(1, 2)) & np.isfinite(scene.q).all(axis=1)
-    T = np.where(finite[:, None, None], scene.T_world_root, np.eye(4))
-    q = np.where(finite[:, None], scene.q, 0.0)
+    posed = scene.posed
+    T = np.where(posed[:, None, None], scene.T_world_root, np.eye(4))
+    q = np.where(posed[:, None], scene.q, 0.0)
     frames = chain(T, q)
     T_link = frames.T_world_link
     T_object = np.broadcast_to(np.eye(4), T_link.shape)
@@ -51,7 +51,7 @@ def squeezed(scene: Scene, prepared: HandObject | None = None, *, total: float =
     # A force at the contact does work on the twist of the link: f . V(x) = f . v + (x x f) . w.
     covector = np.concatenate([force, np.cross(witness.point_a, force)], axis=-1)
     torque = chain.pull(frames, covector, np.arange(len(scene.links)))[..., 6:].sum(axis=1)
-    return np.where(finite[:, None], q + actuated(hand, torque), np.nan)
+    return np.where(posed[:, None], q + actuated(hand, torque), np.nan)
 
 
 def grasp_forces(

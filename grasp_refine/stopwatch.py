@@ -41,7 +41,8 @@ Stage = Literal[
 
 STAGES: tuple[Stage, ...] = get_args(Stage)
 
-Arguments, Result = ParamSpec("Arguments"), TypeVar("Result")
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
 
 
 TICK = 0.01
@@ -71,7 +72,7 @@ class Stopwatch:
     _open: list[Stage] = field(default_factory=list)
     _since: tuple[float, float] = (0.0, 0.0)
     _children: float = 0.0
-    _token: Token | None = None
+    _token: Token[Stopwatch | None] | None = None
 
     def __enter__(self) -> Stopwatch:
         """Begin to count what happens in this context, instead of another one that runs in it already."""
@@ -85,6 +86,7 @@ class Stopwatch:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Stop, also in mid-stage."""
+        assert self._token is not None, "it does not run"
         self._count(last=True)
         self._open.clear()
         _RUNNING.reset(self._token)

@@ -85,6 +85,8 @@ ORDER = (
 
 LIGHT = (
     "errors",
+    "names",
+    "toml_file",
     "versions",
     "se3",
     "assets",

@@ -305,7 +305,7 @@ def test_a_licence_that_restricts_is_accepted_first(tmp_path: Path, server: Serv
 
 def test_a_broken_record_accepts_nothing(tmp_path: Path, cache: Path):
     claw = made_asset(tmp_path / "manifest", terms="unclear")
-    for text in ("{", "[]", '{"licence": "BSD"}', "\xff"):
+    for text in ("{", "[]", '{"licence": "BSD"}', "\xff", "[" * 10**5, "9" * 5000):
         (cache / "hands/claw").mkdir(parents=True, exist_ok=True)
         (cache / "hands/claw/accepted.json").write_text(text, encoding="latin-1")
         assert not is_accepted(claw)

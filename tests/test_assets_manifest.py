@@ -299,3 +299,26 @@ def inline(value: object) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(map(inline, value)) + "]"
     return json.dumps(value)
+
+
+@pytest.mark.parametrize("text", ["x = " + "[" * 5000, "x" + ".a" * 30000 + " = 1", "x = " + "9" * 5000])
+def test_a_manifest_that_takes_too_much_is_refused(text: str, tmp_path: Path):
+    (tmp_path / "hands.toml").write_text(text)
+    with pytest.raises(AssetError, match="hands.toml: cannot be read as a manifest"):
+        read_manifest("hands", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (put_in_file(bytes=2**63), "bytes = 9223372036854775808 must be a number of bytes"),
+        (put(citation="\x1b[2J"), "citation = .* must be a text of letters that a terminal only shows"),
+        (put_in_file(place="a\x9bb"), "place = .* must be a path that stays in its folder"),
+    ],
+)
+def test_what_the_schema_does_not_see_is_refused(change: Callable[[dict], None], message: str, tmp_path: Path):
+    document = few()
+    change(document["hands"]["allegro"])
+    write(tmp_path / "hands.toml", document["hands"])
+    with pytest.raises(AssetError, match=f"hands.toml: hands/allegro.*{message}"):
+        read_manifest("hands", tmp_path)

@@ -76,3 +76,9 @@ def test_without_a_network_both_ways_out_are_named(workplace: Path, monkeypatch:
     monkeypatch.setenv("GRASP_REFINE_ASSETS", "http://127.0.0.1:9")
     with pytest.raises(AssetError, match="hand 'barrett' comes without a URDF: give yours with --urdf FILE, or: "):
         hand_files("barrett", None, None, lambda line: None)
+
+
+@pytest.mark.parametrize("name", ["a" * 300, "a/" * 3000 + "b.urdf", "~nobody-is-called-so/x"])
+def test_what_cannot_be_a_path_is_no_hand(workplace: Path, name: str) -> None:
+    with pytest.raises((AssetError, HandError), match="no hand is called 'aaa|no such file or folder|/a/a"):
+        hand_files(name, None, None, silent)

@@ -166,6 +166,12 @@ def test_a_file_that_is_not_there_is_a_job_that_will_be_told(tmp_path: Path):
         ("[[job]]\ngrasps = '*.nothing'", "*.nothing: matches no grasp files"),
         ("[defaults]\nindex = [1]\n[[job]]", "[defaults]: 'index' is nothing that a job has"),
         ("[[job]", "cannot be read as a TOML job list"),
+        ("x = " + "[" * 5000, "cannot be read as a TOML job list (its lists or tables are nested too deep)"),
+        ("x = " + "9" * 5000, "cannot be read as a TOML job list (Exceeds the limit"),
+        (f"[[job]]\ngrasps = 'b9.npz'\nscale = {10**400}", "job 1: scale must be a number, got 1000"),
+        (f"[[job]]\ngrasps = 0x{'f' * 9000}", "job 1: grasps must be text, got a whole number of thousands of digits"),
+        ("[[job]]\ngrasps = 'b9.npz'\nname = '//'", "'//' cannot be the name of a job"),
+        ('[[job]]\ngrasps = "b9.npz"\nname = "a\\nb"', "'a b' cannot be the name of a job"),
     ],
 )
 def test_what_is_wrong_in_a_toml_list_is_told_with_its_place(folder: Path, text: str, said: str):
@@ -197,3 +203,18 @@ def test_lists_that_are_not_there_and_empty_folders_are_told(tmp_path: Path):
 def test_a_job_can_say_every_input_but_which_grasps():
     assert {"grasps", "hand", "object", "objects", "scale", "targets"} <= set(KEYS)
     assert "index" not in KEYS
+
+
+@pytest.mark.parametrize("name", ["a" * 300, "a/" * 3000, "~nobody-is-called-so/x", "a\\u0000b"])
+def test_what_cannot_be_a_path_is_a_job_that_will_be_told(folder: Path, name: str):
+    """Python raises at the length of the first two, the home of the third, and the letter in the last."""
+    (job,) = jobs(listed(folder, f'[[job]]\nname = "x"\ngrasps = "{name}"\nobject = "{name}.obj"'))
+    assert str(job.inputs.grasps) == str(Path(name.replace("\\u0000", "\0")))
+
+
+def test_a_file_with_a_name_that_is_no_text_is_told(tmp_path: Path):
+    try:
+        (tmp_path / "a\udcffb.npz").touch()
+    except OSError:
+        pytest.skip("this file system has no such names")
+    assert "a\\udcffb' cannot be the name of a job" in problem(tmp_path)

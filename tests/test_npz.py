@@ -104,7 +104,7 @@ def test_a_header_says_shape_type_and_where_the_numbers_begin():
         array_header(claiming((-1,)))
 
 
-@pytest.mark.parametrize("codes", [[0x1B, 0x63], [0x110000], [0x7F]])
+@pytest.mark.parametrize("codes", [[0x1B, 0x63], [0x110000], [0x7F], [0x9B, 0x63], [0xD800], [0x61, 0, 0x61], [0x2028]])
 def test_names_that_are_no_text_or_control_a_terminal_are_refused(tmp_path: Path, codes: list[int]):
     text = np.array(codes, dtype=np.uint32).view(f"U{len(codes)}")
     np.savez(tmp_path / "g.npz", object=text)
@@ -112,3 +112,25 @@ def test_names_that_are_no_text_or_control_a_terminal_are_refused(tmp_path: Path
         load_npz(tmp_path / "g.npz").text("object")
     np.savez(tmp_path / "g.npz", object=np.array(["Mus\u00e9e", "\u676f"]))
     assert load_npz(tmp_path / "g.npz").names("object") == ("Mus\u00e9e", "\u676f")
+
+
+def test_only_some_entries_are_read(tmp_path: Path):
+    np.savez(tmp_path / "g.npz", q=np.zeros(3), name=np.array("x"))
+    assert set(load_npz(tmp_path / "g.npz", only=("q", "none")).entries) == {"q"}
+
+
+def test_a_file_of_python_2_is_read_without_a_word(tmp_path: Path):
+    # NumPy warns of whole numbers such as 3L; warnings are errors here.
+    content = npy(np.arange(3.0)).replace(b"(3,), }  ", b"(3L,), } ")
+    with zipfile.ZipFile(tmp_path / "g.npz", "w") as archive:
+        archive.writestr("q.npy", content)
+    assert load_npz(tmp_path / "g.npz").entries["q"].tolist() == [0, 1, 2]
+    assert array_header(content)[0] == (3,)
+    odd = content.replace(b"(3L,), } ", b"(3,), }\\_")
+    with pytest.raises(ValueError):  # and not a warning of an escape that Python does not know
+        array_header(odd)
+
+
+def test_a_name_that_is_too_long_is_no_file(tmp_path: Path):
+    with pytest.raises(GraspFileError, match="no such grasp file"):
+        load_npz(tmp_path / ("a" * 300))

@@ -97,3 +97,20 @@ def test_a_toml_file_names_meshes_beside_it(tmp_path: Path) -> None:
 def test_what_needs_no_mesh_is_known() -> None:
     assert all(map(is_known, ("mug", "box:0.1,0.1,0.1", "ycb_011_banana")))
     assert not any(map(is_known, ("011_banana", "cup.obj", "box:1,2", "")))
+
+
+@pytest.mark.parametrize("text", ["x = " + "[" * 5000, "x" + ".a" * 30000 + " = 1", "x = " + "9" * 5000])
+def test_a_toml_file_that_takes_too_much_is_refused(tmp_path: Path, text: str) -> None:
+    listing = tmp_path / "objects.toml"
+    listing.write_text(text)
+    with pytest.raises(AssetError, match="objects.toml: cannot be read as TOML lines"):
+        named_object("cup", listing, FILE, silent)
+    listing.write_text(f"cup = 0x{'f' * 9000}")
+    with pytest.raises(AssetError, match="cup must be a path in quotes, got a whole number of thousands of digits"):
+        named_object("cup", listing, FILE, silent)
+
+
+def test_a_name_that_is_too_long_for_a_file_is_no_object(workplace: Path) -> None:
+    with pytest.raises(AssetError, match="no object 'aaa"):
+        chosen_object("a" * 300, silent)
+    assert chosen_object("a" * 300 + ".obj", silent).source == "a" * 300 + ".obj"

@@ -611,3 +611,16 @@ def test_finds_the_pieces_of_the_shared_grasps(shared_assets: Path):
     with np.load(shared_assets / "grasps" / "normalised" / "bodex_shadow.npz") as grasps:
         for name in set(grasps["object"].tolist()):
             assert find_object(name, folder) == folder / name
+
+
+def test_a_name_that_is_too_long_for_a_file_is_no_folder():
+    with pytest.raises(MeshError, match="no such mesh file"):
+        load_object("a" * 300 + ".obj")
+    with pytest.raises(AssetError, match="no object 'aaa"):
+        load_object("a" * 300)
+
+
+@pytest.mark.parametrize("name", ["sphere:1e-60", "sphere:1e60", "box:1e-60,1e-60,1e-60", "cylinder:1e60,1"])
+def test_primitives_of_no_size_are_refused(name: str):
+    with pytest.raises(MeshError, match="which no solid has|flat"):
+        load_object(name)

@@ -60,7 +60,7 @@ def source(tmp_path: Path) -> Path:
     """A copy of the sources: building in the checkout would leave files there."""
     copy = tmp_path / "source"
     copy.mkdir()
-    for name in ("pyproject.toml", "README.md", "LICENSE", ".gitignore"):
+    for name in ("pyproject.toml", "README.md", "CONTRIBUTING.md", "CITATION.cff", "LICENSE", ".gitignore"):
         shutil.copy(ROOT / name, copy)
     for folder in FOLDERS:
         shutil.copytree(ROOT / folder, copy / folder, ignore=shutil.ignore_patterns("__pycache__"))
@@ -94,7 +94,41 @@ def test_the_sdist_builds_the_same_wheel(source: Path, tmp_path: Path):
         archive.extractall(tmp_path / "unpacked", filter="data")
     (unpacked,) = (tmp_path / "unpacked").iterdir()
     assert {path.name for path in (unpacked / SOURCES).iterdir()} >= {"CMakeLists.txt", "module.cpp", "search.h"}
+    assert {path.name for path in unpacked.iterdir()} >= {"README.md", "CONTRIBUTING.md", "CITATION.cff", "LICENSE"}
     assert contents(build(unpacked, "build_wheel", tmp_path / "wheel")) == wanted(source)
+
+
+OFFLINE = ("No matching distribution found", "Temporary failure in name resolution", "Connection")
+"""What pip says where it can fetch nothing."""
+
+
+@pytest.mark.slow
+def test_the_sdist_installs_in_an_empty_environment(source: Path, tmp_path: Path):
+    """As on a machine of somebody else: pip builds it and fetches what it declares to need, nothing of ours is near."""
+    sdist = build(source, "build_sdist", tmp_path / "sdist")
+    home = tmp_path / "home"
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "GRASP_REFINE"))}
+    environment["GRASP_REFINE_CACHE"] = str(tmp_path / "cache")
+
+    def call(*words: str | Path) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(list(map(str, words)), cwd=home, env=environment, capture_output=True, text=True)
+
+    home.mkdir()
+    assert call(sys.executable, "-m", "venv", home / "venv").returncode == 0
+    result = call(home / "venv/bin/pip", "install", sdist)
+    if result.returncode != 0 and any(words in result.stderr for words in OFFLINE):
+        pytest.skip(f"pip can fetch nothing here: {result.stderr.splitlines()[-1]}")
+    assert result.returncode == 0, result.stderr
+    assert call(home / "venv/bin/pip", "check").returncode == 0, "what is installed fits together"
+    program = home / "venv/bin/refine-grasp"
+    assert call(program, "--version").stdout == "refine-grasp 0.1.0\n"
+    run = call(program, "run", "--geometry-only")
+    assert run.returncode == 0, run.stderr
+    assert "4 of 4 grasps converged" in run.stdout
+    assert (home / "grasp-refine-results/allegro_mug.npz").is_file()
+    assert call(program, "doctor").returncode == 0
+    listed = call(program, "hands")
+    assert listed.returncode == 0 and "shadow_palm" in listed.stdout
 
 
 def installed(site: Path, *, editable: bool = False) -> dict[str, str]:

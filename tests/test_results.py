@@ -35,7 +35,8 @@ def test_the_urdf_is_recorded_in_result_files_only(tmp_path: Path) -> None:
     results = tmp_path / "results.npz"
     np.savez(results, provenance=np.array(json.dumps({"urdf": {"path": "hand.urdf", "sha256": "abc"}})))
     assert recorded_urdf(results) == "abc"
-    for entry in ({"q": np.zeros(1)}, {"provenance": np.array("{}")}, {"provenance": np.array("no JSON")}):
+    odd = json.dumps({"urdf": {"sha256": ["abc"]}})
+    for entry in ({"q": np.zeros(1)}, *({"provenance": np.array(text)} for text in ("{}", "no JSON", odd))):
         np.savez(results, **entry)
         assert recorded_urdf(results) is None
     assert recorded_urdf(tmp_path / "folder") is None
@@ -74,3 +75,19 @@ def test_results_say_where_grasps_were_before(tmp_path: Path, monkeypatch: pytes
     assert np.allclose(transform_from_pose(before.hand_pose), transform_from_pose(source.hand_pose[[2, 0]]), atol=1e-12)
     assert (before.q == source.q[[2, 0]]).all()
     assert np.abs(before.q - refined.q).max() > 1e-3
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x05\x06 and no more", b"no archive"])
+def test_a_damaged_file_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
+    """Whatever zipfile and NumPy raise; they left the file open, too."""
+    (tmp_path / "results.npz").write_bytes(content)
+    with pytest.raises(GraspFileError, match="results.npz: not an? "):
+        recorded_urdf(tmp_path / "results.npz")
+
+
+def test_a_record_that_is_too_deep_says_nothing(tmp_path: Path) -> None:
+    np.savez(tmp_path / "results.npz", provenance=np.array("[" * 10**5))
+    assert recorded_urdf(tmp_path / "results.npz") is None
+    np.savez(tmp_path / "results.npz", provenance=np.array([{}], dtype=object))
+    with pytest.raises(GraspFileError, match="entry 'provenance' is a pickled object array, which is never loaded"):
+        recorded_urdf(tmp_path / "results.npz")

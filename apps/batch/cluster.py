@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 
 from grasp_refine.errors import GraspRefineError
 
@@ -19,7 +19,7 @@ def run_on_cluster(
     tries: int = 2,
     patience_s: float | None = None,
     beat: Callable[[int, str, float], None],
-) -> Iterator[Done | Failed]:
+) -> Generator[Done | Failed, None, None]:
     """What comes of each shard, in the order in which they end.
 
     Workers may come and go meanwhile; one that comes late and is not fit gets nothing to do. Each has one shard at a

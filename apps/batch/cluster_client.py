@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from distributed import Client
-from distributed.comm import get_address_host_port
+from distributed.comm.addressing import get_address_host_port
 
 from grasp_refine.errors import GraspRefineError
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -83,7 +83,9 @@ def _words(values: np.ndarray, kind: Kind) -> list[Any]:
     """A column as CSV shows it."""
     if kind == "text":
         return values.tolist()
-    shown = {"whole": int, "flag": lambda value: "true" if value else "false", "number": float}[kind]
+    words: dict[Kind, Callable[[Any], Any]]
+    words = {"whole": int, "flag": lambda value: "true" if value else "false", "number": float}
+    shown = words[kind]
     return [shown(value) if value == value else "" for value in values.tolist()]
 
 

@@ -8,6 +8,7 @@ import platform
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import distributed
 
@@ -40,7 +41,7 @@ def seen(probe: Path) -> Seen:
     versions = (
         ("grasp-refine", grasp_refine.__version__),
         ("Python", ".".join(platform.python_version_tuple()[:2])),
-        ("distributed", distributed.__version__),
+        ("distributed", str(distributed.__version__)),  # type: ignore[attr-defined]  # it has one
         # Engines give the same to rounding, but not to the last bit.
         ("collision engine", chosen("auto")),
     )
@@ -66,7 +67,7 @@ def attempt_there(work: bytes, shard: Shard, topic: str) -> Done | Failed:
             tell(what, share)
 
     tell("beginning", 0.0)
-    kept = getattr(worker, _KEPT, ("", None))
+    kept: tuple[str, Any] = getattr(worker, _KEPT, ("", None))
     if kept[0] != topic:
         kept = (topic, pickle.loads(work))
         setattr(worker, _KEPT, kept)

@@ -80,9 +80,10 @@ def _drawn(case: Case, out: Path, load: Load, prepared: Callable[[Hand], Bones])
     hand, obj = load(case)
     path = out / case.file
     after, file = load_grasps(path).select([case.row]), load_npz(path)
-    initial = {key: file.numbers(f"initial_{name}")[[case.row]] for key, name in (("hand_pose", "pose"), ("q", "q"))}
+    initial_pose, initial_q = (file.numbers(f"initial_{name}")[[case.row]] for name in ("pose", "q"))
     poses = []
-    for grasp in (replace(after, **initial), after):
+    for grasp in (replace(after, hand_pose=initial_pose, q=initial_q), after):
         q, _ = match_joints(grasp, hand)
         poses.append(Pose(transform_from_pose(grasp.hand_pose)[0], q[0]))
-    return Picture(case, *portrait(prepared(hand), obj, poses))
+    before, refined = portrait(prepared(hand), obj, poses)
+    return Picture(case, before, refined)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 
 from .crew import Crew
 from .dispatch import dispatch
@@ -18,7 +18,7 @@ def run_local(
     patience_s: float,
     tries: int = 2,
     beat: Callable[[int, str, float], None],
-) -> Iterator[Done | Failed]:
+) -> Generator[Done | Failed, None, None]:
     """What comes of each shard, in the order in which they end.
 
     Each worker is a spawned process with one thread for linear algebra. When the iterator is closed or interrupted,

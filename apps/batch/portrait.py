@@ -110,13 +110,13 @@ def bones(hand: Hand) -> Bones:
     """What is drawn of a hand."""
     links = [link for link in hand.links if link.body is not None]
     kinematics = Kinematics(hand, [link.name for link in links])
-    points = tuple(link.body.candidates.points for link in links)
+    points = tuple(link.solid.candidates.points for link in links)
     resting = kinematics(torch.eye(4, dtype=torch.float64)[None], torch.as_tensor(hand.rest)[None])[0].numpy()
     posed = np.concatenate([transform_points(T, its) for T, its in zip(resting, points, strict=True)])
     grid = GRID * np.ptp(posed, axis=0).max()
     touching = tuple(link.name in {contact.link for contact in hand.contacts} for link in links)
     models = (
-        _pieces(link.body, CONTACT_COLOR if touches else LINK_COLOR, grid)
+        _pieces(link.solid, CONTACT_COLOR if touches else LINK_COLOR, grid)
         for link, touches in zip(links, touching, strict=True)
     )
     return Bones(kinematics, tuple(models), points, touching)
@@ -150,8 +150,9 @@ def _pieces(body: Body, color: tuple[float, float, float], grid: float) -> Model
     """The convex pieces of a body, with one corner where there are several within `grid` metres."""
     import trimesh
 
-    meshes = [_simpler(piece, grid).mesh() for piece in body.pieces]
-    return Model.of(trimesh.util.concatenate(meshes), color, crease=CREASE)
+    whole = trimesh.util.concatenate([_simpler(piece, grid).mesh() for piece in body.pieces])
+    assert isinstance(whole, trimesh.Trimesh)
+    return Model.of(whole, color, crease=CREASE)
 
 
 def _simpler(piece: Piece, grid: float) -> Piece:

@@ -12,10 +12,9 @@ from dataclasses import asdict
 from enum import Enum
 from pathlib import Path
 
-import numpy as np
-
 from grasp_refine.atomic import half_written
-from grasp_refine.npz import DAMAGED
+from grasp_refine.errors import GraspFileError
+from grasp_refine.npz import DAMAGED, load_npz
 from grasp_refine.report.writing import save_json
 
 from .shard import Failed, Shard
@@ -23,7 +22,7 @@ from .shard import Failed, Shard
 NOTE = ".failed.json"
 """What is added to the name of a result file that did not come out."""
 
-_UNREADABLE = (*DAMAGED, zipfile.BadZipFile, zlib.error, ValueError, KeyError)
+_UNREADABLE = (*DAMAGED, zipfile.BadZipFile, zlib.error, ValueError, KeyError, GraspFileError)
 """How a damaged file, or one of something else, shows."""
 
 
@@ -64,8 +63,7 @@ def is_result(path: Path) -> bool:
 
 def _stamp(path: Path) -> str | None:
     """What a result file of a batch is stamped with; None: it is another file."""
-    with np.load(path, allow_pickle=False) as entries:
-        provenance = json.loads(str(entries["provenance"]))
+    provenance = json.loads(str(load_npz(path, only=("provenance",)).entries["provenance"]))
     batch = provenance.get("batch") if isinstance(provenance, dict) else None
     return batch.get("stamp") if isinstance(batch, dict) else None
 
@@ -88,7 +86,7 @@ def noted_failure(shard: Shard) -> Failed | None:
         if raw["stamp"] != shard.stamp:
             return None
         return Failed(shard.number, raw["reason"], raw["message"], raw["traceback"], raw["tries"])
-    except (OSError, ValueError, LookupError, TypeError):
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return None
 
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from grasp_refine.names import is_sound
 from grasp_refine.npz import NpzFile, load_npz
 from grasp_refine.report.verdict import should_hold
 from grasp_refine.validation.trials import Reason
@@ -90,6 +91,8 @@ OPTIONAL = {
 TEXTS = ("hand", "object", "status", "provenance")
 NEEDED = (*TEXTS, "scale", *ENTRIES.values())
 """Arrays without which a file is none of results."""
+DAMAGED = "provenance is damaged; delete the file, and run the batch again"
+"""What is said where it cannot be what a batch wrote."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +129,7 @@ def read_rows(shard: Shard, out: Path) -> Rows:
     missing = [name for name in NEEDED if name not in file.entries]
     if missing:
         raise file.error(f"is no file of refined grasps, it has no {missing[0]}; delete it, and run the batch again")
-    status = file.text("status")
+    status = np.array(file.names("status"), dtype=str)
     n = len(status)
     provenance, batch = _provenance(file)
     inside = shard.path.is_relative_to(out)
@@ -135,9 +138,15 @@ def read_rows(shard: Shard, out: Path) -> Rows:
         try:
             return file.per_row("provenance", np.atleast_1d(np.asarray(value, dtype=kind)), n)
         except (TypeError, ValueError):
-            raise file.error("provenance is damaged; delete the file, and run the batch again") from None
+            raise file.error(DAMAGED) from None
 
-    source = provenance.get("source") or {}
+    source, place = provenance.get("source") or {}, provenance.get("row") or [None]
+    look = batch.get("look") or []
+    if not (isinstance(source, dict) and isinstance(place, list) and isinstance(look, list)):
+        raise file.error(DAMAGED)
+    said = (batch.get("job"), source.get("path"), source.get("sampled"), *look)
+    if not all(text is None or (isinstance(text, str) and is_sound(text)) for text in said):
+        raise file.error(DAMAGED)
     columns = {
         "job": each(str(batch.get("job") or ""), str),
         "shard": each(shard.number),
@@ -147,7 +156,7 @@ def read_rows(shard: Shard, out: Path) -> Rows:
         "object": file.per_row("object", file.text("object"), n),
         "scale": _numbers(file, "scale", n),
         "source": each(str(source.get("path") or source.get("sampled") or ""), str),
-        "row": each([np.nan if row is None else row for row in provenance.get("row") or [None]]),
+        "row": each([np.nan if row is None else row for row in place]),
         "status": status,
         **{column: _numbers(file, key, n) for column, key in ENTRIES.items()},
         **{
@@ -161,7 +170,7 @@ def read_rows(shard: Shard, out: Path) -> Rows:
     reason = file.per_row("simulation_reason_after", reason, n)
     columns["reason_after"] = np.where(reason == Reason.HELD.label, "", reason)
     return Rows(
-        {name: columns[name] for name in COLUMNS}, tuple(map(str, batch.get("look") or ())), str(batch.get("stamp"))
+        {name: columns[name] for name in COLUMNS}, tuple(map(str, look)), str(batch.get("stamp"))
     )
 
 
@@ -176,7 +185,7 @@ def _provenance(file: NpzFile) -> tuple[dict[str, Any], dict[str, Any]]:
     """What a result file says about where it comes from, and what it says of the batch that made it."""
     try:
         found = json.loads(file.name("provenance"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise file.error(f"provenance is no JSON ({error})") from None
     if not isinstance(found, dict):
         raise file.error("provenance must be a JSON object")

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.solvers.status import UNUSABLE as NEVER_REFINED
 from grasp_refine.solvers.status import Status
 
 from .histogram import LINEAR, Bins, Histogram
 from .rows import Rows
 from .worst import Case, Worst
 
-UNUSABLE = tuple(status.label for status in (Status.NO_TARGET, Status.NOT_FINITE))
+UNUSABLE = tuple(status.label for status in NEVER_REFINED)
 """Statuses of grasps that were not refined at all."""
 
 PAIRS = 5000
@@ -73,7 +74,7 @@ class Tally:
 
     def add(self, rows: Rows) -> None:
         """Count grasps."""
-        quality = [rows[f"quality_{when}"] for when in ("before", "after")]
+        before, after = (rows[f"quality_{when}"] for when in ("before", "after"))
         self.more(
             Tally(
                 count=len(rows),
@@ -84,8 +85,8 @@ class Tally:
                 simulated=int(np.isfinite(rows["held_after"]).sum()),
                 held_before=int(np.nansum(rows["held_before"])),
                 held_after=int(np.nansum(rows["held_after"])),
-                quality=tuple(float(np.nansum(values)) for values in quality),
-                rated=tuple(int(np.isfinite(values).sum()) for values in quality),
+                quality=(float(np.nansum(before)), float(np.nansum(after))),
+                rated=(int(np.isfinite(before).sum()), int(np.isfinite(after).sum())),
                 deepest=float(np.nanmax(rows["penetration_after_m"], initial=0.0)),
             )
         )
@@ -95,14 +96,15 @@ class Tally:
         for name in ("count", "usable", "converged", "good_before", "good_after", "simulated", "held_before"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.held_after += other.held_after
-        self.quality = tuple(a + b for a, b in zip(self.quality, other.quality, strict=True))
-        self.rated = tuple(a + b for a, b in zip(self.rated, other.rated, strict=True))
+        self.quality = self.quality[0] + other.quality[0], self.quality[1] + other.quality[1]
+        self.rated = self.rated[0] + other.rated[0], self.rated[1] + other.rated[1]
         self.deepest = max(self.deepest, other.deepest)
 
     @property
     def mean_quality(self) -> tuple[float, float]:
         """Mean quality before and after; NaN where none has one."""
-        return tuple(q / n if n else float("nan") for q, n in zip(self.quality, self.rated, strict=True))
+        before, after = (q / n if n else float("nan") for q, n in zip(self.quality, self.rated, strict=True))
+        return before, after
 
     @property
     def failures(self) -> int:

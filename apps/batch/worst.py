@@ -93,7 +93,8 @@ class Worst:
         """
         ranked = [case for _, case in sorted(self._heap, reverse=True)]
         seen: Counter[tuple[str, str]] = Counter()
-        first, others = [], []
+        first: list[Case] = []
+        others: list[Case] = []
         for case in ranked:
             seen[case.hand, case.object] += 1
             (first if seen[case.hand, case.object] <= ALIKE else others).append(case)
@@ -106,7 +107,7 @@ def _case(rows: Rows, i: int) -> Case:
         return float(rows[f"{name}_before{unit}"][i]), float(rows[f"{name}_after{unit}"][i])
 
     held, row = float(rows["held_after"][i]), float(rows["row"][i])
-    penetration = both("penetration", "_m")
+    before, after = both("penetration", "_m")
     return Case(
         shard=int(rows["shard"][i]),
         file=Path(str(rows["file"][i])),
@@ -118,7 +119,7 @@ def _case(rows: Rows, i: int) -> Case:
         source_row=None if isnan(row) else int(row),
         status=str(rows["status"][i]),
         quality=both("quality"),
-        penetration_m=tuple(0.0 if isnan(value) else value for value in penetration),
+        penetration_m=(0.0 if isnan(before) else before, 0.0 if isnan(after) else after),
         contact_error_m=both("contact_error", "_m"),
         held=None if isnan(held) else bool(held),
         reason=str(rows["reason_after"][i]),

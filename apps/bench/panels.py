@@ -88,7 +88,7 @@ def draw(
     if not lines:
         return ""
     ink, muted, rule = (PLAIN[name][0] for name in ("ink", "muted", "line"))
-    settings = {
+    settings: dict[Any, Any] = {
         "svg.fonttype": "none",
         "svg.hashsalt": f"grasp-refine {salt}",
         "font.family": ["DejaVu Sans"],
@@ -116,7 +116,7 @@ def draw(
             for c, (heading, its, y_axis) in enumerate(row):
                 x0 = c * width / columns + left
                 y0 = height - (r + 1) * (high + top + bottom) + bottom
-                axes = figure.add_axes([x0 / width, y0 / height, wide / width, high / height])
+                axes = figure.add_axes((x0 / width, y0 / height, wide / width, high / height))
                 axes.set_title(f"{heading}: {names[r]}", loc="left", fontsize=9, fontweight="bold")
                 _plot(axes, its)
                 y_axis(axes, its)

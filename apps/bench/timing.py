@@ -48,7 +48,8 @@ def one_thread() -> Iterator[None]:
         return
     from grasp_refine.collision import native_search
 
-    before, native_search._available = native_search._available, lambda: 1
+    before = native_search._available
+    native_search._available = lambda: 1  # type: ignore[assignment]  # it stands in for a cached function
     try:
         yield
     finally:

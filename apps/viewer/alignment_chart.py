@@ -59,7 +59,7 @@ class Chart:
         here = np.where(grid == now, self.raw[method][frame], np.nan)
         return grid, *columns, self._at(self.x[method], self.raw[method], grid), here, np.full(len(grid), 1e3 * SOLVED)
 
-    def series(self, method: int) -> tuple[dict[str, Any], ...]:
+    def series(self, method: int) -> tuple[Any, ...]:
         """How the columns look."""
         none = {"show": False}
 
@@ -74,12 +74,12 @@ class Chart:
         raw = line("each iterate", f"{css(method_color(method))}55", 1.0)
         return {"label": self.against}, *runs, raw, here, line("solved", "#7a828e", 1.0, dash=(5, 4))
 
-    def scales(self) -> dict[str, dict[str, Any]]:
+    def scales(self) -> dict[str, Any]:
         """Both axes are logarithmic."""
         x, y = self._ranges()
         return {"x": {"time": False, "distr": 3, "range": x}, "y": {"distr": 3, "range": y}}
 
-    def axes(self) -> tuple[dict[str, Any], ...]:
+    def axes(self) -> tuple[Any, ...]:
         """Labels of the axes."""
         names = ("poses tried" if self.against == "iterations" else "CPU time, ms"), "best error so far, mm"
         return tuple(

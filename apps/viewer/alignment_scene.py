@@ -52,7 +52,8 @@ class Layers:
 
 def method_color(number: int) -> Color:
     """The colour of a method, in the chart and in the scene."""
-    return tuple(bytes.fromhex(COLORS[number % len(COLORS)][0][1:]))
+    red, green, blue = bytes.fromhex(COLORS[number % len(COLORS)][0][1:])
+    return red, green, blue
 
 
 class AlignmentScene:

@@ -84,7 +84,7 @@ def parts_of(kind: type, prefix: str = "", about: str = "") -> tuple[Entry | Sec
         if _SUPPRESSED in extras:
             continue
         name, label, doc = f"{prefix}{one.name}", label_of(one.name), docs_of(kind).get(one.name, "")
-        if is_dataclass(inner):
+        if isinstance(inner, type) and is_dataclass(inner):
             choice = one.name.replace("_", "-")
             chosen_by = choosers.get(choice, "")
             inside = parts_of(inner, f"{name}.", "" if chosen_by else doc)

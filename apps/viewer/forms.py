@@ -94,6 +94,7 @@ class Form:
     def _made(self, entry: Entry) -> Any:
         """The widget of a field."""
         shown = entry.write(value_of(self.value, entry.name))
+        handle: Any
         if entry.widget == "choice":
             handle = self.gui.add_dropdown(entry.label, entry.choices, initial_value=shown, hint=entry.hint)
         elif entry.widget == "tick":
@@ -128,7 +129,8 @@ class Form:
 
     def _meant(self, wanted: Any) -> tuple[Any, set[str]]:
         """What is wanted with unused fields at their defaults, and the names of these."""
-        value, hidden = wanted, set()
+        value = wanted
+        hidden: set[str] = set()
         while more := self._hidden(value, hidden) - hidden:
             hidden |= more
             for name in more:

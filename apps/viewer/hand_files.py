@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import unquote
@@ -11,6 +10,7 @@ from urllib.parse import unquote
 from grasp_refine.description.mesh_files import resolve_mesh
 from grasp_refine.errors import HandError
 from grasp_refine.hand_source import HAND_TOML
+from grasp_refine.toml_file import UNREADABLE, read_toml
 
 from .mesh_bounds import check_faces, check_mesh_file, safe_xml
 from .unpacking import UploadError
@@ -54,8 +54,8 @@ def check_hand(name: str, folder: Path, files: Sequence[Path]) -> Path:
 def _named_urdf(name: str, folder: Path, toml: Path) -> Path:
     """The URDF that a hand.toml means."""
     try:
-        raw = tomllib.loads(toml.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raw = read_toml(toml)
+    except UNREADABLE as error:
         reason = " ".join(str(error).split())[:80]
         raise UploadError(f"{name}: {HAND_TOML} cannot be read as TOML ({reason})") from None
     if "mjcf" in raw:

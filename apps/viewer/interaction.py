@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -83,17 +84,17 @@ class Interaction:
 
     def _listen(self, picking: bool) -> None:
         """Let links and object be clicked, or no more."""
-        links = [lambda origin, ray, k=k: self._clicked_link(k, origin, ray) for k in range(len(self._hand.shapes))]
+        links = [partial(self._clicked_link, k) for k in range(len(self._hand.shapes))]
         self._hand.on_click(links if picking else None)
         self._object.on_click([self._clicked_object] * len(self._object.shapes) if picking else None)
 
     def listen_to_targets(self, new: Iterable[int]) -> None:
         """Let targets that were not there before be dragged along the object."""
         for k in new:
-            self._targets.nodes[k].on_drag(lambda event, k=k: self._drag_target(k, event))
+            self._targets.nodes[k].on_drag(partial(self._drag_target, k))
 
     def _clicked_link(self, k: int, origin: np.ndarray, direction: np.ndarray) -> None:
-        state, shape = self._controller.state, self._hand.shapes[k]
+        state, shape = self._controller.state, self._hand.link_shapes[k]
         if state.motion is not None:
             return
         T = state.T_world_object @ self._hand.poses(state.shown.T_object_root, state.shown.q)[shape.link]

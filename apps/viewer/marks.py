@@ -16,7 +16,7 @@ from grasp_refine.errors import GraspFileError
 
 Mark = Literal["", "good", "bad"]
 """What somebody thought of a grasp; empty: nothing."""
-MARKS: tuple[str, ...] = tuple(mark for mark in get_args(Mark) if mark)
+MARKS: tuple[Mark, ...] = tuple(mark for mark in get_args(Mark) if mark)
 """Marks that can be given."""
 ENDING = ".marks.csv"
 """What is added to the name of a grasp file for the file of its marks."""

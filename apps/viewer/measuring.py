@@ -51,7 +51,8 @@ def measured(
         keep: Hears the collection with what is measured so far, also when measuring ends early.
     """
     todo = unmeasured(collection)
-    found, numbers = [], []
+    found: list[Metrics] = []
+    numbers: list[np.ndarray] = []
     try:
         for group, rows, some in _batches(collection, todo):
             check()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -22,6 +23,11 @@ def place(node: Any, T: Float[np.ndarray, "4 4"]) -> None:
     """Move a node to a pose (4, 4) in the frame of its parent."""
     pose = pose_from_transform(T)
     node.position, node.wxyz = pose[:3], pose[3:]
+
+
+def _told(clicked: Clicked, event: Any) -> None:
+    """Tell where a click came from."""
+    clicked(np.array(event.ray_origin), np.array(event.ray_direction))
 
 
 class Meshes:
@@ -69,8 +75,7 @@ class Meshes:
         for k, node in enumerate(self.nodes):
             node.remove_click_callback("all")
             if clicked is not None:
-                call = clicked[k]
-                node.on_click(lambda event, call=call: call(np.array(event.ray_origin), np.array(event.ray_direction)))
+                node.on_click(partial(_told, clicked[k]))
 
     def remove(self) -> None:
         """Take all nodes away."""
@@ -86,6 +91,7 @@ class HandMeshes(Meshes):
     ) -> None:
         """Make a node for each link; `looks` as for `Meshes`."""
         super().__init__(scene, name, shapes, **looks)
+        self.link_shapes = tuple(shapes)
         self.links = tuple(shape.link for shape in shapes)
         self._own = tuple(shape.color for shape in shapes)
         self.poses = poses
@@ -94,7 +100,8 @@ class HandMeshes(Meshes):
     def tint(self, links: Collection[str], color: Color) -> None:
         """Give some links a touch of another colour, and the others their own."""
         for link, node, own in zip(self.links, self.nodes, self._own, strict=True):
-            wanted = own if link not in links else tuple((2 * a + 3 * b) // 5 for a, b in zip(own, color, strict=True))
+            red, green, blue = ((2 * a + 3 * b) // 5 for a, b in zip(own, color, strict=True))
+            wanted = own if link not in links else (red, green, blue)
             if tuple(node.color) != wanted:
                 node.color = wanted
 
@@ -145,7 +152,7 @@ class Balls:
         while len(self.nodes) > len(points):
             self.nodes.pop().remove()
         for k, point in enumerate(points):
-            color = self._color if colors is None else tuple(int(c) for c in colors[k])
+            color: Any = self._color if colors is None else tuple(int(c) for c in colors[k])
             if k == len(self.nodes):
                 self.nodes.append(
                     self._scene.add_icosphere(

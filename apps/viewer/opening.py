@@ -134,10 +134,10 @@ def _with_hand(upload: Upload, scene: Scene, tell: Callable[[str], None], check:
 def _with_grasps(upload: Upload, scene: Scene, tell: Callable[[str], None], check: Callable[[], None]) -> Problem:
     present = scene.hand
     try:
-        read = reading(upload.source)
+        read = reading(upload.source, within=upload.folder)
     except GraspRefineError:
         # Files without joint names may fit several hands; the present one decides then.
-        read = reading(upload.source, hand=present)
+        read = reading(upload.source, hand=present, within=upload.folder)
     grasps = read.grasps
     if len(grasps) > MOST_GRASPS:
         raise UploadError(f"{upload.name}: has {len(grasps)} grasps, more than {MOST_GRASPS}; upload a part of them")
@@ -150,7 +150,7 @@ def _with_grasps(upload: Upload, scene: Scene, tell: Callable[[str], None], chec
     hand = _hand_of(grasps, present, upload, tell)
     check()
     q, notes = match_joints(grasps, hand)
-    notes = [*read.notes, *hand.notes, *notes]
+    notes = (*read.notes, *hand.notes, *notes)
     groups = []
     for name in names:
         rows = choose_rows(grasps, object_name=name, index=None)
@@ -158,7 +158,7 @@ def _with_grasps(upload: Upload, scene: Scene, tell: Callable[[str], None], chec
             check()
             at = rows[grasps.scale[rows] == scale]
             obj, note = _object_of(name, float(scale), scene.object, tell)
-            notes += [note] if note else []
+            notes += (note,) if note else ()
             T = transform_from_pose(grasps.hand_pose[at])
             new = _aimed(Scene(hand, obj, T, q[at], table=scene.table), grasps, at)
             groups.append((name, float(scale), new, grasps.select(at), at))

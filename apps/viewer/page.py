@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import rich
 import viser
@@ -150,15 +150,16 @@ def _only_own_pages(host: str) -> Iterator[None]:
     if host not in LOCAL:
         yield
         return
-    serve = websockets.asyncio.server.serve
+    module: Any = websockets.asyncio.server
+    serve = module.serve
     names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOCAL)
     # Programs other than browsers send no origin.
     own = [None, re.compile(rf"https?://({names})(:\d+)?")]
-    websockets.asyncio.server.serve = partial(serve, origins=own)
+    module.serve = partial(serve, origins=own)
     try:
         yield
     finally:
-        websockets.asyncio.server.serve = serve
+        module.serve = serve
 
 
 def _forbid_sharing(server: viser.ViserServer) -> None:

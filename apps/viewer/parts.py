@@ -49,9 +49,9 @@ class Parts:
         """Make all nodes; what was found out `before` of the same hand and object is used again."""
         hand, obj, showing = state.scene.hand, state.scene.object, state.showing
         # Not the controller's: queries of two threads would give each other their warm starts.
-        self.prepared = HandObject(hand, obj) if before is None else before.prepared
+        self.prepared: HandObject = HandObject(hand, obj) if before is None else before.prepared
         self.contacts: Contacts | None = None
-        self.right = np.array([0.0, 1.0, 0.0]) if before is None else before.right
+        self.right: np.ndarray = np.array([0.0, 1.0, 0.0]) if before is None else before.right
         """What is to the right when one first looks (3,), world frame."""
         self._scene, self._showing = scene, showing
         self._root = scene.add_frame(GRASP, show_axes=False)
@@ -64,7 +64,7 @@ class Parts:
         looks = {"opacity": GHOST_OPACITY, "color": GHOST_COLOR, "shadow": False, "side": "front"}
         self.ghost = HandMeshes(scene, f"{GRASP}/ghost", self.shapes, poses, **looks)
         self.object_shapes = object_shapes(obj, "pieces" if showing.object == "pieces" else "mesh")
-        solid = {
+        solid: dict[str, Any] = {
             "opacity": OPACITY if showing.transparent and showing.object != "wireframe" else None,
             "wireframe": showing.object == "wireframe",
         }

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 FOLDER = Path(__file__).parent
-SIZE = {"width": 1400, "height": 900}
+WIDTH, HEIGHT = 1400, 900
 """Pixels of the window."""
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 """Chromium draws without a graphics card."""
@@ -66,7 +66,7 @@ def main() -> None:
             assert viewer.stdout is not None
             address = viewer.stdout.readline().split()[0]
             browser = playwright.chromium.launch(executable_path=which("chromium"), args=FLAGS)
-            page = browser.new_page(viewport=SIZE)
+            page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
             page.goto(address)
             page.wait_for_timeout(8000)
             take(page)

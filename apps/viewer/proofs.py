@@ -99,9 +99,9 @@ class Proofs:
         quality = collection.columns.get("quality_after")
         pairs = []
         for number, (name, row) in enumerate(zip(collection.objects.tolist(), rows.tolist(), strict=True)):
-            entry = places.get((name, row))
-            if entry is None:
+            if (name, row) not in places:
                 continue
+            entry = places[name, row]
             known = nan if not written or quality is None else float(quality.values[number])
             if abs(known - entry.quality) > SAME:
                 raise self._error(

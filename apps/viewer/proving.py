@@ -203,6 +203,7 @@ def stages(
         own = closing(posed, prepared, lambda finished, iteration, loss: check())
     if own is not None and "file" not in owners.values():
         return own, owners
+    assert came is not None  # some stages are of its file
     return motion_of(came, scene.hand, own), owners
 
 

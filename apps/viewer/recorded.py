@@ -70,7 +70,7 @@ def row_files(problem: Problem) -> tuple[Path, ...]:
 
 def _of_file(file: NpzFile, problem: Problem) -> Recorded:
     """What one file records; every measure has a value for each of its rows, known or not."""
-    count = len(file.numbers("hand_pose"))
+    count = len(file.numbers("hand_pose", finite=False))
     columns = {column.key: np.full(count, np.nan) for column in NUMBERS} | {STATUS.key: np.full(count, "")}
     # Other entries of grasp files may be called anything.
     if "provenance" in file.entries:
@@ -100,7 +100,7 @@ def _initial(file: NpzFile, count: int, problem: Problem) -> tuple[np.ndarray, n
 
 def _initial_stage(file: NpzFile, grasps: GraspSet) -> Stage:
     """The entries `initial_pose` and `initial_q`, checked."""
-    pose, q = file.numbers("initial_pose"), file.numbers("initial_q")
+    pose, q = (file.numbers(key, finite=False) for key in ("initial_pose", "initial_q"))
     if pose.shape != grasps.hand_pose.shape or q.shape != grasps.q.shape:
         raise file.error(
             f"initial_pose and initial_q must have the shapes of hand_pose and q, {grasps.hand_pose.shape} and "

@@ -109,18 +109,17 @@ def refined(
 
 def aimed(scene: Scene, pose: Pose, targets: tuple[Target, ...]) -> Scene:
     """The scene with the hand at a pose, and with other targets."""
+    posed = replace(scene, T_world_root=pose.T_object_root[None], q=pose.q[None], direction=None)
     if not targets:
-        points = None, None
-    else:
-        points = np.full((2, 1, len(scene.links), 3), np.nan)
-        columns = list(scene.links)
-        for target in targets:
-            at = columns.index(target.link)
-            # A link with several contact points has as many columns.
-            columns[at] = columns[at] if columns.count(target.link) == 1 else ""
-            points[:, 0, at] = target.point_link, target.point_object
-    hand = {"T_world_root": pose.T_object_root[None], "q": pose.q[None]}
-    return replace(scene, **hand, target_link=points[0], target_object=points[1], direction=None)
+        return replace(posed, target_link=None, target_object=None)
+    points = np.full((2, 1, len(scene.links), 3), np.nan)
+    columns = list(scene.links)
+    for target in targets:
+        at = columns.index(target.link)
+        # A link with several contact points has as many columns.
+        columns[at] = columns[at] if columns.count(target.link) == 1 else ""
+        points[:, 0, at] = target.point_link, target.point_object
+    return replace(posed, target_link=points[0], target_object=points[1])
 
 
 def targets_of(scene: Scene) -> tuple[Target, ...]:

@@ -139,7 +139,9 @@ def _link_shape(
     """The shape of some meshes together; `color` (red, green and blue in [0, 1]) is what the URDF says."""
     import trimesh
 
-    vertices, faces = _arrays(trimesh.util.concatenate(list(meshes)))
+    whole = trimesh.util.concatenate(list(meshes))
+    assert isinstance(whole, trimesh.Trimesh)
+    vertices, faces = _arrays(whole)
     if any(contact.link == link for contact in hand.contacts):
         return LinkShape(link, vertices, faces, CONTACT_COLOR)
     if color is None:

@@ -93,4 +93,7 @@ class Recorder:
     def trace(self) -> Trace | None:
         """What was kept so far, without copying it; None: nothing."""
         count = len(self._labels)
-        return Trace(*(column[:count] for column in self._columns), tuple(self._labels)) if count else None
+        if not count:
+            return None
+        T, q, touching, loss, contact_error, penetration = (column[:count] for column in self._columns)
+        return Trace(T, q, touching, loss, contact_error, penetration, tuple(self._labels))

@@ -10,7 +10,7 @@ import re
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 from urllib.parse import urlsplit
 
 from grasp_refine.asset_library.origin import HOW_TO_MIRROR, shown
@@ -153,7 +153,7 @@ class _Copy:
         os.chmod(output_file, READABLE)
 
 
-def _is_answer(error: OSError) -> bool:
+def _is_answer(error: OSError) -> TypeGuard[requests.RequestException]:
     """Whether an error is one of the connection, not one of this machine's files."""
     from requests import RequestException
 
@@ -164,7 +164,7 @@ def _may_pass(error: requests.RequestException) -> bool:
     """Whether another attempt may go better."""
     from requests import exceptions
 
-    if isinstance(error, exceptions.HTTPError):
+    if isinstance(error, exceptions.HTTPError) and error.response is not None:
         return error.response.status_code >= 500 or error.response.status_code in AGAIN
     return isinstance(error, exceptions.ConnectionError | exceptions.Timeout | exceptions.ChunkedEncodingError)
 
@@ -175,7 +175,7 @@ def _failure(url: str, error: requests.RequestException) -> str:
 
     address = shown(url)
     host = urlsplit(address).netloc
-    if isinstance(error, exceptions.HTTPError):
+    if isinstance(error, exceptions.HTTPError) and error.response is not None:
         said = f"{host} answered {error.response.status_code} {error.response.reason or ''}".rstrip()
         return f"{said} for {address}; nothing was kept; try again later, {HOW_TO_MIRROR}"
     if isinstance(error, exceptions.InvalidSchema | exceptions.InvalidURL | exceptions.TooManyRedirects):

@@ -64,9 +64,10 @@ def fetch_asset(
             def tell(count: int, place: str = place, before: int = before) -> None:
                 progress(place, before + count, total)
 
-            what = f"{asset.full_name}, {place}"
-            download(source, states[i].path, files[i].sha256, what=what, size=sizes[i], tell=tell, pause=pause)
-            done += states[i].path.stat().st_size if sizes[i] is None else sizes[i]
+            what, size, sha256 = f"{asset.full_name}, {place}", sizes[i], files[i].sha256
+            assert sha256 is not None  # or there is no source
+            download(source, states[i].path, sha256, what=what, size=size, tell=tell, pause=pause)
+            done += states[i].path.stat().st_size if size is None else size
     except BaseException:
         _remove_empty(folder)
         raise

@@ -22,7 +22,7 @@ def is_accepted(asset: Asset) -> bool:
         return True
     try:
         record = json.loads(inside(_folder(asset), RECORD).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return False
     return isinstance(record, dict) and record.get("licence") == asset.licence
 

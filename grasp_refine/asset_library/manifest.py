@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -11,7 +10,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal, get_args
 
 from grasp_refine.assets import resource_dir
-from grasp_refine.errors import AssetError
+from grasp_refine.errors import AssetError, told
+from grasp_refine.names import is_sound
+from grasp_refine.toml_file import UNREADABLE, read_toml
 
 Kind = Literal["hands", "objects", "grasps"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -21,12 +22,15 @@ Terms = Literal["open", "non-commercial", "unclear"]
 TERMS: tuple[Terms, ...] = get_args(Terms)
 """Whether a licence restricts use, by its own words."""
 
+PATHS = ("path", "folder", "place", "mirror")
+"""Keys whose texts are judged as paths."""
+
 _NAME = re.compile(r"[A-Za-z0-9][\w-]*(\.[\w-]+)*", re.ASCII)
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _REPOSITORY = re.compile(r"https://github\.com/[\w.-]+/[\w.-]+", re.ASCII)
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 _PACKAGE = re.compile(r"[A-Za-z0-9][\w.-]*==[\w.+!]+", re.ASCII)
-_FORBIDDEN = re.compile(r"[\\:*?\"<>|\x00-\x1f\x7f]")
+_FORBIDDEN = re.compile(r"[\\:*?\"<>|\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 
 @dataclass(frozen=True)
@@ -118,8 +122,8 @@ def read_manifest(kind: Kind, folder: Path | None = None) -> dict[str, Asset]:
 def _read(kind: Kind, folder: Path) -> dict[str, Asset]:
     path = folder / f"{kind}.toml"
     try:
-        entries = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        entries = read_toml(path)
+    except UNREADABLE as error:
         raise AssetError(f"{path}: cannot be read as a manifest ({error})") from None
     return {name: _asset(kind, name, entry, path) for name, entry in entries.items()}
 
@@ -135,6 +139,8 @@ class _Entry:
         if not (isinstance(value, str) and value) or (form is not None and not form.fullmatch(value)):
             needed = "a text" if form is None else f"like {form.pattern}"
             raise self.wrong(key, needed)
+        if form is None and key not in PATHS and not is_sound(value):
+            raise self.wrong(key, "a text of letters that a terminal only shows")
         return value
 
     def optional(self, key: str, form: re.Pattern[str] | None = None) -> str | None:
@@ -152,12 +158,12 @@ class _Entry:
 
     def size(self, key: str) -> int:
         value = self.values.get(key)
-        if type(value) is not int or value < 0:
+        if type(value) is not int or not 0 <= value < 2**63:
             raise self.wrong(key, "a number of bytes")
         return value
 
     def wrong(self, key: str, needed: str) -> AssetError:
-        return AssetError(f"{self.where}: {key} = {self.values.get(key)!r} must be {needed}")
+        return AssetError(f"{self.where}: {key} = {told(self.values.get(key))} must be {needed}")
 
 
 def _asset(kind: Kind, name: str, values: Any, path: Path) -> Asset:
@@ -203,6 +209,7 @@ def _asset(kind: Kind, name: str, values: Any, path: Path) -> Asset:
 
 def _files(entry: _Entry, kind: Kind, name: str) -> tuple[AssetFile, ...]:
     listed = entry.values.get("files")
+    files: tuple[AssetFile, ...]
     if kind == "objects":
         files = (_object_file(entry, name),)
     elif isinstance(listed, list) and listed and all(isinstance(values, dict) for values in listed):

@@ -56,6 +56,7 @@ class Upstream:
             )
         if file.package is not None:
             return _installed(asset, file, file.package)
+        assert asset.repository is not None  # or its files would come from packages
         owner = asset.repository.removeprefix("https://github.com/")
         path = f"{asset.folder}/{file.path}" if asset.folder else file.path
         return f"{self.base}/{owner}/{asset.commit}/{quote(path)}"
@@ -118,7 +119,8 @@ def wanted(file: AssetFile, layout: Layout) -> Wanted:
 def total_bytes(asset: Asset, layout: Layout) -> int | None:
     """Bytes of all files of an asset, None where one of them is not known."""
     sizes = [wanted(file, layout).size for file in asset.files]
-    return None if None in sizes else sum(sizes)
+    known = [size for size in sizes if size is not None]
+    return sum(known) if len(known) == len(sizes) else None
 
 
 def _installed(asset: Asset, file: AssetFile, package: str) -> Path:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from grasp_refine.asset_library.cache import LAYOUTS, Layout, asset_folder, file_states
+from grasp_refine.asset_library.cache import LAYOUTS, asset_folder, file_states
 from grasp_refine.asset_library.manifest import Asset
+from grasp_refine.asset_library.origin import Layout
 from grasp_refine.errors import AssetError
 
 State = Literal["whole", "incomplete", "damaged"]
@@ -52,5 +53,5 @@ def _verdict(asset: Asset, layout: Layout, folder: Path) -> Verdict:
         return Verdict(asset, layout, folder, "damaged", len(asset.files), (), (), str(error))
     missing = tuple(state.place for state in states if state.state == "missing")
     damaged = tuple(state.place for state in states if state.state == "damaged")
-    state = "damaged" if damaged else "incomplete" if missing else "whole"
+    state: State = "damaged" if damaged else "incomplete" if missing else "whole"
     return Verdict(asset, layout, folder, state, len(states), missing, damaged, "")

@@ -32,7 +32,7 @@ _SURE = 1e-10
 """How far a gap may lie below the distance that it proves."""
 _TOUCHING = 4e-9
 """A distance within this is contact to GJK, at the default tolerance."""
-_APART = (0.25, 2.0**-10)
+_APART = (0.25, 2.0**-14)
 """The gaps at which GJK is asked again, one after the other."""
 _ROUNDS = 8
 """How often the normal is followed at each of them."""
@@ -134,10 +134,10 @@ class Asker:
             d = self._ask(pair, t, self._loose, _NO_GUESS)
             if not (floor <= d < _WILD):
                 d = np.nan
-        # Not bit for bit `pair.gap`, but faster.
         n = self.normal
+        # Not bit for bit `pair.gap`, but faster.
         gap = n @ t + (n @ R @ pair.b.vertices).min() - (n @ pair.a.vertices).max() - (pair.a.radius + pair.b.radius)
-        if abs(d) > _TOUCHING and abs(d - gap) <= _SURE:
+        if abs(d) > _TOUCHING and abs(d - gap) <= _SURE and _is_unit(n):
             return d
         d = self._settled(pair, R, t, d)
         return d if d >= floor else np.nan
@@ -155,7 +155,7 @@ class Asker:
     def _settled(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, d: float) -> float:
         """The largest gap that is found, where that is not what coal says, d (NaN: nothing)."""
         close = 2.0 * self._tolerances.gjk * (1.0 + abs(d))
-        best = None
+        best: _Climbed | None = None
         for u in self._directions(pair, R, t):
             found = self._climb(pair, R, t, u)
             if best is None or found.gap > best.gap:
@@ -164,17 +164,19 @@ class Asker:
             if (best.gap > 0.0 and best.closed) or abs(d - best.gap) <= close:
                 break
         else:
+            assert best is not None  # there are always directions
             if abs(d) <= 2.0 * _TOUCHING:
                 best.gap = d
             elif np.isnan(d) and not best.closed:
                 return np.nan
+        assert best is not None
         self.point, self.normal = best.point, best.normal
         return best.gap
 
     def _directions(self, pair: PiecePair, R: np.ndarray, t: np.ndarray) -> Iterator[np.ndarray]:
         """Where to begin: coal's normal, the line between the centres, and the axes."""
         n, (x, y) = self.normal, (pair.a.center, pair.b.center)
-        if abs(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] - 1.0) <= 1e-6:
+        if _is_unit(n):
             yield n
         m = R[:, 0] * y[0] + R[:, 1] * y[1] + R[:, 2] * y[2] + t - x
         length = np.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
@@ -209,6 +211,11 @@ class Asker:
                     break
                 found.gap, found.normal = gap, n
         return found
+
+
+def _is_unit(n: np.ndarray) -> bool:
+    """Whether a normal (3,) is one: coal's is zero where the axes of capsules meet."""
+    return bool(abs(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] - 1.0) <= 1e-6)
 
 
 def _request(gjk_tolerance: float, epa_tolerance: float) -> coal.DistanceRequest:

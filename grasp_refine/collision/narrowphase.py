@@ -102,7 +102,7 @@ class NarrowPhase:
         # Items with the same pieces follow each other, so that these stay in the processor's cache.
         order = np.argsort(pair[starts[:-1]] if (np.diff(starts) > 0).all() else np.zeros(count), kind="stable")
         for i, R_i, t_i in zip(order.tolist(), R[order], t[order], strict=True):
-            guess_i = guess[i] if warm_list is not None and warm_list[i] else None
+            guess_i = guess[i] if guess is not None and warm_list is not None and warm_list[i] else None
             best, first = limit_list[i], start_list[i]
             stop = start_list[i + 1]
             for j in range(first, stop):

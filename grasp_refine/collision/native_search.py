@@ -22,7 +22,7 @@ from grasp_refine.cores import usable_cores
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.stopwatch import stage
 
-from grasp_refine.collision import _native  # isort: skip
+from grasp_refine.collision import _native  # type: ignore[attr-defined]  # compiled  # isort: skip
 
 _SOURCES = Path(__file__).with_name("native")
 
@@ -83,8 +83,8 @@ class NativeNarrowPhase:
     ) -> Closest:
         """The closest piece pair of each item; arguments and answer as in `narrowphase.NarrowPhase.closest`."""
         M = len(R)
-        whole = np.empty((2, M), np.int64)
-        found = Closest(np.empty(M), np.empty((M, 3)), np.empty((M, 3)), *whole, np.empty(M, bool))
+        winner, asked = np.empty((2, M), np.int64)
+        found = Closest(np.empty(M), np.empty((M, 3)), np.empty((M, 3)), winner, asked, np.empty(M, bool))
         self.compiled.closest(
             R, t, starts, pair, bound, limit, guess, guess_valid,
             found.distance, found.point, found.normal, found.winner, found.asked, found.failed,

@@ -155,7 +155,9 @@ class Pairs:
             return None
         from grasp_refine.collision.native_search import NativeSearch
 
-        return NativeSearch(self._table, self.narrow_phase)
+        narrow_phase = self.narrow_phase
+        assert not isinstance(narrow_phase, NarrowPhase)
+        return NativeSearch(self._table, narrow_phase)
 
 
 def query(
@@ -235,6 +237,7 @@ def _ask_native(
     """The answers of the compiled engine, in the shape of `limit`; without `pair` all pairs, over and over."""
     last = None if previous is None else (previous.winner, previous.point_a, previous.point_b, previous.status)
     T_a, T_b = (np.ascontiguousarray(T, dtype=np.float64) for T in (T_a, T_b))
+    assert pairs.native is not None
     found = Witness(*pairs.native.ask(pair, T_a, T_b, limit, last))
     count_queries(found.asked)
     return found
@@ -244,7 +247,8 @@ def _ask(
     pairs: Pairs, pair: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, limit: np.ndarray, previous: Witness | None
 ) -> Witness:
     """The answers of the Python engine."""
-    table = pairs._table
+    table, narrow_phase = pairs._table, pairs.narrow_phase
+    assert isinstance(narrow_phase, NarrowPhase)
     with np.errstate(invalid="ignore", over="ignore"):
         R, t = relative(T_a, T_b)
     finite = np.isfinite(R).all(axis=(1, 2)) & np.isfinite(t).all(axis=1)
@@ -259,7 +263,7 @@ def _ask(
             bound, column = table.ball_bound(pair, R, t)
         bound[single] = -np.inf
     bound[~finite] = np.inf
-    search = Search(table, pairs.narrow_phase, pair, R, t, limit)
+    search = Search(table, narrow_phase, pair, R, t, limit)
     found = search.minimum(bound, column, _warm(previous, T_a, table))
     return _witness(found, T_a, limit, finite)
 

@@ -93,7 +93,7 @@ def asset_facts(asset: Asset, origin: Origin) -> dict[str, Any]:
 def what(asset: Asset) -> str:
     """What an asset is, in a word or two."""
     if asset.kind == "hands":
-        return "MJCF" if asset.main.mirror_place.endswith(".xml") else "URDF"
+        return "MJCF" if asset.main is not None and asset.main.mirror_place.endswith(".xml") else "URDF"
     if asset.kind == "objects":
         return "mesh"
     return asset.format or "objects"

@@ -61,8 +61,8 @@ class Session:
         self.cpu_s += result.cpu_s
         self.peak_bytes = max(self.peak_bytes, result.peak_bytes)
         for stage, spent in result.profile.items():
-            before = self.profile.get(stage, (0.0, 0.0, 0))
-            self.profile[stage] = tuple(one + other for one, other in zip(before, spent, strict=True))
+            cpu_s, wall_s, calls = self.profile.get(stage, (0.0, 0.0, 0))
+            self.profile[stage] = cpu_s + spent[0], wall_s + spent[1], calls + spent[2]
         for note in result.notes:
             if note not in self.notes:
                 self.notes.add(note)

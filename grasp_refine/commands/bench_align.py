@@ -133,7 +133,7 @@ class BenchAlign:
 
         def run(console: Console, progress: Callable[[float, str], None]) -> Outcome:
             outcome = run_study(study, lambda line: console.print(escape(line), style="dim"), progress)
-            if outcome.recorded is not None and outcome.rows:
+            if self.save is not None and outcome.recorded is not None and outcome.rows:
                 save_task(self.save, outcome.recorded)
             return outcome
 
@@ -170,7 +170,7 @@ class BenchAlign:
                 "--seconds is of descent only: levenberg-marquardt ends each task on its own, so give --budgets"
             )
         budgets = preset.budgets if self.budgets is None else self.budgets
-        timed = (
+        timed: list[dict[str, Any]] = (
             [{"budget": None, "budget_s": s} for s in self.seconds or ()] or [{"budget": n} for n in budgets] or [{}]
         )
         return Study(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated, Any, get_args
 
 from tyro.conf import DisallowNone, arg
 
@@ -106,14 +106,15 @@ class _Bar:
     """A progress bar over all groups."""
 
     def __init__(self) -> None:
-        self._bar, self._begun = progress_bar(screen(stderr=True)), []
+        self._bar = progress_bar(screen(stderr=True))
+        self._begun: list[Group] = []
 
     def __enter__(self) -> _Bar:
         self._bar.__enter__()
         self._task = self._bar.add_task("loading", total=len(get_args(Group)))
         return self
 
-    def __exit__(self, *error: object) -> None:
+    def __exit__(self, *error: Any) -> None:
         self._bar.__exit__(*error)
 
     def measured(self, group: Group) -> dict[str, float]:

@@ -14,6 +14,7 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.apps.bench.queries.cases import Kind, State
 from grasp_refine.apps.bench.queries.page import page
+from grasp_refine.apps.bench.queries.peers import PeerName
 from grasp_refine.apps.bench.queries.presets import (
     BATCHES,
     DEFAULT,
@@ -35,7 +36,6 @@ from grasp_refine.errors import GraspRefineError
 
 PresetName = Literal["full", "skips", "smoke"]
 EngineName = Literal["native", "python"]
-PeerName = Literal["coal-fresh", "coal-reused", "mujoco"]
 
 COMPARED = ("kinds", "pieces", "vertices", "states", "batches")
 """Options that say what is measured; a preset says it itself."""
@@ -123,7 +123,7 @@ class BenchQueries:
         check_numbers(self)
         check_asked(self, COMPARED)
         for name, values, least in (("pieces", self.pieces, 2), ("vertices", self.vertices, 4)):
-            if min(values or (least,)) < least:
+            if values and min(values) < least:
                 raise GraspRefineError(f"--{name} must be at least {least}, got {min(values)}")
         preset = PRESETS[self.preset] if self.preset is not None else DEFAULT
         custom = any(getattr(self, name) is not None for name in COMPARED)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields
+from dataclasses import Field, fields
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 from rich.console import Console, RenderableType
 
@@ -29,18 +29,42 @@ from grasp_refine.versions import versions
 class Options(Protocol):
     """Options that every benchmark has."""
 
-    preset: str | None
-    seed: int
-    json: Path | None
-    html: Path | None
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    @property
+    def preset(self) -> str | None:
+        """The experiment, one of those that are known by name."""
+        ...
+
+    @property
+    def seed(self) -> int:
+        """Seed of everything that is drawn."""
+        ...
+
+    @property
+    def json(self) -> Path | None:
+        """Where results go as JSON."""
+        ...
+
+    @property
+    def html(self) -> Path | None:
+        """Where the report goes."""
+        ...
 
 
 @runtime_checkable
 class Outcome(Protocol):
     """What comes out of every study."""
 
-    rows: list[dict[str, Any]]
-    problems: list[str]
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """The entries of the tables."""
+        ...
+
+    @property
+    def problems(self) -> list[str]:
+        """What went wrong."""
+        ...
 
 
 Found = TypeVar("Found", bound=Outcome)

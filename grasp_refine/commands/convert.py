@@ -87,6 +87,9 @@ class Convert:
                 tell=lambda done, total: bar.update(task, completed=done, total=total),
             )
             check_no_input(self.output, read.files, "is one of the files of the input; give another name")
+            if not read.grasps.finite.all():
+                row = int(np.argmin(read.grasps.finite))
+                raise GraspRefineError(f"{self.source}: grasp {row} is not finite, and cannot be converted: leave it out")
             to, load = format_named(self.to), self._load(read.grasps)
             parts, lost = to.write(read.grasps, load)
             check_output(self.output, to, parts)

@@ -13,7 +13,8 @@ from grasp_refine.commands.ending import NOTHING_USABLE
 from grasp_refine.commands.options import check_hull_limit
 from grasp_refine.description.link_geometry import HULL_LIMIT
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.hand import HAND_TOML, Hand, list_hands, load_hand, needs_urdf
+from grasp_refine.hand import Hand, list_hands, load_hand, needs_urdf
+from grasp_refine.hand_source import HAND_TOML
 from grasp_refine.report.hand_facts import examples, facts_without_urdf, hand_facts
 from grasp_refine.report.hand_table import bullets, list_table, show_hand
 from grasp_refine.report.screen import screen

@@ -96,6 +96,7 @@ class Inputs(Sources):
         from grasp_refine.grasp_sampling import sample_grasps
 
         self.check_numbers()
+        assert self.hand is not None and self.object is not None  # or `sample_count` refuses
         hand = self._simulated(self.load_hand(self.hand, self.base_link, say))
         source = chosen_object(self.object, say)
         scale = self.scale * (1.0 if source.asset is None else source.asset.scale)
@@ -128,7 +129,7 @@ class Inputs(Sources):
                 f"--grasps FILE is needed: only hands that come with the program ({', '.join(whole)}) "
                 f"have example grasps, '{hand}' has none"
             )
-        examples = {}
+        examples: dict[str, Path] = {}
         for path in sorted((resource_dir("robots") / hand).glob("*.npz")):
             examples |= dict.fromkeys(load_grasps(path).object.tolist(), path)
         wanted = self.object_name or self.object

@@ -6,7 +6,6 @@ import csv
 import glob
 import itertools
 import os
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from math import isnan
@@ -15,9 +14,11 @@ from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from grasp_refine.commands.inputs import SAMPLE, Inputs
-from grasp_refine.errors import GraspRefineError
+from grasp_refine.errors import GraspRefineError, told
 from grasp_refine.formats.folders import natural, told_apart
 from grasp_refine.formats.reading import SUFFIXES
+from grasp_refine.names import at_home, exists, is_folder, is_sound
+from grasp_refine.toml_file import UNREADABLE, read_toml
 
 LISTS = (".toml", ".csv")
 """Endings of job lists."""
@@ -55,7 +56,7 @@ def read_jobs(sources: Sequence[str], defaults: Inputs, *, together: bool = Fals
     """
     found: list[Job] = []
     for source in sources:
-        if Path(source).suffix.lower() in LISTS and not Path(source).is_dir():
+        if Path(source).suffix.lower() in LISTS and not is_folder(Path(source)):
             found += _listed(Path(source), defaults, together)
         else:
             found += _jobs(source, defaults, "", together)
@@ -63,6 +64,9 @@ def read_jobs(sources: Sequence[str], defaults: Inputs, *, together: bool = Fals
         raise GraspRefineError(f"{', '.join(sources)}: no jobs in it")
     once = {job.inputs: job for job in reversed(found)}
     jobs = [job for job in found if once[job.inputs] is job]
+    for job in jobs:
+        if not job.name.strip("/") or not is_sound(job.name):
+            raise GraspRefineError(f"'{job.name}' cannot be the name of a job: it is the folder of its results")
     names = told_apart(job.name for job in jobs)
     return [replace(job, name=name) for job, name in zip(jobs, names, strict=True)]
 
@@ -76,12 +80,12 @@ def _jobs(source: str, inputs: Inputs, name: str, together: bool) -> Iterator[Jo
     if source.startswith(SAMPLE):
         yield Job(name or source.replace(":", "_"), _anywhere(replace(inputs, grasps=Path(source))))
         return
-    path = Path(source).expanduser()
-    if not glob.has_magic(source) or path.exists():
+    path = at_home(Path(source))
+    if not glob.has_magic(source) or exists(path):
         # A file that is not there is told with its job, so that the others can go on.
-        whole = together or not path.is_dir()
-        found = [(path.stem if path.suffix and not path.is_dir() else path.name, path)] if whole else _below(path, path)
-        named = whole
+        folder = is_folder(path)
+        named = together or not folder
+        found = [(path.stem if path.suffix and not folder else path.name, path)] if named else _below(path, path)
     else:
         fixed = Path(*itertools.takewhile(lambda part: not glob.has_magic(part), path.parts))
         found, named = [], False
@@ -136,8 +140,8 @@ def _listed(path: Path, defaults: Inputs, together: bool) -> Iterator[Job]:
 def _read_toml(path: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """The [[job]] tables, and what [defaults] says."""
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raw = read_toml(path)
+    except UNREADABLE as error:
         raise GraspRefineError(f"{path}: cannot be read as a TOML job list ({_reason(error)})") from None
     unknown = [key for key in raw if key not in ("job", "defaults")]
     if unknown:
@@ -191,19 +195,19 @@ def _value(key: str, value: Any, hint: Any, folder: Path, where: str) -> Any:
     if float in kinds:
         try:
             number = float(value) if not isinstance(value, bool) else float("nan")
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             number = float("nan")
         if isnan(number):
-            raise GraspRefineError(f"{where} must be a number, got {value!r}")
+            raise GraspRefineError(f"{where} must be a number, got {told(value)}")
         return number
     if not isinstance(value, str) or not value:
-        raise GraspRefineError(f"{where} must be text, got {value!r}")
+        raise GraspRefineError(f"{where} must be text, got {told(value)}")
     if choices and value not in choices:
         raise GraspRefineError(f"{where} must be one of {', '.join(choices)}, got '{value}'")
     if choices or value.startswith(SAMPLE) or not (Path in kinds or (key in NAMES_OR_PATHS and _is_path(value))):
         return value if Path not in kinds else Path(value)
-    near = folder / Path(value).expanduser()
-    there = near.exists() or (glob.has_magic(value) and bool(glob.glob(str(near), recursive=True)))
+    near = folder / at_home(Path(value))
+    there = exists(near) or (glob.has_magic(value) and bool(glob.glob(str(near), recursive=True)))
     value = str(near) if there else value
     return Path(value) if Path in kinds else value
 
@@ -228,8 +232,8 @@ def _anywhere(inputs: Inputs) -> Inputs:
     def absolute(value: Any) -> Any:
         if value is None or str(value).startswith(SAMPLE):
             return value
-        path = Path(value).expanduser()
-        return type(value)(path.absolute()) if path.exists() else value
+        path = at_home(Path(value))
+        return type(value)(path.absolute()) if exists(path) else value
 
     given = {name: absolute(getattr(inputs, name)) for name in ("urdf", "mjcf", "objects", "grasps")}
     for name in NAMES_OR_PATHS:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -11,11 +10,13 @@ from pathlib import Path
 from grasp_refine.asset_library.locating import fetched
 from grasp_refine.asset_library.manifest import Asset, read_manifest
 from grasp_refine.asset_library.names import find_asset
-from grasp_refine.errors import AssetError, MeshError
+from grasp_refine.errors import AssetError, MeshError, told
 from grasp_refine.geometry.mesh import SUFFIXES
 from grasp_refine.geometry.shapes import EMBEDDED, primitive_pieces
+from grasp_refine.names import exists, is_folder
 from grasp_refine.object_folders import find_object
 from grasp_refine.objects import PRIMITIVE_FORMS
+from grasp_refine.toml_file import UNREADABLE, read_toml
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ def chosen_object(name: str, say: Callable[[str], None]) -> ObjectSource:
     Raises:
         AssetError: the name could be several assets, or the one that it is cannot be fetched.
     """
-    if name in EMBEDDED or ":" in name or Path(name).suffix or Path(name).exists():
+    if name in EMBEDDED or ":" in name or Path(name).suffix or exists(Path(name)):
         return ObjectSource(name)
     asset = find_asset(name, "objects")
     if asset is None:
@@ -62,7 +63,7 @@ def named_object(name: str, objects: Path | None, file: Path, say: Callable[[str
         AssetError: there is no such object, or it cannot be fetched.
     """
     if objects is not None:
-        if objects.is_dir():
+        if is_folder(objects):
             return ObjectSource(find_object(name, objects))
         listed = _read_objects(objects)
         if name not in listed:
@@ -104,12 +105,12 @@ def _perhaps(name: str) -> str:
 def _read_objects(path: Path) -> Mapping[str, str | Path]:
     """Object name -> what to load, from a TOML file; paths are relative to it."""
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        raw = read_toml(path)
     except FileNotFoundError:
         raise AssetError(f"{path}: no such file or folder of objects") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except UNREADABLE as error:
         raise AssetError(f'{path}: cannot be read as TOML lines name = "path" ({error})') from None
     for name, value in raw.items():
         if not isinstance(value, str) or not value:
-            raise AssetError(f"{path}: {name} must be a path in quotes, got {value!r}")
+            raise AssetError(f"{path}: {name} must be a path in quotes, got {told(value)}")
     return {name: value if value in EMBEDDED or ":" in value else path.parent / value for name, value in raw.items()}

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -173,7 +173,7 @@ class Run:
         provenance: dict[str, object],
         proof: Proof | None,
     ) -> None:
-        source = fingerprint(problem.files[0])
+        source: dict[str, Any] = fingerprint(problem.files[0])
         # Which grasps were drawn depends on the hand, the object and the seed.
         source = {"sampled": problem.sampled, "hand": source} if problem.sampled else source
         hand = fingerprint(problem.hand.urdf)

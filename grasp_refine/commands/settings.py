@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
 from math import inf
-from typing import Annotated, Literal, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 from tyro.conf import DisallowNone, Suppress, arg
 from tyro.constructors import PrimitiveConstructorSpec
@@ -27,8 +27,6 @@ from grasp_refine.witness.neighborhood import Adaptive, Fixed
 from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.zeroth_order import ZerothOrder
-
-Method = TypeVar("Method")
 
 FIRST_ORDER_TOLERANCE = 1e-7
 """Default of --tolerance with descent and adam, which slow down on the way to smaller losses."""
@@ -340,7 +338,8 @@ class Settings:
                 raise GraspRefineError(f"options --{name}.* need --{choice} {name}; it is {chosen}")
 
 
-def _method(options: Method, **others: object) -> Method:
+def _method(options: Any, **others: object) -> Any:
     """The method that `options` describe, with the values of what has options of its own, where it has such a field."""
     given = {field.name: getattr(options, field.name) for field in fields(options)}
-    return type(options).__base__(**given | {name: value for name, value in others.items() if name in given})
+    described: Any = type(options).__base__
+    return described(**given | {name: value for name, value in others.items() if name in given})

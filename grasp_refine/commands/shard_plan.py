@@ -143,6 +143,7 @@ class Planner:
         if str(inputs.grasps).startswith(SAMPLE):
             yield from self._sampled(job, inputs, digests, say)
             return
+        assert inputs.grasps is not None  # a job names them
         path = on_disk(inputs.grasps, say)
         read = inputs.read(path, say)
         if inputs.hand is None:
@@ -162,6 +163,7 @@ class Planner:
     def _sampled(self, job: Job, inputs: KeptInputs, digests: Digests, say: Callable[[str], None]) -> Iterator[Shard]:
         """The shards of a job whose grasps are drawn, each in a draw of its own."""
         count = inputs.sample_count()
+        assert inputs.hand is not None and inputs.object is not None  # or it refuses
         hand, digest = digests.hand(inputs.hand, inputs, say)
         where = chosen_object(inputs.object, say)
         name = where.asset.name if where.asset is not None else Path(str(where.source)).stem

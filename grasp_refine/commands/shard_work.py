@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +62,9 @@ class ShardWork:
             return self._done(shard, beat)
         with Stopwatch() as watch:
             done = self._done(shard, beat)
-        return replace(done, profile={name: tuple(spent) for name, spent in watch.profile.items()})
+        profile: dict[str, tuple[float, float, int]] = {}
+        profile |= {name: (one.cpu_s, one.wall_s, one.calls) for name, one in watch.spent.items()}
+        return replace(done, profile=profile)
 
     def _done(self, shard: Shard, beat: Beat) -> Done:
         wall, cpu = time.perf_counter(), time.process_time()
@@ -71,21 +74,20 @@ class ShardWork:
         share = _Share(beat, len(problem), self._most(), proves=self.protocol is not None)
         for group in problem.groups:
             share.group(len(group.rows))
-            prepared = kept.get(
-                "prepared", (problem.hand, group.scene.object), lambda scene=group.scene: HandObject.of(scene)
-            )
+            prepared = kept.get("prepared", (problem.hand, group.scene.object), partial(HandObject.of, group.scene))
             parts.append(refined(group, self.config, share.refining, prepared))
             if self.protocol is not None:
                 world = kept.get(
                     "world",
                     (problem.hand, group.scene.object, self.protocol, group.scene.table),
-                    lambda scene=group.scene: _world(kept, scene.hand, scene.object, self.protocol, scene.table),
+                    partial(_world, kept, problem.hand, group.scene.object, self.protocol, group.scene.table),
                 )
                 trials.append(proved(group, parts[-1], world, share.proving, threads=1))
         outcome = Outcome.join(parts).select(problem.order)
         proof = None
         if trials:
-            proof = tuple(Trials.join(side).select(problem.order) for side in zip(*trials, strict=True))
+            before, after = (Trials.join(side).select(problem.order) for side in zip(*trials, strict=True))
+            proof = before, after
         if task.sampled is None:
             # The rows of the whole file, of which the problem has only some.
             outcome = replace(outcome, row=task.rows[outcome.row], index=task.index[outcome.index])
@@ -172,6 +174,7 @@ def problem_of(task: Task, seed: int, kept: Kept, beat: Beat) -> Problem:
     if task.sampled is not None:
         count, draw = task.sampled
         return inputs.load_sampled(count, seed, say, say, draw)
+    assert inputs.grasps is not None  # a task that is not sampled has a file
     path = on_disk(inputs.grasps, say)
     read = inputs.read(path, say)
     planned = (task.source["sha256"], *task.hand, task.object, task.object_digest)

@@ -26,6 +26,7 @@ from grasp_refine.geometry.units import UNITS, Unit
 from grasp_refine.grasps import GraspSet, Targets, choose_rows, match_joints
 from grasp_refine.hand import Hand, load_hand
 from grasp_refine.hand_source import check_known
+from grasp_refine.names import exists
 from grasp_refine.objects import Object, load_object
 from grasp_refine.plane import Plane
 from grasp_refine.problem import Group, Problem
@@ -94,7 +95,7 @@ class Sources:
         targets = self._targets(grasps, path)
         hand, grasps, resting = self._hand(grasps, path, say)
         q, notes = match_joints(grasps, hand)
-        notes = [*read.notes, *hand.notes, *resting, *notes, *_other_urdf(path, hand, chosen=bool(self.hand))]
+        notes = (*read.notes, *hand.notes, *resting, *notes, *_other_urdf(path, hand, chosen=bool(self.hand)))
         groups, count = [], 0
         for name, rows in chosen.items():
             index = np.asarray(self.index) if self.index else np.arange(len(rows))
@@ -103,7 +104,7 @@ class Sources:
             for scale in np.unique(scales):
                 at = np.flatnonzero(scales == scale)
                 obj = self._object(sources[name], float(scale), seed, say)
-                notes += [f"{name}: {note}" for note in obj.notes]
+                notes += tuple(f"{name}: {note}" for note in obj.notes)
                 T = transform_from_pose(grasps.hand_pose[rows[at]])
                 scene = _aimed(Scene(hand, obj, T, q[rows[at]], table=self._table()), targets, rows[at])
                 metres = self._metres(scale)
@@ -146,8 +147,8 @@ class Sources:
     def _read(self, path: Path, say: Callable[[str], None]) -> Reading:
         """The grasps of a file, or of a folder, of any format."""
         # Ours name their joints; for others the hand may have to say what their columns are.
-        known = self.hand is None or path.suffix == ".npz"
-        return reading(path, format=self.format, hand=None if known else self.load_hand(self.hand, None, say))
+        hand = None if self.hand is None or path.suffix == ".npz" else self.load_hand(self.hand, None, say)
+        return reading(path, format=self.format, hand=hand)
 
     def load_hand(self, source: str, base_link: str | None, say: Callable[[str], None]) -> Hand:
         """A hand, of the files that the options name."""
@@ -228,7 +229,7 @@ class Sources:
 
 def on_disk(path: Path, say: Callable[[str], None]) -> Path:
     """The same, or where the files of an asset of this name lie, if nothing else is called so."""
-    asset = None if path.exists() or path.suffix else find_asset(str(path), "grasps")
+    asset = None if exists(path) or path.suffix else find_asset(str(path), "grasps")
     return path if asset is None else fetched(asset, say)
 
 

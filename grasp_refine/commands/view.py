@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
     from grasp_refine.apps.viewer.controller import Controller
     from grasp_refine.apps.viewer.proofs import Proofs
+    from grasp_refine.apps.viewer.proved import Proved
     from grasp_refine.apps.viewer.shown_motion import ShownMotion
 
 
@@ -156,7 +157,8 @@ class View:
             problem = inputs.load(self.settings.seed, reporter.say, reporter.wait)
             for note in problem.notes:
                 reporter.say(f"note: {note}")
-        collection, proofs = Collection.of(problem), {}
+        collection = Collection.of(problem)
+        proofs: dict[int, Proved] = {}
         for document in documents:
             proofs |= document.of(collection)
         return Controller(with_proofs(collection, proofs) if proofs else collection, self.settings, proofs)

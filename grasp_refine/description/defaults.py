@@ -41,7 +41,8 @@ def contacts(
 ) -> tuple[tuple[Contact, ...], bool, list[str]]:
     """Contact links, whether they are guessed, and notes on them; `solid` are the links with collision geometry."""
     where = f"{toml.path}: [[contact]]"
-    named, notes = [], []
+    named: list[Contact] = []
+    notes: list[str] = []
     for contact in toml.contacts:
         if not _has(contact.link, "link with collision geometry", solid, outside, where):
             notes.append(f"contact link '{contact.link}' is left out: it does not hang from the base link")
@@ -101,8 +102,8 @@ def actuator(toml: HandToml, independent: Sequence[Joint], outside: Collection[s
         for name in given:
             _has(name, "independent joint", names, outside, f"{toml.path}: [actuator] {key}")
         fallback = efforts if default is None else dict.fromkeys(names, default)
-        if key in SLIDE_UNITS and "default" not in toml.actuator.get(key, {}):
-            fallback |= {j.name: default / LEVER ** SLIDE_UNITS[key] for j in independent if j.kind == "prismatic"}
+        if key in SLIDE_UNITS and ours is not None and "default" not in toml.actuator.get(key, {}):
+            fallback |= {j.name: ours / LEVER ** SLIDE_UNITS[key] for j in independent if j.kind == "prismatic"}
         columns[key] = np.array([given.get(name, fallback[name]) for name in names])
     return Actuator(**columns)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,11 +9,13 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from grasp_refine.errors import HandError
+from grasp_refine.errors import HandError, told
+from grasp_refine.names import is_file, is_sound
+from grasp_refine.toml_file import UNREADABLE, read_toml
 
 T = TypeVar("T")
 
-KINDS = {dict: "table", list: "list", str: "text"}
+KINDS: dict[type, str] = {dict: "table", list: "list", str: "text"}
 """What TOML calls the types that are asked for."""
 
 KEYS = ("name", "urdf", "base_link", "mjcf", "mjcf_joints", "collision", "rest_pose", "contact", "coupled", "actuator")
@@ -23,6 +24,9 @@ KEYS = ("name", "urdf", "base_link", "mjcf", "mjcf_joints", "collision", "rest_p
 ACTUATOR = {"kp": 5.0, "force_limit": None, "damping": 0.1, "armature": 2e-4, "frictionloss": 0.01}
 """Keys of [actuator], and what holds for turning joints where a key is left out; a slide is then driven as hard as a
 lever of 0.1 m on such a joint. The force limit is the URDF's effort."""
+
+MOST = 1e100
+"""Numbers beyond it mean nothing, and their squares are infinite."""
 
 
 @dataclass(frozen=True)
@@ -84,13 +88,13 @@ def read_hand_toml(path: Path) -> HandToml:
         HandError: not TOML, an unknown key (lists the valid ones), a value of the wrong kind, a missing file.
     """
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raw = read_toml(path)
+    except UNREADABLE as error:
         raise HandError(f"{path}: cannot be read as TOML ({error})") from None
     _check_keys(raw, KEYS, f"{path}")
     collision = raw.get("collision", "urdf")
     if collision not in ("urdf", "mjcf"):
-        raise HandError(f"{path}: collision = {collision!r}; valid: 'urdf', 'mjcf'")
+        raise HandError(f"{path}: collision = {told(collision)}; valid: 'urdf', 'mjcf'")
     base_link, name = raw.get("base_link"), raw.get("name")
     joints = _typed(raw.get("mjcf_joints", {}), dict, f"{path}: [mjcf_joints]")
     rest_pose = _typed(raw.get("rest_pose", {}), dict, f"{path}: [rest_pose]")
@@ -183,20 +187,22 @@ def _tables(raw: dict[str, Any], key: str, path: Path) -> list[tuple[dict[str, A
 
 def _file(value: Any, path: Path, key: str) -> Path:
     file = path.parent / _typed(value, str, f"{path}: {key}")
-    if not file.is_file():
+    if not is_file(file):
         raise HandError(f"{path}: {key} = '{value}': no such file {file}")
     return file
 
 
 def _typed(value: Any, kind: type[T], where: str) -> T:
     if not isinstance(value, kind) or value == "":
-        raise HandError(f"{where} must be a {KINDS[kind]}, got {value!r}")
+        raise HandError(f"{where} must be a {KINDS[kind]}, got {told(value)}")
+    if isinstance(value, str) and not is_sound(value):
+        raise HandError(f"{where} holds letters that no name has: {value}")
     return value
 
 
 def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-        raise HandError(f"{where} must be a finite number, got {value!r}")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= MOST:
+        raise HandError(f"{where} must be a finite number, got {told(value)}")
     return float(value)
 
 

@@ -44,7 +44,7 @@ class Inertia:
     def join(cls, parts: Sequence[Inertia]) -> Inertia:
         """All parts as one body; they are in one frame, and the sum of their masses is above 0."""
         mass = sum(part.mass for part in parts)
-        centre = sum(part.mass * part.centre for part in parts) / mass
+        centre = sum((part.mass * part.centre for part in parts), np.zeros(3)) / mass
         return cls(mass, centre, sum((part.matrix + _offset(part.mass, part.centre - centre)) for part in parts))
 
     @classmethod

@@ -138,7 +138,10 @@ def scaled(mesh: trimesh.Trimesh, scale: Scale) -> trimesh.Trimesh:
     import trimesh
 
     faces = np.asarray(mesh.faces)
-    return trimesh.Trimesh(mesh.vertices * scale, faces[:, ::-1] if np.prod(scale) < 0 else faces, process=False)
+    mirrored = np.prod(np.sign(scale)) < 0
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused for it
+        vertices = np.asarray(mesh.vertices) * scale
+    return trimesh.Trimesh(vertices, faces[:, ::-1] if mirrored else faces, process=False)
 
 
 def _millimetres(metres: float) -> str:

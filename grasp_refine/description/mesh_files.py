@@ -9,7 +9,8 @@ from urllib.parse import unquote
 import numpy as np
 
 from grasp_refine.errors import HandError, MeshError
-from grasp_refine.geometry.mesh import check_mesh, load_mesh
+from grasp_refine.geometry.mesh import check_mesh, load_mesh, quietly
+from grasp_refine.names import is_file
 
 if TYPE_CHECKING:
     import trimesh
@@ -31,8 +32,9 @@ def _read_collada(path: Path) -> trimesh.Trimesh:
     import trimesh
 
     try:
-        scene = trimesh.load_scene(path, process=False)
-        loaded = scene.to_mesh()
+        with quietly():
+            scene = trimesh.load_scene(path, process=False)
+            loaded = scene.to_mesh()
         # As in ROS: the file's unit counts, its "up axis" does not.
         unit = trimesh.units.unit_conversion(scene.units or "meters", "meters")
     # The reader raises whatever a broken file makes it trip over.
@@ -65,7 +67,7 @@ def resolve_mesh(filename: str, urdf: Path) -> Path:
         where = str(tried[0])
     else:
         raise HandError(f"mesh '{filename}': only paths, file:// and package:// are read")
-    found = next((path for path in tried if path.is_file()), None)
+    found = next((path for path in tried if is_file(path)), None)
     if found is None:
         raise HandError(f"mesh '{filename}' not found: tried {where}")
     return found

@@ -175,7 +175,8 @@ def _joint(raw: yourdfpy.Joint, path: Path) -> Joint:
         raise HandError(f"{where} has the type '{raw.type}'; valid: revolute, continuous, prismatic, fixed")
     axis, mimic = np.zeros(3), None
     if raw.type != "fixed":
-        length = float(np.linalg.norm(raw.axis))
+        with np.errstate(over="ignore"):
+            length = float(np.linalg.norm(raw.axis))
         if not 1e-9 < length < 1e9:
             raise HandError(f"{where} has the axis {raw.axis.tolist()}, which is no direction")
         axis = raw.axis / length

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from grasp_refine.errors import HandError
+from grasp_refine.names import is_sound
 
 if TYPE_CHECKING:
     import yourdfpy
@@ -51,7 +52,7 @@ ATTRIBUTES = {
 }
 """Attributes that an element must have."""
 
-NUMBERS = {
+NUMBERS: dict[str, dict[str, tuple[int, ...]]] = {
     "origin": {"xyz": (3,), "rpy": (3,)},
     "axis": {"xyz": (3,)},
     "limit": {"lower": (1,), "upper": (1,), "effort": (1,), "velocity": (1,)},
@@ -119,6 +120,8 @@ def _check(element: _Element, where: str) -> None:
     for name in ATTRIBUTES.get(tag, ()):
         if not element.get(name):
             raise HandError(f"{where}: <{tag}> has no '{name}'")
+        if not is_sound(element.get(name)):
+            raise HandError(f"{where}: <{tag} {name}=\"{element.get(name)}\"> holds letters that no name has")
     for name, counts in NUMBERS.get(tag, {}).items():
         if name in element.attrib:
             element.set(name, _numbers(element, name, counts, where))

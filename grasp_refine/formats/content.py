@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,8 @@ def _array(data: bytes) -> Any:
     if len(rest) < needed:
         raise Refused(f"is cut off: shape {shape} of {dtype} needs {needed} bytes, {len(rest)} are there")
     try:
-        return np.load(io.BytesIO(data), allow_pickle=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of heads that Python 2 wrote, or nobody
+            return np.load(io.BytesIO(data), allow_pickle=False)
     except ValueError as error:
         raise Refused(f"is a damaged .npy file ({' '.join(str(error).split())[:80]})") from None

@@ -34,12 +34,20 @@ class Part:
 class Format(Protocol):
     """One format."""
 
-    name: str
-    """What the command line calls it."""
-    what: str
-    """What it is, in one line."""
-    named_by_path: bool
-    """Whether the name of a file says something, so that it is always one in a folder."""
+    @property
+    def name(self) -> str:
+        """What the command line calls it."""
+        ...
+
+    @property
+    def what(self) -> str:
+        """What it is, in one line."""
+        ...
+
+    @property
+    def named_by_path(self) -> bool:
+        """Whether the name of a file says something, so that it is always one in a folder."""
+        ...
 
     def lacks(self, content: Any) -> str:
         """What keeps a content from being of this format, in words; "" if nothing does."""

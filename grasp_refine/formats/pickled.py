@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import prod
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -61,7 +61,7 @@ class _Dtype:
     """A NumPy type."""
 
     code: str
-    order: str = "="
+    order: Literal["<", ">", "|", "="] = "="
 
     def built(self, state: Any) -> None:
         """Take over the byte order."""
@@ -95,7 +95,7 @@ class _Array:
         self.value = _filled(data, dtype, shape, "F" if fortran else "C")
 
 
-def _filled(data: Any, of: Any, shape: Any, order: str) -> Any:
+def _filled(data: Any, of: Any, shape: Any, order: Literal["C", "F"]) -> Any:
     """The array of a shape that some bytes are, or the list of its objects."""
     if not isinstance(of, _Dtype) or not isinstance(shape, tuple):
         raise Refused("an array in it is damaged")
@@ -208,9 +208,7 @@ class _Machine:
         elif opcode in ("GET", "BINGET", "LONG_BINGET"):
             stack.append(self.memo[argument])
         elif opcode in ("GLOBAL", "STACK_GLOBAL"):
-            name = stack.pop() if opcode == "STACK_GLOBAL" else None
-            words = argument.split(" ") if name is None else (stack.pop(), name)
-            stack.append(_named(words))
+            stack.append(_named(argument.split(" ") if opcode == "GLOBAL" else (stack.pop(), stack.pop())[::-1]))
         elif opcode == "REDUCE":
             arguments, called = stack.pop(), stack.pop()
             self._spend(arguments)
@@ -244,14 +242,14 @@ class _Machine:
     def _contain(self, opcode: str) -> None:
         """Make or fill a container."""
         if opcode.startswith("EMPTY_"):
-            empty = {"EMPTY_LIST": [], "EMPTY_SET": [], "EMPTY_DICT": {}, "EMPTY_TUPLE": ()}
+            empty: dict[str, Any] = {"EMPTY_LIST": [], "EMPTY_SET": [], "EMPTY_DICT": {}, "EMPTY_TUPLE": ()}
             self.stack.append(empty[opcode])
         elif opcode in ("TUPLE1", "TUPLE2", "TUPLE3"):
             count = int(opcode[-1])
-            items = tuple(self.stack[-count:])
-            if len(items) < count:
+            entries = tuple(self.stack[-count:])
+            if len(entries) < count:
                 raise IndexError
-            self.stack[-count:] = [items]
+            self.stack[-count:] = [entries]
         elif opcode in ("LIST", "TUPLE", "DICT", "FROZENSET"):
             items = self._pop()
             self.stack.append(_entries(items) if opcode == "DICT" else tuple(items) if opcode == "TUPLE" else items)

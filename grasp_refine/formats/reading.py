@@ -18,6 +18,7 @@ from grasp_refine.formats.listing import FOREIGN, FORMATS, OURS, format_named
 from grasp_refine.formats.source import Source
 from grasp_refine.grasps import OTHER_STAGES, GraspSet, Stage
 from grasp_refine.hand import Hand
+from grasp_refine.names import is_file, is_folder
 
 SUFFIXES = (".npz", ".npy", ".pickle", ".pkl")
 """Endings of the files in a folder that are read."""
@@ -58,6 +59,7 @@ def reading(
     format: str | None = None,
     hand: Hand | None = None,
     tell: Callable[[int, int], None] | None = None,
+    within: Path | None = None,
 ) -> Reading:
     """The grasps of a file or a folder, with their format and notes.
 
@@ -66,6 +68,7 @@ def reading(
         format: Its format; None: as its content says.
         hand: The hand that the grasps are for; needed where a file has no joint names and fits several.
         tell: Hears how many files of how many are read.
+        within: Folder outside of which nothing is read; a file may name another that describes its scene.
 
     Raises:
         GraspFileError: no such file, none in a folder, of no format or of several, or something in it cannot be.
@@ -73,7 +76,9 @@ def reading(
     path = Path(path)
     wanted = None if format is None else format_named(format)
     files = _files(path)
-    sets, notes, found = [], [], None
+    sets: list[GraspSet] = []
+    notes: list[str] = []
+    found: Format | None = None
     for number, file in enumerate(files):
         content = _content(file)
         known = wanted or _recognised(file, content)
@@ -86,7 +91,7 @@ def reading(
                 "of its folders, or files one by one"
             )
         found = known
-        grasps, more = known.read(Source(file, content), hand)
+        grasps, more = known.read(Source(file, content, within), hand)
         sets.append(grasps)
         notes += more
         if tell is not None:
@@ -100,7 +105,7 @@ def reading(
 
 
 def _files(path: Path) -> list[Path]:
-    if not path.is_dir():
+    if not is_folder(path):
         return [path]
     found = [file for file in path.rglob("*") if file.suffix.lower() in SUFFIXES and file.is_file()]
     if not found:
@@ -110,7 +115,7 @@ def _files(path: Path) -> list[Path]:
 
 def _content(file: Path) -> Any:
     """What a file holds; None is an .npz, which our own format reads."""
-    ours = file.suffix.lower() == ".npz" or (file.is_file() and zipfile.is_zipfile(file))
+    ours = file.suffix.lower() == ".npz" or (is_file(file) and zipfile.is_zipfile(file))
     return None if ours else load_content(file)
 
 
@@ -143,7 +148,8 @@ def _joined(files: Sequence[Path], sets: Sequence[GraspSet]) -> tuple[GraspSet, 
                 f"{', '.join(first.joint_names)}: give them one by one"
             )
     orders = [[grasps.joint_names.index(name) for name in first.joint_names] for grasps in sets]
-    notes, stages = [], {}
+    notes: list[str] = []
+    stages: dict[str, Any] = dict.fromkeys(OTHER_STAGES)
     for name in OTHER_STAGES:
         there = [getattr(grasps, name) for grasps in sets]
         if all(stage is not None for stage in there):
@@ -155,7 +161,6 @@ def _joined(files: Sequence[Path], sets: Sequence[GraspSet]) -> tuple[GraspSet, 
             notes.append(f"only some files have a {name}: it is left out")
     if any(grasps.targets is not None for grasps in sets):
         notes.append("targets are read from single files only, not from folders: they are left out")
-    stages = {name: stages.get(name) for name in OTHER_STAGES}
     joined = replace(
         first,
         object=np.concatenate([grasps.object for grasps in sets]),
@@ -178,6 +183,7 @@ def _without_empty_stages(grasps: GraspSet) -> tuple[GraspSet, list[str]]:
         stage = getattr(grasps, name)
         if stage is None or (stage.hand_pose != grasps.hand_pose).any() or (stage.q != grasps.q).any():
             continue
-        grasps = replace(grasps, **{name: None})
+        nothing: dict[str, Any] = {name: None}
+        grasps = replace(grasps, **nothing)
         notes.append(f"the {name} is the grasp itself in all {len(grasps)}, so that there is none")
     return grasps, notes

@@ -14,6 +14,7 @@ from typing import Any
 from grasp_refine.formats.content import load_content
 from grasp_refine.formats.source import Source
 from grasp_refine.formats.stages import AT_ORIGIN
+from grasp_refine.names import is_file
 
 FLOATING = re.compile(r"(?:^|/)([^/]+)/floating/scale([0-9]{2,4})(?:_[^/]*)?(?:\.npy)?$")
 """What the path of a scene without anything but one object looks like: object and hundredths of its scale."""
@@ -33,9 +34,11 @@ def object_in_scene(source: Source) -> tuple[dict[str, Any], Sequence[str]]:
     name = source.text(held["scene_path"], "scene_path")
     tried = PurePosixPath(name.replace("\\", "/"))
     below = PurePosixPath(*[part for part in tried.parts if part not in ("/", "..")])
-    # A path in a file of someone else is only looked for around that file.
-    for folder in source.path.absolute().parents:
-        if (folder / below).is_file():
+    # A path in a file of someone else is only looked for around that file: around / would be anywhere.
+    for folder in source.path.absolute().parents[:-1]:
+        if source.within is not None and not folder.is_relative_to(source.within.absolute()):
+            break
+        if is_file(folder / below):
             scene = folder / below
             return _described(Source(scene, load_content(scene)), None), ()
     floating = FLOATING.search(str(below))

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from grasp_refine.errors import GraspFileError
 from grasp_refine.grasps import unit_poses
-from grasp_refine.npz import is_sound
+from grasp_refine.names import is_sound
 
 MESH_FOLDERS = ("mesh", "meshes", "urdf", "mjcf", "coacd")
 """Folders inside that of an object, which do not name it."""
@@ -28,6 +28,8 @@ class Source:
     """Where the file lies."""
     content: Any
     """What it holds, as `load_content` gives it."""
+    within: Path | None = None
+    """Folder outside of which no file is read because this one names it; None: it may lie around any folder above."""
 
     def error(self, message: str) -> GraspFileError:
         """Return the error that says `message` about this file."""
@@ -81,7 +83,7 @@ class Source:
             value = value.decode("utf-8", errors="replace")
         if not isinstance(value, str):
             raise self.error(f"{what} must be a text; it is {_kind(value)}")
-        if not is_sound(np.array(value)):
+        if not is_sound(value):
             raise self.error(f"{what} holds letters that no text has, or that control a terminal")
         return value
 

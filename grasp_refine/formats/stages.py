@@ -50,7 +50,7 @@ def grasps_of_stages(
         GraspFileError: numbers of another shape, not finite, or no unit quaternions.
     """
     T_object_world = inverse(transform_from_pose(source.poses([object_pose], "obj_pose", 1)))
-    stages: dict[str, Stage] = {}
+    stages: dict[str, Any] = {}
     count = None
     for what, value in rows.items():
         numbers = source.numbers(value, what, (count, 7 + len(layout.joints)))

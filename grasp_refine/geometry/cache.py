@@ -7,14 +7,23 @@ from __future__ import annotations
 
 import hashlib
 import os
+import struct
 import tempfile
+import tokenize
+import warnings
 import zipfile
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import platformdirs
+
+BROKEN: tuple[type[Exception], ...]
+BROKEN = (OSError, EOFError, LookupError, ValueError, TypeError, SyntaxError, RuntimeError, MemoryError)
+BROKEN += (zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
+"""How an entry shows that something else has written it, or only half of it."""
 
 SCHEMA = 1
 """Layout of an entry and of what goes into its name; a new one leaves all old entries unused."""
@@ -53,7 +62,7 @@ def save(entry: Path, polytopes: Sequence[Polytope]) -> None:
     )
 
 
-def save_arrays(entry: Path, **arrays: np.ndarray) -> None:
+def save_arrays(entry: Path, **arrays: Any) -> None:
     """Nothing; the entry appears complete or not at all, also when several processes write it.
 
     Raises:
@@ -84,10 +93,13 @@ def load_arrays(entry: Path, *names: str) -> list[np.ndarray] | None:
     """The arrays of an entry with these names; None when there is no such entry, or it cannot be read."""
     try:
         # numpy leaves a file open that it opened itself and could not read.
-        with open(entry, "rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return [arrays[name] for name in names]
-    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error):
+        with open(entry, "rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of heads that Python 2 wrote, or nobody
+            with np.load(file, allow_pickle=False) as arrays:
+                found = [arrays[name] for name in names]
+    except BROKEN:
         return None
+    return found if all(isinstance(array, np.ndarray) for array in found) else None
 
 
 def _sound(vertices: np.ndarray, faces: np.ndarray, per_vertex: np.ndarray, per_face: np.ndarray) -> bool:

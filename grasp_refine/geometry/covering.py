@@ -12,11 +12,12 @@ import numpy as np
 
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry import cache as disk
+from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.holes import find_holes
 from grasp_refine.geometry.mesh import FlatMeshError
 from grasp_refine.geometry.nearest_triangle import Triangles
 from grasp_refine.geometry.over_cover import PRECISION, over_cover
-from grasp_refine.geometry.pieces import Decomposition, Piece, convex_pieces, hull
+from grasp_refine.geometry.pieces import Piece, convex_pieces, hull
 
 if TYPE_CHECKING:
     import trimesh

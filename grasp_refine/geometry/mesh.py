@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry.holes import capped
+from grasp_refine.names import is_file
 
 if TYPE_CHECKING:
     import trimesh
@@ -26,9 +29,19 @@ Holes = Literal["refuse", "cap", "hull"]
 THINNEST = 1e-6
 """Smallest extent along the principal axes, as a fraction of the diagonal, that does not count as flat."""
 
+SMALLEST, LARGEST = 1e-15, 1e15
+"""Diagonals of solids are between these, in metres or the unit of a file: a nucleus, the way of light in a month."""
 
 MOST_BODIES = 64
 """Beyond so many bodies a mesh is cut into fewer pieces even where all are convex."""
+
+
+@contextmanager
+def quietly() -> Iterator[None]:
+    """Let the readers of trimesh say nothing but errors: of a broken file they warn in words for programmers."""
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+    with np.errstate(all="ignore"):
+        yield
 
 
 class FlatMeshError(MeshError):
@@ -65,20 +78,21 @@ def load_groups(path: Path, scale: float = 1.0) -> tuple[tuple[str, trimesh.Trim
     return tuple(found)
 
 
-def _read(path: Path, scale: float, take: Callable[[trimesh.Scene], T], **options: bool) -> T:
+def _read(path: Path, scale: float, take: Callable[[trimesh.Scene], T], **options: Any) -> T:
     """What `take` makes of the scene in a file that is to be multiplied by `scale`."""
     import trimesh
 
     if path.suffix.lower() not in SUFFIXES:
         raise MeshError(f"{path}: unknown mesh type '{path.suffix}', use one of {', '.join(SUFFIXES)}")
-    if not path.is_file():
+    if not is_file(path):
         raise MeshError(f"{path}: no such mesh file")
     if not (np.isfinite(scale) and scale > 0):
         raise MeshError(f"{path}: the scale must be positive and finite, got {scale:g}")
     if path.suffix.lower() in (".obj", ".glb"):
         options["skip_materials"] = True
     try:
-        return take(trimesh.load_scene(path, process=False, **options))
+        with quietly():
+            return take(trimesh.load_scene(path, process=False, **options))
     # The readers raise whatever a broken file makes them trip over.
     except Exception as error:
         raise MeshError(f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})") from error
@@ -88,8 +102,10 @@ def _merged(loaded: trimesh.Trimesh, scale: float, name: str) -> trimesh.Trimesh
     """The checked mesh in metres, its equal vertices merged."""
     import trimesh
 
-    mesh = trimesh.Trimesh(np.asarray(loaded.vertices) * scale, loaded.faces, process=False)
+    with quietly():
+        mesh = trimesh.Trimesh(np.asarray(loaded.vertices) * scale, loaded.faces, process=False)
     check_mesh(mesh, name)
+    mesh.remove_unreferenced_vertices()
     # The merge distance is 1e-8 of the mesh's own size: an absolute one would eat a mesh of 0.1 mm.
     mesh.merge_vertices(digits_vertex=int(np.ceil(8 - np.log10(_diagonal(mesh.vertices[mesh.faces])))))
     a, b, c = mesh.faces.T
@@ -128,7 +144,7 @@ def check_solid(points: np.ndarray, name: str) -> None:
     if not finite.all():
         raise MeshError(f"{name}: {(~finite).sum()} of its {len(points)} vertices are not finite")
     diagonal = _diagonal(points)
-    if not 1e-50 < diagonal < 1e50:
+    if not SMALLEST < diagonal < LARGEST:
         error = FlatMeshError if diagonal < 1 else MeshError
         raise error(f"{name}: its diagonal is {diagonal:g} m, which no solid has")
     centered = (points - points.mean(0)) / diagonal
@@ -179,7 +195,10 @@ def _without_holes(mesh: trimesh.Trimesh, name: str, holes: Holes) -> tuple[trim
     """
     open_edges = int((np.bincount(mesh.edges_unique_inverse) % 2).sum())
     if holes == "hull":
-        return mesh.convex_hull, f"{name}: not watertight, {open_edges} edges are open; its convex hull is used"
+        # In a size of its own: trimesh takes what is nearer than 1e-8 for one.
+        size = _diagonal(mesh.vertices)
+        body = mesh.copy().apply_scale(1 / size).convex_hull.apply_scale(size)
+        return body, f"{name}: not watertight, {open_edges} edges are open; its convex hull is used"
     reason = ""
     if holes == "cap":
         try:
@@ -242,4 +261,5 @@ def _volume(mesh: trimesh.Trimesh) -> float:
 
 
 def _diagonal(points: np.ndarray) -> float:
-    return float(np.linalg.norm(np.ptp(np.reshape(points, (-1, 3)), axis=0)))
+    with np.errstate(over="ignore"):
+        return float(np.linalg.norm(np.ptp(np.reshape(points, (-1, 3)), axis=0)))

@@ -41,7 +41,8 @@ class Triangles:
         order, levels = self._tree
         # No farther than to the nearest corner or centre; a little more, so that its triangle is not lost by rounding.
         limit = self._landmarks.query(points)[0] ** 2 * (1 + 1e-9) + np.finfo(np.float64).tiny
-        point, node = np.arange(len(points)), np.zeros(len(points), dtype=np.int64)
+        point: np.ndarray = np.arange(len(points))
+        node: np.ndarray = np.zeros(len(points), dtype=np.int64)
         for low, high in levels[1:]:
             point, node = np.repeat(point, 2), (2 * node[:, None] + [0, 1]).ravel()
             at = points[point]

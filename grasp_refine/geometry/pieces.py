@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull, QhullError
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry.decomposition import Decomposition, decompose
-from grasp_refine.geometry.mesh import check_solid, convex_bodies
+from grasp_refine.geometry.mesh import LARGEST, SMALLEST, check_solid, convex_bodies
 from grasp_refine.geometry.rings import Rings
 
 if TYPE_CHECKING:
@@ -254,6 +254,8 @@ def _rounded(radius: float, points: Sequence[ArrayLike], name: str) -> Piece:
     vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
     if not np.isfinite(vertices).all():
         raise MeshError(f"{name}: its centre or an end is not finite: {vertices.tolist()}")
+    if 0 < radius < SMALLEST or LARGEST < radius < np.inf:
+        raise MeshError(f"{name}: its radius is {radius:g} m, which no solid has")
     return Piece(vertices, np.zeros((0, 3), dtype=np.int64), float(_positive(radius, f"{name}: radius")))
 
 

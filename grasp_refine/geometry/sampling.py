@@ -45,11 +45,11 @@ def sample(pieces: Sequence[Piece], count: int, seed: int) -> Candidates:
         raise MeshError(f"the number of surface candidates must be at least 1, got {count}")
     rng = np.random.default_rng(seed)
     bounds = np.stack([piece.bounds for piece in pieces])
-    clearance = CLEARANCE * np.linalg.norm(bounds[:, 1].max(0) - bounds[:, 0].min(0))
+    clearance = CLEARANCE * float(np.linalg.norm(bounds[:, 1].max(0) - bounds[:, 0].min(0)))
 
-    points, normals, owners = _vertices(pieces)
-    chosen = rng.permutation(np.flatnonzero(~beside(points, owners, pieces, clearance)))[: count // 2]
-    points, normals = [points[chosen]], [normals[chosen]]
+    corners, facing, owners = _vertices(pieces)
+    chosen = rng.permutation(np.flatnonzero(~beside(corners, owners, pieces, clearance)))[: count // 2]
+    points, normals = [corners[chosen]], [facing[chosen]]
 
     surfaces = [_Surface.of(piece) for piece in pieces]
     areas = np.array([surface.area for surface in surfaces])

@@ -20,7 +20,7 @@ def mug() -> trimesh.Trimesh:
     """A mug 9 cm tall and 8 cm wide, its wall 4 mm thick, with a handle towards +x; stands on z = 0."""
     import trimesh
 
-    solid = _lathe([[0, 0], [3.85, 0], [4, 0.15], [4, 9], [0, 9]], sections=28)
+    solid = _lathe([[0.0, 0.0], [3.85, 0.0], [4.0, 0.15], [4.0, 9.0], [0.0, 9.0]], sections=28)
     cavity = _lathe([[0, 0.4], [3.6, 0.4], [3.6, 9.1], [0, 9.1]], sections=28)
     # An elliptic ring in the xz plane; its inner half ends in the wall and is cut off with the cavity.
     handle = trimesh.creation.torus(1, 0.25, major_sections=28, minor_sections=10)
@@ -92,7 +92,8 @@ def primitive_pieces(spec: str) -> tuple[Piece, ...]:
         return (box(sizes),)
     if kind == "sphere":
         return (sphere(*sizes),)
-    return (cylinder(*sizes),)
+    radius, height = sizes
+    return (cylinder(radius, height),)
 
 
 def _lathe(profile: ArrayLike, sections: int) -> trimesh.Trimesh:

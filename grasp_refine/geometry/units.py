@@ -16,7 +16,7 @@ Unit = Literal["m", "cm", "mm", "in"]
 UNITS: Mapping[str, float] = MappingProxyType({"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254})
 """Unit -> metres."""
 
-NAMES: Mapping[str, str] = MappingProxyType({"m": "metres", "cm": "centimetres", "mm": "millimetres", "in": "inches"})
+NAMES: Mapping[Unit, str] = MappingProxyType({"m": "metres", "cm": "centimetres", "mm": "millimetres", "in": "inches"})
 """Unit -> what it is called."""
 
 PLAUSIBLE = (0.002, 2.0)

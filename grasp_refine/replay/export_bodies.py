@@ -93,11 +93,11 @@ def write_bodies(world: ET.Element, model: mujoco.MjModel, frames: dict[int, np.
                     diaginertia=text_of(model.body_inertia[body]),
                 )
         node = nodes[body]
-        for joint in np.flatnonzero(model.jnt_bodyid == body):
+        for joint in np.flatnonzero(model.jnt_bodyid == body).tolist():
             _write_joint(node, model, joint)
-        for geom in np.flatnonzero(model.geom_bodyid == body):
+        for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
             _write_geom(node, model, geom, frames)
-        for site in np.flatnonzero(model.site_bodyid == body):
+        for site in np.flatnonzero(model.site_bodyid == body).tolist():
             ET.SubElement(
                 node,
                 "site",

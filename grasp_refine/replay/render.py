@@ -124,7 +124,9 @@ def _save_film(path: Path, images: list[Image.Image], durations: list[int]) -> N
         sample = Image.new("RGB", (width, 4 * height))
         for number in range(4):
             sample.paste(images[number * (len(images) - 1) // 3], (0, number * height))
-        for number, color in enumerate((CONTACT, GOOD, BAD, tuple(round(255 * c) for c in FORCE_COLOR))):
+        force = tuple(round(255 * c) for c in FORCE_COLOR)
+        colors: tuple[str | tuple[int, ...], ...] = (CONTACT, GOOD, BAD, force)
+        for number, color in enumerate(colors):
             # The few pixels of small things would not get a colour of their own.
             sample.paste(color, (24 * number, 0, 24 * number + 24, 24))
         palette = sample.quantize(256, dither=Image.Dither.NONE)

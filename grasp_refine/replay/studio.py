@@ -169,7 +169,8 @@ class Studio:
         image = Image.fromarray(photo.round().astype(np.uint8))
         contacts = self._contacts()
         self._mark(ImageDraw.Draw(image), view.project(contacts, *self._photo))
-        page = Image.new("RGB", tuple(OVERSAMPLING * pixels for pixels in self._size), PAPER)
+        width, height = self._size
+        page = Image.new("RGB", (OVERSAMPLING * width, OVERSAMPLING * height), PAPER)
         page.paste(image)
         write_caption(page, image.height, self.replay, self.frame, len(contacts))
         return page.reduce(OVERSAMPLING)

@@ -159,7 +159,7 @@ def _size(hand: Hand) -> tuple[float, ...]:
     poses = chain(np.eye(4)[None], hand.rest[None]).T_world_link[0]
     ends = []
     for link, T in zip(solid, poses, strict=True):
-        for piece in link.body.pieces:
+        for piece in link.solid.pieces:
             points = transform_points(T, piece.vertices)
             ends += [points.min(axis=0) - piece.radius, points.max(axis=0) + piece.radius]
     return tuple(np.ptp(ends, axis=0).tolist())

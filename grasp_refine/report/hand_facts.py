@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from grasp_refine.description.mimics import followed
-from grasp_refine.hand import HAND_TOML, Hand
+from grasp_refine.hand import Hand
+from grasp_refine.hand_source import HAND_TOML
 
 _LICENCE = re.compile(r"\b(Apache-2\.0|BSD-[23]-Clause|MIT|GPL-[23]\.0|CC-BY[-A-Z0-9.]*)\b")
 _COMMENT = re.compile(r"<!--(.*?)-->", re.DOTALL)

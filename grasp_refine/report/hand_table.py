@@ -80,6 +80,7 @@ def _follows(hand: Hand, joint: Joint) -> str:
     text = f"{leads.multiplier:.4g} x {leads.joint}"
     if leads.offset:
         text += f" {'-' if leads.offset < 0 else '+'} {show_value(joint, abs(leads.offset))}"
+    assert joint.mimic is not None
     return text if joint.mimic.joint == leads.joint else f"{text}, by way of {joint.mimic.joint}"
 
 

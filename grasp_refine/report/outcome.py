@@ -12,7 +12,7 @@ from grasp_refine.refine import Refinement
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import inverse, pose_from_transform, transform_points
 from grasp_refine.self_collision import self_penetration, touching_pairs
-from grasp_refine.solvers.status import Status
+from grasp_refine.solvers.status import UNUSABLE
 from grasp_refine.squeeze import grasp_forces
 from grasp_refine.stopwatch import stage
 from grasp_refine.validation.geometry import measure, movement
@@ -99,7 +99,7 @@ class Outcome:
     @property
     def usable(self) -> np.ndarray:
         """Which grasps (N,) were refined at all: they had something to touch and their queries were answered."""
-        return ~np.isin(self.status, (Status.NO_TARGET, Status.NOT_FINITE))
+        return ~np.isin(self.status, UNUSABLE)
 
     @property
     def aimed(self) -> np.ndarray:
@@ -158,8 +158,11 @@ def compare(
         index: Their numbers (N,) among the grasps of the object.
     """
     count = len(scene.q)
-    T_before, T_after = scene.T_world_root, refinement.T_world_root
-    T, q = np.concatenate([T_before, T_after]), np.concatenate([scene.q, refinement.q])
+    # What is nowhere has no measures.
+    before = scene.masked(scene.posed)
+    T_after = np.where(scene.posed[:, None, None], refinement.T_world_root, np.nan)
+    q_after = np.where(scene.posed[:, None], refinement.q, np.nan)
+    T, q = np.concatenate([before.T_world_root, T_after]), np.concatenate([before.q, q_after])
     geometry = measure(
         scene.hand,
         scene.object,
@@ -178,7 +181,10 @@ def compare(
     witness = geometry.witness.rows(slice(count, None))
     touching = refinement.touching & witness.valid
     T_link = geometry.T_world_link[count:]
-    moved = movement(T_before, scene.q, T_after, refinement.q)
+    # As they were given, also where that is no pose.
+    with np.errstate(all="ignore"):
+        pose_before, pose_after = (pose_from_transform(one.T_world_root) for one in (scene, refinement))
+    moved = movement(before.T_world_root, before.q, T_after, q_after)
 
     def before_after(values: np.ndarray) -> np.ndarray:
         return np.stack([values[:count], values[count:]], axis=1)
@@ -191,9 +197,9 @@ def compare(
         scale=np.full(count, scale),
         row=row,
         index=index,
-        hand_pose=pose_from_transform(T_after),
+        hand_pose=pose_after,
         q=refinement.q,
-        initial_pose=pose_from_transform(T_before),
+        initial_pose=pose_before,
         initial_q=scene.q,
         status=refinement.status,
         loss=refinement.loss,

@@ -13,6 +13,7 @@ import numpy as np
 from grasp_refine.formats.folders import UNUSUAL
 from grasp_refine.grasps import OTHER_STAGES, GraspSet, Stage, Targets, save_npz
 from grasp_refine.hand import Hand
+from grasp_refine.npz import load_npz
 from grasp_refine.report.outcome import Outcome
 from grasp_refine.report.writing import dumps
 from grasp_refine.solvers.status import Status
@@ -71,7 +72,7 @@ def save_results(
         simulation_displacement_m_before, _after (N,)  how far the object was moved at the end
         simulation_angle_rad_before, _after      (N,)  how far it was turned
 
-    NaN stands where a grasp has no such contact or target.
+    NaN stands where a grasp has no such contact or target, and for the stages of one that could not be refined.
 
     Args:
         path: The file.
@@ -100,7 +101,7 @@ def save_results(
         **{
             name: Stage(outcome.stage_pose[:, at], outcome.stage_q[:, at])
             for at, name in enumerate(STAGES)
-            if name in OTHER_STAGES and np.isfinite(outcome.stage_q[:, at]).all()
+            if name in OTHER_STAGES
         },
     )
     error, mean = outcome.worst_error, outcome.mean_error
@@ -166,15 +167,19 @@ def fingerprint(path: Path) -> dict[str, str]:
 
 
 def recorded_urdf(path: Path) -> str | None:
-    """sha256 of the URDF that the grasps in a result file were refined with; None: it is another grasp file."""
+    """sha256 of the URDF that the grasps in a result file were refined with; None: it is another grasp file.
+
+    Raises:
+        GraspFileError: it is damaged.
+    """
     if path.suffix != ".npz":
         return None
-    with np.load(path, allow_pickle=False) as entries:
-        text = str(entries["provenance"]) if "provenance" in entries.files else ""
+    text = str(load_npz(path, only=("provenance",)).entries.get("provenance", ""))
     try:
-        return json.loads(text)["urdf"]["sha256"]
-    except (ValueError, LookupError, TypeError):
+        found = json.loads(text)["urdf"]["sha256"]
+    except (ValueError, LookupError, TypeError, RecursionError):
         return None
+    return found if isinstance(found, str) else None
 
 
 def _sha256(content: bytes) -> str:

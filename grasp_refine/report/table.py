@@ -28,6 +28,7 @@ _COLORS = {
     Status.NO_TARGET: "red",
     Status.NOT_FINITE: "red",
     Status.UNREACHABLE: "red",
+    Status.INVALID: "red",
 }
 NEGLIGIBLE = 1e-5
 """Errors and depths below this (metres) are not worth mentioning."""
@@ -179,7 +180,10 @@ def _account(outcome: Outcome) -> list[Text]:
         ("penetration", outcome.penetration, NEGLIGIBLE, 1e3, " mm"),
         ("self-penetration", outcome.self_penetration, NEGLIGIBLE, 1e3, " mm"),
     )
-    changes = [_improvement(name, values[outcome.usable], *how) for name, values, *how in measures]
+    changes = [
+        _improvement(name, values[outcome.usable], least, factor, unit)
+        for name, values, least, factor, unit in measures
+    ]
     lines = [Text(f"less {change}") for change in changes if change]
     starts = [] if (outcome.starts <= 1).all() else [(outcome.starts, "starts", "{:.0f}".format)]
     costs = (*starts, (outcome.iterations, "iterations", "{:.0f}".format), (outcome.wall_s, "", _seconds))

@@ -179,8 +179,8 @@ def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
 
 def _by_object(validated: Validated, names: Sequence[str]) -> Table:
     table = plain_table(f"all {len(names)} objects: {count_text(len(validated), 'grasp')}")
-    for column, align in (("object", "left"), ("grasps", "right"), ("held", "right"), ("", "right")):
-        table.add_column(column, justify=align, no_wrap=column != "object")
+    for column in ("object", "grasps", "held", ""):
+        table.add_column(column, justify="left" if column == "object" else "right", no_wrap=column != "object")
     for name in names:
         held = validated.success[validated.object == name]
         table.add_row(escape(name), str(len(held)), str(int(held.sum())), _percent(held))

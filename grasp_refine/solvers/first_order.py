@@ -23,9 +23,9 @@ class Differentiable(Protocol):
     """Losses of a batch of members with their gradients."""
 
     lower: Tensor
-    """Lower joint limits (n,)."""
+    """Lower joint limits (n,), within the true ones (see `limits_within`)."""
     upper: Tensor
-    """Upper joint limits (n,)."""
+    """Upper joint limits (n,), likewise."""
 
     def evaluate(
         self, member: np.ndarray, T: Tensor, q: Tensor, key: int, previous: Any | None
@@ -36,6 +36,20 @@ class Differentiable(Protocol):
     def tensor(self, array: np.ndarray) -> Tensor:
         """An array in the number type and on the device of the problem."""
         ...
+
+
+def limits_within(lower: np.ndarray, upper: np.ndarray, dtype: torch.dtype, device: str) -> tuple[Tensor, Tensor]:
+    """Joint limits (n,) as tensors, rounded inwards: what keeps to them keeps to the given ones.
+
+    Where single precision has no number between the two, they are the nearest one.
+    """
+    low, high = (torch.as_tensor(limit, dtype=dtype, device=device) for limit in (lower, upper))
+    beyond = low.double().cpu().numpy() < lower, high.double().cpu().numpy() > upper
+    outside = [torch.as_tensor(mask, device=device) for mask in beyond]
+    inner_low = torch.where(outside[0], torch.nextafter(low, low.new_tensor(torch.inf)), low)
+    inner_high = torch.where(outside[1], torch.nextafter(high, high.new_tensor(-torch.inf)), high)
+    room = inner_low <= inner_high
+    return torch.where(room, inner_low, low), torch.where(room, inner_high, high)
 
 
 @stage("solver")
@@ -83,7 +97,9 @@ class _Run:
         self.stage, self.since = np.zeros((2, count), dtype=np.int64)
         self.mark = np.full(count, np.inf)
         self.active = np.flatnonzero(status == Status.RUNNING)
-        self.T, self.q = problem.tensor(start.T[self.active]), problem.tensor(start.q[self.active])
+        self.T = problem.tensor(start.T[self.active])
+        # A joint at its limit is not beyond it because its value was rounded.
+        self.q = problem.tensor(start.q[self.active]).clamp(problem.lower, problem.upper)
         self.memory: Tensor | None = None
         self.previous: Any | None = None
 

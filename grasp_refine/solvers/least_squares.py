@@ -187,7 +187,7 @@ def minimise(
     while len(waiting) or (slots is not None and len(slots.member)):
         wall, cpu = time.perf_counter(), time.process_time()
         members = np.zeros(0, dtype=np.int64) if slots is None else slots.member
-        if len(members):
+        if slots is not None and len(members):
             slots = run.judged(slots, problem.evaluate(members, slots.trial, slots.known))
         free = width - (0 if slots is None else len(slots.member))
         # A few free places are not worth the copying.
@@ -196,6 +196,7 @@ def minimise(
             members = np.concatenate([members, entering])
             new = run.entered(entering)
             slots = new if slots is None else join(slots, new)
+        assert slots is not None  # it had members, or some have entered
         if len(slots.member):
             slots = run.stepped(slots)
         share = 1.0 / len(members)

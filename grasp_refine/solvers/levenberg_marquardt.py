@@ -1,6 +1,9 @@
 """Levenberg-Marquardt: damped Gauss-Newton steps within bounds, accepted only where the true loss falls."""
 
+from contextlib import suppress
 from dataclasses import dataclass
+
+import numpy as np
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.se3 import Array, array_namespace, matvec
@@ -130,7 +133,7 @@ def _within_bounds(
     xp = array_namespace(J)
     J_transposed = xp.matrix_transpose(J)
     damped, g = J_transposed @ J + _diagonal(damping[:, None] * metric), matvec(J_transposed, r)
-    dx = xp.linalg.solve(damped, -g[..., None])[..., 0]
+    dx = _solved(damped, -g)
     if not bool(xp.any((dx < lower) | (dx > upper))):
         return dx
     held = xp.zeros_like(dx, dtype=xp.bool)
@@ -157,7 +160,20 @@ def _with_held(damped: Array, g: Array, held: Array, value: Array) -> Array:
     # What is held moves to the right-hand side; its own rows become those of the unit matrix.
     right = free * (-g - matvec(damped, value)) + value
     system = damped * free[:, :, None] * free[:, None, :] + _diagonal(fixed)
-    return xp.where(held, value, xp.linalg.solve(system, right[..., None])[..., 0])
+    return xp.where(held, value, _solved(system, right))
+
+
+def _solved(A: Array, b: Array) -> Array:
+    """Solutions (batch, n) of A x = b; zero, which is no step, for a matrix that rounding has made singular."""
+    xp = array_namespace(A)
+    try:
+        return xp.linalg.solve(A, b[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        found = xp.zeros_like(b)
+        for row in range(len(A)):
+            with suppress(np.linalg.LinAlgError):
+                found[row] = xp.linalg.solve(A[row], b[row])
+        return found
 
 
 def _diagonal(values: Array) -> Array:

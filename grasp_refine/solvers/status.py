@@ -13,6 +13,7 @@ class Status(IntEnum):
     NO_TARGET = 4
     NOT_FINITE = 5
     UNREACHABLE = 6
+    INVALID = 7
 
     @property
     def label(self) -> str:
@@ -35,4 +36,8 @@ _ADVICE = {
     Status.NOT_FINITE: "the grasp holds NaN or infinite numbers, or a query failed: check the input",
     Status.UNREACHABLE: "a target lies off the surface of its link or of the object: check frames and scale, or lower "
     "--threshold",
+    Status.INVALID: "the pose is no rigid motion, or pose, joints or targets are beyond 1e6 m or rad: check the input",
 }
+
+UNUSABLE = (Status.NO_TARGET, Status.NOT_FINITE, Status.INVALID)
+"""How grasps end that were not refined at all."""

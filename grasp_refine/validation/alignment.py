@@ -71,6 +71,7 @@ def align(hand: Hand, joints: Sequence[str], model: mujoco.MjModel, named: Seque
         rank = (round(distance.max() / NOTED) + round(angle.max() / STEEPEST), (sign < 0).sum())
         if best is None or rank < best[0]:
             best = rank, turn, shift, sign, distance.max(axis=0), angle.max(axis=0)
+    assert best is not None  # there is always a rotation to try
     _, turn, shift, sign, distance, angle = best
     if distance.max() > FARTHEST or angle.max() > STEEPEST:
         far, steep = int(distance.argmax()), int(angle.argmax())
@@ -137,7 +138,7 @@ def _rotations(
         # The ends of the line on which the anchors are.
         end = int(np.linalg.norm(there, axis=1).argmax())
         pairs.append((_unit(here[end]), _unit(there[end])))
-    free = []
+    free: list[tuple[np.ndarray, np.ndarray]] = []
     for axis in zip(axes, axes_model, strict=True):
         if len(pairs) + len(free) < 2 and all(np.linalg.norm(np.cross(axis[1], b)) > 0.1 for _, b in pairs + free):
             free.append(axis)

@@ -70,7 +70,7 @@ def measure(
         touching: Links (N, L) that should touch; None: those with a target.
     """
     bodies = hand.links_by_name
-    pairs = Pairs.against([bodies[name].body for name in links], obj.body)
+    pairs = Pairs.against([bodies[name].solid for name in links], obj.body)
     # Not `Chain`, which refinement uses: what judges should not share its mistakes. It takes a second to load.
     with stage("loading"):
         import torch

@@ -199,7 +199,7 @@ def _matched_joints(hand: Hand, spec: mujoco.MjSpec, path: Path) -> dict[str, st
             continue
         named = hand.mjcf_joints.get(joint.name)
         # Another MJCF of the same hand may have other names than the one that hand.toml was written for.
-        found = [named] if named in there else similar(joint.name, there)
+        found = [named] if named is not None and named in there else similar(joint.name, there)
         if len(found) == 1:
             matched[joint.name] = found[0]
     missing = [name for name in hand.joint_names if name not in matched]

@@ -40,7 +40,7 @@ class Motion:
 
 
 def closing(scene: Scene, prepared: HandObject | None = None, progress: Progress | None = None) -> Motion:
-    """The motion that we give to the grasps of a scene: opened before, pressing after; NaN for what is not finite.
+    """The motion that we give to the grasps of a scene: opened before, pressing after; NaN for those that are nowhere.
 
     Args:
         scene: Hand, object and grasps.
@@ -48,10 +48,10 @@ def closing(scene: Scene, prepared: HandObject | None = None, progress: Progress
         progress: As for `opened`.
     """
     prepared = prepared or HandObject.of(scene)
-    finite = np.isfinite(scene.T_world_root).all(axis=(1, 2)) & np.isfinite(scene.q).all(axis=1)
-    T = np.where(finite[:, None, None], scene.T_world_root, np.nan)
+    posed = scene.posed
+    T = np.where(posed[:, None, None], scene.T_world_root, np.nan)
     T_open, q_open = opened(scene, prepared, progress)
-    q = np.where(finite[:, None], scene.q, np.nan)
+    q = np.where(posed[:, None], scene.q, np.nan)
     return Motion(np.stack([T_open, T, T], axis=1), np.stack([q_open, q, squeezed(scene, prepared)], axis=1))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from math import degrees
@@ -100,7 +101,7 @@ class Trials:
         return take(self, rows)
 
     @classmethod
-    def join(cls, parts: list[Trials]) -> Trials:
+    def join(cls, parts: Sequence[Trials]) -> Trials:
         """The grasps of all parts, in that order; parts may name different links."""
         links = tuple(dict.fromkeys(link for part in parts for link in part.links))
 

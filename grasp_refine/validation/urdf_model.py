@@ -197,10 +197,10 @@ def _add_joint(spec: mujoco.MjSpec, body: mujoco.MjsBody, hand: Hand, parts: Par
 
 def _add_geoms(spec: mujoco.MjSpec, body: mujoco.MjsBody, link: Link) -> bool:
     """Whether some rounded piece had to become a polyhedron; adds the pieces of `link` to its body."""
-    for number, piece in enumerate(link.body.pieces):
+    for number, piece in enumerate(link.solid.pieces):
         # Masses are explicit; the other ways to find inertias refuse what is thin or small.
         add_piece(spec, body, piece, f"{body.name}:{number}", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
-    return any(piece.radius > 0 and len(piece.vertices) > 2 for piece in link.body.pieces)
+    return any(piece.radius > 0 and len(piece.vertices) > 2 for piece in link.solid.pieces)
 
 
 def _add_masses(hand: Hand, parts: Parts, bodies: Mapping[str, mujoco.MjsBody]) -> list[str]:

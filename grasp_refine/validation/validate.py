@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -154,7 +155,7 @@ def validate(
     """
     checks = checks or Checks()
     count = len(scene.q)
-    labels = {
+    labels: dict[str, Any] = {
         "object": np.full(count, name),
         "scale": np.full(count, scale),
         "row": rows,
@@ -177,7 +178,7 @@ def validate(
 
 def _further(
     world: World, scene: Scene, motion: Motion, rows: np.ndarray, checks: Checks, tell: Tell
-) -> dict[str, np.ndarray]:
+) -> dict[str, Any]:
     """The further trials that were asked for."""
     found = {}
     if checks.noise.count:
@@ -211,7 +212,8 @@ def _normal(scene: Scene) -> np.ndarray:
     return np.asarray(Plane.normal if scene.table is None else scene.table.normal)
 
 
-def _joined(values: list) -> np.ndarray | Metrics | Trials | None:
+def _joined(values: list) -> Any:
+    """Arrays, measures or trials as one; None where there are none."""
     first = values[0]
     if first is None:
         return None

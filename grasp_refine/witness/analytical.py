@@ -28,6 +28,8 @@ class Analytical:
         sides = scene.sides()
         w = scene.witness
         count = scene.T_world_a.shape[1]
+        # Far from the origin of the world, points are rounded by more than they may be off a plane.
+        rounding = 4.0 * np.finfo(np.float64).eps * np.abs(w.point_a).max(axis=-1).T
         local = np.zeros((*sides.point.shape, 3))
         pieces_a, pieces_b = scene.pairs.piece_pairs
         for side, pieces in ((slice(0, count), pieces_a), (slice(count, None), pieces_b)):
@@ -35,7 +37,7 @@ class Analytical:
             for winner in np.unique(w.winner[w.winner >= 0]):
                 here = (w.winner == winner).T
                 local[side][here] = feature_slip(
-                    pieces[winner], point[here], normal[here], w.distance.T[here], self.tolerance
+                    pieces[winner], point[here], normal[here], w.distance.T[here], self.tolerance, rounding[here]
                 )
         slip = (sides.rotation @ local @ sides.rotation.mT).swapaxes(0, 1)
         return Slip(slip[:, :count], slip[:, count:], w.point_a, w.point_b, sampled=False)
@@ -47,7 +49,14 @@ class Analytical:
         return pull_back_witness(self.slip(scene), scene, force_a, force_b, force_n, self.coupling)
 
 
-def feature_slip(piece: Piece, x: np.ndarray, normal: np.ndarray, distance: np.ndarray, tolerance: float) -> np.ndarray:
+def feature_slip(
+    piece: Piece,
+    x: np.ndarray,
+    normal: np.ndarray,
+    distance: np.ndarray,
+    tolerance: float,
+    rounding: np.ndarray | float = 0.0,
+) -> np.ndarray:
     """Slip matrices (M, 3, 3) of the face, edge or vertex at points x (M, 3) of one piece, body frame.
 
     Args:
@@ -56,6 +65,7 @@ def feature_slip(piece: Piece, x: np.ndarray, normal: np.ndarray, distance: np.n
         normal: Outward contact normals (M, 3).
         distance: Signed distances (M,) to what is beyond, metres; they matter where the piece is round.
         tolerance: A face is active when the point lies in its plane to within this fraction of the piece's size.
+        rounding: And this much more, in metres, (M,) or one number.
     """
     core = x - piece.radius * normal
     if len(piece.vertices) == 1:
@@ -64,12 +74,13 @@ def feature_slip(piece: Piece, x: np.ndarray, normal: np.ndarray, distance: np.n
         start, stop = piece.vertices
         length = np.linalg.norm(stop - start)
         axis = (stop - start) / length
-        inside = np.abs((core - (start + stop) / 2) @ axis) < (0.5 - tolerance) * length
+        inside = np.abs((core - (start + stop) / 2) @ axis) < (0.5 - tolerance) * length - rounding
         along = inside[:, None, None] * np.outer(axis, axis)
     else:
         normals, offsets = piece.planes
         size = np.linalg.norm(np.ptp(piece.vertices, axis=0))
-        active = np.abs(core @ normals.T - offsets) < tolerance * size
+        slack = tolerance * size + np.broadcast_to(rounding, len(x))
+        active = np.abs(core @ normals.T - offsets) < slack[:, None]
         # The null space of the active normals; nearly parallel ones count as one face.
         products = (normals[:, :, None] * normals[:, None, :]).reshape(-1, 9)
         gram = (active.astype(np.float64) @ products).reshape(-1, 3, 3)
@@ -79,4 +90,12 @@ def feature_slip(piece: Piece, x: np.ndarray, normal: np.ndarray, distance: np.n
     if piece.radius == 0.0:
         return along
     across = np.eye(3) - normal[:, :, None] * normal[:, None, :] - along
-    return along + (piece.radius / (piece.radius + distance))[:, None, None] * across
+    # As deep as the radius, where the other surface goes through the centre, is a pole.
+    pole = _POLE * piece.radius
+    left = piece.radius + distance
+    left = np.where(np.abs(left) < pole, np.copysign(pole, left), left)
+    return along + (piece.radius / left)[:, None, None] * across
+
+
+_POLE = 1e-6
+"""Smallest distance of r + d from zero, over r: slips of a million leave the coupled solution accurate, and finite."""

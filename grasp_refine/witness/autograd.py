@@ -76,8 +76,8 @@ class WitnessLayer:
         found = query(self.pairs, T_a, T_b, cutoff=cutoff, previous=previous)
         if self.patch is not None:
             found = self.patch.refine(self.pairs, T_a, T_b, found, *targets)
-        points = _WitnessFunction.apply(T_world_a, T_world_b, self, found, *targets, key)
-        return Witness(*points, found.status, found.winner, found.asked)
+        x_a, x_b, n, d = _WitnessFunction.apply(T_world_a, T_world_b, self, found, *targets, key)
+        return Witness(x_a, x_b, n, d, found.status, found.winner, found.asked)
 
     def columns(self, columns: np.ndarray) -> tuple[Pairs, Surfaces]:
         """The pairs `columns`, and the candidates of their first and then their second bodies; built once."""
@@ -105,10 +105,11 @@ class _WitnessFunction(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         ctx.save_for_backward(T_a, T_b)
         ctx.layer, ctx.found, ctx.targets, ctx.key = layer, found, (target_a, target_b), key
-        return tuple(
+        x_a, x_b, n, d = (
             torch.as_tensor(array, dtype=T_a.dtype, device=T_a.device)
             for array in (found.point_a, found.point_b, found.normal, found.distance)
         )
+        return x_a, x_b, n, d
 
     @staticmethod
     @once_differentiable
@@ -144,8 +145,8 @@ class _WitnessFunction(torch.autograd.Function):
                 extra = _pull_back_points(ctx, found, columns, index, g_a, g_b, g_n, *poses)
                 wrenches[0][:, index] += extra[0]
                 wrenches[1][:, index] += extra[1]
-        gradient = ambient_gradient(poses, wrenches)
-        gradient = torch.as_tensor(gradient, dtype=tensor_a.dtype, device=tensor_a.device)
+        moved = ambient_gradient(poses, wrenches)
+        gradient = torch.as_tensor(moved, dtype=tensor_a.dtype, device=tensor_a.device)
         need_a, need_b = ctx.needs_input_grad[:2]
         return (
             gradient[0] if need_a else None,
@@ -175,8 +176,8 @@ def _pull_back_points(
         found = replace(found, winner=np.where(found.winner >= 0, found.winner + shift, -1))
     zero = np.zeros_like(found.point_a)
     g_a, g_b = (zero if g is None else g[:, index] for g in (g_a, g_b))
-    targets = (None if target is None else target[:, index] for target in ctx.targets)
-    scene = WitnessScene(pairs, surfaces, T_a[:, index], T_b[:, index], found, *targets, ctx.key)
+    target_a, target_b = (None if target is None else target[:, index] for target in ctx.targets)
+    scene = WitnessScene(pairs, surfaces, T_a[:, index], T_b[:, index], found, target_a, target_b, ctx.key)
     return layer.method.pull_back(scene, g_a, g_b, None if g_n is None else g_n[:, index])
 
 

@@ -16,7 +16,9 @@ class Direction:
 
     w_j = softmax(<v_j, s (x_b - x_a)> / eps), s = +1 apart and -1 penetrating. With C = Cov_w(v) / eps the
     support point follows its direction by C, hence A = (I + s C)^-1 s C. Held fixed: the samples and eps. Its
-    blind spot: the scores vanish with the gap, so that close to contact all samples weigh the same.
+    blind spot: the scores vanish with the gap, so that close to contact all samples weigh the same. Direction and
+    gap are taken from the contact normal and the distance, because the difference of two points far from the
+    origin of the world is rounding.
     """
 
     neighborhood: Adaptive | Fixed | Neighbor = field(default_factory=Adaptive)
@@ -24,16 +26,17 @@ class Direction:
     coupling: Coupling = "coupled"
     """Solve both slips together, or hold the other witness point fixed."""
     epsilon: float | None = None
-    """Temperature eps in square metres; none: the standard deviation of the scores."""
+    """Temperature eps over the squared mean diagonal of the two bodies; none: the standard deviation of the scores."""
     seed: int = 0
     """Seed of the random choice of samples."""
 
     def slip(self, scene: WitnessScene) -> Slip:
         """Slip matrices (batch, pair, 3, 3) of both bodies, world frame."""
         sides, near = scene.neighbors(self.neighborhood, self.seed)
-        sign = np.where(scene.witness.distance > 0, 1.0, -1.0)
-        sign = np.concatenate([sign, sign], axis=1).T
-        direction = sign[..., None] * (sides.other - sides.point)
+        distance = scene.witness.distance
+        distance = np.concatenate([distance, distance], axis=1).T
+        sign = np.where(distance > 0, 1.0, -1.0)
+        direction = np.abs(distance)[..., None] * sides.normal
         scores = (near.points @ direction[..., None])[..., 0]
         count = near.mask.sum(axis=2)
         if self.epsilon is None:
@@ -42,7 +45,8 @@ class Direction:
             # Scores are at most |x_b - x_a| times the spread of the samples; rounding bounds them from below.
             eps = np.maximum(spread, np.finfo(np.float64).eps * near.floor)
         else:
-            eps = np.full(scores.shape[:2], self.epsilon)
+            squared = np.tile(scene.length**2, 2)[:, None]
+            eps = np.broadcast_to(self.epsilon * squared, scores.shape[:2])
         scores = np.where(near.mask, scores, -np.inf)
         weights = np.exp((scores - scores.max(axis=2, keepdims=True)) / eps[..., None])
         weights /= weights.sum(axis=2, keepdims=True)

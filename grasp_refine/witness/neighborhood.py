@@ -120,8 +120,15 @@ class Neighbors:
 class Neighborhood(Protocol):
     """A rule that says how wide the neighbourhood of a witness point is, and how many candidates it uses."""
 
-    samples: int | None
-    minimum: int
+    @property
+    def samples(self) -> int | None:
+        """Candidates drawn at random from the neighbourhood; None: all of them."""
+        ...
+
+    @property
+    def minimum(self) -> int:
+        """With fewer candidates inside, the nearest ones are taken."""
+        ...
 
     def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
         """Radius in metres, (S, B) or (S, 1), of witness points x (S, B, 3) with targets (S, B, 3; NaN, None: none)."""

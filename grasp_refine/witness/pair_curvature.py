@@ -11,12 +11,16 @@ from grasp_refine.se3 import matvec
 from grasp_refine.stopwatch import stage
 from grasp_refine.witness.analytical import feature_slip
 from grasp_refine.witness.curvature import Curvatures, raised
+from grasp_refine.witness.size import length_factor
 
 SMALLEST_CURVATURE = 1.0
 """Floor of the curvatures of two bodies together, over the mean of their diagonals."""
 
 CORNER = 1e4
-"""Curvature in 1/m that stands for that across an edge or at a vertex, where the exact one is infinite."""
+"""Curvature in 1/m that stands for that across an edge or at a vertex, where the exact one is infinite.
+
+Pairs of bodies smaller than 1 cm, or larger than 1 m, have one in proportion (`size.length_factor`).
+"""
 
 FEATURE_TOLERANCE = 1e-6
 """A face is active when the witness lies in its plane to within this fraction of the piece's size."""
@@ -34,6 +38,8 @@ class PairCurvatures:
     """Which of them are the first bodies, then the second ones (2 P,)."""
     floor: np.ndarray
     """Floor (P,) of the eigenvalues of K_a + K_b, in 1/m."""
+    corner: np.ndarray
+    """What stands for the curvature of edges and vertices (P,), in 1/m."""
 
     @staticmethod
     @stage("loading")
@@ -48,6 +54,7 @@ class PairCurvatures:
             Curvatures.of(tuple(distinct.values())),
             np.array([place[id(body)] for body in both]),
             smallest / diagonal.mean(axis=0),
+            CORNER / length_factor(pairs.a, pairs.b),
         )
 
     def fit(
@@ -86,11 +93,18 @@ class PairCurvatures:
         K = self.bodies.fit(body, x, normal, E, radius)
         exact = np.flatnonzero(both == 0)
         if len(exact):
-            K[exact] = self._of_features(exact, x, normal, E, witness)
+            corner = np.tile(self.corner[pair], 2)
+            K[exact] = self._of_features(exact, x, normal, E, witness, corner)
         return raised(K[:count], K[count:], self.floor[pair])
 
     def _of_features(
-        self, rows: np.ndarray, x: np.ndarray, normal: np.ndarray, E: np.ndarray, witness: Witness
+        self,
+        rows: np.ndarray,
+        x: np.ndarray,
+        normal: np.ndarray,
+        E: np.ndarray,
+        witness: Witness,
+        corner: np.ndarray,
     ) -> np.ndarray:
         """Curvatures (R, 2, 2) of the faces, edges and vertices at some rows of both bodies' witness points."""
         count = len(witness.winner)
@@ -104,5 +118,6 @@ class PairCurvatures:
                 # Infinitely far away, slip is 1 along the feature and 0 across, also where the piece is round.
                 slip = feature_slip(pieces[number], x[at], normal[at], np.full(len(at), np.inf), FEATURE_TOLERANCE)
                 across = np.eye(2) - E[at].mT @ slip @ E[at]
-                K[here] = (1.0 / radius if radius > 0 else CORNER) * across
+                sharp = np.full(len(at), 1.0 / radius) if radius > 0 else corner[at]
+                K[here] = sharp[:, None, None] * across
         return K

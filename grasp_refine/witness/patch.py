@@ -19,15 +19,13 @@ from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.se3 import cross, matvec, tangents, transform_points
 from grasp_refine.witness.overlap import Overlap
+from grasp_refine.witness.size import length_factor
 
 _REACH = 10.0
 """A patch that surely reaches no farther than this many epsilon is left alone."""
 
 _LOCAL = (1e2, 1e3, np.inf)
 """Faces that many epsilon around the witness are tried first: if the answer lies there, no others matter."""
-
-_FAR = 1e3
-"""Metres that no patch reaches."""
 
 _BLOCK = 256
 """Items that are clipped at a time, so that what is computed on the way stays in the cache."""
@@ -38,7 +36,8 @@ class Patch:
     """The witness points nearest to the targets among all that are within epsilon of being the closest."""
 
     epsilon: float = 1e-5
-    """How much farther apart than the closest points they may be, in metres."""
+    """How much farther apart than the closest points they may be, in metres; of pairs of bodies smaller than 1 cm, or
+    larger than 1 m, in proportion (`size.length_factor`)."""
 
     def __post_init__(self) -> None:
         """Refuse a patch without extent.
@@ -76,9 +75,9 @@ class Patch:
         """
         shape = witness.distance.shape
         if len(shape) > 1:
-            T = (T.reshape(-1, 4, 4) for T in (T_world_a, T_world_b))
-            targets = (None if target is None else target.reshape(-1, 3) for target in (target_a, target_b))
-            return self.refine(pairs, *T, witness.reshape(-1), *targets).reshape(*shape)
+            T_a, T_b = (T.reshape(-1, 4, 4) for T in (T_world_a, T_world_b))
+            a, b = (None if target is None else target.reshape(-1, 3) for target in (target_a, target_b))
+            return self.refine(pairs, T_a, T_b, witness.reshape(-1), a, b).reshape(*shape)
         goals = _Goals.of(witness, (T_world_a, T_world_b), (target_a, target_b))
         pieces_a, pieces_b = pairs.piece_pairs
         used = np.unique(witness.winner[witness.valid])
@@ -94,7 +93,15 @@ class Patch:
         wide = np.flatnonzero(~(_reach(*sides) <= _REACH))
         index, n = index[wide], n[wide]
         goal = np.einsum("kij,ki->kj", tangents(n), goals.middle[index])
-        move_a, move_b = self._moves(*(side.take(wide) for side in sides), n, goal)
+        # A winner counts through the piece pairs of one body pair after the other.
+        pair = np.searchsorted(pairs.first_piece_pair, winner[wide], side="right") - 1
+        factor = length_factor(pairs.a, pairs.b)[pair]
+        move_a, move_b = np.empty((2, len(n), 3))
+        for scale in np.unique(factor):
+            some = np.flatnonzero(factor == scale)
+            first, second = (side.take(wide[some]) for side in sides)
+            moves = replace(self, epsilon=self.epsilon * scale)._moves(first, second, n[some], goal[some])
+            move_a[some], move_b[some] = moves
         before = goals.missed(index, np.zeros_like(n), np.zeros_like(n))
         better = goals.missed(index, move_a, move_b) <= before
         return _moved(witness, index[better], move_a[better], move_b[better])
@@ -140,7 +147,7 @@ class _Goals:
             if target is not None:
                 with np.errstate(invalid="ignore", over="ignore"):
                     place[:] = transform_points(T, target) - x
-        given = np.isfinite(offset).all(axis=2)
+        given = np.all(np.isfinite(offset), axis=2)
         return _Goals(np.where(given[..., None], offset, 0.0), given)
 
     @property
@@ -203,7 +210,7 @@ class _Side:
                 room = offsets - self.point[some] @ normals.T
                 along = self.outward[some] @ normals.T
                 # What matters is no higher or lower than epsilon, which is little beside any radius.
-                reach = min(radius, _FAR) * (np.sqrt(np.maximum(1.0 - along**2, 0.0)) + 0.1)
+                reach = radius * (np.sqrt(np.maximum(1.0 - along**2, 0.0)) + 0.1)
                 item, plane = np.nonzero(room <= reach)
                 items.append(some[item])
                 planes.append(start + plane)

@@ -9,7 +9,9 @@ from grasp_refine.witness.slip import wrench
 
 
 def perturbed(scene: WitnessScene, twists: np.ndarray) -> Witness:
-    """Witness points (M batch, pair, ...) with body b moved by M twists about its witness point.
+    """Witness points (M batch, pair, ...) with body b moved by M twists about its witness point x_b.
+
+    The points are given about x_b, world axes: far from the origin of the world their differences would be rounding.
 
     Args:
         scene: Poses and witness points.
@@ -19,9 +21,10 @@ def perturbed(scene: WitnessScene, twists: np.ndarray) -> Witness:
     count, batch, pairs, _ = twists.shape
     pivot = scene.witness.point_b
     turn = exp_so3(twists[..., 3:])
-    position = pivot + matvec(turn, scene.T_world_b[..., :3, 3] - pivot) + twists[..., :3]
+    position = matvec(turn, scene.T_world_b[..., :3, 3] - pivot) + twists[..., :3]
     T_b = transform(turn @ scene.T_world_b[..., :3, :3], position).reshape(count * batch, pairs, 4, 4)
-    T_a = np.broadcast_to(scene.T_world_a, (count, batch, pairs, 4, 4)).reshape(count * batch, pairs, 4, 4)
+    T_a = transform(scene.T_world_a[..., :3, :3], scene.T_world_a[..., :3, 3] - pivot)
+    T_a = np.broadcast_to(T_a, (count, batch, pairs, 4, 4)).reshape(count * batch, pairs, 4, 4)
     return query(scene.pairs, T_a, T_b)
 
 

@@ -13,7 +13,11 @@ from grasp_refine.witness.neighborhood import Neighbors
 
 @dataclass(frozen=True)
 class Neighbor:
-    """As many edges wide whatever the target: its size in metres is that of the mesh, and it ends with the piece."""
+    """As many edges wide whatever the target: its size in metres is that of the mesh, and it ends with the piece.
+
+    The mesh of a piece with a radius is made for it, and how its flat parts are cut into triangles is decided by
+    rounding: in a world that is larger by a factor that is no power of two, other vertices may be drawn.
+    """
 
     rings: int = 5
     """Edges between the vertex nearest to the witness point, on the piece that carries it, and the farthest one."""

@@ -23,7 +23,10 @@ _LARGEST_EIGENVALUE = 1.0 - 1e-6
 
 
 _OPEN = 1e-11
-"""Singular values of I - A B below this are rounding: two round surfaces leave (gap / radius), which is more."""
+"""Singular values of I - A B below this are rounding: two round surfaces leave (gap / radius), which is more.
+
+Between them and 1 lies how much a derivative can be: 1e11, where exact slips say so, and 5e5 with clipped ones.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,14 +50,14 @@ def push_forward(
 ) -> tuple[Array, Array]:
     """Velocities (dx_a, dx_b) (..., 3) of the witness points under spatial twists (v, w) (..., 6) of the bodies."""
     A, B = _used(slip, coupling)
+    common = _common(slip, coupling) * (twist_a + twist_b)
+    twist_a, twist_b = twist_a - common, twist_b - common
     own_a = _velocity(twist_a, slip.self_a) - matvec(A, _velocity(twist_a, point_b))
     own_b = _velocity(twist_b, slip.self_b) - matvec(B, _velocity(twist_b, point_a))
     if coupling == "one-sided":
-        other_a = _velocity(twist_a, slip.self_a) - matvec(A, _velocity(twist_a, point_b))
-        other_b = _velocity(twist_b, slip.self_b) - matvec(B, _velocity(twist_b, point_a))
-        return own_a + matvec(A, other_b), own_b + matvec(B, other_a)
+        return own_a + matvec(A, own_b), own_b + matvec(B, own_a)
     dx_a = _solve(_identity_minus(A @ B), own_a + matvec(A, own_b), exact=not slip.sampled)
-    return dx_a, own_b + matvec(B, dx_a)
+    return dx_a + _velocity(common, point_a), own_b + matvec(B, dx_a) + _velocity(common, point_b)
 
 
 def pull_back(
@@ -83,10 +86,16 @@ def pull_back(
         right = force_a + matvec(B_transposed, force_b)
         lambda_a = _solve(_identity_minus(B_transposed @ A_transposed), right, exact=not slip.sampled)
         lambda_b = force_b + matvec(A_transposed, lambda_a)
-    points = xp.stack([slip.self_a, slip.self_b, point_b, point_a])
+    # About a witness point: these forces may be large and cancel, and with them their moments about a far origin.
+    points = xp.stack([slip.self_a, slip.self_b, point_b, point_a]) - point_a
     forces = xp.stack([lambda_a, lambda_b, -matvec(A_transposed, lambda_a), -matvec(B_transposed, lambda_b)])
     wrenches = wrench(points, forces)
     both = wrenches[:2] + wrenches[2:]
+    if share := _common(slip, coupling):
+        total = wrench(points[3], force_a) + wrench(points[2], force_b)
+        both = both + share * (total - both[0] - both[1])
+    force = both[..., :3]
+    both = xp.concat([force, both[..., 3:] + cross(point_a + xp.zeros_like(force), force)], axis=-1)
     return both[0], both[1]
 
 
@@ -148,6 +157,15 @@ def _positive_definite(M: Array, floor: float) -> Array:
     minor = a * b - d * d
     determinant = c * minor - a * f * f - b * e * e + 2.0 * d * e * f
     return (a > 0) & (minor > 0) & (determinant > 0)
+
+
+def _common(slip: Slip, coupling: Coupling) -> float:
+    """Share of the sum of both twists that points follow as they are; the slips have a say in the rest.
+
+    It makes a difference only in directions that exact slips leave open (see `_solve`): there the points follow the
+    mean of the bodies, and so whatever these do together.
+    """
+    return 0.5 if coupling == "coupled" and not slip.sampled else 0.0
 
 
 def _used(slip: Slip, coupling: Coupling) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ flows on to the root and the joints.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -53,14 +54,14 @@ class _Transport(torch.autograd.Function):
     """Identity on poses; its backward pass carries the gradient of one body over to the other."""
 
     @staticmethod
-    def forward(ctx, T_moving: Tensor, T_resting: Tensor, steps: EquivalentTransport) -> tuple[Tensor, Tensor]:  # noqa: ANN001
+    def forward(ctx: Any, T_moving: Tensor, T_resting: Tensor, steps: EquivalentTransport) -> tuple[Tensor, Tensor]:
         ctx.save_for_backward(T_moving, T_resting)
         ctx.steps = steps
         return T_moving.view_as(T_moving), T_resting.view_as(T_resting)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, G_moving: Tensor, G_resting: Tensor) -> tuple[Tensor, Tensor, None]:  # noqa: ANN001
+    def backward(ctx: Any, G_moving: Tensor, G_resting: Tensor) -> tuple[Tensor, Tensor, None]:
         T_moving, T_resting = ctx.saved_tensors
         scale = T_moving.new_tensor([ctx.steps.step_translation] * 3 + [ctx.steps.step_rotation] * 3)
 

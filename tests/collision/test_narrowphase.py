@@ -297,6 +297,44 @@ def test_bodies_of_any_size_get_the_same_answer_in_proportion(name: str) -> None
         np.testing.assert_allclose(found.distance / scale, whole.distance, rtol=0, atol=2e-9)
 
 
+@pytest.mark.parametrize("turn", [1.0, np.pi / 2, 1e-3])
+@pytest.mark.parametrize("offset", [0.0, 0.1])
+def test_capsules_whose_axes_cross_are_parted_across_both(turn: float, offset: float) -> None:
+    """The depth was right, but the normal lay in the plane of the axes, or was zero."""
+    a = capsule(0.1, (0, 0, -0.4), (0, 0, 0.4))
+    T = np.eye(4)[None].copy()
+    T[0, :3, :3] = exp_so3(np.array([turn, 0.0, 0.0]))
+    T[0, 2, 3] = offset
+    found = ask(a, a, T)
+    assert found.distance[0] == pytest.approx(-0.2, abs=1e-12)
+    assert abs(found.normal[0, 0]) == pytest.approx(1.0, abs=1e-9)
+    assert support_gap(a, a, T, found.normal)[0] == pytest.approx(-0.2, abs=1e-9)
+
+
+GAPS = {
+    "vertex on face": (box([1.0] * 3), box([0.5] * 3), [np.pi / 4, np.arctan(np.sqrt(0.5)), 0.0]),
+    "edges": (box([1.0] * 3), box([0.5] * 3), [0.0, 0.0, np.pi / 4]),
+    "needles": (box([1.0, 0.01, 0.01]), box([0.01, 1.0, 0.01]), [0.0, 0.0, 0.1]),
+    "faces": (box([1.0] * 3), box([0.5] * 3), [0.0, 0.0, 0.0]),
+}
+
+
+@pytest.mark.parametrize("size", [1e-3, 0.1, 10.0])
+@pytest.mark.parametrize("name", GAPS)
+def test_gaps_far_below_the_tolerance_of_gjk_are_gaps(name: str, size: float) -> None:
+    """To GJK a gap below its tolerance is contact: 1e-10 m came back as 0, with any normal."""
+    a, b, turn = GAPS[name]
+    R = exp_so3(np.array([turn[0], 0, 0])) @ exp_so3(np.array([0, turn[1], 0])) @ exp_so3(np.array([0, 0, turn[2]]))
+    lowest = (b.vertices @ R.T)[:, 2].min()
+    gaps = np.array([1e-6, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 0.0, -1e-12, -1e-10, -1e-8])
+    T = np.tile(np.eye(4), (len(gaps), 1, 1))
+    T[:, :3, :3], T[:, 2, 3] = R, a.vertices[:, 2].max() - lowest + gaps
+    T[:, :3, 3] *= size
+    found = ask(a.scaled(size), b.scaled(size), T)
+    np.testing.assert_allclose(found.distance / size, gaps, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(found.normal, np.tile([0.0, 0.0, 1.0], (len(gaps), 1)), atol=1e-7)
+
+
 @pytest.mark.parametrize("scale", [1e-3, 0.1, 10.0])
 def test_bodies_a_thousand_diagonals_apart_are_measured_exactly(scale: float) -> None:
     """GJK's tolerance grows with the distance: a box was 6e-7 of its size off, and points were off by 3 %."""

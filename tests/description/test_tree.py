@@ -119,6 +119,7 @@ def test_links_that_form_no_tree(tmp_path: Path, links: str, joints: list[str], 
         ),
         ("revolute", '<limit lower="1" upper="-1"/>', "has reversed limits: lower 1 is above upper -1"),
         ("continuous", '<axis xyz="0 0 0"/>', r"has the axis \[0.0, 0.0, 0.0\], which is no direction"),
+        ("continuous", '<axis xyz="1e300 0 0"/>', r"has the axis \[1e\+300, 0.0, 0.0\], which is no direction"),
     ],
 )
 def test_joints_that_no_hand_can_have(tmp_path: Path, kind: str, inside: str, message: str) -> None:

@@ -113,3 +113,9 @@ def test_files_that_are_not_there_or_too_large(file: Path, monkeypatch: pytest.M
     with file.open("wb") as stream:
         stream.truncate(2**20 + 1)
     assert refused(file) == "has 1 MiB; at most 1 are read"
+
+
+def test_an_array_of_python_2_is_read_without_a_word(file: Path):
+    # NumPy warns of whole numbers such as 3L; warnings are errors here.
+    file.write_bytes(npy(np.arange(3.0)).replace(b"(3,), }  ", b"(3L,), } "))
+    assert load_content(file).tolist() == [0, 1, 2]

@@ -241,6 +241,25 @@ def test_bodex_files_with_a_scene_beside_them(grasps: Callable[..., GraspSet], l
     assert "scene_cfg must be a dict with a dict 'scene' of objects" in refused(path)
 
 
+def test_a_scene_is_looked_for_only_where_it_may_lie(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
+    """A grasp file of anyone names a path; around the root of all folders that would be any file of this machine."""
+    write(grasps("shadow", count=1), tmp_path / "seed.npy", "bodex", load)
+    held = {key: load_content(tmp_path / "seed.npy")[key] for key in ("robot_pose", "joint_names")}
+    scene = {"scene": {"mug": {"pose": [0, 0, 0, 1, 0, 0, 0], "scale": 0.5}}, "task": {"obj_name": "mug"}}
+    place = save(tmp_path / "scenes" / "mug.npy", scene)
+
+    def at(name: str) -> Path:
+        return save(tmp_path / "uploads" / "1" / "g.npy", held | {"scene_path": name})
+
+    for within in (None, tmp_path):
+        assert reading(at("scenes/mug.npy"), within=within).grasps.scale[0] == 0.5
+    for within in (tmp_path / "uploads" / "1", tmp_path / "uploads"):
+        with pytest.raises(GraspFileError, match="scene file scenes/mug.npy, which is not there"):
+            reading(at("scenes/mug.npy"), within=within)
+    for name in (str(place), f"../..{place}", "a/" * 3000 + "b.npy", "a" * 300):
+        assert refused(at(name)).startswith(f"its object is in the scene file {name}"[:3000])
+
+
 def test_former_keys_of_dexonomy_are_read(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
     write(grasps("allegro", count=1), tmp_path / "seed.npy", "dexonomy", load)
     held = load_content(tmp_path / "seed.npy")

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from grasp_refine.errors import MeshError
-from grasp_refine.geometry.mesh import check_mesh, is_convex, load_mesh, watertight
+from grasp_refine.geometry.mesh import FlatMeshError, check_mesh, is_convex, load_mesh, watertight
 
 
 def cube(offset=(0, 0, 0), size=(1, 1, 1)) -> trimesh.Trimesh:
@@ -185,3 +185,40 @@ def test_all_shared_objects_load_and_are_closed(shared_assets):
         assert len(closed.faces) == int(row["faces"])
         assert closed.volume == pytest.approx(float(row["volume"]) * scale**3, rel=1e-4)
         assert is_convex(closed) == (float(row["convexity"]) > 0.999)
+
+
+def test_a_broken_file_is_told_once_and_without_warnings(tmp_path, capfd):
+    """The reader's own words about it would stand beside ours on the screen."""
+    (tmp_path / "a.stl").write_bytes(b"x" * 80 + (10**6).to_bytes(4, "little") + bytes(50))
+    with pytest.raises(MeshError, match="a.stl: empty, it has no faces"):
+        load_mesh(tmp_path / "a.stl")
+    write(tmp_path / "b.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1e300\n")
+    with pytest.raises(MeshError, match="b.ply: "):
+        load_mesh(tmp_path / "b.ply")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_vertices_of_no_face_do_not_count(tmp_path):
+    cube().export(tmp_path / "cube.obj")
+    text = (tmp_path / "cube.obj").read_text()
+    far = write(tmp_path / "far.obj", f"{text}\nv 1e300 nan inf\n")
+    assert load_mesh(far).volume == pytest.approx(load_mesh(tmp_path / "cube.obj").volume)
+
+
+@pytest.mark.parametrize("size", [1e-12, 1e-9, 1e9])
+def test_the_hull_of_an_open_mesh_does_not_depend_on_the_size(size):
+    # At 1e-9 that of trimesh was a single point.
+    open_cube = trimesh.Trimesh(cube().vertices * size, cube().faces[2:], process=False)
+    closed, _ = watertight(open_cube, "cube", "hull")
+    assert len(closed.vertices) == 8 and np.ptp(closed.vertices) == pytest.approx(np.ptp(cube().vertices) * size)
+
+
+@pytest.mark.parametrize(("size", "kind"), [(1e-20, FlatMeshError), (1e20, MeshError), (1e300, MeshError)])
+def test_sizes_that_no_solid_has(size, kind):
+    with pytest.raises(kind, match="which no solid has"):
+        check_mesh(trimesh.Trimesh(cube().vertices * size, cube().faces, process=False), "cube")
+
+
+def test_a_name_that_is_too_long_is_no_mesh(tmp_path):
+    with pytest.raises(MeshError, match="no such mesh file"):
+        load_mesh(tmp_path / f"{'a' * 300}.obj")

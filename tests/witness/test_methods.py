@@ -13,13 +13,14 @@ from twists import (
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import box, capsule, hull, sphere
-from grasp_refine.witness.analytical import Analytical
+from grasp_refine.witness.analytical import Analytical, feature_slip
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.finite_difference import FiniteDifference
 from grasp_refine.witness.neighborhood import choose, draw_offset
 from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.scene import WitnessScene
+from grasp_refine.witness.slip import Slip, push_forward
 from grasp_refine.witness.zeroth_order import ZerothOrder
 
 POINTS = ("point_a", "point_b")
@@ -87,6 +88,22 @@ def test_analytical_slip_is_that_of_the_feature(center: tuple[float, float, floa
     np.testing.assert_allclose(slip.A[0, 0], expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("off", [0.0, 1e-17, -1e-12, 1e-9])
+def test_a_ball_with_its_centre_on_a_face_keeps_its_place(off: float) -> None:
+    """There r + d is 0, by which the slip of the ball was divided."""
+    up = np.array([0.0, 0.0, 1.0])
+    A = feature_slip(sphere(0.02), 0.02 * up[None], up[None], np.array([-0.02 + off]), 1e-6)[0]
+    assert np.isfinite(A).all() and np.abs(A).max() < 1.1e6
+    x_a = 0.02 * up
+    x_b = x_a - (0.02 - off) * up
+    slip = Slip(A, np.diag([1.0, 1.0, 0.0]), x_a, x_b, sampled=False)
+    slide, rest = np.array([0.3, -0.4, 0.0, 0.0, 0.0, 0.0]), np.zeros(6)
+    # The ball takes both points along, the face none.
+    for twists, expected in (((slide, rest), slide[:3]), ((rest, slide), rest[:3])):
+        for dx in push_forward(slip, x_a, x_b, *twists):
+            np.testing.assert_allclose(dx, expected, atol=1e-5)
+
+
 @pytest.mark.parametrize("gap", [0.01, -0.004])
 def test_direction_smoothing_differentiates_its_soft_support_point(gap: float) -> None:
     """dx = sC (dx_b - dx_a): with the temperature given, against differences of the softmax over all samples."""
@@ -94,8 +111,8 @@ def test_direction_smoothing_differentiates_its_soft_support_point(gap: float) -
     pairs = Pairs((body(hull(np.random.default_rng(0).normal(size=(60, 3)) * 0.02)),), (body(sphere(0.01)),))
     T_a, T_b = poses_at_gap(pairs, 1, gap, seed=7)
     eps = 1e-5
-    method = Direction(epsilon=eps, coupling="one-sided")
     scene = scene_of(pairs, T_a, T_b)
+    method = Direction(epsilon=eps / scene.length[0] ** 2, coupling="one-sided")
     A = method.slip(scene).A[0, 0]
     w = scene.witness
     sides = scene.sides()

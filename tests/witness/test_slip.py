@@ -120,6 +120,41 @@ def test_the_coupled_solve_satisfies_both_slip_equations() -> None:
     np.testing.assert_allclose(dx_b - V(twist_b, x_b), B @ (dx_a - V(twist_b, x_a)), atol=1e-12)
 
 
+@pytest.mark.parametrize("gap", [0.0, 1e-15, 1e-13, 1e-9])
+def test_points_follow_a_common_motion_where_sliding_is_open(gap: float) -> None:
+    """Closer than 1e-11 radii, they once stayed behind when both bodies moved."""
+    across = np.diag([1.0, 1.0, 0.0])
+    A, B = (r / (r + gap) * across for r in (0.03, 0.02))
+    x_a = np.array([0.01, 0.02, 0.03])
+    x_b = x_a + [0.0, 0.0, gap]
+    slip = Slip(A, B, x_a, x_b, sampled=False)
+    twist = np.random.default_rng(17).normal(size=6)
+    for x, dx in zip((x_a, x_b), push_forward(slip, x_a, x_b, twist, twist), strict=True):
+        np.testing.assert_allclose(dx, twist[:3] + np.cross(twist[3:], x), atol=1e-12)
+    # One body alone takes them along by a share.
+    slide = np.array([0.5, -0.7, 0.0, 0.0, 0.0, 0.0])
+    dx_a, dx_b = push_forward(slip, x_a, x_b, 0.0 * slide, slide)
+    shares = np.concatenate([dx_a[:2], dx_b[:2]]) / np.tile(slide[:2], 2)
+    assert ((shares > 0.3) & (shares < 0.7)).all()
+
+
+@pytest.mark.parametrize("sampled", [True, False])
+def test_moments_do_not_lose_their_digits_far_from_the_origin(sampled: bool) -> None:
+    """Between parallel faces forces are half a million times as large as what comes of them."""
+    A, B = (share * np.diag([1.0, 1.0, 0.0]) for share in ((1.0, 1.0) if sampled else (1.0 - 1e-8, 1.0)))
+    rng = np.random.default_rng(18)
+    x_a, f_a, f_b = rng.normal(size=(3, 3)) * 0.01
+    # Coordinates that are not rounded there.
+    d = np.array([0.0, 0.0, 2.0**-20])
+    found = []
+    for shift in (np.zeros(3), np.array([6e5, -4.8e5, 6.4e5])):
+        x = np.round(x_a * 2**20) / 2**20 + shift
+        w_a, w_b = pull_back(Slip(A, B, x, x + d, sampled=sampled), x, x + d, f_a, f_b)
+        # About the point itself.
+        found.append([np.append(w[:3], w[3:] - np.cross(x, w[:3])) for w in (w_a, w_b)])
+    np.testing.assert_allclose(found[1], found[0], atol=1e-7 * np.abs(found[0]).max())
+
+
 @pytest.mark.parametrize("coupling", ["coupled", "one-sided"])
 @pytest.mark.parametrize("sampled", [True, False])
 def test_pull_back_is_the_transpose_for_any_matrices(coupling: str, sampled: bool) -> None:

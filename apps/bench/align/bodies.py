@@ -120,7 +120,8 @@ def _load(source: str | Path, kind: Kind, candidates: int, seed: int, say: Calla
     """The body of a mesh at its own size, None where it is no object of this kind."""
     try:
         if kind == "convex":
-            name, mesh = (source, EMBEDDED[source]()) if source in EMBEDDED else (Path(source).stem, load_mesh(source))
+            embedded = EMBEDDED.get(str(source))
+            name, mesh = (str(source), embedded()) if embedded else (Path(source).stem, load_mesh(source))
             return build_body(name, [hull(mesh.vertices, name=name)], candidates=candidates, seed=seed)
         found = load_object(source, candidates=candidates, seed=seed, progress=say)
     except GraspRefineError as error:

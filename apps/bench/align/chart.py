@@ -155,8 +155,8 @@ def _error_axis(axes: Axes, lines: list[Line]) -> None:
     for level, words in ((1e-6, "1 mm"), (1e-8, "0.1 mm")):
         if low < level < high:
             axes.axhline(level, color=PLAIN["muted"][0], linewidth=0.8, dashes=(4, 3), zorder=2)
-            place = {"transform": axes.get_yaxis_transform(), "va": "bottom", "ha": "left", "fontsize": 7.5}
-            axes.text(0.01, level, words, color=PLAIN["muted"][0], **place)
+            text = axes.text(0.01, level, words, color=PLAIN["muted"][0], va="bottom", ha="left", fontsize=7.5)
+            text.set_transform(axes.get_yaxis_transform())
 
 
 def _hit_axis(axes: Axes, lines: list[Line]) -> None:

@@ -119,6 +119,7 @@ def align(
             if solver.iterations is not None:
                 done = iteration / solver.iterations
             else:
+                assert solver.seconds is not None
                 done = (time.process_time() - start_cpu) / (solver.seconds * len(bodies))
             if iteration % 50 == 0:
                 progress(min(done, 1.0))
@@ -128,15 +129,16 @@ def align(
         last_error, _ = problem.errors(T_a, T_b, iteration)
         best.keep(last_error, T_a, T_b)
         _, found = problem.errors(best.T_world_a, best.T_world_b, iteration)
-    error, last_error, last_a, last_b, T_a, T_b = (
+    best_error, final_error, last_a, last_b, best_a, best_b = (
         x.double().cpu().numpy() for x in (best.error, last_error, T_a, T_b, best.T_world_a, best.T_world_b)
     )
     witness = found.detached()
     if solver.patch is not None:
         # What is reported is judged by plain witness points.
-        last_error, _ = errors_at(bodies, tasks, last_a, last_b, solver.margin)
-        error, witness = errors_at(bodies, tasks, T_a, T_b, solver.margin)
-    return Aligned(error, last_error, T_a, T_b, witness, np.full(error.shape, iteration), watch, cpu_s, wall_s)
+        final_error, _ = errors_at(bodies, tasks, last_a, last_b, solver.margin)
+        best_error, witness = errors_at(bodies, tasks, best_a, best_b, solver.margin)
+    iterations = np.full(best_error.shape, iteration)
+    return Aligned(best_error, final_error, best_a, best_b, witness, iterations, watch, cpu_s, wall_s)
 
 
 @dataclass(frozen=True, eq=False)

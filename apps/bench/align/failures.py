@@ -334,6 +334,7 @@ def _model(body: Body, T: np.ndarray, seen: Callable[[np.ndarray], np.ndarray], 
     import trimesh
 
     mesh = trimesh.util.concatenate([piece.mesh() for piece in body.pieces])
+    assert isinstance(mesh, trimesh.Trimesh)
     mesh.vertices = seen(transform_points(T, np.asarray(mesh.vertices)))
     return Model.of(mesh, color, crease=CREASE)
 
@@ -360,7 +361,7 @@ def _annotate(draw: ImageDraw, marks: np.ndarray, pixels_per_metre: float) -> No
     rings = (marks[3], 11, MARK_B), (marks[2], 7, MARK_A)
     for point, (goal, radius, color) in zip((marks[1], marks[0]), rings, strict=True):
         way = goal - point
-        stop = point + way * max(1.0 - radius * s / max(np.linalg.norm(way), 1e-9), 0.0)
+        stop = point + way * max(1.0 - radius * s / max(float(np.linalg.norm(way)), 1e-9), 0.0)
         draw.line([*point, *stop], fill=halo, width=5 * s)
         draw.line([*point, *stop], fill=color, width=2 * s)
     for goal, radius, color in rings:

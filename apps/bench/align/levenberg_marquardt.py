@@ -72,6 +72,7 @@ def minimised(
             progress(min(iteration / most, 1.0))
 
     def visited(member: np.ndarray, point: Point, loss: np.ndarray) -> None:
+        assert visit is not None
         for T_b in point.T[member == 0]:
             visit(problem.tasks.T_world_a[0], T_b)
 

@@ -110,8 +110,8 @@ def _of(*path: str) -> Callable[[Row], float | None]:
 
 def _query_us(row: Row) -> float | None:
     """Time of a forward and a backward pass."""
-    parts = [_of(name)(row) for name in ("forward_us", "backward_us")]
-    return None if None in parts else sum(parts)
+    forward, backward = (_of(name)(row) for name in ("forward_us", "backward_us"))
+    return None if forward is None or backward is None else forward + backward
 
 
 MILLIMETRE, TENTH = "Acc@1e-6", "Acc@1e-8"
@@ -226,14 +226,14 @@ def _table(title: str, rows: Sequence[Row], label: Callable[[Row], str], columns
     best = []
     for column in columns:
         values = [value for row in rows if (value := column.value(row)) is not None]
-        several = column.best is not None and len({column.words(value) for value in values}) > 1
-        best.append(column.words(column.best(values)) if several else None)
+        several = len({column.words(value) for value in values}) > 1
+        best.append(column.words(column.best(values)) if several and column.best is not None else None)
     lines = []
     for row in rows:
-        values = [column.value(row) for column in columns]
+        numbers = [column.value(row) for column in columns]
         cells = [
             Cell("–") if value is None else Cell(column.words(value), column.words(value) == top)
-            for value, column, top in zip(values, columns, best, strict=True)
+            for value, column, top in zip(numbers, columns, best, strict=True)
         ]
         lines.append(Line(label(row), _budget(row), tuple(cells), _shares(row)))
     return Table(title, tuple(columns), tuple(lines))

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 from itertools import product
 from types import MappingProxyType
 
+from grasp_refine.witness.slip import Coupling
+
 from .tasks import CLASSES
-from .variants import Variant
+from .variants import MethodName, NeighborhoodName, Variant
 
 MARGINS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2)
 STEP_SIZES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -17,6 +19,10 @@ OURS = Variant()
 """The paper's method: distance smoothing, adaptive sampling, equivalent gradient transport."""
 BASELINE = Variant("direction", "neighbor", transport=False)
 """The method that the paper improves on (Montaut et al. 2022)."""
+SMOOTHING: tuple[MethodName, ...] = ("direction", "distance")
+"""The methods that look at samples of the surface."""
+NEAR: tuple[NeighborhoodName, ...] = ("neighbor", "fixed", "adaptive")
+"""Which samples they look at."""
 EPSILON = 1e-5
 """Of the patch witness, in metres."""
 
@@ -38,27 +44,25 @@ class Preset:
 
 
 def _table1() -> tuple[Variant, ...]:
-    others = [Variant(name, transport=False) for name in ("analytical", "finite-difference", "zeroth-order")]
+    names: tuple[MethodName, ...] = ("analytical", "finite-difference", "zeroth-order")
+    others = [Variant(name, transport=False) for name in names]
     return (*others, BASELINE, OURS, Variant("contact-kinematics"), Variant("rigid", transport=False))
 
 
 def _table2() -> tuple[Variant, ...]:
-    smoothing = ("direction", "distance")
-    sampling = [Variant(name, near) for name, near in product(smoothing, ("neighbor", "fixed", "adaptive"))]
-    without = [Variant(name, transport=False) for name in smoothing]
-    both = [Variant(name, transport=False, optimise="T1T2") for name in smoothing]
+    sampling = [Variant(name, near) for name, near in product(SMOOTHING, NEAR)]
+    without = [Variant(name, transport=False) for name in SMOOTHING]
+    both = [Variant(name, transport=False, optimise="T1T2") for name in SMOOTHING]
     return tuple(replace(variant, margin=margin) for variant in (*both, *without, *sampling) for margin in (0.0, 1e-3))
 
 
 def _table3() -> tuple[Variant, ...]:
-    names = ("rigid", "analytical", "finite-difference", "zeroth-order", "direction", "distance", "contact-kinematics")
-    return tuple(Variant(name) for name in names)
+    others: tuple[MethodName, ...] = ("rigid", "analytical", "finite-difference", "zeroth-order")
+    return tuple(Variant(name) for name in (*others, *SMOOTHING, "contact-kinematics"))
 
 
 def _table4() -> tuple[Variant, ...]:
-    backward = [
-        Variant(name, near) for name, near in product(("direction", "distance"), ("neighbor", "fixed", "adaptive"))
-    ]
+    backward = [Variant(name, near) for name, near in product(SMOOTHING, NEAR)]
     return (*backward, replace(OURS, transport=False))
 
 
@@ -68,15 +72,17 @@ def _margin() -> tuple[Variant, ...]:
 
 
 def _step_size() -> tuple[Variant, ...]:
-    plain = (BASELINE, *(Variant(name, transport=False) for name in ("finite-difference", "zeroth-order")))
+    names: tuple[MethodName, ...] = ("finite-difference", "zeroth-order")
+    plain = (BASELINE, *(Variant(name, transport=False) for name in names))
     best = (Variant("direction"), Variant("finite-difference"), Variant("zeroth-order"))
     return tuple(replace(method, step_size=size) for method, size in product((OURS, *plain, *best), STEP_SIZES))
 
 
 def _coupling() -> tuple[Variant, ...]:
+    couplings: tuple[Coupling, ...] = ("one-sided", "coupled")
     return tuple(
         Variant(name, coupling=coupling, transport=transport)
-        for name, coupling, transport in product(("distance", "direction"), ("one-sided", "coupled"), (True, False))
+        for name, coupling, transport in product(reversed(SMOOTHING), couplings, (True, False))
     )
 
 

@@ -48,8 +48,9 @@ def summary(errors: np.ndarray, weights: np.ndarray | None = None) -> dict[str, 
 def _of_group(kind: str, variant: Variant, group: Sequence[Done], targets: int, dtype: str) -> Iterator[dict[str, Any]]:
     names = [pair.name for one in group for pair in one.job.pairs]
     tasks = [tasks for one in group for tasks in one.job.tasks]
-    found = [(*one.errors(p), one.patch_errors(p)) for one in group for p in range(len(one.job.pairs))]
-    best, last, patch = ([errors[k] for errors in found] for k in range(3))
+    found = [(one, p) for one in group for p in range(len(one.job.pairs))]
+    best, last = ([one.errors(p)[k] for one, p in found] for k in range(2))
+    patch = [errors for one, p in found if (errors := one.patch_errors(p)) is not None]
     # Face-face targets are shown apart: where two planes touch, the witness is not unique.
     plain = [t.target_class != CLASSES.index("face-face") for t in tasks]
     alone = not any(mask.any() for mask in plain)

@@ -42,7 +42,7 @@ class Job:
             len(pair.a.pieces) * len(pair.b.pieces) * len(t) for pair, t in zip(self.pairs, self.tasks, strict=True)
         )
         items = sum(map(len, self.tasks))
-        length = self.variant.budget if self.variant.budget is not None else 1000.0 * self.variant.budget_s
+        length = self.variant.budget if self.variant.budget is not None else 1000.0 * (self.variant.budget_s or 0.0)
         early = SOLVED_EARLY if self.variant.solver == "levenberg-marquardt" else 1.0
         return early * length * (30.0 * items + pieces) * (13.0 if self.variant.every > 1 else 1.0)
 

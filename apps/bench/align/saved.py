@@ -44,7 +44,9 @@ class Solid:
         try:
             return trimesh.boolean.union(meshes)
         except ValueError:  # one of them is no closed surface
-            return trimesh.util.concatenate(meshes)
+            whole = trimesh.util.concatenate(meshes)
+            assert isinstance(whole, trimesh.Trimesh)
+            return whole
 
 
 @dataclass(frozen=True, eq=False)

@@ -115,7 +115,7 @@ def typical_failures(done: Sequence[Done]) -> list[Failure]:
     median error is shown.
     """
     found: dict[tuple[str, str], list[Done]] = {}
-    for one in sorted(done, key=lambda one: -(one.job.variant.budget or one.job.variant.budget_s)):
+    for one in sorted(done, key=lambda one: -(one.job.variant.budget or one.job.variant.budget_s or 0.0)):
         same = found.setdefault((one.job.variant.name, one.job.pairs[0].kind), [])
         if not same or same[0].job.variant == one.job.variant:
             same.append(one)

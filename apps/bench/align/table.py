@@ -41,7 +41,8 @@ PATCH: Sequence[Column] = (
 
 
 def _sum(*parts: float | None) -> float | None:
-    return None if None in parts else sum(parts)
+    known = [part for part in parts if part is not None]
+    return sum(known) if len(known) == len(parts) else None
 
 
 def bench_table(rows: Sequence[Row], title: str) -> Table:

@@ -118,7 +118,7 @@ def aligned_poses(
 def exposed_vertices(body: Body) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) that belong to one piece only, and their area-weighted unit normals (V, 3)."""
     points, normals, owners = [], [], []
-    for owner, piece in enumerate(body.pieces):
+    for number, piece in enumerate(body.pieces):
         total = np.zeros_like(piece.vertices)
         for corner in range(3):
             np.add.at(total, piece.faces[:, corner], piece.areas[:, None] * piece.normals)
@@ -126,7 +126,7 @@ def exposed_vertices(body: Body) -> tuple[np.ndarray, np.ndarray]:
         known = length > 1e-9 * length.max()
         points.append(piece.vertices[known])
         normals.append(total[known] / length[known, None])
-        owners.append(np.full(known.sum(), owner))
+        owners.append(np.full(known.sum(), number))
     point, normal, owner = (np.concatenate(columns) for columns in (points, normals, owners))
     free = ~beside(point, owner, body.pieces, CLEARANCE * body.diagonal)
     return point[free], normal[free]

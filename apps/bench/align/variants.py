@@ -128,6 +128,7 @@ class Variant:
         """The solver that runs it."""
         patch = self.patch if self.witness == "patch" else None
         if self.solver == "levenberg-marquardt":
+            assert self.budget is not None, "only descent runs for a time"
             return AlignLevenbergMarquardt(self.margin, self.budget, patch, seed)
         return AlignDescent(
             method=self.derivative(seed),

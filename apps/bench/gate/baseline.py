@@ -134,6 +134,7 @@ def judged(known: Mapping[str, Known], measure: Measure) -> list[Verdict]:
             second = measure(group)
             for one in worse:
                 name = one.ratio.name
+                assert one.now is not None  # or it would not be judged
                 now = _better(one.ratio, one.now, second[name])
                 verdicts[name] = Verdict(one.ratio, now, one.known, True)
     return [verdicts[ratio.name] for ratio in RATIOS]

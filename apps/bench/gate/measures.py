@@ -83,6 +83,7 @@ def queries(progress: Callable[[float], None]) -> dict[str, float]:
         "backward": _median(convex.backward_s["contact-kinematics"], convex.layer_s),
     }
     if usual == "native":
+        assert concave.bare_s is not None
         found["engines"] = _median(concave.engines["python", False].forward_s, cold.forward_s)
         found["bare-loop"] = _median(cold.forward_s, concave.bare_s)
     return found
@@ -92,6 +93,7 @@ def grasps(progress: Callable[[float], None]) -> dict[str, float]:
     """Costs and results of refining disturbed grasps, given targets."""
     tasks = _tasks()
     cut = tasks.of(Variant(pieces=64))
+    assert cut is not None  # one of a convex object can be cut
     some, whole = slice(BATCH), HandObject.of(tasks.scene)
     variant, descent = Variant(batch=BATCH), Variant("descent", budget=DESCENT_STEPS, batch=BATCH)
     progress(0.2)

@@ -66,6 +66,7 @@ def size_chart(rows: Sequence[Row], name: str) -> str:
     charts = [(name, _by(rows, SIZES[name], lambda row: _of_set(rows, row)))]
     if name == "contacts" and len({row["joints"] for row in rows}) > 1:
         charts.append(("joints", _by(rows, "joints", lambda row: f"contacts: {row['contacts']}")))
+    measures: list[tuple[str, Callable[[Row], tuple[float, bool] | None], Callable[[Axes, list[Line]], None]]]
     measures = [("CPU time per grasp", _cost, time_height), ("CPU time per grasp and step", _step, time_height)]
     if name == "processes":
         measures[1] = ("grasps per second", _rate, number_height)

@@ -19,7 +19,8 @@ SIZES: Mapping[str, str] = MappingProxyType(
 
 def label(row: Row) -> str:
     """The solver, and its derivative if that is not the usual one."""
-    name = SHORT.get(row["solver"], row["solver"])
+    solver: str = row["solver"]
+    name = SHORT.get(solver, solver)
     return name if row["derivative"] == Variant.derivative else f"{name}, {row['derivative']}"
 
 

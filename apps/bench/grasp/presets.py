@@ -8,9 +8,9 @@ from itertools import product
 from types import MappingProxyType
 
 from .tasks import Kind
-from .variants import Variant
+from .variants import SolverName, Variant
 
-FIRST_ORDER = ("descent", "adam")
+FIRST_ORDER: tuple[SolverName, ...] = ("descent", "adam")
 
 
 @dataclass(frozen=True)

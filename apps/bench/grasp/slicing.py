@@ -38,4 +38,5 @@ def _halves(piece: Piece) -> tuple[Piece, Piece]:
     low, high = height[ends].T
     share = (low / (low - high))[:, None]
     cut = (1.0 - share) * vertices[ends[:, 0]] + share * vertices[ends[:, 1]]
-    return tuple(hull(np.concatenate([vertices[side], cut])) for side in (height <= 0, height >= 0))
+    below, above = (hull(np.concatenate([vertices[side], cut])) for side in (height <= 0, height >= 0))
+    return below, above

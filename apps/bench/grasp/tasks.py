@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import radians
-from typing import Literal
+from typing import Any, Literal
 from zlib import crc32
 
 import numpy as np
@@ -53,21 +53,21 @@ class Tasks:
         """Some of the tasks."""
         scene = self.scene
         arrays = {name: getattr(scene, name) for name in ("T_world_root", "q", "target_link", "target_object")}
-        chosen = {name: None if array is None else array[rows] for name, array in arrays.items()}
+        chosen: dict[str, Any] = {name: None if array is None else array[rows] for name, array in arrays.items()}
         return replace(self, scene=replace(scene, **chosen), index=self.index[rows])
 
     def of(self, variant: Variant) -> Tasks | None:
         """The tasks as a variant has them, None where it cannot: a hand has fewer contacts, or an object is concave."""
         scene = self.scene
         if variant.contacts is not None:
-            if scene.target_object is None:
+            if scene.target_object is None or scene.target_link is None:
                 return None
             aimed = ~np.isnan(scene.target_object[..., 0])
             if aimed.sum(axis=1).min() < variant.contacts:
                 return None
             more = np.cumsum(aimed, axis=1)[..., None] > variant.contacts
-            targets = (np.where(more, np.nan, target) for target in (scene.target_link, scene.target_object))
-            scene = replace(scene, **dict(zip(("target_link", "target_object"), targets, strict=True)))
+            on_link, on_object = (np.where(more, np.nan, aim) for aim in (scene.target_link, scene.target_object))
+            scene = replace(scene, target_link=on_link, target_object=on_object)
         if variant.pieces is not None:
             if not can_be_sliced(scene.object.body):
                 return None

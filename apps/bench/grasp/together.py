@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
 from multiprocessing.synchronize import Barrier
 from threading import BrokenBarrierError
 from typing import Any, TypeVar
@@ -29,17 +30,20 @@ def together(works: Sequence[Callable[[Callable[[], None]], Result]]) -> list[Re
     # A forked child of a process that has used torch may hang.
     context = multiprocessing.get_context("spawn")
     barrier = context.Barrier(len(works))
-    children, found = {}, {}
+    children: dict[Connection, SpawnProcess] = {}
+    found: dict[Any, Any] = {}
     try:
         for work in works:
-            mine, its = context.Pipe(duplex=False)
+            told, its = context.Pipe(duplex=False)
             child = context.Process(target=_do, args=(work, barrier, its))
             child.start()
             its.close()
-            children[mine] = child
+            children[told] = child
         while len(found) < len(children):
             # Whichever comes first: one that ended may be what the others wait for.
-            for mine in wait([mine for mine in children if mine not in found]):
+            waiting = [mine for mine in children if mine not in found]
+            ready = wait(waiting)
+            for mine in (mine for mine in waiting if mine in ready):
                 found[mine] = _received(children[mine], mine)
                 # That the others were not waited for any longer is no news.
                 if isinstance(found[mine], Exception) and not isinstance(found[mine], BrokenBarrierError):
@@ -66,8 +70,12 @@ def _received(child: Any, mine: Connection) -> Any:
 def _do(work: Callable[[Callable[[], None]], Any], barrier: Barrier, told: Connection) -> None:
     """The child's part, with one thread: the other cores are for the others."""
     os.environ["OMP_NUM_THREADS"] = "1"
+
+    def ready() -> None:
+        barrier.wait(PATIENCE)
+
     try:
-        result = work(lambda: barrier.wait(PATIENCE))
+        result = work(ready)
     except Exception as error:
         barrier.abort()
         result = error

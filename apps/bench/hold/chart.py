@@ -71,8 +71,8 @@ def _axis(rows: Sequence[Row], levels: Sequence[tuple[Style, str, float]], axes:
     muted = PLAIN["muted"][0]
     refined = [row for row in rows if row["cpu_ms_mean"] is not None]
     to_panel = axes.transData + axes.transAxes.inverted()
-    at = np.array([to_panel.transform((1e-3 * row["cpu_ms_mean"], 1.0))[0] for row in refined])
-    for row, place in zip(refined, spread(at - 0.012, 0.035), strict=True):
+    places = np.array([to_panel.transform((1e-3 * row["cpu_ms_mean"], 1.0))[0] for row in refined])
+    for row, place in zip(refined, spread(places - 0.012, 0.035), strict=True):
         axes.axvline(1e-3 * row["cpu_ms_mean"], color=muted, linewidth=0.5, dashes=(1, 2), zorder=1)
         axes.text(
             place, 0.02, row["label"], transform=axes.transAxes, rotation=90, ha="center", fontsize=7.5, color=muted

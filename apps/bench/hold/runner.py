@@ -92,7 +92,9 @@ class GroupJob:
 
     def _parts(self, progress: Callable[[float], None]) -> tuple[Part, ...]:
         scene = self.group.scene
-        worlds = {name: build_world(self.model, scene.object, SETTINGS[name], scene.table) for name in self.settings}
+        worlds: dict[str, World] = {
+            name: build_world(self.model, scene.object, SETTINGS[name], scene.table) for name in self.settings
+        }
         # What is built once for a hand and an object is not timed.
         prepared = HandObject.of(scene)
         self._warm_up(prepared)

@@ -73,11 +73,12 @@ def _lines(rows: Sequence[Row], axis: Axis, styles: dict[str, Style]) -> list[Li
         for key in methods(rows):
             if row[key] is not None:
                 points.setdefault(key, []).append((row[axis], 1e-6 * row[key]))
-    return [
-        Line(f"backward, {method(name)}" if name in methods(rows) else name, styles[name], *zip(*its, strict=True),
-             (False,) * len(its))
-        for name, its in points.items()
-    ]  # fmt: skip
+    lines = []
+    for name, its in points.items():
+        x, y = zip(*its, strict=True)
+        words = f"backward, {method(name)}" if name in methods(rows) else name
+        lines.append(Line(words, styles[name], x, y, (False,) * len(its)))
+    return lines
 
 
 def _time(axes: Axes, lines: list[Line]) -> None:

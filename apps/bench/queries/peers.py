@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
+from typing import Literal
 
 import coal
 import mujoco
 import numpy as np
 
-from grasp_refine.collision.narrowphase import Tolerances
+from grasp_refine.collision.asking import Tolerances
 from grasp_refine.collision.query import Pairs
 from grasp_refine.geometry.body import Body
 from grasp_refine.se3 import inverse
@@ -22,11 +23,14 @@ Loop = Callable[[], np.ndarray]
 """Signed distances (N,) of all poses, in metres."""
 
 
+PeerName = Literal["coal-fresh", "coal-reused", "mujoco"]
+
+
 @dataclass(frozen=True)
 class Peer:
     """A library as its user would call it."""
 
-    name: str
+    name: PeerName
     """What rows call it."""
     what: str
     """What it does, for people."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import product
 from types import MappingProxyType
 
-from .cases import DISTANCE, Case, Kind
+from .cases import DISTANCE, Case, Kind, State
 from .skips.starting import COMMANDS
 
 BATCHES, VERTICES, PIECES = (1, 16, 256, 1024), (8, 32, 128, 512), (4, 16, 64)
@@ -43,12 +43,14 @@ def cases_of(
     kinds: tuple[Kind, ...],
     pieces: tuple[int, ...],
     vertices: tuple[int, ...],
-    states: tuple[str, ...],
+    states: tuple[State, ...],
     batches: tuple[int, ...],
 ) -> tuple[Case, ...]:
     """Every combination; what is convex has one piece."""
-    every = product(kinds, pieces, vertices, states, batches)
-    found = (Case(kind, 1 if kind == "convex" else count, *rest) for kind, count, *rest in every)
+    found = (
+        Case(kind, 1 if kind == "convex" else count, corners, state, batch)
+        for kind, count, corners, state, batch in product(kinds, pieces, vertices, states, batches)
+    )
     return tuple(dict.fromkeys(found))
 
 

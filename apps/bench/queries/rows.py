@@ -76,7 +76,7 @@ def _bare(measured: Measured) -> list[Row]:
 
 def _peers(measured: Measured) -> list[Row]:
     case, first = measured.case, next(iter(measured.engines.values()))
-    tolerances = {peer.name: peer.tolerance_m for peer in PEERS}
+    tolerances: dict[str, float] = {peer.name: peer.tolerance_m for peer in PEERS}
     found = []
     for name, peered in measured.peers.items():
         all_pairs = peered.poses * case.piece_pairs

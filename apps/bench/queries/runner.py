@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
+from grasp_refine.collision.engine import Engine
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.autograd import WitnessLayer
@@ -92,7 +93,7 @@ class CaseJob:
     """The measurement of one case."""
 
     case: Case
-    engines: tuple[str, ...]
+    engines: tuple[Engine, ...]
     methods: tuple[MethodName, ...]
     peers: tuple[str, ...]
     rounds: int
@@ -121,17 +122,17 @@ class CaseJob:
 
     def _measured(self, progress: Callable[[float], None]) -> Measured:
         case = self.case
-        pairs = {name: make_pairs(case, self.seed, name) for name in self.engines}
+        pairs = {engine: make_pairs(case, self.seed, engine) for engine in self.engines}
         first = pairs[self.engines[0]]
         count = max(case.batch, FEWEST)
         T_a, T_b = draw_poses(first, DISTANCE[case.state], count, self.seed)
         reference = query(make_pairs(case, self.seed, "python"), T_a, T_b)
-        before = {name: query(own, T_a, nearby(T_b, self.seed)) for name, own in pairs.items()}
+        before = {engine: query(own, T_a, nearby(T_b, self.seed)) for engine, own in pairs.items()}
         progress(0.1)
         runs: dict[tuple[str, ...], Callable[[], object]] = {}
-        for name, own in pairs.items():
-            runs["engine", name, "cold"] = partial(_ask, own, T_a, T_b, case.batch, None)
-            runs["engine", name, "warm"] = partial(_ask, own, T_a, T_b, case.batch, before[name])
+        for engine, own in pairs.items():
+            runs["engine", engine, "cold"] = partial(_ask, own, T_a, T_b, case.batch, None)
+            runs["engine", engine, "warm"] = partial(_ask, own, T_a, T_b, case.batch, before[engine])
         runs["layer",] = partial(_forward, WitnessLayer(first, METHODS[self.methods[0]]), T_a, T_b, case.batch)
         for name in self.methods:
             runs["backward", name] = _backward(WitnessLayer(first, METHODS[name]), T_a, T_b, case.batch, self.seed)
@@ -146,8 +147,8 @@ class CaseJob:
         return Measured(
             case,
             {
-                (name, warm): self._answers(own, T_a, T_b, before[name] if warm else None, reference, times)
-                for name, own in pairs.items()
+                (engine, warm): self._answers(own, T_a, T_b, before[engine] if warm else None, reference, times)
+                for engine, own in pairs.items()
                 for warm in (False, True)
             },
             {name: times["backward", name] / count for name in self.methods},
@@ -183,6 +184,7 @@ class CaseJob:
 def _bare(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray, batch: int) -> Callable[[], None]:
     """The queries that the compiled engine asks of all poses, so many poses in a call, and nothing else."""
     loops = []
+    assert pairs.native is not None
     for start in range(0, len(T_a), batch):
         rows = slice(start, start + batch)
         first, second = (np.ascontiguousarray(T[rows, 0]) for T in (T_a, T_b))

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from grasp_refine.collision.engine import Engine
+from grasp_refine.objects import Object
+
 from ..jobs import Job, run_jobs
 from ..timing import one_thread
 from .cases import Case
-from .peers import PEERS
+from .peers import PEERS, PeerName
 from .rows import rows
 from .runner import CaseJob, Measured, MethodName
 from .skips.asking import asking_skips
@@ -25,11 +28,11 @@ class Study:
 
     cases: tuple[Case, ...]
     """What is measured."""
-    engines: tuple[str, ...]
+    engines: tuple[Engine, ...]
     """Who answers for us; ratios are to the first."""
     methods: tuple[MethodName, ...] = ("contact-kinematics", "distance")
     """How witness points are differentiated."""
-    peers: tuple[str, ...] = tuple(peer.name for peer in PEERS)
+    peers: tuple[PeerName, ...] = tuple(peer.name for peer in PEERS)
     """With whom we are compared."""
     rounds: int = 7
     """How often each time is taken."""
@@ -95,9 +98,13 @@ def skip_jobs(study: Study, examples: Sequence[Example]) -> Iterator[SkipJob]:
     for hand, one in {one.hand: one for one in examples}.items():
         yield SkipJob(hand, 1.0, partial(_of_hand, one, study.seed, rounds))
     for obj in {one.object: one.scene.object for one in examples if one.scene.object.convex}.values():
-        yield SkipJob(obj.name, 1.0, lambda obj=obj: [decomposition_skip(obj)])
+        yield SkipJob(obj.name, 1.0, partial(_of_object, obj))
     for command in study.commands:
         yield SkipJob(f"imports of {command}", 5.0, partial(import_skips, [command]))
+
+
+def _of_object(obj: Object) -> Iterator[Skip]:
+    yield decomposition_skip(obj)
 
 
 def _of_hand(example: Example, seed: int, rounds: int) -> Iterator[Skip]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import viser
@@ -13,7 +15,7 @@ from ..collection import Collection
 from ..columns import FAILED_TEXT, HELD, HELD_TEXT, STATUS
 from ..controller import Controller
 from ..listing import MARK, NO_MARK, NUMBER, Listing, any_other, first_descending, step, worst
-from ..marks import MARKS
+from ..marks import MARKS, Mark
 from ..measuring import unmeasured
 from ..state import State
 from ..table import page_of, pages, table_html
@@ -88,8 +90,7 @@ class BrowsePanel:
             # A grasp that is marked may leave the list.
             self._page = min(self._page, pages(self._listed) - 1)
             self._number = state.number
-            if self._beside.value != state.side_by_side:
-                self._beside.value = state.side_by_side
+            _set(self._beside, state.side_by_side)
             self._draw_table()
 
     def _connect(self) -> None:
@@ -103,7 +104,7 @@ class BrowsePanel:
         on(self._descending, lambda event: self._list(descending=event.target.value))
         on(self._beside, lambda event: self._controller.set_side_by_side(event.target.value))
         for name, widget in self._filters.items():
-            on(widget, lambda event, name=name: self._filter(name, event.target.value))
+            on(widget, partial(self._filtered, name))
         self._steps.on_click(lambda event: self._go(event.target.value))
         self._marks.on_click(lambda event: self._mark(event.target.value))
         self._measure.on_click(lambda event: self._controller.measure())
@@ -111,7 +112,11 @@ class BrowsePanel:
 
     # what is listed
 
-    def _list(self, **changes: object) -> None:
+    def _filtered(self, name: str, event: viser.GuiEvent) -> None:
+        """List what another value of a filter lets through."""
+        self._filter(name, event.target.value)
+
+    def _list(self, **changes: Any) -> None:
         """List other grasps, or in another order."""
         with self._lock:
             if self._collection is None:
@@ -177,7 +182,8 @@ class BrowsePanel:
 
     def _mark(self, what: str) -> None:
         """Mark the grasp that is shown."""
-        self._controller.mark(self._controller.state.number, "" if what == NO else what.lower())
+        marks: dict[str, Mark] = {GOOD: "good", BAD: "bad"}
+        self._controller.mark(self._controller.state.number, marks.get(what, ""))
 
     def _send_marks(self, event: viser.GuiEvent) -> None:
         """Send the marks to the browser that asks for them."""
@@ -229,7 +235,7 @@ class BrowsePanel:
         _show(self._measure, visible=bool(unmeasured(collection).any()))
 
 
-def _set(widget: viser.GuiInputHandle, value: object) -> None:
+def _set(widget: Any, value: object) -> None:
     """Give a widget a value, if it has another one."""
     if widget.value != value:
         widget.value = value

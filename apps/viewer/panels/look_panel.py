@@ -34,7 +34,7 @@ class LookPanel:
         for field in fields(Showing):
             label, hint = WORDS[field.name]
             if hints[field.name] is bool:
-                widget: Any = gui.add_checkbox(label, field.default, hint=hint)
+                widget: Any = gui.add_checkbox(label, field.default is True, hint=hint)
             else:
                 widget = gui.add_dropdown(label, get_args(hints[field.name]), hint=hint)
 

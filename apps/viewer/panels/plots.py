@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import viser
 from jaxtyping import Float
@@ -16,9 +18,9 @@ MOST = 400
 LEAST_MM = 1e-3
 """What is smaller, in mm, is drawn as this: a logarithmic axis has no zero, and uPlot writes no smaller number."""
 
-_GRID = {"stroke": "rgba(128, 128, 128, 0.15)", "width": 1}
+_GRID: Any = {"stroke": "rgba(128, 128, 128, 0.15)", "width": 1}
 _SERIES = (("contact error", "#1c7ed6"), ("penetration", "#e8590c"), ("√loss", "#2b8a3e"))
-_SHOWN = {"label": "shown now", "stroke": "#868e96", "width": 2, "points": {"show": False}}
+_SHOWN: Any = {"label": "shown now", "stroke": "#868e96", "width": 2, "points": {"show": False}}
 
 
 class Plot:
@@ -27,10 +29,11 @@ class Plot:
     def __init__(self, gui: viser.GuiApi) -> None:
         """Make it, unseen until there is something to plot."""
         none = np.array([0.0])
-        curve = {"width": 2, "points": {"show": False}}
+        curve: dict[str, Any] = {"width": 2, "points": {"show": False}}
+        series: tuple[Any, ...] = tuple({"label": name, "stroke": color, **curve} for name, color in _SERIES)
         self._handle = gui.add_uplot(
             (none,) * 5,
-            ({"label": "iteration"}, *({"label": name, "stroke": color, **curve} for name, color in _SERIES), _SHOWN),
+            ({"label": "iteration"}, *series, _SHOWN),
             title="How far from the goal, mm",
             scales={"x": {"time": False}, "y": {"distr": 3, "log": 10}},
             axes=({"grid": _GRID, "ticks": {"width": 1}}, {"grid": _GRID, "ticks": {"show": False}}),
@@ -51,10 +54,9 @@ class Plot:
         if (trace, frame) == self._drawn:
             return
         self._drawn = trace, frame
-        seen = trace is not None and len(trace) > 1
-        if seen:
+        if trace is not None and len(trace) > 1:
             self._handle.data = tuple(curves(trace, frame))
-        self._handle.visible = seen
+        self._handle.visible = trace is not None and len(trace) > 1
 
 
 def curves(trace: Trace, frame: int | None) -> Float[np.ndarray, "5 P"]:

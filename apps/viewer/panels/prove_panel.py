@@ -43,7 +43,7 @@ class ProvePanel:
         gui = server.gui
         first = next(iter(SETTINGS))
         self._setting = gui.add_dropdown("Setting", tuple(SETTINGS), initial_value=first, hint=_about())
-        self._friction = gui.add_number(
+        self._friction: Any = gui.add_number(
             "Friction",
             SETTINGS[first].friction,
             min=0.01,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -45,15 +46,19 @@ class RefinePanel:
         """Make the widgets inside the tab or folder that is open."""
         self._controller = controller
         gui, state = server.gui, controller.state
-        self._start = gui.add_button("Start", icon="player-play", color="green", hint="Refine the grasp that is shown")
-        self._pause = gui.add_button("Pause", icon="player-pause", hint="Hold the refinement, or let it go on")
-        self._step = gui.add_button("Step", icon="player-track-next", hint="Do one iteration, then wait")
-        self._stop = gui.add_button("Stop", icon="player-stop", hint="End what is being done; the hand stays there")
-        self._reset = gui.add_button("Reset", icon="rotate", hint="Put the grasp back to how it came")
+        self._start = gui.add_button(
+            "Start", icon=viser.Icon.PLAYER_PLAY, color="green", hint="Refine the grasp that is shown"
+        )
+        self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, hint="Hold the refinement, or let it go on")
+        self._step = gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="Do one iteration, then wait")
+        self._stop = gui.add_button(
+            "Stop", icon=viser.Icon.PLAYER_STOP, hint="End what is being done; the hand stays there"
+        )
+        self._reset = gui.add_button("Reset", icon=viser.Icon.ROTATE, hint="Put the grasp back to how it came")
         in_a_row(gui, (self._start, self._pause, self._step))
         in_a_row(gui, (self._stop, self._reset))
         self._text = gui.add_markdown("")
-        self._bar = gui.add_progress_bar(0.0)
+        self._bar: Any = gui.add_progress_bar(0.0)
         self._plot = Plot(gui)
         with gui.add_folder("Timeline"):
             self._timeline = Timeline(gui, controller)
@@ -68,7 +73,13 @@ class RefinePanel:
                 first=FIRST,
                 left_out=LEFT_OUT,
             )
-            self._defaults = gui.add_button("Default settings", icon="restore", hint="All settings as they came")
+            self._defaults = gui.add_button(
+                "Default settings", icon=viser.Icon.RESTORE, hint="All settings as they came"
+            )
+
+        def on_click(button: viser.GuiButtonHandle, act: Callable[[], None]) -> None:
+            button.on_click(lambda event: act())
+
         for button, act in (
             (self._start, controller.start),
             (self._pause, controller.pause),
@@ -77,13 +88,13 @@ class RefinePanel:
             (self._reset, controller.reset),
             (self._defaults, lambda: controller.set_settings(state.settings)),
         ):
-            button.on_click(lambda event, act=act: act())
+            on_click(button, act)
 
     def draw(self, state: State) -> None:
         """Show a state."""
         job = state.job
-        refining = job is not None and job.kind == "refine"
-        paused = refining and job.paused
+        refined = job if job is not None and job.kind == "refine" else None
+        refining, paused = refined is not None, refined is not None and refined.paused
         busy = job is not None and job.kind not in ("refine", "measure")
         self._start.disabled = busy or (refining and not paused)
         self._pause.disabled = not refining
@@ -92,8 +103,8 @@ class RefinePanel:
         self._stop.disabled = not (refining or busy)
         self._reset.disabled = not (refining or busy) and _as_it_came(state)
         self._text.content = words(state)
-        self._bar.value = 100.0 * (job.share or 0.0) if refining else 0.0
-        self._bar.animated = refining and not paused and job.share is None
+        self._bar.value = 0.0 if refined is None else 100.0 * (refined.share or 0.0)
+        self._bar.animated = refined is not None and not paused and refined.share is None
         self._plot.show(state.trace, state.frame)
         self._timeline.draw(state)
         self._form.show(state.settings)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 import viser
 
@@ -10,7 +13,7 @@ from grasp_refine.se3 import exp_so3, log_so3, transform_points
 
 from ..controller import Controller
 from ..shapes import LinkPoses
-from ..state import State
+from ..state import Gizmo, State
 from .held import Held
 from .joints import Joints
 from .paced import Paced
@@ -28,23 +31,30 @@ class SteerPanel:
         """Make the widgets inside the tab or folder that is open."""
         self._controller = controller
         gui = server.gui
-        self._undo = gui.add_button("Undo", icon="arrow-back-up", hint="Take the last change back")
-        self._redo = gui.add_button("Redo", icon="arrow-forward-up", hint="Do again what was undone")
-        self._reset = gui.add_button("Reset", icon="rotate", hint="Hand, object and targets as they were opened")
+        self._undo = gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP, hint="Take the last change back")
+        self._redo = gui.add_button("Redo", icon=viser.Icon.ARROW_FORWARD_UP, hint="Do again what was undone")
+        self._reset = gui.add_button(
+            "Reset", icon=viser.Icon.ROTATE, hint="Hand, object and targets as they were opened"
+        )
         in_a_row(gui, (self._undo, self._redo, self._reset))
+
+        def on_click(button: viser.GuiButtonHandle, act: Callable[[], None]) -> None:
+            button.on_click(lambda event: act())
+
         for button, act in (
             (self._undo, controller.undo),
             (self._redo, controller.redo),
             (self._reset, controller.reset),
         ):
-            button.on_click(lambda event, act=act: act())
+            on_click(button, act)
+        gizmos: tuple[Gizmo, ...] = ("hand", "object")
         with gui.add_folder("Move with the mouse"):
             self._gizmos = {
                 what: Held(
                     gui.add_checkbox(f"{what.capitalize()}", False, hint=f"Arrows and rings that move the {what}"),
-                    lambda shown, what=what: controller.set_gizmo(what if shown else "none"),
+                    partial(self._show_gizmo, what),
                 )
-                for what in ("hand", "object")
+                for what in gizmos
             }
         with gui.add_folder("Targets"):
             self._picking = Held(
@@ -54,10 +64,10 @@ class SteerPanel:
             self._targets = gui.add_markdown("")
             self._delete = gui.add_button_group("Delete", ("-",), visible=False, hint="Take one target away")
             self._delete.on_click(lambda event: self._deleted(event.target.value))
-            self._auto = gui.add_button("Auto", icon="wand", hint="No targets: links touch where they can")
+            self._auto = gui.add_button("Auto", icon=viser.Icon.WAND, hint="No targets: links touch where they can")
             self._auto.on_click(lambda event: controller.clear_targets())
             self._nearest = gui.add_button(
-                "Nearest points", icon="target", hint="Where links are nearest now, to be dragged from there"
+                "Nearest points", icon=viser.Icon.TARGET, hint="Where links are nearest now, to be dragged from there"
             )
             in_a_row(gui, (self._auto, self._nearest))
             self._nearest.on_click(lambda event: controller.aim_nearest())
@@ -102,8 +112,13 @@ class SteerPanel:
             self._delete.options = links
         self._delete.visible = bool(links)
         self._position.show(tuple(float(x) for x in np.round(1e3 * T[:3, 3], 1) + 0.0))
-        self._rotation.show(tuple(float(x) for x in np.round(np.degrees(log_so3(T[:3, :3])), 1) + 0.0))
+        turned: np.ndarray = np.degrees(log_so3(T[:3, :3]))
+        self._rotation.show(tuple(float(x) for x in np.round(turned, 1) + 0.0))
         self._joints.draw(hand, shown.q)
+
+    def _show_gizmo(self, what: Gizmo, shown: bool) -> None:
+        """Show or hide the arrows and rings that move the hand or the object."""
+        self._controller.set_gizmo(what if shown else "none")
 
     def _deleted(self, link: str) -> None:
         links = [target.link for target in self._controller.state.targets]

@@ -105,7 +105,7 @@ class TakePanel:
     def _uploaded(self, event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
         """Check and open what a browser sent."""
         file = event.target.value
-        units, holes = ({words: key for key, words in known.items()} for known in (NAMES, HOLES))
+        units, holes = {words: key for key, words in NAMES.items()}, {words: key for key, words in HOLES.items()}
         options = MeshOptions(units.get(self._unit.value), holes.get(self._holes.value, "refuse"))
         now, shown = self._controller.state, shown_name(file.name)
         pose = now.standing
@@ -132,6 +132,8 @@ class TakePanel:
     def _save_grasp(self, event: viser.GuiEvent) -> None:
         """Send the grasp that is shown, as a file."""
         now, to, client = self._controller.state, self._format.value, event.client
+        if client is None:
+            return
         pose = now.standing
         group = now.collection.group(now.number)
 
@@ -144,8 +146,7 @@ class TakePanel:
             if saved.notes:
                 self._controller.say(f"{saved.name}: {'; '.join(saved.notes)}")
 
-        if client is not None:
-            self._run("export", f"saving as {to}", work)
+        self._run("export", f"saving as {to}", work)
 
     def _take_picture(self, event: viser.GuiEvent) -> None:
         """Send what a browser sees, as it sees it."""
@@ -163,6 +164,8 @@ class TakePanel:
     def _animate(self, event: viser.GuiEvent) -> None:
         """Send the last refinement, or the simulation that is looked at, as a page."""
         now, client = self._controller.state, event.client
+        if client is None:
+            return
 
         def work(control: Control) -> None:
             film = film_of(now)
@@ -171,8 +174,7 @@ class TakePanel:
             control.check()
             self._send(client, Saved(f"{_stem(now)}.html", page.encode()))
 
-        if client is not None:
-            self._run("export", "making the animation", work)
+        self._run("export", "making the animation", work)
 
     def _run(self, kind: JobKind, what: str, work: Callable[[Control], None]) -> None:
         if not self._controller.run_job(kind, what, work):

@@ -27,7 +27,7 @@ class Timeline:
         self._controller = controller
         handle = gui.add_slider("Iteration", 0, 1, 1, 0, disabled=True, hint="Drag to see the hand in each iteration")
         self._slider = Held(handle, self._scrub)
-        self._play = gui.add_button(PLAY, icon="movie", hint="Show all iterations like a film")
+        self._play = gui.add_button(PLAY, icon=viser.Icon.MOVIE, hint="Show all iterations like a film")
         self._play.on_click(lambda event: self._toggle())
         self._numbers = gui.add_markdown("")
         self._lock = Lock()

@@ -20,7 +20,7 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr double kWild = 1e300;  // A distance beyond this, either way, is no answer.
 
 // As in asking.py, in units of the pieces.
-constexpr double kSure = 1e-10, kTouching = 4e-9, kApart[] = {0.25, 1.0 / 1024};
+constexpr double kSure = 1e-10, kTouching = 4e-9, kApart[] = {0.25, 1.0 / 16384};
 constexpr int kRounds = 8, kEpaIterations = 256;
 
 struct Tolerances {
@@ -82,7 +82,7 @@ class Asker {
     double d = ask(pair, T, guess);
     if (!usable(d)) d = ask(pair, T, loose_, no_guess());
     if (!usable(d)) d = kNaN;
-    if (std::abs(d) > kTouching && std::abs(d - pair.gap(T, normal)) <= kSure) return d;
+    if (std::abs(d) > kTouching && std::abs(d - pair.gap(T, normal)) <= kSure && has_normal()) return d;
     d = settled(pair, T, d);
     return d >= floor ? d : kNaN;
   }
@@ -107,6 +107,9 @@ class Asker {
     // Without a guess of its own a request starts from where the solver was last.
     request.gjk_initial_guess = coal::GJKInitialGuess::CachedGuess;
   }
+
+  // coal's normal is zero where the axes of capsules meet.
+  bool has_normal() const { return std::abs(PiecePair::dot(normal, normal) - 1) <= 1e-6; }
 
   static Vec3s no_guess() { return Vec3s(1, 0, 0); }
 
@@ -149,7 +152,7 @@ class Asker {
   // Where to begin: coal's normal, the line between the centres, and the axes; returns how many there are.
   int starts(const PiecePair& pair, const Transform3s& T, Vec3s* out) const {
     int count = 0;
-    if (std::abs(PiecePair::dot(normal, normal) - 1) <= 1e-6) out[count++] = normal;
+    if (has_normal()) out[count++] = normal;
     const Matrix3s& R = T.getRotation();
     const Vec3s &x = pair.a->core.center, &y = pair.b->core.center;
     Vec3s m;

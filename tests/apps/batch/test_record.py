@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from grasp_refine.apps.batch.record import (
     noted_failure,
     state_of,
 )
+from grasp_refine.apps.batch.rows import NEEDED, TEXTS, read_rows
 from grasp_refine.apps.batch.shard import Failed, Shard
 
 from grasp_refine.atomic import written_whole
@@ -119,3 +121,57 @@ def test_a_result_is_known_from_other_files(tmp_path: Path):
     assert not is_result(tmp_path / "grasps.npz")
     assert not is_result(tmp_path / "grasps.npy")
     assert not is_result(tmp_path)
+
+
+def test_what_is_too_deep_or_no_array_is_no_result_of_a_batch(tmp_path: Path):
+    """Python's reader of JSON recurses, and NumPy parses the head of an array as Python."""
+    one = shard(tmp_path)
+    one.path.parent.mkdir()
+    np.savez(one.path, provenance=np.array("[" * 10**5))
+    assert not is_result(one.path) and state_of(one) is State.DAMAGED
+    with zipfile.ZipFile(one.path, "w") as archive:
+        archive.writestr("provenance.npy", b"\x93NUMPY\x01\x00\x08\x00((((((((")
+    assert not is_result(one.path) and state_of(one) is State.DAMAGED
+    one.path.write_bytes(b"PK\x05\x06")
+    assert not is_result(one.path)
+    one.path.with_name(one.path.name + ".failed.json").write_text("[" * 10**5)
+    assert noted_failure(one) is None
+
+
+def test_a_record_too_deep_is_told_by_the_index(tmp_path: Path):
+    one = shard(tmp_path)
+    one.path.parent.mkdir()
+    texts = dict.fromkeys(TEXTS, np.array(["x"])) | {"provenance": np.array("[" * 10**5)}
+    np.savez(one.path, **(dict.fromkeys(NEEDED, np.zeros(1)) | texts))
+    with pytest.raises(GraspRefineError, match="provenance is no JSON"):
+        read_rows(one, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "provenance",
+    [
+        {"source": ["x"]},
+        {"row": 3},
+        {"row": ["x"]},
+        {"row": [[1], 2]},
+        {"batch": {"look": 3}},
+        {"batch": {"job": "\x1b[2J"}},
+        {"source": {"path": "a\nb"}},
+    ],
+)
+def test_a_record_that_no_batch_has_written_is_damaged(tmp_path: Path, provenance: dict):
+    one = shard(tmp_path)
+    one.path.parent.mkdir()
+    texts = dict.fromkeys(TEXTS, np.array(["x"])) | {"provenance": np.array(json.dumps(provenance))}
+    np.savez(one.path, **(dict.fromkeys(NEEDED, np.zeros(1)) | texts))
+    with pytest.raises(GraspRefineError, match="provenance is damaged; delete the file, and run the batch again"):
+        read_rows(one, tmp_path)
+
+
+def test_a_status_that_is_no_list_is_refused(tmp_path: Path):
+    one = shard(tmp_path)
+    one.path.parent.mkdir()
+    texts = dict.fromkeys(TEXTS, np.array("x")) | {"provenance": np.array("{}")}
+    np.savez(one.path, **(dict.fromkeys(NEEDED, np.zeros(1)) | texts))
+    with pytest.raises(GraspRefineError, match="status must be a list of names"):
+        read_rows(one, tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from functools import cache
 from pathlib import Path
 
@@ -193,6 +194,19 @@ def test_names_of_objects_are_no_paths(tmp_path: Path):
     named = grasps(1, object=np.array([str(tmp_path / "secret.stl")]))
     saved = grasp_file(present()[0].hand, named, "ours")
     assert Collection.of(put("grasps.npz", saved.content, tmp_path)).scene(0).object is present()[0].object
+
+
+def test_scenes_of_uploads_come_with_them(tmp_path: Path):
+    """A grasp file of some programs names another file; one of this machine is not read because an upload says so."""
+    scene = {"scene": {"mug": {"pose": np.eye(1, 7, 3)[0], "scale": 0.5}}, "task": {"obj_name": "mug"}}
+    (tmp_path / "scenes").mkdir()
+    np.save(tmp_path / "scenes" / "mug.npy", np.array(scene, dtype=object))
+    rows = np.tile(np.r_[np.eye(1, 7, 3)[0], present()[0].hand.rest], (1, 1, 3, 1))
+    held = {"robot_pose": rows, "joint_names": list(present()[0].hand.joint_names), "scene_path": ["scenes/mug.npy"]}
+    stream = io.BytesIO()
+    np.save(stream, np.array(held, dtype=object))
+    with pytest.raises(UploadError, match="its object is in the scene file scenes/mug.npy, which is not there"):
+        put("grasp.npy", stream.getvalue(), tmp_path)
 
 
 def test_numbers_of_grasps_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -96,7 +96,8 @@ class Skip:
 
     def row(self) -> dict[str, Any]:
         """The flat entry of a table."""
-        timed = self.cpu_without_s is not None and self.cpu_with_s is not None
+        both = (self.cpu_without_s, self.cpu_with_s)
+        saved = None if both[0] is None or both[1] is None else both[0] - both[1]
         return {
             "table": "skips",
             "skip": self.skip,
@@ -107,7 +108,7 @@ class Skip:
             "saved_share": 1.0 - self.with_ / self.without if self.without else 0.0,
             "cpu_without_s": self.cpu_without_s,
             "cpu_with_s": self.cpu_with_s,
-            "cpu_saved_s": self.cpu_without_s - self.cpu_with_s if timed else None,
+            "cpu_saved_s": saved,
             "difference": self.difference,
             "how": self.how,
         }

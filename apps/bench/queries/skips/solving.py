@@ -183,7 +183,7 @@ def curvature_skip(example: Example) -> Skip:
 
     def also_all(problem: GraspProblem, member: np.ndarray, point: Point, known: Any, width: np.ndarray) -> Linear:
         if problem.curvatures is not None:
-            problem.curvatures = fits
+            problem.curvatures = fits  # type: ignore[assignment]  # it stands in for them
             fits.fit_all(known.T_link, width)
         return linearize(problem, member, point, known, width)
 

@@ -1,0 +1,1 @@
+"""How often a witness query, or its derivative, is wrong: bodies of all sizes in all states, against a reference."""

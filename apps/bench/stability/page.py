@@ -1,0 +1,104 @@
+"""The report of the benchmark: one HTML file with heat maps and tables, and nothing from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ..report import rendered
+from .cases import DTYPES
+from .chart import LEAST, HeatMap, heat_map
+from .counts import counted, of_measure, worst, wrong
+from .labels import WHAT, again, faults, length, ordered, words
+from .rows import WRONG, Row
+from .table import number
+
+WORST = 40
+"""Cells that are shown by name where something is wrong; where nothing is, `NEAREST`."""
+NEAREST = 10
+
+MESSAGES = 20
+"""Different reasons why something was refused that are shown."""
+
+
+def page(document: dict[str, Any]) -> str:
+    """The report of a run of `bench stability` as HTML; the same input gives the same text.
+
+    Args:
+        document: What the benchmark writes as JSON.
+    """
+    rows = document["rows"]
+    found = counted(rows)
+    return rendered(
+        __package__,
+        document=document,
+        totals=_totals(rows, len(document["problems"])),
+        maps=_maps(rows),
+        least=LEAST,
+        any_wrong=found.wrong > 0,
+        worst=[_told(row, document["seed"]) for row in worst(rows, WORST, NEAREST)],
+        refusals=_refusals(rows),
+        mujoco=_mujoco(rows),
+    )
+
+
+def _totals(rows: Sequence[Row], crashes: int) -> list[tuple[str, str]]:
+    """What is counted, and how often it was."""
+    forward, derivative, found = of_measure(rows, "forward"), of_measure(rows, "derivative"), counted(rows)
+    lines = [("cells", len(rows)), ("queries", counted(forward)["queries"])]
+    lines += [("witness points judged", found["points_compared"]), ("derivatives", counted(derivative)["queries"])]
+    lines += [("refused with a reason", found["refused"]), *((WHAT[name], found[name]) for name in WRONG)]
+    return [(name, f"{count:,}".replace(",", "\u202f")) for name, count in [*lines, ("crashes", crashes)]]
+
+
+def _maps(rows: Sequence[Row]) -> list[tuple[str, str, HeatMap]]:
+    """Each heat map with its title and what it shows."""
+    forward, derivative = of_measure(rows, "forward"), of_measure(rows, "derivative")
+    body, way = ("kind", "diagonal"), ("dtype", "batch", "engine", "translation")
+    method, moves = ("method", "neighborhood", "dtype"), "derivative_error_max"
+    double, single = ([row for row in forward if row["dtype"] == dtype] for dtype in DTYPES)
+    asked = [
+        ("Signed distances by body and state", "Poses in double precision, asked in all ways.", double, body, "state",
+         "error_max"),
+        ("Signed distances by body and state, float32", "Poses in single precision, whose rounding is most of it.",
+         single, body, "state", "error_max"),
+        ("Signed distances by way of asking", "All bodies together.", forward, way, "state", "error_max"),
+        ("Derivatives by method and state", "All bodies together.", derivative, method, "state", moves),
+        ("Derivatives by method and size", "Body kinds and states together.", derivative, method, "diagonal", moves),
+        ("Derivatives by body and state", "All methods together.", derivative, body, "state", moves),
+    ]  # fmt: skip
+    return [(title, what, heat_map(its, down, across, of)) for title, what, its, down, across, of in asked if its]
+
+
+def _told(row: Row, seed: int) -> tuple[str, str, str, str]:
+    """A cell: what it is, what is wrong, its worst error, and how to ask again."""
+    keys = ("kind", "diagonal", "state", "dtype", "batch", "engine", "translation", "method", "neighborhood")
+    shown = ", ".join(words(key, row[key]) for key in keys if row[key] is not None)
+    error = max((row[key] for key in ("error_max", "derivative_error_max") if row[key] is not None), default=None)
+    said = [faults(row), row["message"] if wrong(row) else None]
+    return shown, "; ".join(filter(None, said)), number(error), again(row, seed)
+
+
+def _refusals(rows: Sequence[Row]) -> list[tuple[str, int, str]]:
+    """Why something was refused, how often, and of which bodies."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        if row["refused"]:
+            found.setdefault(row["message"] or "no reason", []).append(row)
+    return [(why, counted(its)["refused"], _bodies(its)) for why, its in list(found.items())[:MESSAGES]]
+
+
+def _bodies(rows: Sequence[Row]) -> str:
+    """The kinds of bodies of some rows, each with its sizes."""
+    sizes = {kind: [row["diagonal"] for row in rows if row["kind"] == kind] for kind in {row["kind"] for row in rows}}
+    return "; ".join(
+        f"{kind} of {', '.join(map(length, ordered('diagonal', sizes[kind])))}" for kind in ordered("kind", sizes)
+    )
+
+
+def _mujoco(rows: Sequence[Row]) -> list[tuple[str, int, int]]:
+    """Each kind of bodies with the queries that MuJoCo was asked, and the wrong ones of them."""
+    asked = [row for row in rows if row["mujoco_queries"]]
+    kinds = ordered("kind", (row["kind"] for row in asked))
+    each = [(kind, counted(row for row in asked if row["kind"] == kind)) for kind in kinds]
+    return [(kind, its["mujoco_queries"], its["mujoco_wrong"]) for kind, its in each]

@@ -1,0 +1,60 @@
+"""Names out of files that may come from anyone: whether a person can be shown them and a file can be called so."""
+
+from __future__ import annotations
+
+import unicodedata
+from pathlib import Path
+
+import numpy as np
+
+UNSOUND = ("Cc", "Cs", "Zl", "Zp")
+"""Kinds of letters in Unicode: those that control a terminal, halves of letters, and ends of lines and paragraphs."""
+
+
+def is_sound(text: str) -> bool:
+    """Whether a text holds no letters that control a terminal, end a line, or that no text has."""
+    return text.isprintable() or not any(unicodedata.category(letter) in UNSOUND for letter in text)
+
+
+def are_sound(texts: np.ndarray) -> bool:
+    """The same of an array of texts, whose codes need not be those of letters at all."""
+    if not texts.itemsize or not texts.size:
+        return True
+    codes = np.ascontiguousarray(texts).reshape(-1, 1).view(np.uint32)
+    # Zeros fill a text up to its end; before another letter they are letters.
+    padding = np.logical_and.accumulate((codes == 0)[:, ::-1], axis=1)[:, ::-1]
+    control = (codes < 32) | ((codes >= 127) & (codes < 160)) | (codes == 0x2028) | (codes == 0x2029)
+    half = (codes >= 0xD800) & (codes < 0xE000)
+    return not ((control & ~padding) | half | (codes >= 0x110000)).any()
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; what cannot be the name of one, such as a text of 300 letters, is none."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
+def is_folder(path: Path) -> bool:
+    """Whether there is such a folder; what cannot be the name of one is none."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
+
+
+def exists(path: Path) -> bool:
+    """Whether there is such a file or folder; what cannot be the name of one is none."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
+def at_home(path: Path) -> Path:
+    """The path with a ~ at its beginning replaced, as it is where there is no such home."""
+    try:
+        return path.expanduser()
+    except RuntimeError:
+        return path

@@ -1,0 +1,202 @@
+"""The judge of derivatives: right ones pass, and each way to be wrong is seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+from apps.bench.stability import cases
+from apps.bench.stability.bodies import make_pairs
+from apps.bench.stability.derivative import METHODS, Faults, derivative_cells, judged, method_of
+from apps.bench.stability.motion import Scene, move, sphere_motion
+from apps.bench.stability.poses import Posed, posers
+from apps.bench.stability.presets import derivatives_of
+from apps.bench.stability.task import Task
+from grasp_refine.collision.query import query
+from grasp_refine.se3 import exp_se3
+from grasp_refine.witness.analytical import Analytical
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.derivative import Derivative
+from grasp_refine.witness.finite_difference import FiniteDifference
+from grasp_refine.witness.scene import WitnessScene
+from grasp_refine.witness.slip import wrench
+
+WAYS = tuple(derivatives_of(cases.METHODS, cases.NEIGHBORHOODS, cases.DTYPES))
+NAMES = ("failed", "not_finite", "unbounded", "wrong_sign", "unscaled")
+
+Pull = tuple[np.ndarray, np.ndarray]
+
+
+@cache
+def scene(kind: cases.Kind = "ball", state: cases.State = "near", diagonal: float = 1e-3, pair: int = 0) -> Scene:
+    """Some bodies in one state, at four poses."""
+    poser = posers(make_pairs(kind, diagonal, 0), Task(kind, diagonal, (state,)))[pair]
+    return Scene.of(poser.a, poser.b, poser.pose(state, 4), 0)
+
+
+def counts(faults: Faults) -> dict[str, int]:
+    return {name: int(getattr(faults, name).sum()) for name in NAMES}
+
+
+@pytest.mark.parametrize("kind", ["ball", "needle"])
+def test_no_derivative_is_wrong(kind: cases.Kind) -> None:
+    """Of some kinds and states; the whole matrix is that of `bench stability`."""
+    states = ("far", "gap-1e-12", "face-face", "deep")
+    cells = list(derivative_cells(Task(kind, 1e-3, states, derivatives=WAYS, differentiated=2)))
+    assert len(cells) == len(WAYS) * (3 if kind == "ball" else 4)
+    assert [cell for cell in cells if cell.wrong] == []
+    assert {cell.queries for cell in cells} == {2}
+    assert all(cell.measure == "derivative" and cell.derivative_error_max < 1.0 for cell in cells)
+
+
+# each way to be wrong
+
+
+@dataclass(frozen=True)
+class Spoiled:
+    """Contact kinematics, spoiled."""
+
+    spoil: Callable[[Pull, Pull], Pull]
+    """From what it found and a force on the point of body a, both reversed on body b, with its length in metres."""
+
+    def pull_back(
+        self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
+    ) -> Pull:
+        found = ContactKinematics().pull_back(scene, force_a, force_b, force_n)
+        slip = wrench(scene.witness.point_a, force_a)
+        return self.spoil(found, (slip, slip * scene.length[0]))
+
+
+def with_nan(found: Pull, slip: Pull) -> Pull:
+    found[0][1, 0, 2] = np.nan
+    return found
+
+
+SPOILS = {
+    "not_finite": with_nan,
+    "unbounded": lambda found, slip: (found[0] - 1e12 * slip[0], found[1] + 1e12 * slip[0]),
+    # When they move together, points are left behind.
+    "wrong_sign": lambda found, slip: (0.9 * found[0], 0.9 * found[1]),
+    # As if a slip without unit were a length.
+    "unscaled": lambda found, slip: (found[0] - slip[1], found[1] + slip[1]),
+}
+
+
+@pytest.mark.parametrize("kind", ["ball", "box"])
+@pytest.mark.parametrize("name", SPOILS)
+def test_what_is_wrong_is_counted(name: str, kind: cases.Kind) -> None:
+    way = cases.Derivative("contact-kinematics")
+    assert counts(judged(scene(kind), way)) == dict.fromkeys(NAMES, 0)
+    found = counts(judged(scene(kind), way, Spoiled(SPOILS[name])))
+    assert found[name] > 0
+    if name == "unscaled":
+        assert found == {**dict.fromkeys(NAMES, 0), "unscaled": 4}
+
+
+def test_a_curvature_per_metre_is_seen() -> None:
+    """Right for hands, and wrong for a body of 1 mm."""
+
+    @dataclass(frozen=True)
+    class PerMetre(ContactKinematics):
+        def pull_back(self, scene: WitnessScene, *forces: np.ndarray | None) -> Pull:
+            inner = replace(ContactKinematics(), smallest_curvature=500.0 * float(scene.length[0]))
+            return inner.pull_back(scene, *forces)
+
+    way = cases.Derivative("contact-kinematics")
+    found = counts(judged(scene("box", "face-face"), way, PerMetre()))
+    assert found == {**dict.fromkeys(NAMES, 0), "unscaled": 4}
+
+
+def test_a_step_in_metres_is_seen() -> None:
+    @dataclass(frozen=True)
+    class InMetres:
+        def pull_back(self, scene: WitnessScene, *forces: np.ndarray | None) -> Pull:
+            return FiniteDifference(step=1e-4 / float(scene.length[0])).pull_back(scene, *forces)
+
+    found = counts(judged(scene("ball", "near"), cases.Derivative("finite-difference", None), InMetres()))
+    assert found["unscaled"] == 4
+
+
+def test_spheres_that_slide_the_wrong_way_are_seen() -> None:
+    """Though points move with the bodies when these move together, and distances are right."""
+
+    @dataclass(frozen=True)
+    class Backwards:
+        def pull_back(self, scene: WitnessScene, *forces: np.ndarray | None) -> Pull:
+            w_a, w_b = ContactKinematics().pull_back(scene, *forces)
+            together = w_a + w_b
+            return 2.0 * together - w_a, -1.0 * together + w_a
+
+    found = counts(judged(scene("ball"), cases.Derivative("contact-kinematics"), Backwards()))
+    assert found["wrong_sign"] == 4 and found["unscaled"] == 0
+
+
+def test_normals_that_point_the_other_way_are_seen() -> None:
+    posed = scene("box").posed
+    turned = replace(posed, truth=replace(posed.truth, normal=-posed.truth.normal))
+    found = counts(judged(replace(scene("box"), posed=turned), cases.Derivative()))
+    assert found["wrong_sign"] == int(posed.truth.unique.sum()) > 0
+
+
+# what it is judged by
+
+
+def test_the_derivatives_of_spheres_are_those_of_their_points() -> None:
+    one = scene("ball")
+    D, step = one.diagonal, 1e-6
+    expected = np.empty((4, 2, 9, 6))
+
+    def answer(T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray:
+        w = query(one.pairs, T_a[:, None], T_b[:, None])
+        return np.concatenate([w.point_a / D, w.point_b / D, w.normal], axis=-1)[:, 0]
+
+    w = query(one.pairs, one.posed.T_a[:, None], one.posed.T_b[:, None])
+    for side, point in enumerate((w.point_a[:, 0], w.point_b[:, 0])):
+        for k in range(6):
+            moved = []
+            for sign in (1.0, -1.0):
+                poses = [one.posed.T_a.copy(), one.posed.T_b.copy()]
+                T = poses[side]
+                twist = sign * step * np.eye(6)[k]
+                T[:, :3, 3] -= point
+                T[:] = exp_se3(twist * np.array([0, 0, 0, 1, 1, 1])) @ T
+                T[:, :3, 3] += point + D * twist[:3]
+                moved.append(answer(*poses))
+            expected[:, side, :, k] = (moved[0] - moved[1]) / (2.0 * step)
+    np.testing.assert_allclose(sphere_motion(one), expected, atol=1e-8)
+    # And what goes through the layer comes out in the same units.
+    posed = one.posed
+    found = move(one.pairs, Analytical(), posed.T_a, posed.T_b, one.targets, np.eye(9), torch.float64)
+    np.testing.assert_allclose(found.covectors[:, :, :6], sphere_motion(one)[:, :, :6], atol=1e-9)
+    found = move(one.pairs, FiniteDifference(1e-4), posed.T_a, posed.T_b, one.targets, np.eye(9), torch.float64)
+    np.testing.assert_allclose(found.covectors, sphere_motion(one), atol=1e-6)
+
+
+@pytest.mark.parametrize(("diagonal", "factor"), [(1e-3, 64.0), (0.1, 8.0), (10.0, 1 / 64)])
+def test_the_other_size_is_that_of_a_hand_and_rounds_nothing(diagonal: float, factor: float) -> None:
+    one = scene("box", "near", diagonal)
+    assert one.factor == factor
+    np.testing.assert_array_equal(one.other.a[0].pieces[0].vertices, factor * one.pairs.a[0].pieces[0].vertices)
+    np.testing.assert_array_equal(one.other.a[0].candidates.points, factor * one.pairs.a[0].candidates.points)
+    assert 0.03 < one.diagonal * factor < 1.0
+
+
+def test_every_method_has_a_name() -> None:
+    assert set(METHODS) == set(cases.METHODS)
+    made: dict[str, Derivative] = {way.method: method_of(way) for way in WAYS}
+    assert len({type(method) for method in made.values()}) == len(cases.METHODS)
+    assert (
+        method_of(cases.Derivative("distance", "fixed")).neighborhood
+        != method_of(cases.Derivative("distance")).neighborhood
+    )
+
+
+def test_targets_are_there_for_half_of_the_poses() -> None:
+    given = np.isfinite(np.stack(scene("box").targets)).all(axis=2)
+    assert given.tolist() == [[False, True, False, True]] * 2
+    assert isinstance(scene("box").posed, Posed)

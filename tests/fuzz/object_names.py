@@ -1,0 +1,50 @@
+"""Objects by a text: primitives, and paths of meshes, as a command line, a job or a grasp file may have them."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from pathlib import Path
+from random import Random
+
+import numpy as np
+from fuzz.mutations import NUMBERS, VALUES
+from fuzz.reader import Reader
+
+from grasp_refine.commands.object_source import is_known, named_object
+from grasp_refine.objects import load_object
+
+TEXTS = tuple(value for value in VALUES if isinstance(value, str))
+
+
+def seeds() -> list[tuple[str, bytes]]:
+    """The primitives."""
+    return [(f"{i}.txt", text) for i, text in enumerate((b"box:0.1,0.2,0.3", b"sphere:0.05", b"cylinder:0.05,0.1"))]
+
+
+def change(random: Random, name: str, content: bytes) -> bytes:
+    """Another number, or another text altogether."""
+    if random.random() < 0.2:
+        return random.choice(TEXTS).encode()
+    kind, _, numbers = content.partition(b":")
+    sizes = numbers.split(b",")
+    sizes[random.randrange(len(sizes))] = random.choice((*NUMBERS, b"1e-9", b"1e-60", b"1e60", b""))
+    return kind + b":" + b",".join(sizes * random.choice((1, 1, 1, 2)))
+
+
+def read(path: Path) -> Hashable:
+    """The object."""
+    text = path.read_bytes().decode("utf-8", errors="replace")
+
+    def silent(line: str) -> None:
+        raise AssertionError(f"fetched: {line}")
+
+    known = is_known(text)
+    if known:
+        named_object(text, None, Path("grasps.npz"), silent)
+    loaded = load_object(text, candidates=16, cache=None)
+    assert np.isfinite(loaded.mesh.vertices).all() and np.isfinite(loaded.mesh.extents).all()
+    assert all(np.isfinite(piece.vertices).all() and np.isfinite(piece.radius) for piece in loaded.body.pieces)
+    return known, len(loaded.body.pieces)
+
+
+READER = Reader("object", seeds, read, change, (b"box:", b"sphere:", b"cylinder:", b"mug", b"."))

@@ -1,0 +1,36 @@
+"""All readers that are fuzzed, by name."""
+
+from __future__ import annotations
+
+from fuzz import (
+    cache_files,
+    foreign_grasps,
+    hand_tomls,
+    job_lists,
+    manifests,
+    meshes,
+    npz_files,
+    object_lists,
+    object_names,
+    proofs,
+    uploads,
+    urdfs,
+)
+
+READERS = {
+    reader.name: reader
+    for reader in (
+        urdfs.READER,
+        meshes.READER,
+        npz_files.READER,
+        foreign_grasps.READER,
+        hand_tomls.READER,
+        object_lists.READER,
+        object_names.READER,
+        job_lists.READER,
+        manifests.READER,
+        cache_files.READER,
+        proofs.READER,
+        uploads.READER,
+    )
+}

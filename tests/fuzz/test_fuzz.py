@@ -1,0 +1,98 @@
+"""Every reader, fed changed files: it reads them or refuses them by name, and touches nothing else.
+
+`PYTHONPATH=tests python -m fuzz --seconds 600` goes on for longer and prints a table; `--keep FOLDER` keeps inputs.
+"""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from random import Random
+
+import pytest
+from fuzz.broken import FAULTS, SOUND
+from fuzz.child import drawn
+from fuzz.mutations import LARGEST_INPUT, changed_bytes, changed_value
+from fuzz.readers import READERS
+from fuzz.runner import fuzz
+
+from grasp_refine.errors import GraspFileError, GraspRefineError
+
+FEW = 25
+"""Inputs of each reader in every run of the tests."""
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_sound_files_are_read(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Or nothing would be learned from changed ones."""
+    reader = READERS[name]
+    monkeypatch.setenv("GRASP_REFINE_CACHE", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    reader.prepare(tmp_path)
+    read = 0
+    for file, content in reader.seeds():
+        path = tmp_path / file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+        try:
+            reader.read(path)
+            read += 1
+        except GraspFileError as error:
+            assert "scene file ../outside/scene.npy, which is not there" in str(error)
+    assert read >= len(reader.seeds()) - 1
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_few_changed_files_are_read_or_refused(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """In this process, where warnings are errors; longer, and watched in all ways, in the next test."""
+    reader, random = READERS[name], Random(name)
+    monkeypatch.setenv("GRASP_REFINE_CACHE", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    reader.prepare(tmp_path)
+    refused, corpus = 0, reader.seeds()
+    for _ in range(FEW):
+        file, content = drawn(reader, random, corpus, len(corpus))
+        path = tmp_path / file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+        try:
+            reader.read(path)
+        except GraspRefineError as error:
+            assert str(error).isprintable()
+            refused += 1
+    assert refused > 0 or name == "cache"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", READERS)
+def test_changed_files_are_read_or_refused(name: str):
+    outcome = fuzz(name, seed=1, seconds=5.0)
+    assert not outcome.findings, outcome.findings
+    assert outcome.executions > 10
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_what_ends_as_it_should_is_no_finding(name: str):
+    outcome = fuzz(name, seconds=60.0, most=20, module="fuzz.broken")
+    assert not outcome.findings and outcome.executions == 20
+    assert (outcome.refused > 0) == (name == "refuses")
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_each_fault_is_found(name: str):
+    _, kind, said = FAULTS[name]
+    outcome = fuzz(name, seconds=60.0, most=4, module="fuzz.broken")
+    assert {found.kind for found in outcome.findings} == {kind} and outcome.executions == 4
+    finding = outcome.findings[0]
+    assert said in finding.said and finding.name == "file.txt"
+
+
+def test_changes_can_be_repeated_and_stay_small():
+    value = {"a": [1, 2.5, "text"], "b": {"c": None}}
+    for seed in range(200):
+        random = Random(seed), Random(seed)
+        one, other = (changed_value(each, value) for each in random)
+        assert pickle.dumps(one) == pickle.dumps(other)
+        data, again = (changed_bytes(each, b"solid 1 2 3\n" * 40, (b"facet",), (b"other",)) for each in random)
+        assert data == again and len(data) <= LARGEST_INPUT
+    assert value == {"a": [1, 2.5, "text"], "b": {"c": None}}

@@ -1,0 +1,209 @@
+"""The command lines that README.md shows: all can be read, recipes run, and what is printed is what is shown."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from readme import TEXT, blocks, run_python
+
+from grasp_refine.assets import resource_dir
+from grasp_refine.cli import main
+from grasp_refine.commands import options
+from grasp_refine.grasps import load_grasps, match_joints
+from grasp_refine.hand import load_hand
+from grasp_refine.objects import load_object
+from grasp_refine.se3 import transform_from_pose
+
+
+def commands_of(block: str) -> list[str]:
+    """The commands of a block of shell: lines put together, comments left out, variables with values."""
+    text = re.sub(r"\\\n", " ", re.sub(r"\$\{?[A-Z_]+\}?", "1", block))
+    lines = [shlex.split(line, comments=True) for line in text.splitlines()]
+    return [part for words in lines if words for part in " ".join(words).split(" && ")]
+
+
+def ours(command: str) -> list[str] | None:
+    """The words after `refine-grasp` in a command, also where another program runs it; None: it is not there."""
+    found = re.search(r"(?:^|/|srun |--wrap )refine-grasp(.*)", command)
+    return None if found is None else found[1].split()
+
+
+OTHERS = {
+    "python3 -m venv .venv": "the two commands that set it up are run by .ci/run",
+    ".venv/bin/pip install": "likewise; the viewer's libraries come with the extra that tests need",
+    ".venv/bin/pytest": "likewise",
+    ".venv/bin/refine-grasp run": "likewise",
+    "dask ": "tests/dask_cluster.py starts such a cluster",
+    "parts=$(sbatch": "no scheduler is here; what it runs is read below",
+}
+"""How commands of other programs begin, and why they are not tried here."""
+
+COMMANDS = [command for language in ("sh", "bash") for block in blocks(language) for command in commands_of(block)]
+INLINE = [code for code in re.findall(r"`(refine-grasp [^`]+)`", TEXT) if not code.endswith((" ...", "COMMAND"))]
+
+
+def checked_options(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
+    """From now on commands are parsed, told in the list that is returned, and not executed."""
+    said: list[tuple[str, ...]] = []
+    parse = options.parse
+
+    def parse_only(command: type, program: str, arguments: list[str]) -> object:
+        said.append((program, *arguments))
+        parse(command, program, arguments)
+        return SimpleNamespace(execute=lambda: 0)
+
+    monkeypatch.setattr(options, "parse", parse_only)
+    return said
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, *INLINE])
+def test_every_command_line_can_be_read(
+    command: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+):
+    words = ours(command.replace("FILE...", "FILE"))
+    if words is None or command.startswith(".venv/bin/refine-grasp run"):
+        assert any(command.startswith(start) for start in OTHERS), f"nobody tries: {command}"
+        return
+    said = checked_options(monkeypatch)
+    try:
+        code = main(words)
+    except SystemExit as end:  # of --help
+        code = end.code
+    assert code == 0, capfd.readouterr().err
+    assert len(said) <= 1
+
+
+def test_a_command_line_with_an_unknown_option_would_be_seen(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+):
+    checked_options(monkeypatch)
+    assert main(ours("refine-grasp run --hnad leap")) == 2
+    assert "unrecognized options" in capfd.readouterr().err
+    assert ours("dask worker") is None
+    (wrapped,) = commands_of('sbatch --wrap "refine-grasp batch sets/ --hand leap"')
+    assert ours(wrapped) == ["batch", "sets/", "--hand", "leap"]
+
+
+# recipes
+
+
+@pytest.fixture
+def newcomer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a hand, an object and grasps that are somebody's own; commands run in it."""
+    grasps = load_grasps(resource_dir("robots") / "allegro" / "example_rounded_box.npz")
+    shutil.copy(resource_dir("robots") / "allegro" / "allegro.urdf", tmp_path / "my_hand.urdf")
+    (tmp_path / "meshes").mkdir()
+    for path in ("my_object.obj", "meshes/my_object.obj"):
+        load_object("rounded_box").mesh.export(tmp_path / path)
+    q, _ = match_joints(grasps, load_hand("allegro", candidates=16))
+    np.save(tmp_path / "my_poses.npy", transform_from_pose(grasps.hand_pose))
+    np.save(tmp_path / "my_joints.npy", q)
+    monkeypatch.chdir(tmp_path)
+    run_python("my_poses.npy")
+    return tmp_path
+
+
+def recipe(number: int) -> list[list[str]]:
+    """The commands of a recipe, as words after `refine-grasp`."""
+    section = re.split(r"^##+ ", TEXT.partition(f"\n### {number}. ")[2], maxsplit=1, flags=re.MULTILINE)[0]
+    found = re.findall(r"^```sh\n(.*?)^```$", section, re.MULTILINE | re.DOTALL)
+    return [ours(command) for block in found for command in commands_of(block)]
+
+
+def test_the_dataset_of_ones_own_is_a_grasp_file(newcomer: Path):
+    mine, given = (
+        load_grasps(path)
+        for path in (newcomer / "my_grasps.npz", resource_dir("robots") / "allegro" / "example_rounded_box.npz")
+    )
+    assert (mine.hand, set(mine.object), set(mine.scale)) == ("my_hand", {"my_object"}, {1.0})
+    np.testing.assert_allclose(transform_from_pose(mine.hand_pose), transform_from_pose(given.hand_pose), atol=1e-12)
+    assert set(mine.joint_names) == set(given.joint_names)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [1, 2, 3, 5])
+def test_recipes_run(number: int, newcomer: Path, capfd: pytest.CaptureFixture[str]):
+    commands, said = recipe(number), ""
+    assert len(commands) >= 2
+    for words in commands:
+        assert main(words) == 0, (words, capfd.readouterr().err)
+        out = capfd.readouterr().out
+        said += out
+        if words[0] == "run" and "my_grasps.npz" in words:
+            assert "2 of 2 grasps should hold" in out, "the grasps were told as they are"
+    made = {
+        1: ("hand.toml", "grasp-refine-results/my_hand_mug.npz"),
+        2: ("grasp-refine-results/leap_my_object.npz", "box.json"),
+        3: ("refined/report.html", "grasp-refine-results/my_hand_my_object.npz"),
+        5: ("grasp-refine-results/allegro_mug.npz", "replays"),
+    }
+    for name in made[number]:
+        assert (newcomer / name).exists(), name
+    if number == 5:
+        film = set() if "no film" in said else {".gif"}  # where nothing can be drawn without a screen
+        assert {path.suffix for path in (newcomer / "replays").iterdir()} == {".npz", ".xml"} | film
+
+
+# what commands print
+
+PRINTED = ("$ refine-grasp run\n", "$ refine-grasp validate")
+"""What tells apart the blocks of text; a test compares each."""
+
+
+def test_no_block_of_text_is_left_out():
+    assert [[mark in block for mark in PRINTED].count(True) for block in blocks("text")] == [1] * len(PRINTED)
+
+
+def sessions(block: str) -> list[tuple[list[str], str]]:
+    """The commands of a block, as words after `refine-grasp`, with what they print as far as it is shown."""
+    parts = re.split(r"^\$ refine-grasp (.*)\n", block, flags=re.MULTILINE)[1:]
+    return [(shlex.split(command), shown) for command, shown in zip(parts[::2], parts[1::2], strict=True)]
+
+
+def words_of(text: str) -> list[str]:
+    """Words and numbers without what differs from machine to machine: how long it took."""
+    return re.sub(r"[\d.]+ m?s\b|─+", "", text).split()
+
+
+def is_close(shown: str, printed: str) -> bool:
+    try:
+        return abs(float(shown) - float(printed)) <= 0.02 + 0.1 * abs(float(shown))
+    except ValueError:
+        return shown == printed
+
+
+def test_what_you_get_is_what_is_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    (block,) = (block for block in blocks("text") if PRINTED[0] in block)
+    ((command, shown),) = sessions(block)
+    assert main(command) == 0
+    wanted, printed = words_of(shown), words_of(capfd.readouterr().out)
+    assert len(wanted) == len(printed)
+    assert [pair for pair in zip(wanted, printed, strict=True) if not is_close(*pair)] == []
+
+
+def test_the_validation_that_is_shown_has_these_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+):
+    """The measures of its grasps, and that most are lost; how each is lost may differ from machine to machine."""
+    monkeypatch.chdir(tmp_path)
+    (block,) = (block for block in blocks("text") if PRINTED[1] in block)
+    (_, shown) = sessions(block)[-1]
+    for command, _ in sessions(block):
+        assert main(command) == 0
+        printed = capfd.readouterr().out
+    rows = [[line.split() for line in text.splitlines() if re.match(r" {5}\d ", line)] for text in (shown, printed)]
+    assert [len(part) for part in rows] == [4, 4]
+    for wanted, found in zip(*rows, strict=True):
+        assert all(is_close(*pair) for pair in zip(wanted[:6], found[:6], strict=True)), (wanted, found)
+    told, held = (int(re.search(r"^(\d) of 4 grasps held", text, re.MULTILINE)[1]) for text in (shown, printed))
+    assert told == 1 and held <= 2
+    assert printed.split("\n")[0].split() == shown.split("\n")[0].split()

@@ -1,0 +1,61 @@
+"""TOML from anyone: what Python's reader takes too much of, or trips over, is an error of one kind."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from grasp_refine import toml_file
+from grasp_refine.toml_file import DEEPEST, read_toml
+
+
+def put(folder: Path, text: str) -> Path:
+    path = folder / "x.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_file_is_read(tmp_path: Path):
+    text = 'a.b = [0.1, 0.2]\n[c.d]\ne = "1.2.3"\n[[f]]\ng = {h = 1.5}\n'
+    assert read_toml(put(tmp_path, text)) == {
+        "a": {"b": [0.1, 0.2]},
+        "c": {"d": {"e": "1.2.3"}},
+        "f": [{"g": {"h": 1.5}}],
+    }
+    # Many numbers in a line are no long key.
+    assert len(read_toml(put(tmp_path, f"x = [{'0.5, ' * 1000}]"))["x"]) == 1000
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x = ", "Invalid value"),
+        ("x = " + "[" * 5000, "nested too deep"),
+        ("x = " + "{a=" * 5000, "nested too deep"),
+        ("x = " + "9" * 5000, "4300"),
+        ("x" + ".a" * DEEPEST + " = 1", "a key has more than 64 parts"),
+        ("[x" + " . 'a'" * DEEPEST + "]", "a key has more than 64 parts"),
+    ],
+)
+def test_what_cannot_be_read_is_one_kind_of_error(tmp_path: Path, text: str, message: str):
+    with pytest.raises(ValueError, match=message):
+        read_toml(put(tmp_path, text))
+
+
+def test_a_key_of_thousands_of_parts_takes_neither_time_nor_memory(tmp_path: Path):
+    # Python's reader took 3 GB and 10 s for this line.
+    path = put(tmp_path, "x" + ".a" * 30000 + " = 1")
+    start = time.process_time()
+    with pytest.raises(ValueError, match="more than 64 parts"):
+        read_toml(path)
+    assert time.process_time() - start < 0.5
+
+
+def test_a_file_that_is_too_large_or_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(toml_file, "LARGEST", 10)
+    with pytest.raises(ValueError, match="at most 0 are read"):
+        read_toml(put(tmp_path, "x = 1 # and more"))
+    with pytest.raises(FileNotFoundError):
+        read_toml(tmp_path / "none.toml")
