@@ -166,6 +166,7 @@ def test_a_file_that_is_not_there_is_a_job_that_will_be_told(tmp_path: Path):
         ("[[job]]\ngrasps = '*.nothing'", "*.nothing: matches no grasp files"),
         ("[defaults]\nindex = [1]\n[[job]]", "[defaults]: 'index' is nothing that a job has"),
         ("[[job]", "cannot be read as a TOML job list"),
+        ("[defaults]\nname = 'x'\n[[job]]\ngrasps = 'b9.npz'", "[defaults]: a name is what no two jobs share"),
         ("x = " + "[" * 5000, "cannot be read as a TOML job list (its lists or tables are nested too deep)"),
         ("x = " + "9" * 5000, "cannot be read as a TOML job list (Exceeds the limit"),
         (f"[[job]]\ngrasps = 'b9.npz'\nscale = {10**400}", "job 1: scale must be a number, got 1000"),

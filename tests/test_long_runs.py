@@ -131,8 +131,13 @@ def resident() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
 
 
+KEPT_ONCE = 200_000
+"""Bytes that caches of limited size, such as those of the checked annotations, still grow by; 160,000 were seen, after
+a hundred refinements as after a thousand."""
+
+
 def check_no_growth(scene: Scene, config: Config, warm: int, count: int, *, prepared: HandObject | None) -> None:
-    """Nothing is left of `count` refinements: any array of one would be larger than 500 bytes."""
+    """Nothing is left of `count` refinements: the arrays of one are larger than 300 bytes."""
     tracemalloc.start()
     # What is kept once is traced from here on: of what was there before, what takes its place would look like growth.
     for _ in range(warm):
@@ -145,7 +150,7 @@ def check_no_growth(scene: Scene, config: Config, warm: int, count: int, *, prep
     gc.collect()
     after, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert after - before < 500 * count
+    assert after - before < KEPT_ONCE + 300 * count
     assert resident() - rss < 16 * 2**20
 
 

@@ -15,7 +15,7 @@ there is a better direction. It is followed until the gap grows no more; then ag
 moves points less there.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import coal
@@ -36,6 +36,10 @@ _APART = (0.25, 2.0**-14)
 """The gaps at which GJK is asked again, one after the other."""
 _ROUNDS = 8
 """How often the normal is followed at each of them."""
+_ASIDE = 0.25
+"""How far from the best direction so far others are tried."""
+_AXES = np.array([sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)])
+"""The six directions (6, 3) along axes."""
 _EPA_ITERATIONS = 256
 """With coal's own limit of 64, EPA ends at a facet that is not the nearest one of round bodies, and says nothing."""
 
@@ -154,9 +158,10 @@ class Asker:
 
     def _settled(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, d: float) -> float:
         """The largest gap that is found, where that is not what coal says, d (NaN: nothing)."""
-        close = 2.0 * self._tolerances.gjk * (1.0 + abs(d))
-        best: _Climbed | None = None
-        for u in self._directions(pair, R, t):
+        close = 0.5 * self._tolerances.gjk * (1.0 + abs(d))
+        starts, best = self._starts(pair, R, t), None
+        for k in range(len(starts) + len(_AXES)):
+            u = starts[k] if k < len(starts) else _normalized(best.normal + _ASIDE * _AXES[k - len(starts)])
             found = self._climb(pair, R, t, u)
             if best is None or found.gap > best.gap:
                 best = found
@@ -164,29 +169,19 @@ class Asker:
             if (best.gap > 0.0 and best.closed) or abs(d - best.gap) <= close:
                 break
         else:
-            assert best is not None  # there are always directions
-            if abs(d) <= 2.0 * _TOUCHING:
-                best.gap = d
-            elif np.isnan(d) and not best.closed:
+            if np.isnan(d) and not best.closed:
                 return np.nan
-        assert best is not None
         self.point, self.normal = best.point, best.normal
         return best.gap
 
-    def _directions(self, pair: PiecePair, R: np.ndarray, t: np.ndarray) -> Iterator[np.ndarray]:
-        """Where to begin: coal's normal, the line between the centres, and the axes."""
-        n, (x, y) = self.normal, (pair.a.center, pair.b.center)
-        if _is_unit(n):
-            yield n
+    def _starts(self, pair: PiecePair, R: np.ndarray, t: np.ndarray) -> list[np.ndarray]:
+        """Directions to begin with: coal's normal, the line between the centres, and the axes."""
+        x, y = pair.a.center, pair.b.center
         m = R[:, 0] * y[0] + R[:, 1] * y[1] + R[:, 2] * y[2] + t - x
-        length = np.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
-        if length > 1e-12:
-            yield m / length
-        for axis in range(3):
-            for sign in (1.0, -1.0):
-                u = np.zeros(3)
-                u[axis] = sign
-                yield u
+        starts = [self.normal] if _is_unit(self.normal) else []
+        if _square(m) > 1e-24:
+            starts.append(_normalized(m))
+        return [*starts, *_AXES]
 
     def _climb(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, u: np.ndarray) -> _Climbed:
         """Follow the normal from the direction u to where the gap grows no more."""
@@ -202,8 +197,7 @@ class Asker:
                 gap = pair.gap(R, t, n)
                 if found.gap > 1.0:
                     # Far apart, a small turn moves much: there it is the line between the points that counts.
-                    w = d * n - move * u
-                    w = w / np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+                    w = _normalized(d * n - move * u)
                     along = pair.gap(R, t, w)
                     if along > gap:
                         n, gap = w, along
@@ -215,7 +209,16 @@ class Asker:
 
 def _is_unit(n: np.ndarray) -> bool:
     """Whether a normal (3,) is one: coal's is zero where the axes of capsules meet."""
-    return bool(abs(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] - 1.0) <= 1e-6)
+    return bool(abs(_square(n) - 1.0) <= 1e-6)
+
+
+def _normalized(u: np.ndarray) -> np.ndarray:
+    return u / np.sqrt(_square(u))
+
+
+def _square(u: np.ndarray) -> float:
+    # In a fixed order, see `PiecePair.gap`.
+    return u[0] * u[0] + u[1] * u[1] + u[2] * u[2]
 
 
 def _request(gjk_tolerance: float, epa_tolerance: float) -> coal.DistanceRequest:

@@ -130,7 +130,7 @@ def _listed(path: Path, defaults: Inputs, together: bool) -> Iterator[Job]:
         row = dict(row)
         name = row.pop("name", "")
         if not isinstance(name, str):
-            raise GraspRefineError(f"{where}: name must be text, got {name!r}")
+            raise GraspRefineError(f"{where}: name must be text, got {told(name)}")
         inputs = replace(defaults, **_values(row, path, where))
         if inputs.grasps is None:
             raise GraspRefineError(f'{where}: says no grasps = "FILE" (or a folder, a pattern, or sample:N)')
@@ -184,6 +184,8 @@ def _check_keys(keys: Sequence[str], where: str) -> None:
 def _values(raw: Mapping[str, Any], path: Path, where: str) -> dict[str, Any]:
     """The fields of `Inputs` that a table gives."""
     _check_keys(list(raw), where)
+    if "name" in raw:
+        raise GraspRefineError(f"{where}: a name is what no two jobs share; give it in [[job]]")
     hints = get_type_hints(Inputs)
     return {key: _value(key, value, hints[key], path.parent, f"{where}: {key}") for key, value in raw.items()}
 

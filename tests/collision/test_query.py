@@ -265,7 +265,7 @@ def test_bodies_are_kept_alive_and_normals_are_copies() -> None:
     np.testing.assert_array_equal(again.distance, first.distance)
 
 
-EVERY_TRY = 18
+EVERY_TRY = 30
 """How often coal is asked about two pieces before it is given up."""
 
 

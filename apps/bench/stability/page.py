@@ -81,10 +81,13 @@ def _told(row: Row, seed: int) -> tuple[str, str, str, str]:
 
 def _refusals(rows: Sequence[Row]) -> list[tuple[str, int, str]]:
     """Why something was refused, how often, and of which bodies."""
+    refused = [row for row in rows if row["refused"]]
+    # Where something is wrong besides, the message goes on with that.
+    reasons = list(dict.fromkeys(row["message"] or "no reason" for row in refused if not wrong(row)))
     found: dict[str, list[Row]] = {}
-    for row in rows:
-        if row["refused"]:
-            found.setdefault(row["message"] or "no reason", []).append(row)
+    for row in refused:
+        said = row["message"] or "no reason"
+        found.setdefault(next(filter(said.startswith, reasons), said), []).append(row)
     return [(why, counted(its)["refused"], _bodies(its)) for why, its in list(found.items())[:MESSAGES]]
 
 

@@ -20,7 +20,7 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr double kWild = 1e300;  // A distance beyond this, either way, is no answer.
 
 // As in asking.py, in units of the pieces.
-constexpr double kSure = 1e-10, kTouching = 4e-9, kApart[] = {0.25, 1.0 / 16384};
+constexpr double kSure = 1e-10, kTouching = 4e-9, kAside = 0.25, kApart[] = {0.25, 1.0 / 16384};
 constexpr int kRounds = 8, kEpaIterations = 256;
 
 struct Tolerances {
@@ -129,28 +129,24 @@ class Asker {
 
   // The largest gap that is found, where that is not what coal says, d (NaN: nothing).
   double settled(const PiecePair& pair, const Transform3s& T, double d) {
-    const double close = 2 * tolerances_.gjk * (1 + std::abs(d));
-    Vec3s directions[8];
-    const int count = starts(pair, T, directions);
-    Climbed best = climb(pair, T, directions[0]);
+    const double close = 0.5 * tolerances_.gjk * (1 + std::abs(d));
+    Vec3s starts[8];
+    const int count = begin(pair, T, starts);
+    Climbed best = climb(pair, T, starts[0]);
     // Apart, nothing is better than a closed gap. In penetration there may be a larger one elsewhere.
     const auto sure = [&] { return (best.gap > 0 && best.closed) || std::abs(d - best.gap) <= close; };
-    for (int k = 1; k < count && !sure(); ++k) {
-      const Climbed found = climb(pair, T, directions[k]);
+    for (int k = 1; k < count + 6 && !sure(); ++k) {
+      const Vec3s u = k < count ? starts[k] : Vec3s(normalized(best.normal + kAside * axis(k - count)));
+      const Climbed found = climb(pair, T, u);
       if (found.gap > best.gap) best = found;
     }
-    if (!sure()) {
-      if (std::abs(d) <= 2 * kTouching)
-        best.gap = d;
-      else if (std::isnan(d) && !best.closed)
-        return kNaN;
-    }
+    if (std::isnan(d) && !best.closed) return kNaN;
     point = best.point, normal = best.normal;
     return best.gap;
   }
 
-  // Where to begin: coal's normal, the line between the centres, and the axes; returns how many there are.
-  int starts(const PiecePair& pair, const Transform3s& T, Vec3s* out) const {
+  // Directions to begin with: coal's normal, the line between the centres, and the axes; returns how many there are.
+  int begin(const PiecePair& pair, const Transform3s& T, Vec3s* out) const {
     int count = 0;
     if (has_normal()) out[count++] = normal;
     const Matrix3s& R = T.getRotation();
@@ -158,12 +154,15 @@ class Asker {
     Vec3s m;
     for (int k = 0; k < 3; ++k)
       m[k] = R(k, 0) * y[0] + R(k, 1) * y[1] + R(k, 2) * y[2] + T.getTranslation()[k] - x[k];
-    const double length = std::sqrt(PiecePair::dot(m, m));
-    if (length > 1e-12) out[count++] = m / length;
-    for (int axis = 0; axis < 3; ++axis)
-      for (const double sign : {1.0, -1.0}) out[count++] = sign * Vec3s::Unit(axis);
+    if (PiecePair::dot(m, m) > 1e-24) out[count++] = normalized(m);
+    for (int k = 0; k < 6; ++k) out[count++] = axis(k);
     return count;
   }
+
+  // One of the six directions along axes.
+  static Vec3s axis(int k) { return (k % 2 ? -1.0 : 1.0) * Vec3s::Unit(k / 2); }
+
+  static Vec3s normalized(const Vec3s& u) { return u / std::sqrt(PiecePair::dot(u, u)); }
 
   // Follow the normal from the direction u to where the gap grows no more.
   Climbed climb(const PiecePair& pair, const Transform3s& T, const Vec3s& start) {
@@ -180,8 +179,7 @@ class Asker {
         double gap = pair.gap(T, n);
         if (found.gap > 1) {
           // Far apart, a small turn moves much: there it is the line between the points that counts.
-          Vec3s w = d * n - move * u;
-          w = w / std::sqrt(PiecePair::dot(w, w));
+          const Vec3s w = normalized(d * n - move * u);
           const double along = pair.gap(T, w);
           if (along > gap) n = w, gap = along;
         }

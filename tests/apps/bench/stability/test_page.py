@@ -58,9 +58,10 @@ def test_refusals_have_their_reasons_and_crashes_their_tracebacks():
     thin = [
         forward(kind="plate", diagonal=size, refused=10, error_max=None, message="<1e-9 m thin") for size in (1e-4, 0.1)
     ]
-    text = page(document(*thin, forward(), problems=["box, 1 mm: ZeroDivisionError: <x>"]))
+    part = forward(kind="plate", diagonal=10.0, refused=5, wrong_sign=1, message="<1e-9 m thin; pose 3")
+    text = page(document(*thin, forward(), part, problems=["box, 1 mm: ZeroDivisionError: <x>"]))
     assert squares(text).count("refused") == 2
-    assert '<td>&lt;1e-9 m thin</td><td class="n">20</td><td>plate of 0.1 mm, 10 cm</td>' in text
+    assert '<td>&lt;1e-9 m thin</td><td class="n">25</td><td>plate of 0.1 mm, 10 cm, 10 m</td>' in text
     assert "<b>1</b>crashes" in text and "ZeroDivisionError: &lt;x&gt;</pre>" in text
 
 
