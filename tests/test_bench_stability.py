@@ -15,6 +15,7 @@ from command_line import call, refused
 from grasp_refine.apps.bench.stability.cases import KINDS, METHODS, STATES, Derivative, Forward
 from grasp_refine.apps.bench.stability.counts import counted, of_measure
 from grasp_refine.apps.bench.stability.labels import again
+from grasp_refine.apps.bench.stability.presets import FAST
 
 from grasp_refine.cli import main
 from grasp_refine.collision.engine import engines
@@ -35,7 +36,7 @@ def test_of_20000_queries_in_all_states_none_is_wrong():
     assert counted(rows).wrong == 0, done.stdout
     assert (done.returncode, found["problems"], done.stderr) == (0, [], "")
     assert counted(queries)["queries"] >= 20_000 and counted(queries)["points_compared"] > 2_000
-    assert {row["kind"] for row in queries} == {row["kind"] for row in derivatives} == set(KINDS)
+    assert {row["kind"] for row in queries} == set(KINDS) and {row["kind"] for row in derivatives} == set(FAST)
     assert {row["state"] for row in queries} == set(STATES)
     assert {row["method"] for row in derivatives} == set(METHODS)
     assert max(map(len, map(str.rstrip, done.stdout.splitlines()))) <= 80

@@ -26,6 +26,9 @@ from .polytopes import FACE, crossing, is_point, on_triangles, supporting, surfa
 _CROSSING = 0.05
 """Smallest sine of the angle of two edges whose crossing says where the points are."""
 
+_FLAT = 1e4
+"""Points that slide farther than this for each metre of distance could as well be elsewhere."""
+
 _TIE = 1e-5
 """Nearest facets whose depths differ by less (as a share of the size) leave open which one it is."""
 
@@ -48,7 +51,7 @@ class Truth:
     point_b: np.ndarray
     """The same on the second one."""
     unique: np.ndarray
-    """Where (N,) there is one pair of witness points."""
+    """Where (N,) there is one pair of witness points, which small errors of the distance move little."""
     slide: np.ndarray
     """How far (N,) points slide on the pieces at most for each metre by which the distance is off; where `unique`."""
 
@@ -90,13 +93,7 @@ class Difference:
         distance = core * self.unit - sum(self.radii)
         x_a = in_a * self.unit + self.a.vertices.mean(axis=0) + self.radii[0] * normal
         x_b = in_b * self.unit + self.turned.mean(axis=0) + t - self.radii[1] * normal
-        return Truth(distance, normal, x_a, x_b, clear & np.isfinite(slide), slide)
-
-    def separation(self, t: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """How far (N,) the pieces at the offsets t are apart along the unit vectors n: never more than the truth."""
-        along = np.einsum("ij,ij->i", n, t + self.middle)
-        gap = (n @ self.core_b.T).min(axis=1) - (n @ self.core_a.T).max(axis=1)
-        return along + gap * self.unit - sum(self.radii)
+        return Truth(distance, normal, x_a, x_b, clear & (slide <= _FLAT), slide)
 
     def boundary(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """An offset (3,) at which the cores touch, at a facet, edge or vertex of M, and a way (3,) out of there."""
