@@ -5,18 +5,21 @@ For every unit direction u the gap
     g(u) = min_b u . y - max_a u . x
 
 is at most the signed distance, apart and in penetration, and the largest gap is the signed distance. So an answer with
-distance d and normal n is right where g(n) = d, which is checked. GJK and EPA miss it now and then: far apart, where
-GJK's tolerance grows with the distance; for slivers and nearly equal vertices; and within GJK's tolerance of contact,
-where the normal is rounding only, and gaps below it pass for contact.
+distance d and normal n must have g(n) = d, which is checked. Apart, that proves it. In penetration it proves that d is
+not too shallow; that it is not too deep is for EPA to say, and compared with the gap along the line between the centres.
+GJK and EPA miss it now and then: far apart, where GJK's tolerance grows with the distance; for slivers and nearly equal
+vertices; where the axes of two capsules cross; and within GJK's tolerance of contact, where the normal is rounding only,
+and gaps below it pass for contact.
 
-Then b is moved along u until the gap is a quarter of the pieces' unit, where GJK is at its best. If u is right, so is
-the closest pair of points there: the move adds to g(u) what it is long, and less to all other gaps. If not, the normal
-there is a better direction. It is followed until the gap grows no more; then again from nearer, because a small turn
-moves points less there.
+Where an answer does not hold, b is moved along u until the gap is a quarter of the pieces' unit, where GJK is at its
+best. If u is right, so is the closest pair of points there: the move adds to g(u) what it is long, and less to all other
+gaps. If not, the normal there is a better direction. It is followed until the gap grows no more; then again from nearer,
+because a small turn moves points less there.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import coal
 import numpy as np
@@ -36,6 +39,8 @@ _APART = (0.25, 2.0**-14)
 """The gaps at which GJK is asked again, one after the other."""
 _ROUNDS = 8
 """How often the normal is followed at each of them."""
+_NOTHING = 1e-24
+"""The square of a distance between centres that has no direction."""
 _ASIDE = 0.25
 """How far from the best direction so far others are tried."""
 _AXES = np.array([sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)])
@@ -66,7 +71,7 @@ class Core:
     """(3, V), in the frame of the body."""
     radius: float
 
-    @property
+    @cached_property
     def center(self) -> np.ndarray:
         """The middle (3,) of the box around the vertices."""
         return 0.5 * (self.vertices.min(axis=1) + self.vertices.max(axis=1))
@@ -89,12 +94,26 @@ class PiecePair:
 
     def gap(self, R: np.ndarray, t: np.ndarray, u: np.ndarray) -> float:
         """The gap g(u) along a unit vector u (3,) in the frame of a; body b is at R (3, 3), t (3,), in the unit."""
-        # Sums in a fixed order: the compiled engine has the same bits.
+        # Sums in a fixed order, here and below: the compiled engine has the same bits.
         v = u[0] * R[0] + u[1] * R[1] + u[2] * R[2]
         x, y = self.a.vertices, self.b.vertices
         end_a = (u[0] * x[0] + u[1] * x[1] + u[2] * x[2]).max() + self.a.radius
         start_b = (v[0] * y[0] + v[1] * y[1] + v[2] * y[2]).min() - self.b.radius
         return (u[0] * t[0] + u[1] * t[1] + u[2] * t[2]) + start_b - end_a
+
+    def between(self, R: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """From the centre of a to that of b (3,), in the frame of a."""
+        y = self.b.center
+        return R[:, 0] * y[0] + R[:, 1] * y[1] + R[:, 2] * y[2] + t - self.a.center
+
+    def across(self, R: np.ndarray) -> np.ndarray:
+        """A vector (3,) perpendicular to the axes of two capsules, in the frame of a; zero for other pieces."""
+        x, y = self.a.vertices, self.b.vertices
+        if x.shape[1] != 2 or y.shape[1] != 2:
+            return np.zeros(3)
+        u, w = x[:, 1] - x[:, 0], y[:, 1] - y[:, 0]
+        v = R[:, 0] * w[0] + R[:, 1] * w[1] + R[:, 2] * w[2]
+        return np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
 
 
 @dataclass
@@ -106,6 +125,8 @@ class _Climbed:
     point: np.ndarray
     closed: bool
     """Whether GJK found nothing nearer than the gap there."""
+    answered: bool
+    """Whether GJK found anything."""
 
 
 class Asker:
@@ -141,10 +162,17 @@ class Asker:
         n = self.normal
         # Not bit for bit `pair.gap`, but faster.
         gap = n @ t + (n @ R @ pair.b.vertices).min() - (n @ pair.a.vertices).max() - (pair.a.radius + pair.b.radius)
-        if abs(d) > _TOUCHING and abs(d - gap) <= _SURE and _is_unit(n):
+        if abs(d) > _TOUCHING and abs(d - gap) <= _SURE and _is_unit(n) and not self._disproven(pair, R, t, d):
             return d
         d = self._settled(pair, R, t, d)
         return d if d >= floor else np.nan
+
+    def _disproven(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, d: float) -> bool:
+        """Whether the pieces are parted more easily along the line between their centres: EPA was elsewhere."""
+        if d > 0.0:
+            return False
+        m = pair.between(R, t)
+        return _square(m) > _NOTHING and pair.gap(R, t, _normalized(m)) > d + _SURE
 
     def _ask(self, pair: PiecePair, t: np.ndarray, request: coal.DistanceRequest, guess: np.ndarray) -> float:
         """Coal's answer for body b at t (3,), as it is."""
@@ -166,33 +194,32 @@ class Asker:
             if best is None or found.gap > best.gap:
                 best = found
             # Apart, nothing is better than a closed gap. In penetration there may be a larger one elsewhere.
-            if (best.gap > 0.0 and best.closed) or abs(d - best.gap) <= close:
+            if best.closed and (best.gap > 0.0 or abs(d - best.gap) <= close):
                 break
         else:
-            if np.isnan(d) and not best.closed:
+            if not best.answered or (np.isnan(d) and not best.closed):
                 return np.nan
         self.point, self.normal = best.point, best.normal
         return best.gap
 
     def _starts(self, pair: PiecePair, R: np.ndarray, t: np.ndarray) -> list[np.ndarray]:
-        """Directions to begin with: coal's normal, the line between the centres, and the axes."""
-        x, y = pair.a.center, pair.b.center
-        m = R[:, 0] * y[0] + R[:, 1] * y[1] + R[:, 2] * y[2] + t - x
+        """Directions to begin with: coal's normal, across two capsules, the line between the centres, and the axes."""
+        across, m = pair.across(R), pair.between(R, t)
         starts = [self.normal] if _is_unit(self.normal) else []
-        if _square(m) > 1e-24:
-            starts.append(_normalized(m))
+        starts += [_normalized(u) for u in (across, m) if _square(u) > _NOTHING]
         return [*starts, *_AXES]
 
     def _climb(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, u: np.ndarray) -> _Climbed:
         """Follow the normal from the direction u to where the gap grows no more."""
-        found = _Climbed(pair.gap(R, t, u), u, np.zeros(3), False)
+        found = _Climbed(pair.gap(R, t, u), u, np.zeros(3), closed=False, answered=False)
         for apart in _APART:
             for _ in range(_ROUNDS):
                 u, move = found.normal, apart - found.gap
                 d = self._ask(pair, t + move * u, self._tight, -apart * u)
                 if not (0.0 < d < _WILD):
                     break
-                found.point, found.closed = self.point, abs(d - move - found.gap) <= _SURE
+                found.point, found.answered = self.point, True
+                found.closed = abs(d - move - found.gap) <= _SURE
                 n = self.normal
                 gap = pair.gap(R, t, n)
                 if found.gap > 1.0:

@@ -297,18 +297,48 @@ def test_bodies_of_any_size_get_the_same_answer_in_proportion(name: str) -> None
         np.testing.assert_allclose(found.distance / scale, whole.distance, rtol=0, atol=2e-9)
 
 
-@pytest.mark.parametrize("turn", [1.0, np.pi / 2, 1e-3])
+@pytest.mark.parametrize("turn", [np.pi / 2, 1.0, 1e-2, 1e-3, 1e-5])
 @pytest.mark.parametrize("offset", [0.0, 0.1])
 def test_capsules_whose_axes_cross_are_parted_across_both(turn: float, offset: float) -> None:
     """The depth was right, but the normal lay in the plane of the axes, or was zero."""
-    a = capsule(0.1, (0, 0, -0.4), (0, 0, 0.4))
-    T = np.eye(4)[None].copy()
-    T[0, :3, :3] = exp_so3(np.array([turn, 0.0, 0.0]))
-    T[0, 2, 3] = offset
-    found = ask(a, a, T)
-    assert found.distance[0] == pytest.approx(-0.2, abs=1e-12)
-    assert abs(found.normal[0, 0]) == pytest.approx(1.0, abs=1e-9)
-    assert support_gap(a, a, T, found.normal)[0] == pytest.approx(-0.2, abs=1e-9)
+    rng = np.random.default_rng(7)
+    R = exp_so3(rng.normal(size=(20, 3)))
+    along, perpendicular = R[:, :, 2], R[:, :, 0]
+    T = np.tile(np.eye(4), (20, 1, 1))
+    T[:, :3, :3] = exp_so3(turn * perpendicular)
+    T[:, :3, 3] = offset * along
+    for i in range(20):
+        a = capsule(0.1, -0.4 * along[i], 0.4 * along[i])
+        found = ask(a, a, T[i : i + 1])
+        assert found.distance[0] == pytest.approx(-0.2, abs=1e-11)
+        assert abs(found.normal[0] @ perpendicular[i]) == pytest.approx(1.0, abs=1e-6)
+        assert support_gap(a, a, T[i : i + 1], found.normal)[0] == pytest.approx(-0.2, abs=1e-9)
+
+
+ROUND = {
+    "1000 vertices": (ellipsoid_hull(5, 1000), ellipsoid_hull(6, 1000)),
+    "discs": (cylinder(0.5, 0.8, sides=200), hull([*cylinder(0.4, 0.6, sides=200).vertices[::2], [0.0, 0.0, 1.0]])),
+}
+
+
+@pytest.mark.parametrize("name", ROUND)
+def test_no_way_out_of_round_bodies_is_shorter_than_the_depth(name: str) -> None:
+    """EPA ended after 64 iterations, wherever it was: up to 2e-3 of the size too deep."""
+    a, b = ROUND[name]
+    size = max(a.diagonal, b.diagonal)
+    T = poses(24, 8, 0.02 * size)
+    T[:8, :3, :3] = np.eye(3)
+    T[::2, :3, 3] = a.bounds.mean(axis=0) - T[::2, :3, :3] @ b.bounds.mean(axis=0)
+    found = ask(a, b, T)
+    assert (found.distance < 0).all()
+    for i in range(len(T)):
+        normals = np.concatenate([a.normals, -b.normals @ T[i, :3, :3].T])
+        ways = normals[np.linalg.norm(normals, axis=1) > 0.5]
+        gaps = support_gap(a, b, np.broadcast_to(T[i], (len(ways), 4, 4)), ways)
+        assert found.distance[i] >= gaps.max() - 1e-8 * size
+        np.testing.assert_allclose(
+            found.distance[i], support_gap(a, b, T[i : i + 1], found.normal[i : i + 1]), atol=1e-9
+        )
 
 
 GAPS = {

@@ -20,7 +20,7 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr double kWild = 1e300;  // A distance beyond this, either way, is no answer.
 
 // As in asking.py, in units of the pieces.
-constexpr double kSure = 1e-10, kTouching = 4e-9, kAside = 0.25, kApart[] = {0.25, 1.0 / 16384};
+constexpr double kSure = 1e-10, kTouching = 4e-9, kNothing = 1e-24, kAside = 0.25, kApart[] = {0.25, 1.0 / 16384};
 constexpr int kRounds = 8, kEpaIterations = 256;
 
 struct Tolerances {
@@ -57,7 +57,29 @@ struct PiecePair {
     const Matrix3s& R = T.getRotation();
     Vec3s v;
     for (int k = 0; k < 3; ++k) v[k] = u[0] * R(0, k) + u[1] * R(1, k) + u[2] * R(2, k);
-    return dot(u, T.getTranslation()) + (b->core.along(v).minCoeff() - b->core.radius) - (a->core.along(u).maxCoeff() + a->core.radius);
+    return dot(u, T.getTranslation()) + (b->core.along(v).minCoeff() - b->core.radius) -
+           (a->core.along(u).maxCoeff() + a->core.radius);
+  }
+
+  // From the centre of a to that of b.
+  Vec3s between(const Transform3s& T) const {
+    const Matrix3s& R = T.getRotation();
+    const Vec3s &x = a->core.center, &y = b->core.center;
+    Vec3s m;
+    for (int k = 0; k < 3; ++k)
+      m[k] = R(k, 0) * y[0] + R(k, 1) * y[1] + R(k, 2) * y[2] + T.getTranslation()[k] - x[k];
+    return m;
+  }
+
+  // A vector perpendicular to the axes of two capsules; zero for other pieces.
+  Vec3s across(const Transform3s& T) const {
+    const auto &x = a->core.vertices, &y = b->core.vertices;
+    if (x.rows() != 2 || y.rows() != 2) return Vec3s::Zero();
+    const Matrix3s& R = T.getRotation();
+    const Vec3s u = x.row(1) - x.row(0), w = y.row(1) - y.row(0);
+    Vec3s v;
+    for (int k = 0; k < 3; ++k) v[k] = R(k, 0) * w[0] + R(k, 1) * w[1] + R(k, 2) * w[2];
+    return Vec3s(u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]);
   }
 
   static double dot(const Vec3s& u, const Vec3s& v) { return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]; }
@@ -82,7 +104,9 @@ class Asker {
     double d = ask(pair, T, guess);
     if (!usable(d)) d = ask(pair, T, loose_, no_guess());
     if (!usable(d)) d = kNaN;
-    if (std::abs(d) > kTouching && std::abs(d - pair.gap(T, normal)) <= kSure && has_normal()) return d;
+    if (std::abs(d) > kTouching && std::abs(d - pair.gap(T, normal)) <= kSure && has_normal() &&
+        !disproven(pair, T, d))
+      return d;
     d = settled(pair, T, d);
     return d >= floor ? d : kNaN;
   }
@@ -97,7 +121,8 @@ class Asker {
   struct Climbed {
     double gap;
     Vec3s normal, point = Vec3s::Zero();
-    bool closed = false;  // Whether GJK found nothing nearer than the gap there.
+    bool closed = false;    // Whether GJK found nothing nearer than the gap there.
+    bool answered = false;  // Whether GJK found anything.
   };
 
   static void prepare(coal::DistanceRequest& request, double gjk, double epa) {
@@ -112,6 +137,13 @@ class Asker {
   bool has_normal() const { return std::abs(PiecePair::dot(normal, normal) - 1) <= 1e-6; }
 
   static Vec3s no_guess() { return Vec3s(1, 0, 0); }
+
+  // Whether the pieces are parted more easily along the line between their centres: EPA was elsewhere.
+  static bool disproven(const PiecePair& pair, const Transform3s& T, double d) {
+    if (d > 0) return false;
+    const Vec3s m = pair.between(T);
+    return PiecePair::dot(m, m) > kNothing && pair.gap(T, normalized(m)) > d + kSure;
+  }
 
   double ask(const PiecePair& pair, const Transform3s& T, coal::DistanceRequest& request, const Vec3s& guess) {
     static const coal::DistanceFunctionMatrix table;
@@ -130,31 +162,28 @@ class Asker {
   // The largest gap that is found, where that is not what coal says, d (NaN: nothing).
   double settled(const PiecePair& pair, const Transform3s& T, double d) {
     const double close = 0.5 * tolerances_.gjk * (1 + std::abs(d));
-    Vec3s starts[8];
+    Vec3s starts[9];
     const int count = begin(pair, T, starts);
     Climbed best = climb(pair, T, starts[0]);
     // Apart, nothing is better than a closed gap. In penetration there may be a larger one elsewhere.
-    const auto sure = [&] { return (best.gap > 0 && best.closed) || std::abs(d - best.gap) <= close; };
+    const auto sure = [&] { return best.closed && (best.gap > 0 || std::abs(d - best.gap) <= close); };
     for (int k = 1; k < count + 6 && !sure(); ++k) {
       const Vec3s u = k < count ? starts[k] : Vec3s(normalized(best.normal + kAside * axis(k - count)));
       const Climbed found = climb(pair, T, u);
       if (found.gap > best.gap) best = found;
     }
-    if (std::isnan(d) && !best.closed) return kNaN;
+    if (!best.answered || (std::isnan(d) && !best.closed)) return kNaN;
     point = best.point, normal = best.normal;
     return best.gap;
   }
 
-  // Directions to begin with: coal's normal, the line between the centres, and the axes; returns how many there are.
+  // Directions to begin with: coal's normal, across two capsules, the line between the centres, and the axes; returns
+  // how many there are.
   int begin(const PiecePair& pair, const Transform3s& T, Vec3s* out) const {
     int count = 0;
     if (has_normal()) out[count++] = normal;
-    const Matrix3s& R = T.getRotation();
-    const Vec3s &x = pair.a->core.center, &y = pair.b->core.center;
-    Vec3s m;
-    for (int k = 0; k < 3; ++k)
-      m[k] = R(k, 0) * y[0] + R(k, 1) * y[1] + R(k, 2) * y[2] + T.getTranslation()[k] - x[k];
-    if (PiecePair::dot(m, m) > 1e-24) out[count++] = normalized(m);
+    for (const Vec3s& u : {pair.across(T), pair.between(T)})
+      if (PiecePair::dot(u, u) > kNothing) out[count++] = normalized(u);
     for (int k = 0; k < 6; ++k) out[count++] = axis(k);
     return count;
   }
@@ -174,7 +203,8 @@ class Asker {
         const Transform3s moved(T.getRotation(), T.getTranslation() + move * u);
         const double d = ask(pair, moved, tight_, -apart * u);
         if (!(0 < d && d < kWild)) break;
-        found.point = point, found.closed = std::abs(d - move - found.gap) <= kSure;
+        found.point = point, found.answered = true;
+        found.closed = std::abs(d - move - found.gap) <= kSure;
         Vec3s n = normal;
         double gap = pair.gap(T, n);
         if (found.gap > 1) {

@@ -198,8 +198,8 @@ void closest(const NarrowPhase& narrow_phase, In<double> R, In<double> t, In<int
       entries.push_back({bound.data()[j], pair.data()[j]});
     const Vec3s warm = guess ? Vec3s(Eigen::Map<const Vec3s>(guess->data() + 3 * i)) : Vec3s::Zero();
     Found found;
-    narrow_phase.ask(entries.data(), entries.data() + entries.size(), pose_of(R.data() + 9 * i, t.data() + 3 * i), limit.data()[i],
-              guess_valid && guess_valid->data()[i] ? &warm : nullptr, found);
+    narrow_phase.ask(entries.data(), entries.data() + entries.size(), pose_of(R.data() + 9 * i, t.data() + 3 * i),
+                     limit.data()[i], guess_valid && guess_valid->data()[i] ? &warm : nullptr, found);
     distance.data()[i] = found.distance, winner.data()[i] = found.winner, asked.data()[i] = found.asked;
     failed.data()[i] = found.failed;
     Eigen::Map<Vec3s>(point.data() + 3 * i) = found.point;
@@ -286,8 +286,8 @@ NB_MODULE(_native, m) {
       });
 
   nb::class_<NarrowPhase>(m, "NarrowPhase")
-      .def("__init__", [](NarrowPhase* self, const Shapes& a, const Shapes& b, const std::vector<double>& unit, double gjk,
-                          double epa, double retry, double slack) {
+      .def("__init__", [](NarrowPhase* self, const Shapes& a, const Shapes& b, const std::vector<double>& unit,
+                          double gjk, double epa, double retry, double slack) {
         new (self) NarrowPhase(narrow_phase_of(a, b, unit, gjk, epa, retry, slack));
       })
       .def("closest", &closest, "R"_a, "t"_a, "starts"_a, "pair"_a, "bound"_a, "limit"_a, "guess"_a.none(),

@@ -127,7 +127,6 @@ def test_drawn_grasps_have_no_file_and_no_marks_to_save() -> None:
     [
         ({"initial_q": np.zeros((2, 16))}, "initial_pose and initial_q must have the shapes of hand_pose and q"),
         ({"initial_pose": np.zeros((20, 7))}, "initial_pose row 0 has no unit quaternion: its norm is 0"),
-        ({"initial_q": np.full((20, 16), np.nan)}, "initial_q must be finite; row 0 is not"),
         ({"quality_after": np.zeros(3)}, r"quality_after must be one value or one per grasp, \(20,\); it has \(3,\)"),
         ({"loss": np.array(["a"])}, "loss must hold numbers"),
         ({"status": np.array(["\x1b[2J"] * 20)}, "status holds letters that no text has"),
