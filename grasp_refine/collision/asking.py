@@ -4,17 +4,17 @@ For every unit direction u the gap
 
     g(u) = min_b u . y - max_a u . x
 
-is at most the signed distance, apart and in penetration, and the largest gap is the signed distance. So an answer with
-distance d and normal n must have g(n) = d, which is checked. Apart, that proves it. In penetration it proves that d is
-not too shallow; that it is not too deep is for EPA to say, and compared with the gap along the line between the centres.
-GJK and EPA miss it now and then: far apart, where GJK's tolerance grows with the distance; for slivers and nearly equal
-vertices; where the axes of two capsules cross; and within GJK's tolerance of contact, where the normal is rounding only,
-and gaps below it pass for contact.
+is at most the signed distance, apart and in penetration, and the largest gap is the signed distance. So an answer
+with distance d and normal n must have g(n) = d, which is checked. Apart, that proves it. In penetration it proves
+that d is not too shallow; that it is not too deep is for EPA to say, and compared with the gap along the line between
+the centres. GJK and EPA miss it now and then: far apart, where GJK's tolerance grows with the distance; for slivers
+and nearly equal vertices; where the axes of two capsules cross; and within GJK's tolerance of contact, where the
+normal is rounding only, and gaps below it pass for contact.
 
 Where an answer does not hold, b is moved along u until the gap is a quarter of the pieces' unit, where GJK is at its
-best. If u is right, so is the closest pair of points there: the move adds to g(u) what it is long, and less to all other
-gaps. If not, the normal there is a better direction. It is followed until the gap grows no more; then again from nearer,
-because a small turn moves points less there.
+best. If u is right, so is the closest pair of points there: the move adds to g(u) what it is long, and less to all
+other gaps. If not, the normal there is a better direction. It is followed until the gap grows no more; then again
+from nearer, because a small turn moves points less there.
 """
 
 from collections.abc import Callable
@@ -172,7 +172,7 @@ class Asker:
         if d > 0.0:
             return False
         m = pair.between(R, t)
-        return _square(m) > _NOTHING and pair.gap(R, t, _normalized(m)) > d + _SURE
+        return bool(_square(m) > _NOTHING and pair.gap(R, t, _normalized(m)) > d + _SURE)
 
     def _ask(self, pair: PiecePair, t: np.ndarray, request: coal.DistanceRequest, guess: np.ndarray) -> float:
         """Coal's answer for body b at t (3,), as it is."""
