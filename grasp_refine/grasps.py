@@ -189,9 +189,10 @@ class GraspSet:
 
 
 def load_grasps(path: str | Path) -> GraspSet:
-    """Return the grasps of an `.npz` file: float64, unit quaternions, one object name and scale per row.
+    """The grasps of an `.npz` file: float64, unit quaternions, one object name and scale per row.
 
-    Poses and joint values that are not finite come as they are, because one bad grasp should not cost the others.
+    Poses and joint values that are not finite come as they are, and a pose whose quaternion is 0 as NaN, because one
+    bad grasp should not cost the others.
     Nothing in the file is unpickled. Raises GraspFileError, one line, when the file is missing, not an
     `.npz`, holds pickles, is of a newer version, lacks entries, or when an entry has the wrong type, shape
     or values.
@@ -228,7 +229,7 @@ def load_grasps(path: str | Path) -> GraspSet:
 
 
 def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"], tuple[str, ...]]:
-    """Return `q` (N, n_hand) in the order of `hand.joint_names`, and notes for the user.
+    """The joint values (N, n) of grasps in the order of `hand.joint_names`, and notes on what they lack or do not fit.
 
     Columns are matched by name. Mimic joints in the file are ignored because the joint they follow says where they
     are; where the file lacks that one, the first mimic joint that it names says where it is. Other joints that the
@@ -318,6 +319,11 @@ def unit_poses(poses: Float[np.ndarray, "N 7"]) -> tuple[Float[np.ndarray, "N 7"
     return np.concatenate([poses[:, :3], poses[:, 3:] / norm[:, None]], axis=1), None
 
 
+def without_zero_quaternions(poses: Float[np.ndarray, "N 7"]) -> Float[np.ndarray, "N 7"]:
+    """The same poses (N, 7), with NaN for those whose quaternion is 0: programs write it where they know none."""
+    return np.where((poses[:, 3:] == 0.0).all(axis=1, keepdims=True), np.nan, poses)
+
+
 def _check_schema(file: NpzFile) -> None:
     schema = file.entries.get("schema", np.array(1))
     if schema.shape != () or schema.dtype.kind not in "iu" or schema < 1:
@@ -328,17 +334,17 @@ def _check_schema(file: NpzFile) -> None:
 
 def _stage(file: NpzFile, pose_key: str, q_key: str, n: int | None, joints: int) -> Stage:
     """The poses and joint values under two keys: those of `n` grasps, or of as many as there are poses."""
-    pose = file.numbers(pose_key, finite=False)
+    pose = file.numbers(pose_key, allowed="any")
     if pose.ndim != 2 or pose.shape[1] != 7 or not len(pose) or n not in (None, len(pose)):
         rows = "(N, 7) with N >= 1" if n is None else f"({n}, 7)"
         raise file.error(f"{pose_key} must have shape {rows}, x y z qw qx qy qz; it has {pose.shape}")
-    q = file.numbers(q_key, finite=False)
+    q = file.numbers(q_key, allowed="any")
     if q.shape != (len(pose), joints):
         raise file.error(
             f"{q_key} must have shape ({len(pose)}, {joints}), one row per hand_pose and one column per "
             f"name in joint_names; it has {q.shape}"
         )
-    pose, fault = unit_poses(pose)
+    pose, fault = unit_poses(without_zero_quaternions(pose))
     if fault is not None:
         row, norm = fault
         raise file.error(
@@ -367,7 +373,7 @@ def _targets(file: NpzFile, n: int) -> Targets | None:
     links = file.names("target_link")
     points = []
     for key in TARGET_KEYS[1:]:
-        value = file.numbers(key, nan=True)
+        value = file.numbers(key, allowed="nan")
         if value.shape != (n, len(links), 3):
             raise file.error(f"{key} must have shape ({n}, {len(links)}, 3); it has {value.shape}")
         points.append(value)

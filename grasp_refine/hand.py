@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -43,11 +43,20 @@ class Link:
     """Mass in kg; None where the file gives none."""
     inertia: Inertia | None = None
     """Mass, centre and moments as the file gives them, which need not be possible; None where it has no moments."""
+    solids: tuple[str, ...] = ()
+    """The links of its hand that have collision geometry, for messages."""
 
     @property
     def solid(self) -> Body:
-        """The collision geometry of a link that has some."""
-        assert self.body is not None, f"link '{self.name}' has no collision geometry"
+        """The collision geometry of a link that has some.
+
+        Raises:
+            HandError: it has none; names the links that have.
+        """
+        if self.body is None:
+            raise HandError(
+                f"link '{self.name}' has no collision geometry; links that have: {', '.join(self.solids) or 'none'}"
+            )
         return self.body
 
 
@@ -177,12 +186,14 @@ def load_hand(
     joints, narrowed = within_followers(joints, tree.path)
     meshes = LinkMeshes(tree.path, hull_limit, default_cache(), progress or (lambda line: None))
     links = tuple(_link(raw, meshes, candidates) for raw in raw_links)
+    solids = tuple(link.name for link in links if link.body is not None)
+    links = tuple(replace(link, solids=solids) for link in links)
     moving = {joint.name: joint for joint in joints if joint.movable and joint.mimic is None}
     independent = [moving[joint] for joint in tree.joints if joint in moving]
     outside = tree.joints.keys() - {joint.name for joint in joints}
     touching, guessed, about_contacts = contacts(
         toml,
-        [link.name for link in links if link.body is not None],
+        solids,
         joints,
         tree.links.keys() - {link.name for link in links},
     )

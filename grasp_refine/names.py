@@ -11,9 +11,13 @@ UNSOUND = ("Cc", "Cs", "Zl", "Zp")
 """Kinds of letters in Unicode: those that control a terminal, halves of letters, and ends of lines and paragraphs."""
 
 
+BIDI = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+"""Letters that turn the order in which others are shown, so that a name looks like another one."""
+
+
 def is_sound(text: str) -> bool:
-    """Whether a text holds no letters that control a terminal, end a line, or that no text has."""
-    return text.isprintable() or not any(unicodedata.category(letter) in UNSOUND for letter in text)
+    """Whether a text holds no letters that control a terminal, end a line, turn the order, or that no text has."""
+    return text.isprintable() or not any(unicodedata.category(letter) in UNSOUND or letter in BIDI for letter in text)
 
 
 def are_sound(texts: np.ndarray) -> bool:
@@ -24,8 +28,9 @@ def are_sound(texts: np.ndarray) -> bool:
     # Zeros fill a text up to its end; before another letter they are letters.
     padding = np.logical_and.accumulate((codes == 0)[:, ::-1], axis=1)[:, ::-1]
     control = (codes < 32) | ((codes >= 127) & (codes < 160)) | (codes == 0x2028) | (codes == 0x2029)
+    turning = np.isin(codes, [ord(letter) for letter in BIDI])
     half = (codes >= 0xD800) & (codes < 0xE000)
-    return not ((control & ~padding) | half | (codes >= 0x110000)).any()
+    return not ((control & ~padding) | turning | half | (codes >= 0x110000)).any()
 
 
 def is_file(path: Path) -> bool:

@@ -14,7 +14,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -76,17 +76,14 @@ class NpzFile:
             raise self.error(f"{key} must be a list of names; it has shape {value.shape}")
         return tuple(value.tolist())
 
-    def numbers(self, key: str, *, nan: bool = False, finite: bool = True) -> np.ndarray:
-        """Return the entry as float64, of its own shape.
-
-        All are finite; with `nan`, NaN may stand for "none"; with `finite` false, they may be anything.
-        """
+    def numbers(self, key: str, *, allowed: Literal["finite", "nan", "any"] = "finite") -> np.ndarray:
+        """Return the entry as float64, of its own shape; with "nan" allowed, NaN may stand for "none"."""
         value = self.entries[key]
         if value.dtype.kind not in "fiu":
             raise self.error(f"{key} must hold numbers; it holds {value.dtype}")
         value = value.astype(float)
-        bad = np.isinf(value) if nan else ~np.isfinite(value)
-        if finite and bad.any():
+        bad = np.isinf(value) if allowed == "nan" else ~np.isfinite(value)
+        if allowed != "any" and bad.any():
             row = int(np.argwhere(bad)[0][0]) if value.ndim else 0
             raise self.error(f"{key} must be finite; row {row} is not")
         return value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,16 @@ LARGEST = 2**24
 DEEPEST = 64
 """Parts of a key like a.b.c. Python's reader takes memory and time with their square: 3 GB for a line of 60 KB."""
 
-ENDS = frozenset(",=[]{}\n#")
+ENDS = frozenset(",=[]{}\n")
 """What a key does not go on behind."""
+
+QUOTED = re.compile(
+    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5}|\\?\Z)|"(?:[^"\\\n]|\\.)*+"?'
+    r"|'''(?:[^']|'(?!''))*+(?:'{3,5}|\Z)|'[^'\n]*+'?"
+    r"|#[^\n]*+",
+    re.DOTALL,
+)
+"""Texts, of several lines first, and comments; one that does not end goes on to the end, as nothing behind it counts."""
 
 UNREADABLE = (OSError, ValueError)
 """What `read_toml` raises."""
@@ -30,7 +39,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ValueError(f"has {size / 2**20:.0f} MiB; at most {LARGEST // 2**20} are read")
     text = path.read_text(encoding="utf-8")
     parts = 0
-    for part in text.split("."):
+    for part in QUOTED.sub(lambda found: "" if found[0][0] == "#" else "quoted", text).split("."):
         parts += 1
         if parts > DEEPEST:
             raise ValueError(f"a key has more than {DEEPEST} parts")

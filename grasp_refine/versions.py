@@ -90,7 +90,7 @@ def _checkout() -> list[str]:
 
 def _release(text: str) -> tuple[int, ...]:
     """The numbers of a version, those of a pre-release or local version left out: "2.6.0+cpu" -> (2, 6)."""
-    numbers = [int(number) for number in re.findall(r"^[0-9.]*", text.strip())[0].split(".") if number]
+    numbers = [int(number) for number in re.match(r"[0-9.]*", text.strip())[0].split(".") if number]  # type: ignore[index]
     while numbers and numbers[-1] == 0:
         numbers.pop()
     return tuple(numbers)

@@ -11,7 +11,8 @@ def forward(**changed: Any) -> Cell:
     """A cell on queries, with other values for some fields."""
     return Cell(**{
         "kind": "box", "diagonal": 0.1, "state": "near", "measure": "forward", "dtype": "float64", "queries": 10,
-        "batch": 4, "engine": "python", "error_max": 1e-6, "distance_error_max_m": 1e-15, **changed,
+        "batch": 4, "engine": "python", "error_max": 1e-6, "distance_error_max_m": 1e-15,
+        "points_error_max": 1e-5, **changed,
     })  # fmt: skip
 
 

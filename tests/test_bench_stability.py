@@ -37,6 +37,10 @@ def test_of_20000_queries_in_all_states_none_is_wrong():
     assert (done.returncode, found["problems"], done.stderr) == (0, [], "")
     assert counted(queries)["queries"] >= 20_000 and counted(queries)["points_compared"] > 2_000
     assert {row["kind"] for row in queries} == set(KINDS) and {row["kind"] for row in derivatives} == set(FAST)
+    # One of four pairs of slivers cannot be built, and nothing else is refused.
+    assert {row["kind"] for row in rows if row["refused"]} == {"slivers"}
+    assert all(4 * row["refused"] == row["queries"] for row in queries if row["kind"] == "slivers")
+    assert all(row["where"] is None and row["collapsed"] <= row["queries"] // 4 for row in rows)
     assert {row["state"] for row in queries} == set(STATES)
     assert {row["method"] for row in derivatives} == set(METHODS)
     assert max(map(len, map(str.rstrip, done.stdout.splitlines()))) <= 80
@@ -89,14 +93,14 @@ def test_a_crash_is_told_and_ends_with_code_1(monkeypatch: pytest.MonkeyPatch, c
     assert main(["bench", "stability", *asked]) == 1
     out, error = capfd.readouterr()
     assert "needle, 1 m: " in error and "ZeroDivisionError: on purpose" in error
-    assert " 0 wrong, 1 crashed" in out
+    assert " 0 faults, 1 crashed" in out
     found = json.loads(Path("found.json").read_text())
     assert {row["diagonal"] for row in found["rows"]} == {0.1} and len(found["problems"]) == 1
 
 
 @pytest.mark.parametrize("measure", ["forward", "derivative"])
 def test_a_cell_is_asked_again_by_its_command(measure: str):
-    asked = ["--kinds", "needle", "--diagonals", "0.001", "--states", "deep", "edge-edge", "--engines", "python"]
+    asked = ["--kinds", "needle", "--diagonals", "0.0012345678", "--states", "deep", "edge-edge", "--engines", "python"]
     asked += ["--measures", measure, "--methods", "distance", "analytical", "--seed", "3", "--json", "all.json"]
     main(["bench", "stability", "--preset", "smoke", *asked])
     rows = json.loads(Path("all.json").read_text())["rows"]

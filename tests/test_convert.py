@@ -59,7 +59,7 @@ def test_there_and_back(file: Path, capsys: pytest.CaptureFixture[str]):
     assert document["command"] == "convert"
     assert document["input"] == {"path": "grasps.npz", "format": "ours", "files": 1}
     assert document["output"] == {"path": "bench", "format": "dexgraspbench", "files": 2}
-    assert document["grasps"] == 2
+    assert (document["grasps"], document["left_out"]) == (2, 0)
     assert document["objects"] == {"mug": 1, "bottle": 1}
     assert 0 <= document["largest_difference_m"] < 1e-15
     assert len(document["notes"]) == 2
@@ -70,6 +70,28 @@ def test_there_and_back(file: Path, capsys: pytest.CaptureFixture[str]):
     assert "the squeeze is the grasp itself in all 2, so that there is none" in capsys.readouterr().err
     np.testing.assert_allclose(after.q[[1, 0]], before.q, atol=1e-15)
     np.testing.assert_allclose(after.hand_pose[[1, 0]], before.hand_pose, atol=1e-15)
+
+
+def test_grasps_that_are_not_finite_are_left_out(file: Path, capfd: pytest.CaptureFixture[str]):
+    grasps = load_grasps(file).select([0, 1, 0])
+    q = grasps.q.copy()
+    q[1, 3] = np.nan
+    save_npz(Path("bad.npz"), grasps.with_(q=q).arrays())
+    assert main(["convert", "bad.npz", "bench", "--to", "dexgraspbench", "--json", "x.json"]) == 0
+    out, error = capfd.readouterr()
+    assert out.splitlines()[1] == "       3 grasps of hand allegro on 2 objects"
+    assert "note: 1 of 3 grasps is left out\n" in error
+    assert "note: 1 of 3 grasps is not finite: NaN, infinite, or a quaternion of length 0 (row 1)\n" in error
+    document = json.loads(Path("x.json").read_text())
+    assert (document["grasps"], document["left_out"], document["objects"]) == (2, 1, {"mug": 2})
+    assert main(["convert", "bench", "back.npz", "--to", "ours"]) == 0
+    np.testing.assert_allclose(load_grasps("back.npz").q, grasps.q[[0, 2]], atol=1e-15)
+    capfd.readouterr()
+    save_npz(Path("worse.npz"), grasps.with_(q=np.full_like(q, np.inf)).arrays())
+    assert refused(capfd, "convert", "worse.npz", "x", "--to", "bodex") == (
+        "worse.npz: none of its 3 grasps is finite: nothing to convert"
+    )
+    assert not Path("x").exists()
 
 
 def test_a_single_grasp_may_be_a_single_file(file: Path):

@@ -101,6 +101,21 @@ def test_rows_that_are_not_finite_are_read_as_they_are(write):
     assert load_grasps(write()).finite.all()
 
 
+def test_a_quaternion_of_length_0_is_a_pose_that_nobody_knows(write):
+    """Programs write it for grasps that they did not find; one such row once cost a file all of its grasps."""
+    pose, squeeze = entries()["hand_pose"], stages()
+    pose[1, 3:], squeeze["squeeze_pose"][2, 3:] = 0.0, 0.0
+    grasps = load_grasps(write(hand_pose=pose, **squeeze))
+    np.testing.assert_array_equal(np.isnan(grasps.hand_pose), np.repeat([[False], [True], [False]], 7, axis=1))
+    np.testing.assert_array_equal(grasps.finite, [True, False, False])
+    np.testing.assert_array_equal(grasps.q, entries()["q"])
+    # Any other length is one of a mix-up, in all rows.
+    pose[1, 3:] = [0.1, 0.0, 0.0, 0.0]
+    assert refused(write(hand_pose=pose)).endswith(
+        "hand_pose row 1 has no unit quaternion: the norm of its last four numbers, qw qx qy qz, is 0.1"
+    )
+
+
 def test_a_file_without_schema_is_version_1(write):
     assert len(load_grasps(write(schema=None))) == 3
 

@@ -37,6 +37,15 @@ WHOLE = [name for name in list_hands() if not needs_urdf(name) and name != "shad
 TIP = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 
 
+def test_a_link_without_geometry_says_which_links_have_some(tmp_path: Path):
+    path = write(tmp_path, {"base": "", "tip": TIP, "thumb": TIP}, joint("a", "base", "tip"), joint("b", "base", "thumb"))
+    hand = load_hand(path, candidates=16)
+    assert hand.links_by_name["tip"].solid is hand.links_by_name["tip"].body
+    message = "link 'base' has no collision geometry; links that have: tip, thumb"
+    with pytest.raises(HandError, match=message):
+        _ = hand.links_by_name["base"].solid
+
+
 def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: str = "") -> str:
     inside += '<limit lower="-1" upper="2" effort="3"/>'
     return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>'

@@ -11,6 +11,7 @@ from grasp_refine.names import are_sound, at_home, exists, is_file, is_folder, i
 
 SOUND = ("FFJ4", "", "with space", "ö手", "\U0001f590", "non\xa0breaking")
 UNSOUND = ("a\nb", "\t", "\x1b[2J", "\x7f", "\x9b2J", "a\0b", "\u2028", "\u2029", "\ud800")
+UNSOUND += ("exe.\u202egpj", "\u202a", "\u2066a\u2069", "\u2067", "\u2068")
 
 
 @pytest.mark.parametrize("text", SOUND)

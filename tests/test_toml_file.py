@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,44 @@ def test_a_file_is_read(tmp_path: Path):
     }
     # Many numbers in a line are no long key.
     assert len(read_toml(put(tmp_path, f"x = [{'0.5, ' * 1000}]"))["x"]) == 1000
+
+
+DOTS = "0.1" * 100
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"# {DOTS}\nx = 1",
+        f"x = 1 # {DOTS}",
+        f'x = "{DOTS}"',
+        f"x = '{DOTS}'",
+        f'x = """\n{DOTS}\n"{DOTS}\\""" # {DOTS}"""',
+        f"x = '''\n{DOTS}\n'{DOTS}\n'''",
+        f'x = "\\"{DOTS}" # {DOTS}',
+        f'"{DOTS}" = 1',
+    ],
+)
+def test_dots_in_comments_and_texts_are_no_parts_of_a_key(tmp_path: Path, text: str):
+    assert len(read_toml(put(tmp_path, text))) == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    ['a = """x"""', 'a = """x""""', 'a = """x"""""', "a = '''x''''", 'a = """"""', 'a = "\\\\"', "a = '#'", 'a = ""'],
+)
+def test_a_long_key_behind_a_text_is_found(tmp_path: Path, text: str):
+    with pytest.raises(ValueError, match="more than 64 parts"):
+        read_toml(put(tmp_path, "x = {" + text + ", b" + ".b" * DEEPEST + " = 1}"))
+
+
+@pytest.mark.parametrize("text", ['"""\n\\', "'''", 'x = "', "#"])
+def test_texts_without_end_take_no_time(tmp_path: Path, text: str):
+    path = put(tmp_path, text * 100_000)
+    start = time.process_time()
+    with pytest.raises(ValueError) if text != "#" else nullcontext():
+        read_toml(path)
+    assert time.process_time() - start < 0.5
 
 
 @pytest.mark.parametrize(

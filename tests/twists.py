@@ -1,14 +1,17 @@
 """One finite-difference checker over twist directions, which every derivative of the witness layer passes through."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import torch
 
 from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.se3 import exp_se3, hat
+from grasp_refine.witness.autograd import WitnessLayer
 
 Loss = Callable[[Witness], np.ndarray]
+FIELDS = ("point_a", "point_b", "normal", "distance")
+"""The fields of a witness that have derivatives."""
 
 
 def random_poses(count: int, seed: int, spread: float = 0.05) -> np.ndarray:
@@ -51,15 +54,32 @@ def gradient_along_twists(G: np.ndarray, T: np.ndarray) -> np.ndarray:
     return np.array(rows)
 
 
+def weighed(witness: Witness, cotangents: Mapping[str, np.ndarray] | None = None) -> torch.Tensor:
+    """sum(cotangent * field), a loss of the fields named; None: of all of them, with random cotangents."""
+    cotangents = random_cotangents(witness, FIELDS, seed=0) if cotangents is None else cotangents
+    fields = {name: getattr(witness, name) for name in cotangents}
+    return sum((field * torch.from_numpy(cotangents[name]).to(field)).sum() for name, field in fields.items())
+
+
+def gradients(
+    layer: WitnessLayer,
+    T_a: np.ndarray | torch.Tensor,
+    T_b: np.ndarray | torch.Tensor,
+    cotangents: Mapping[str, np.ndarray] | None = None,
+    **options: object,
+) -> torch.Tensor:
+    """Gradients (2, batch, P, 4, 4) of what `weighed` gives in the entries of both poses, by backward."""
+    leaves = [torch.as_tensor(T).detach().clone().requires_grad_() for T in (T_a, T_b)]
+    weighed(layer(*leaves, **options), cotangents).backward()
+    return torch.stack([leaf.grad for leaf in leaves])
+
+
 def layer_gradient(
-    layer: Callable[..., Witness], T_a: np.ndarray, T_b: np.ndarray, cotangents: dict[str, np.ndarray]
+    layer: WitnessLayer, T_a: np.ndarray, T_b: np.ndarray, cotangents: Mapping[str, np.ndarray]
 ) -> np.ndarray:
     """Derivative (12, batch) along twists of sum(cotangent * field) over the witness fields named, by backward."""
-    tensors = [torch.from_numpy(T.copy()).requires_grad_() for T in (T_a, T_b)]
-    witness = layer(*tensors)
-    loss = sum((getattr(witness, name) * torch.from_numpy(c)).sum() for name, c in cotangents.items())
-    loss.backward()
-    return np.concatenate([gradient_along_twists(t.grad.numpy(), T) for t, T in zip(tensors, (T_a, T_b), strict=True)])
+    found = gradients(layer, T_a, T_b, cotangents).numpy()
+    return np.concatenate([gradient_along_twists(G, T) for G, T in zip(found, (T_a, T_b), strict=True)])
 
 
 def random_cotangents(witness: Witness, names: tuple[str, ...], seed: int) -> dict[str, np.ndarray]:

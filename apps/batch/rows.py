@@ -137,7 +137,7 @@ def read_rows(shard: Shard, out: Path) -> Rows:
     def each(value: Any, kind: type = float) -> np.ndarray:
         try:
             return file.per_row("provenance", np.atleast_1d(np.asarray(value, dtype=kind)), n)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise file.error(DAMAGED) from None
 
     source, place = provenance.get("source") or {}, provenance.get("row") or [None]
@@ -177,7 +177,7 @@ def read_rows(shard: Shard, out: Path) -> Rows:
 def _numbers(file: NpzFile, key: str, n: int) -> np.ndarray:
     """An array of a result file as float64 (n,)."""
     value = file.entries[key]
-    value = value.astype(float) if value.dtype.kind == "b" else file.numbers(key, nan=True)
+    value = value.astype(float) if value.dtype.kind == "b" else file.numbers(key, allowed="nan")
     return file.per_row(key, value, n)
 
 

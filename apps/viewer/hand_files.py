@@ -10,6 +10,7 @@ from urllib.parse import unquote
 from grasp_refine.description.mesh_files import resolve_mesh
 from grasp_refine.errors import HandError
 from grasp_refine.hand_source import HAND_TOML
+from grasp_refine.names import is_file
 from grasp_refine.toml_file import UNREADABLE, read_toml
 
 from .mesh_bounds import check_faces, check_mesh_file, safe_xml
@@ -74,7 +75,7 @@ def _named_urdf(name: str, folder: Path, toml: Path) -> Path:
 
 def _meshes(name: str, folder: Path, urdf: Path) -> set[Path]:
     """The meshes in the upload that a URDF names, for collisions as well as for show."""
-    if not urdf.is_file():
+    if not is_file(urdf):
         raise UploadError(f"{name}: names the URDF '{urdf.name}', which is not in it; pack it, too")
     root = safe_xml(urdf.read_bytes(), f"{name}: {urdf.name}")
     for tag in ("link", "joint"):

@@ -70,12 +70,12 @@ def row_files(problem: Problem) -> tuple[Path, ...]:
 
 def _of_file(file: NpzFile, problem: Problem) -> Recorded:
     """What one file records; every measure has a value for each of its rows, known or not."""
-    count = len(file.numbers("hand_pose", finite=False))
+    count = len(file.numbers("hand_pose", allowed="any"))
     columns = {column.key: np.full(count, np.nan) for column in NUMBERS} | {STATUS.key: np.full(count, "")}
     # Other entries of grasp files may be called anything.
     if "provenance" in file.entries:
         for key in set(columns) & set(file.entries):
-            value = file.text(key) if key == STATUS.key else file.numbers(key, nan=True)
+            value = file.text(key) if key == STATUS.key else file.numbers(key, allowed="nan")
             columns[key] = file.per_row(key, value, count)
     T, q = _initial(file, count, problem)
     row = np.arange(count)
@@ -100,7 +100,7 @@ def _initial(file: NpzFile, count: int, problem: Problem) -> tuple[np.ndarray, n
 
 def _initial_stage(file: NpzFile, grasps: GraspSet) -> Stage:
     """The entries `initial_pose` and `initial_q`, checked."""
-    pose, q = (file.numbers(key, finite=False) for key in ("initial_pose", "initial_q"))
+    pose, q = (file.numbers(key, allowed="any") for key in ("initial_pose", "initial_q"))
     if pose.shape != grasps.hand_pose.shape or q.shape != grasps.q.shape:
         raise file.error(
             f"initial_pose and initial_q must have the shapes of hand_pose and q, {grasps.hand_pose.shape} and "

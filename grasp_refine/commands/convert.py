@@ -44,7 +44,7 @@ class Convert:
 
     What was written is read again before it takes its place: fingertips must be where they were to 1e-6 m, which shows
     that nothing was lost on the way. A file that exists is replaced, a folder is not. Pickles are read without running
-    them.
+    them. Grasps that are not finite are left out, and counted.
     """
 
     source: Annotated[Positional[Path], arg(metavar="IN")]
@@ -77,27 +77,30 @@ class Convert:
             check_no_input(self.json, (self.source, self.output), "is to be read or written as grasps")
         check_no_input(self.output, (self.source,), "is the input; give another name")
         said, console = screen(stderr=True), screen()
-        known = None if self.hand is None else load_hand(self.hand, urdf=self.urdf, candidates=CANDIDATES)
+        hand = None if self.hand is None else load_hand(self.hand, urdf=self.urdf, candidates=CANDIDATES)
         with Progress(console=said, transient=True, disable=not said.is_terminal) as bar:
             task = bar.add_task("reading", total=None)
             read = reading(
                 self.source,
                 format=self.format,
-                hand=known,
+                hand=hand,
                 tell=lambda done, total: bar.update(task, completed=done, total=total),
             )
             check_no_input(self.output, read.files, "is one of the files of the input; give another name")
-            if not read.grasps.finite.all():
-                row = int(np.argmin(read.grasps.finite))
-                raise GraspRefineError(f"{self.source}: grasp {row} is not finite, and cannot be converted: leave it out")
-            to, load = format_named(self.to), self._load(read.grasps)
-            parts, lost = to.write(read.grasps, load)
+            known = np.flatnonzero(read.grasps.finite)
+            if not len(known):
+                raise GraspRefineError(f"{self.source}: none of its {len(read.grasps)} grasps is finite: nothing to convert")
+            grasps, left = read.grasps.select(known), len(read.grasps) - len(known)
+            to, load = format_named(self.to), self._load(grasps)
+            parts, lost = to.write(grasps, load)
+            if left:
+                lost = [*lost, f"{left} of {len(read.grasps)} grasps {'is' if left == 1 else 'are'} left out"]
             check_output(self.output, to, parts)
             bar.update(task, description="writing and checking", total=None)
             try:
                 with written(self.output, to, parts) as (place, rows):
-                    again = reading(place, format=self.to, hand=load(read.grasps.base_link))
-                    difference, changed = _checked(read.grasps.select(rows), again.grasps, load)
+                    again = reading(place, format=self.to, hand=load(grasps.base_link))
+                    difference, changed = _checked(grasps.select(rows), again.grasps, load)
             except _Disagreement as found:
                 said.print(f"{self.output}: not written: {found}", soft_wrap=True, markup=False)
                 return NOTHING_USABLE
@@ -112,8 +115,9 @@ class Convert:
                 "input": {"path": self.source, "format": read.format.name, "files": len(read.files)},
                 "output": {"path": self.output, "format": self.to, "files": len(parts)},
                 "hand": read.grasps.hand,
-                "grasps": len(read.grasps),
-                "objects": Counter(read.grasps.object.tolist()),
+                "grasps": len(grasps),
+                "left_out": left,
+                "objects": Counter(grasps.object.tolist()),
                 "largest_difference_m": difference,
                 "limit_m": LIMIT,
                 "notes": notes,

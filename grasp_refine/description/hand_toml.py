@@ -202,7 +202,7 @@ def _typed(value: Any, kind: type[T], where: str) -> T:
 
 def _number(value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= MOST:
-        raise HandError(f"{where} must be a finite number, got {told(value)}")
+        raise HandError(f"{where} must be a number, at most {MOST:g}, got {told(value)}")
     return float(value)
 
 

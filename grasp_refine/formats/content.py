@@ -70,5 +70,5 @@ def _array(data: bytes) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of heads that Python 2 wrote, or nobody
             return np.load(io.BytesIO(data), allow_pickle=False)
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise Refused(f"is a damaged .npy file ({' '.join(str(error).split())[:80]})") from None

@@ -23,6 +23,9 @@ from grasp_refine.names import is_file, is_folder
 SUFFIXES = (".npz", ".npy", ".pickle", ".pkl")
 """Endings of the files in a folder that are read."""
 
+FEW = 10
+"""Most rows that a note names."""
+
 
 @dataclass(frozen=True, eq=False)
 class Reading:
@@ -101,6 +104,7 @@ def reading(
     if found != OURS:
         joined, empty = _without_empty_stages(joined)
         more += empty
+    more += _not_finite(joined)
     return Reading(joined, found, tuple(files), tuple(dict.fromkeys([*notes, *more])))
 
 
@@ -180,10 +184,23 @@ def _without_empty_stages(grasps: GraspSet) -> tuple[GraspSet, list[str]]:
     """
     notes = []
     for name in OTHER_STAGES:
-        stage = getattr(grasps, name)
-        if stage is None or (stage.hand_pose != grasps.hand_pose).any() or (stage.q != grasps.q).any():
+        stage, known = getattr(grasps, name), grasps.finite
+        if stage is None or (stage.hand_pose != grasps.hand_pose)[known].any() or (stage.q != grasps.q)[known].any():
             continue
         nothing: dict[str, Any] = {name: None}
         grasps = replace(grasps, **nothing)
         notes.append(f"the {name} is the grasp itself in all {len(grasps)}, so that there is none")
     return grasps, notes
+
+
+def _not_finite(grasps: GraspSet) -> list[str]:
+    """What to say of grasps that are no numbers."""
+    rows = np.flatnonzero(~grasps.finite)
+    if not len(rows):
+        return []
+    are, what = ("is", "row") if len(rows) == 1 else ("are", "rows")
+    listed = ", ".join(map(str, rows[:FEW])) + (", ..." if len(rows) > FEW else "")
+    return [
+        f"{len(rows)} of {len(grasps)} grasps {are} not finite: NaN, infinite, or a quaternion of length 0 "
+        f"({what} {listed})"
+    ]

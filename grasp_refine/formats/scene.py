@@ -34,8 +34,9 @@ def object_in_scene(source: Source) -> tuple[dict[str, Any], Sequence[str]]:
     name = source.text(held["scene_path"], "scene_path")
     tried = PurePosixPath(name.replace("\\", "/"))
     below = PurePosixPath(*[part for part in tried.parts if part not in ("/", "..")])
-    # A path in a file of someone else is only looked for around that file: around / would be anywhere.
-    for folder in source.path.absolute().parents[:-1]:
+    # A path in a file of someone else is only looked for around that file, around / would be anywhere; and only if it
+    # is that of an array.
+    for folder in source.path.absolute().parents[:-1] if below.suffix == ".npy" else ():
         if source.within is not None and not folder.is_relative_to(source.within.absolute()):
             break
         if is_file(folder / below):

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.errors import GraspFileError
-from grasp_refine.grasps import unit_poses
+from grasp_refine.grasps import unit_poses, without_zero_quaternions
 from grasp_refine.names import is_sound
 
 MESH_FOLDERS = ("mesh", "meshes", "urdf", "mjcf", "coacd")
@@ -35,8 +35,19 @@ class Source:
         """Return the error that says `message` about this file."""
         return GraspFileError(f"{self.path}: {message}")
 
+    def finite(self, value: Any, what: str) -> np.ndarray:
+        """Return finite numbers as float64."""
+        array = self.numbers(value, what)
+        if np.isnan(array).any():
+            at = np.argwhere(np.isnan(array))[0].tolist()
+            raise self.error(f"{what} must be finite; {what}{''.join(f'[{i}]' for i in at)} is not")
+        return array
+
     def numbers(self, value: Any, what: str, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
-        """Return finite numbers as float64, of the given shape if there is one; None in it is any length from 1."""
+        """Return numbers as float64, of the given shape if there is one; None in it is any length from 1.
+
+        Those that are not finite come as NaN, because one bad grasp should not cost the others.
+        """
         try:
             array = np.asarray(value)
         except ValueError:
@@ -48,15 +59,11 @@ class Source:
             raise self.error(f"{what} must have shape ({wanted}); it has {array.shape}")
         with np.errstate(all="ignore"):  # what overflows is not finite
             array = array.astype(float)
-        if not np.isfinite(array).all():
-            at = np.argwhere(~np.isfinite(array))[0].tolist()
-            place = "".join(f"[{i}]" for i in at)
-            raise self.error(f"{what} must be finite; {what}{place} is {array[tuple(at)]:g}")
-        return array
+        return np.where(np.isfinite(array), array, np.nan)
 
     def scale(self, value: Any, what: str) -> float:
         """Return the factor that takes a mesh to metres; three equal ones will do."""
-        factors = self.numbers(value, what).ravel()
+        factors = self.finite(value, what).ravel()
         if len(factors) not in (1, 3) or np.ptp(factors) > 1e-6 * abs(factors[0]):
             raise self.error(f"{what} must be one number, the same in all directions; it is {factors[:4].tolist()}")
         if factors[0] <= 0:
@@ -64,8 +71,9 @@ class Source:
         return float(factors[0])
 
     def poses(self, value: Any, what: str, count: int | None = None) -> Float[np.ndarray, "N 7"]:
-        """Return poses (N, 7), x y z qw qx qy qz, with unit quaternions."""
-        poses, fault = unit_poses(self.numbers(value, what, (count, 7)))
+        """Return poses (N, 7), x y z qw qx qy qz, with unit quaternions; NaN for those that are not finite, or 0."""
+        poses = self.numbers(value, what, (count, 7))
+        poses, fault = unit_poses(without_zero_quaternions(poses))
         if fault is not None:
             row, norm = fault
             raise self.error(

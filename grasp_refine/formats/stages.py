@@ -47,7 +47,7 @@ def grasps_of_stages(
         scale: What takes its mesh to metres.
 
     Raises:
-        GraspFileError: numbers of another shape, not finite, or no unit quaternions.
+        GraspFileError: numbers of another shape, or no unit quaternions.
     """
     T_object_world = inverse(transform_from_pose(source.poses([object_pose], "obj_pose", 1)))
     stages: dict[str, Any] = {}

@@ -38,10 +38,15 @@ MOST_BODIES = 64
 
 @contextmanager
 def quietly() -> Iterator[None]:
-    """Let the readers of trimesh say nothing but errors: of a broken file they warn in words for programmers."""
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
-    with np.errstate(all="ignore"):
-        yield
+    """Let trimesh log nothing within the block: of a broken file it tells in words for programmers."""
+    logger = logging.getLogger("trimesh")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    finally:
+        logger.setLevel(level)
 
 
 class FlatMeshError(MeshError):

@@ -36,7 +36,8 @@ _ADVICE = {
     Status.NOT_FINITE: "the grasp holds NaN or infinite numbers, or a query failed: check the input",
     Status.UNREACHABLE: "a target lies off the surface of its link or of the object: check frames and scale, or lower "
     "--threshold",
-    Status.INVALID: "the pose is no rigid motion, or pose, joints or targets are beyond 1e6 m or rad: check the input",
+    Status.INVALID: "the pose is no rigid motion, pose, joints or targets are beyond 1e6 m or rad, or a wanted normal is "
+    "not of length 1: check the input",
 }
 
 UNUSABLE = (Status.NO_TARGET, Status.NOT_FINITE, Status.INVALID)

@@ -155,12 +155,13 @@ def validate(
     """
     checks = checks or Checks()
     count = len(scene.q)
+    posed = scene.masked(scene.posed)  # what is nowhere has no measures
     labels: dict[str, Any] = {
         "object": np.full(count, name),
         "scale": np.full(count, scale),
         "row": rows,
         "index": index,
-        "metrics": metrics(scene.hand, scene.object, scene.T_world_root, scene.q),
+        "metrics": metrics(scene.hand, scene.object, posed.T_world_root, posed.q),
     }
     if world is None or motion is None:
         return Validated(**labels, wall_s=np.full(count, np.nan), cpu_s=np.full(count, np.nan))

@@ -25,7 +25,7 @@ _LARGEST_EIGENVALUE = 1.0 - 1e-6
 _OPEN = 1e-11
 """Singular values of I - A B below this are rounding: two round surfaces leave (gap / radius), which is more.
 
-Between them and 1 lies how much a derivative can be: 1e11, where exact slips say so, and 5e5 with clipped ones.
+So the largest derivative is 1e11 for exact slips, 5e5 for clipped ones.
 """
 
 

@@ -173,7 +173,9 @@ SPOILT = [
     ({"obj_path": 3}, "obj_path must be a text; it is int"),
     ({"obj_path": None}, "obj_path must be a text; it is NoneType"),
     ({"grasp_qpos": np.zeros((2, 29))}, "grasp_qpos must have shape (N); it has (2, 29)"),
-    ({"grasp_qpos": np.zeros(29)}, "grasp_qpos row 0 has no unit quaternion: the norm of its numbers 3 to 6, qw qx"),
+    ({"grasp_qpos": np.ones(29)}, "grasp_qpos row 0 has no unit quaternion: the norm of its numbers 3 to 6, qw qx"),
+    ({"obj_scale": np.nan}, "obj_scale must be finite; obj_scale is not"),
+    ({"obj_scale": [0.1, np.inf, 0.1]}, "obj_scale must be finite; obj_scale[1] is not"),
     ({"grasp_qpos": np.zeros(5)}, "grasp_qpos must have 7 numbers of a pose and the joint values; it has 5"),
     ({"grasp_qpos": [[1.0], [1.0, 2.0]]}, "grasp_qpos must be numbers of one shape; its rows differ in length"),
     ({"grasp_qpos": {"a": 1}}, "grasp_qpos must hold numbers; it holds dict"),
@@ -194,13 +196,45 @@ def test_defects_are_named(
     assert refused(save(tmp_path / "g.npy", spoilt)).startswith(message)
 
 
-def test_a_number_that_is_none_is_named_with_its_place(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
+@pytest.mark.parametrize(
+    ("at", "value"),
+    [(9, np.nan), (9, np.inf), (1, -np.inf), (4, np.nan), (slice(3, 7), 0.0), (9, None)],
+)
+def test_a_grasp_that_is_not_finite_costs_no_other_file_of_a_folder(
+    at: Any, value: float | None, grasps: Callable[..., GraspSet], load: Load, tmp_path: Path
+):
     held = bench(grasps, load, tmp_path)
-    held["grasp_qpos"] = held["grasp_qpos"].copy()
-    held["grasp_qpos"][9] = np.nan
-    assert refused(save(tmp_path / "g.npy", held)) == "grasp_qpos must be finite; grasp_qpos[9] is nan"
-    held["grasp_qpos"][9] = np.inf
-    assert refused(save(tmp_path / "g.npy", held)) == "grasp_qpos must be finite; grasp_qpos[9] is inf"
+    folder = tmp_path / "folder"
+    for number in range(3):
+        save(folder / f"{number}.npy", held)
+    whole = reading(folder)
+    spoilt = dict(held)
+    if value is None:  # all stages, and the pose of the object
+        spoilt |= {key: np.full_like(held[key], np.nan) for key in held if key.endswith("_qpos")}
+        spoilt["obj_pose"] = np.full(7, np.nan)
+    else:
+        spoilt["grasp_qpos"] = held["grasp_qpos"].copy()
+        spoilt["grasp_qpos"][at] = value
+    save(folder / "1.npy", spoilt)
+    read = reading(folder)
+    np.testing.assert_array_equal(read.grasps.finite, [True, False, True])
+    for name in ("hand_pose", "q", "object", "scale"):
+        np.testing.assert_array_equal(getattr(read.grasps, name)[[0, 2]], getattr(whole.grasps, name)[[0, 2]])
+    note = "1 of 3 grasps is not finite: NaN, infinite, or a quaternion of length 0 (row 1)"
+    assert set(read.notes) - set(whole.notes) == {note}
+    # Whether a stage is there is what the others say.
+    assert (read.grasps.pregrasp is None) == (whole.grasps.pregrasp is None)
+
+
+def test_stages_that_are_the_grasp_itself_are_none_beside_one_that_is_not_finite(
+    grasps: Callable[..., GraspSet], load: Load, tmp_path: Path
+):
+    held = bench(grasps, load, tmp_path)
+    held |= {key: held["grasp_qpos"] for key in ("pregrasp_qpos", "squeeze_qpos")}
+    save(tmp_path / "folder" / "0.npy", held)
+    save(tmp_path / "folder" / "1.npy", held | {"grasp_qpos": np.full(29, np.nan)})
+    read = read_grasps(tmp_path / "folder")
+    assert read.pregrasp is None and read.squeeze is None and read.finite.tolist() == [True, False]
 
 
 def test_defects_of_bodex_files(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
@@ -256,7 +290,9 @@ def test_a_scene_is_looked_for_only_where_it_may_lie(grasps: Callable[..., Grasp
     for within in (tmp_path / "uploads" / "1", tmp_path / "uploads"):
         with pytest.raises(GraspFileError, match="scene file scenes/mug.npy, which is not there"):
             reading(at("scenes/mug.npy"), within=within)
-    for name in (str(place), f"../..{place}", "a/" * 3000 + "b.npy", "a" * 300):
+    # Nor is a file opened that cannot be a scene.
+    (tmp_path / "scenes" / "secret").write_bytes(place.read_bytes())
+    for name in ("scenes/secret", str(place), f"../..{place}", "a/" * 3000 + "b.npy", "a" * 300):
         assert refused(at(name)).startswith(f"its object is in the scene file {name}"[:3000])
 
 
@@ -283,11 +319,12 @@ def test_defects_of_dexgraspnet_files(grasps: Callable[..., GraspSet], load: Loa
     path = tmp_path / "mug.npy"
     for change, message in (
         ({"robot0:FFJ9": 0.0}, "qpos of grasp 0 has unknown robot0:FFJ9; its names are robot0:FFJ3, robot0:FFJ2"),
-        ({"robot0:FFJ3": np.nan}, "qpos must be finite; qpos[0][0] is nan"),
         ({"WRJTx": "a"}, "qpos must hold numbers; it holds list"),
     ):
         spoilt = {"qpos": {**held["qpos"], **change}, "scale": 0.1}
         assert refused(save(path, np.array([spoilt], dtype=object))).startswith(message)
+    lost = {"qpos": {**held["qpos"], "WRJRz": np.nan}, "scale": 0.1}
+    assert read_grasps(save(path, np.array([held, lost, held], dtype=object))).finite.tolist() == [True, False, True]
     lacking = {"qpos": {key: value for key, value in held["qpos"].items() if key != "WRJTy"}, "scale": 0.1}
     assert refused(save(path, np.array([lacking], dtype=object))).startswith("qpos of grasp 0 lacks WRJTy; its names")
     assert refused(save(path, np.array([{"qpos": held["qpos"]}], dtype=object))) == "grasp 0 lacks a scale"
@@ -311,8 +348,8 @@ def test_defects_of_leap_caches(load: Load, tmp_path: Path):
     assert refused(save(tmp_path / "a.npy", rows)).startswith(
         "the pose of the cube in columns 16 to 22 row 1 has no unit"
     )
-    rows[1, 2] = np.nan
-    assert refused(save(tmp_path / "a.npy", rows)) == "the array must be finite; the array[1][2] is nan"
+    rows[0, 2], rows[1, 19:], rows[2, 18] = np.nan, 0.0, np.inf
+    assert not read_grasps(save(tmp_path / "a.npy", rows)).finite.any()
     assert refused(tmp_path / "cube_s105.npy", hand=load("shadow")).startswith(
         "is for the LEAP hand, with the joints 1, 0"
     )
@@ -348,7 +385,7 @@ def test_whatever_a_file_holds_is_read_or_refused(
     known = format_named(to)
     parts, _ = known.write(grasps(hand, count=1), partial(load, hand))
     content = list(parts[0].content) if to == "dexgraspnet" else parts[0].content
-    random, refusals = Random(3), 0
+    random, refusals, unknown = Random(3), 0, 0
     for _ in range(300):
         held = spoilt(content, random)
         if known.lacks(held):
@@ -359,9 +396,11 @@ def test_whatever_a_file_holds_is_read_or_refused(
             refusals += 1
             assert "\n" not in str(error)
         else:
-            assert np.isfinite(read.q).all()
-            np.testing.assert_allclose(np.linalg.norm(read.hand_pose[:, 3:], axis=1), 1.0)
-    assert refusals > 10
+            assert not np.isinf(read.q).any() and np.isfinite(read.scale).all()
+            unknown += not read.finite.all()
+            poses = read.hand_pose[read.finite]
+            np.testing.assert_allclose(np.linalg.norm(poses[:, 3:], axis=1), 1.0)
+    assert refusals and refusals + unknown > 10
 
 
 def test_angles_about_fixed_axes():

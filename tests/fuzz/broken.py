@@ -11,6 +11,7 @@ import sys
 import warnings
 from collections.abc import Callable, Hashable
 from functools import partial
+from itertools import count
 from pathlib import Path
 
 from fuzz.reader import Reader
@@ -54,6 +55,10 @@ def writes(path: Path) -> Hashable:
     return (path.parent / "../outside/new").write_text("x")
 
 
+def moves(path: Path) -> Hashable:
+    return os.rename(path, path.parent / "../outside/new")
+
+
 def connects(path: Path) -> Hashable:
     with socket.socket() as one:
         return one.connect_ex(("127.0.0.1", 9))
@@ -82,6 +87,13 @@ def crashes(path: Path) -> Hashable:
     return None
 
 
+CALLS = count(1)
+
+
+def crashes_at_third(path: Path) -> Hashable:
+    return refuses(path) if next(CALLS) % 3 else crashes(path)
+
+
 FAULTS: dict[str, tuple[Callable[[Path], Hashable], str, str]] = {
     "raises": (raises, "KeyError", "KeyError: 'x'"),
     "speaks oddly": (speaks_oddly, "message", "clears"),
@@ -89,6 +101,7 @@ FAULTS: dict[str, tuple[Callable[[Path], Hashable], str, str]] = {
     "swells": (swells, "memory", "MiB more for"),
     "opens": (opens, "outside", "open "),
     "writes": (writes, "outside", "write "),
+    "moves": (moves, "outside", "os.rename "),
     "connects": (connects, "outside", "socket."),
     "starts": (starts, "outside", "subprocess.Popen"),
     "unpickles": (unpickles, "outside", "pickle.find_class"),
@@ -115,5 +128,9 @@ READERS = {
         lambda random, name, content: b"x",
         cpu_limit=1.0,
     )
-    for name, read in {**{name: fault[0] for name, fault in FAULTS.items()}, **SOUND}.items()
+    for name, read in {
+        **{name: fault[0] for name, fault in FAULTS.items()},
+        **SOUND,
+        "crashes at third": crashes_at_third,
+    }.items()
 }

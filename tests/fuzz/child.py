@@ -70,8 +70,11 @@ class Watch:
                     self.seen.append(f"{'write' if writes else 'open'} {os.fsdecode(arguments[0])[:200]}")
             elif event.startswith(NEVER):
                 self.seen.append(f"{event} {str(arguments)[:200]}")
-            elif event.startswith(CHANGING) and not self.may(str(arguments[0]), True):
-                self.seen.append(f"{event} {str(arguments[0])[:200]}")
+            elif event.startswith(CHANGING):
+                # What is moved or linked has a second name, where it goes.
+                names = [os.fsdecode(name) for name in arguments[:2] if isinstance(name, str | bytes | os.PathLike)]
+                if not all(self.may(name, True) for name in names):
+                    self.seen.append(f"{event} {' '.join(names)[:200]}")
         finally:
             self.on = True
 
@@ -227,7 +230,7 @@ def run(reader: Reader, folder: Path, seed: int, seconds: float, most: int, repo
     executions = refused = 0
     while executions < most and time.monotonic() - start < seconds:
         name, content = drawn(reader, random, corpus, roots)
-        (folder / "current").write_bytes(json.dumps([name, executions + 1]).encode() + b"\n" + content)
+        (folder / "current").write_bytes(json.dumps([name, executions + 1, refused]).encode() + b"\n" + content)
         ending, findings = judge.judged(name, content)
         executions += 1
         refused += isinstance(ending, tuple) and ending[0] == "refused"

@@ -43,7 +43,7 @@ class Outcome:
     refused: int = 0
     """How many of them ended in a named error."""
     endings: int = 0
-    """Different ways, by the lines of the code, in which inputs ended."""
+    """Different ways, by the lines of the code, in which inputs ended; the most of one process."""
     seconds: float = 0.0
     """CPU time."""
     findings: list[Finding] = field(default_factory=list)
@@ -84,7 +84,7 @@ def _once(outcome: Outcome, module: str, seed: int, seconds: float, most: int) -
         lines: Queue[str | None] = Queue()
         reading = threading.Thread(target=_forward, args=(read, lines))
         reading.start()
-        base, done, silent = outcome.executions, False, False
+        base, refused, done, silent = outcome.executions, outcome.refused, False, False
         while not silent:
             try:
                 line = lines.get(timeout=WALL_LIMIT)
@@ -100,7 +100,8 @@ def _once(outcome: Outcome, module: str, seed: int, seconds: float, most: int) -
                 _add(outcome, Finding(kind, where, what, said["name"], bytes.fromhex(said["content"])))
             else:
                 outcome.executions = base + said["executions"]
-                outcome.refused, outcome.endings = said["refused"], max(outcome.endings, said["endings"])
+                outcome.refused = refused + said["refused"]
+                outcome.endings = max(outcome.endings, said["endings"])
                 done = said.get("done", False)
         _, status, usage = os.wait4(child.pid, 0)
         child.returncode = os.waitstatus_to_exitcode(status)
@@ -112,8 +113,8 @@ def _once(outcome: Outcome, module: str, seed: int, seconds: float, most: int) -
         if not current.is_file():
             raise RuntimeError(f"{outcome.reader}: {Path(folder, 'noise').read_text(errors='replace')[-3000:]}")
         told, _, content = current.read_bytes().partition(b"\n")
-        name, executions = json.loads(told)
-        outcome.executions = base + executions
+        name, executions, earlier = json.loads(told)
+        outcome.executions, outcome.refused = base + executions, refused + earlier
         last = Path(folder, "noise").read_text(errors="replace")[-2000:]
         kind = "hang" if silent else "crash"
         where = hashlib.sha256(content).hexdigest()[:8]

@@ -1,13 +1,14 @@
 """Meshes: read in every format, scaled, checked, closed or refused with a message that helps."""
 
 import csv
+import logging
 
 import numpy as np
 import pytest
 import trimesh
 
 from grasp_refine.errors import MeshError
-from grasp_refine.geometry.mesh import FlatMeshError, check_mesh, is_convex, load_mesh, watertight
+from grasp_refine.geometry.mesh import FlatMeshError, check_mesh, is_convex, load_mesh, quietly, watertight
 
 
 def cube(offset=(0, 0, 0), size=(1, 1, 1)) -> trimesh.Trimesh:
@@ -17,6 +18,16 @@ def cube(offset=(0, 0, 0), size=(1, 1, 1)) -> trimesh.Trimesh:
 
 def without(mesh: trimesh.Trimesh, *faces: int) -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.vertices, np.delete(mesh.faces, faces, axis=0), process=False)
+
+
+def test_what_trimesh_logs_is_the_users_again_afterwards(monkeypatch: pytest.MonkeyPatch):
+    logger = logging.getLogger("trimesh")
+    monkeypatch.setattr(logger, "level", logging.DEBUG)
+    with quietly():
+        assert not logger.isEnabledFor(logging.CRITICAL)
+    with pytest.raises(KeyError), quietly():
+        raise KeyError
+    assert logger.level == logging.DEBUG and logger.isEnabledFor(logging.DEBUG)
 
 
 @pytest.mark.parametrize("suffix", ["obj", "stl", "ply", "glb", "off", "OBJ"])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from exact_twists import DTYPES
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
@@ -19,6 +19,8 @@ from grasp_refine.solvers.first_order import descend, limits_within
 from grasp_refine.solvers.least_squares import Linear, Minimum, Point, minimise
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt, bounded_step
 from grasp_refine.solvers.status import Status
+
+FEWEST = settings(max_examples=max(5, settings().max_examples // 6))
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -66,8 +68,10 @@ def made_steps(seed: int, sided: bool) -> Steps:
 
 steps = st.builds(made_steps, seeds, st.booleans())
 
-MANY, MOST = 25, 0.9
-"""Active sets may go round in circles: of many problems, 2 in 1000 are not solved to the end, 1 in 1000 goes uphill."""
+MANY, MOST = 100, 0.97
+"""Active sets may go round in circles: of many problems, 2 in 1000 are not solved to the end, 1 in 1000 goes uphill.
+
+So many are taken together that chance hardly takes them below that share."""
 
 
 @given(steps)
@@ -92,6 +96,7 @@ def optimum(problem: Steps) -> np.ndarray:
     return best
 
 
+@FEWEST
 @given(st.integers(0, 2**31))
 def test_steps_are_the_best_within_their_bounds(seed: int) -> None:
     """None is better than scipy's, nearly all are as good; the predicted fall is that of the linear model."""
@@ -107,6 +112,7 @@ def test_steps_are_the_best_within_their_bounds(seed: int) -> None:
     assert np.mean(good) > MOST
 
 
+@FEWEST
 @given(st.integers(0, 2**31))
 def test_steps_with_one_sided_rows_go_downhill(seed: int) -> None:
     down = []
@@ -145,6 +151,8 @@ class Hills:
     wrong: float
     seen: dict[int, list[np.ndarray]] = field(default_factory=lambda: defaultdict(list))
     """Where each member was evaluated."""
+    begun: dict[int, list[int]] = field(default_factory=lambda: defaultdict(list))
+    """After how many evaluations each member began again."""
 
     def __post_init__(self) -> None:
         rng = np.random.default_rng(self.seed)
@@ -184,6 +192,8 @@ class Hills:
         return Point(point.T, np.clip(point.q + dx, self.lower, self.upper))
 
     def restarted(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
+        for m in member.tolist():
+            self.begun[m].append(len(self.seen[m]))
         draws = [
             np.random.default_rng((m, k)).uniform(self.lower, self.upper) for m, k in zip(member, start, strict=True)
         ]
@@ -195,7 +205,7 @@ hills = st.builds(Hills, seeds, st.integers(1, 7), st.integers(1, 6), st.sampled
 solvers = st.fixed_dictionaries(
     {
         "iterations": st.integers(1, 60),
-        "restarts": st.integers(0, 3),
+        "restarts": st.sampled_from([0, 0, 0, 1, 2, 3]),
         "good": st.just(1e-6),
         "widths": st.sampled_from([(1.0,), (1.0, 0.5, 2.0, 0.0)]),
     }
@@ -208,11 +218,14 @@ def test_losses_only_fall_within_a_start_and_the_best_of_all_is_kept(
 ) -> None:
     """The true loss, computed again: derivatives may be as wrong as they like. Limits hold wherever it is asked."""
     solver = LevenbergMarquardt(**options)
-    told: dict[int, list[tuple[np.ndarray, float]]] = defaultdict(list)
+    told: dict[int, list[float]] = defaultdict(list)
 
     def watch(member: np.ndarray, point: Point, loss: np.ndarray) -> None:
-        for m, q, value in zip(member.tolist(), point.q, loss, strict=True):
-            told[m].append((q.copy(), float(value)))
+        # Of a start without a loss nothing is known.
+        true = np.where(np.isfinite(loss), problem.loss(member, point.q), np.inf)
+        np.testing.assert_allclose(loss, true, rtol=1e-12)
+        for m, value in zip(member.tolist(), loss.tolist(), strict=True):
+            told[m].append(value)
 
     found = minimise(problem, problem.start, solver, 1e-8, width=width, watch=watch)
     for m in range(problem.count):
@@ -224,15 +237,13 @@ def test_losses_only_fall_within_a_start_and_the_best_of_all_is_kept(
         if np.isnan(losses).all():
             assert found.status[m] == Status.NOT_FINITE
             continue
-        # A start goes on from the point that was told last, or from a new one.
-        before = np.inf
-        for q, value in told[m]:
-            if np.isfinite(value):
-                np.testing.assert_allclose(value, problem.loss(np.array([m]), q[None])[0], rtol=1e-12)
-            assert value <= before or not any((asked == q).all(axis=1)) or solver.restarts
-            before = value
-        if not solver.restarts:
-            assert (np.diff([value for _, value in told[m]]) <= 0).all()
+        # From one start to the next, it is told where the loss was least.
+        assert len(told[m]) == len(asked) and len(problem.begun[m]) <= solver.restarts
+        known = np.split(np.where(np.isnan(losses), np.inf, losses), problem.begun[m])
+        least = np.concatenate([np.minimum.accumulate(part) for part in known])
+        np.testing.assert_allclose(told[m], least, rtol=1e-12)
+        rises = 1 + np.flatnonzero(np.diff(told[m], prepend=told[m][:1])[1:] > 0)
+        assert set(rises.tolist()) <= set(problem.begun[m])
         best = np.nanmin(losses)
         np.testing.assert_allclose(found.loss[m, 1], best, rtol=1e-12)
         np.testing.assert_allclose(problem.loss(np.array([m]), found.point.q[[m]])[0], best, rtol=1e-12)

@@ -9,11 +9,12 @@ from functools import cache, cached_property
 
 import numpy as np
 import pytest
-import torch
+import twists
 from exact_twists import angles, axes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapes_for_tests import cluster_body, ellipsoid_hull, ring_body
+from twists import FIELDS
 
 from grasp_refine.collision.engine import engines
 from grasp_refine.collision.query import Pairs, Witness, query
@@ -189,12 +190,18 @@ def test_the_whole_world_moved_is_the_same_world(
 def test_bodies_in_the_other_order_are_as_far_apart(meeting: Meeting) -> None:
     w, other = meeting.ask(), query(meeting.swapped, meeting.T_b, meeting.T_a)
     np.testing.assert_allclose(other.distance, w.distance, rtol=0, atol=2 * meeting.tolerance())
-    # Points of a ball and of what is convex are unique while they are apart.
-    if {meeting.a, meeting.b} <= {"ball", "capsule"} and meeting.a != meeting.b:
-        apart = (w.distance > 1e-3 * meeting.size)[..., None]
-        atol = 10 * meeting.tolerance()
-        np.testing.assert_allclose(apart * other.point_a, apart * w.point_b, rtol=0, atol=atol)
-        np.testing.assert_allclose(apart * other.normal, -apart * w.normal, rtol=0, atol=1e-6)
+
+
+@given(meetings(("ball", "capsule"), batch=6).filter(lambda meeting: meeting.a != meeting.b))
+def test_bodies_in_the_other_order_touch_at_the_same_points(meeting: Meeting) -> None:
+    """Points of a ball and a capsule are unique while the centre of the ball is not on the axis of the capsule."""
+    w, other = meeting.ask(), query(meeting.swapped, meeting.T_b, meeting.T_a)
+    rows = w.distance[:, 0] > -0.3 * meeting.size  # radii are 0.3 and 0.1
+    assert rows.sum() >= 3
+    atol = 10 * meeting.tolerance()
+    np.testing.assert_allclose(other.point_a[rows], w.point_b[rows], rtol=0, atol=atol)
+    np.testing.assert_allclose(other.point_b[rows], w.point_a[rows], rtol=0, atol=atol)
+    np.testing.assert_allclose(other.normal[rows], -w.normal[rows], rtol=0, atol=1e-6)
 
 
 # the batch
@@ -245,14 +252,9 @@ def test_the_number_of_threads_is_of_no_account(meeting: Meeting) -> None:
 
 def gradients(layer: WitnessLayer, poses: tuple[np.ndarray, np.ndarray], covectors: np.ndarray) -> np.ndarray:
     """Gradients (2, batch, 1, 4, 4) of the fields times the covectors (batch, 1, 10) in the entries of both poses."""
-    leaves = [torch.from_numpy(np.ascontiguousarray(T)).requires_grad_() for T in poses]
-    loss = contracted(layer(*leaves), covectors)
-    return np.stack([gradient.numpy() for gradient in torch.autograd.grad(loss, leaves)])
-
-
-def contracted(w: Witness, covectors: np.ndarray) -> torch.Tensor:
-    fields = torch.cat([w.point_a, w.point_b, w.normal, w.distance[..., None]], dim=-1)
-    return (fields * torch.from_numpy(covectors).to(fields)).sum()
+    parts = np.split(covectors, (3, 6, 9), axis=-1)
+    cotangents = dict(zip(FIELDS, (*parts[:3], parts[3][..., 0]), strict=True))
+    return twists.gradients(layer, *poses, cotangents).numpy()
 
 
 @FEWER
@@ -295,25 +297,6 @@ def test_each_gradient_is_the_one_that_it_has_alone(
             scale = np.abs(whole[:, rows]).max(axis=(0, 2, 3, 4), keepdims=True)
             assert np.isfinite(part).all()
             assert (np.abs(part - whole[:, rows]) <= tolerance * scale).all()
-
-
-@FEWER
-@given(meetings(batch=3), meetings(batch=2), seeds, st.sampled_from(sorted(METHODS)))
-def test_graphs_that_are_open_at_once_keep_apart(first: Meeting, second: Meeting, seed: int, name: str) -> None:
-    """Forward, forward, backward, backward, in either order, on one layer and with another batch size between."""
-    rng = np.random.default_rng(seed)
-    poses = [first.poses, tuple(np.concatenate([T[::-1], T]) for T in first.poses)]
-    covectors = [rng.normal(size=(len(T_a), 1, 10)) for T_a, _ in poses]
-    new = [WitnessLayer(Pairs(first.pairs.a, first.pairs.b, engine=first.engine), METHODS[name]) for _ in poses]
-    expected = [gradients(*each) for each in zip(new, poses, covectors, strict=True)]
-    layer = WitnessLayer(first.pairs, METHODS[name])
-    for order in ((0, 1), (1, 0)):
-        leaves = [[torch.from_numpy(T.copy()).requires_grad_() for T in both] for both in poses]
-        losses = [contracted(layer(*both), c) for both, c in zip(leaves, covectors, strict=True)]
-        second.ask()
-        for k in order:
-            found = torch.autograd.grad(losses[k], leaves[k])
-            np.testing.assert_array_equal(np.stack([gradient.numpy() for gradient in found]), expected[k])
 
 
 @FEWER

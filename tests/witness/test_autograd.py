@@ -7,12 +7,14 @@ import pytest
 import torch
 from shapes_for_tests import convex_body, ring_body
 from twists import (
+    FIELDS,
     contracted,
     gradient_along_twists,
+    gradients,
     layer_gradient,
     poses_at_gap,
-    random_cotangents,
     slopes_along_twists,
+    weighed,
 )
 
 from grasp_refine.collision.query import Pairs, QueryStatus, query
@@ -26,7 +28,6 @@ from grasp_refine.witness.neighborhood import Adaptive
 from grasp_refine.witness.scene import WitnessScene
 
 METHODS = {"distance": Distance(), "contact kinematics": ContactKinematics()}
-FIELDS = ("point_a", "point_b", "normal", "distance")
 
 
 def two_pairs() -> Pairs:
@@ -39,18 +40,6 @@ def near_poses(pairs: Pairs, count: int, gap: float, seed: int) -> tuple[torch.T
         poses_at_gap(Pairs(pairs.a[p : p + 1], pairs.b[p : p + 1]), count, gap, seed + p) for p in range(len(pairs))
     ]
     return tuple(torch.from_numpy(np.concatenate([column[side] for column in columns], axis=1)) for side in (0, 1))
-
-
-def scalar(witness: object, seed: int = 0) -> torch.Tensor:
-    """A loss that looks at everything, with random weights."""
-    cotangents = random_cotangents(witness, FIELDS, seed)
-    return sum((getattr(witness, name) * torch.from_numpy(c)).sum() for name, c in cotangents.items())
-
-
-def gradients(layer: WitnessLayer, T_a: torch.Tensor, T_b: torch.Tensor, **keywords: object) -> list[torch.Tensor]:
-    leaves = [T.detach().clone().requires_grad_() for T in (T_a, T_b)]
-    scalar(layer(*leaves, **keywords)).backward()
-    return [leaf.grad for leaf in leaves]
 
 
 @dataclass
@@ -125,7 +114,7 @@ def test_calls_do_not_know_of_each_other(name: str) -> None:
     expected = [gradients(WitnessLayer(two_pairs(), METHODS[name]), *poses, key=k) for k, poses in enumerate(batches)]
     for order in ((0, 1, 2), (2, 1, 0), (1, 0, 2)):
         leaves = [[T.clone().requires_grad_() for T in poses] for poses in batches]
-        losses = [scalar(layer(*pair, key=k)) for k, pair in enumerate(leaves)]
+        losses = [weighed(layer(*pair, key=k)) for k, pair in enumerate(leaves)]
         for k in order:
             losses[k].backward()
         for found, wanted in zip(leaves, expected, strict=True):
@@ -133,7 +122,7 @@ def test_calls_do_not_know_of_each_other(name: str) -> None:
                 assert torch.equal(leaf.grad, gradient)
     # All in one backward pass, and the same poses twice.
     leaves = [[T.clone().requires_grad_() for T in poses] for poses in batches]
-    (scalar(layer(*leaves[1], key=1)) + scalar(layer(*leaves[1], key=1)) + scalar(layer(*leaves[0]))).backward()
+    (weighed(layer(*leaves[1], key=1)) + weighed(layer(*leaves[1], key=1)) + weighed(layer(*leaves[0]))).backward()
     torch.testing.assert_close(leaves[1][0].grad, 2 * expected[1][0])
     assert torch.equal(leaves[0][1].grad, expected[0][1])
 
@@ -195,7 +184,7 @@ def test_memory_layout_does_not_matter() -> None:
     for layout in (fortran, strided, transposed, reversed_pairs):
         leaves = [layout(T).detach().requires_grad_() for T in (T_a, T_b)]
         assert not leaves[0].is_contiguous()
-        scalar(layer(*leaves)).backward()
+        weighed(layer(*leaves)).backward()
         for leaf, gradient in zip(leaves, expected, strict=True):
             torch.testing.assert_close(leaf.grad, gradient, rtol=1e-9, atol=1e-12)
 
@@ -205,7 +194,7 @@ def test_one_pose_may_be_expanded_over_batch_and_pairs() -> None:
     T_a, T_b = near_poses(pairs, 3, 0.02, 50)
     pose = torch.eye(4, dtype=torch.float64, requires_grad=True)
     layer = WitnessLayer(pairs, ContactKinematics())
-    scalar(layer(T_a, pose.expand(3, 2, 4, 4))).backward()
+    weighed(layer(T_a, pose.expand(3, 2, 4, 4))).backward()
     _, full = gradients(layer, T_a, torch.eye(4, dtype=torch.float64).repeat(3, 2, 1, 1))
     torch.testing.assert_close(pose.grad, full.sum((0, 1)), rtol=1e-9, atol=1e-12)
 
@@ -233,7 +222,7 @@ def test_poses_that_want_no_gradient_get_none() -> None:
     both = gradients(layer, T_a, T_b)
     for wanting in (0, 1):
         leaves = [T.clone().requires_grad_(side == wanting) for side, T in enumerate((T_a, T_b))]
-        scalar(layer(*leaves)).backward()
+        weighed(layer(*leaves)).backward()
         assert leaves[1 - wanting].grad is None
         assert torch.equal(leaves[wanting].grad, both[wanting])
     assert not layer(T_a, T_b).point_a.requires_grad

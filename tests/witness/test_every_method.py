@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from shapes_for_tests import cluster_body, convex_body, ring_body
-from twists import layer_gradient, poses_at_gap, random_cotangents, random_poses
+from twists import FIELDS, gradients, layer_gradient, poses_at_gap, random_cotangents, random_poses
 
 from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.geometry.body import Body, build_body
@@ -44,7 +44,6 @@ INVARIANT = [name for name in METHODS if "one-sided" not in name]
 SIDES_ALIKE = [name for name in METHODS if name not in ("finite difference", "zeroth order")]
 
 GAPS = (0.02, 1e-3, 1e-6, 1e-9, 0.0, -1e-9, -1e-4, -4e-3)
-FIELDS = ("point_a", "point_b", "normal", "distance")
 
 BODIES = {
     "concave": lambda: (cluster_body(2), cluster_body(3)),
@@ -62,21 +61,6 @@ def bodies(name: str) -> tuple[Body, Body]:
 def pair(name: str) -> Pairs:
     a, b = bodies(name)
     return Pairs((a,), (b,))
-
-
-def gradients(
-    pairs: Pairs,
-    method: Derivative,
-    T_a: torch.Tensor,
-    T_b: torch.Tensor,
-    cotangents: dict[str, np.ndarray],
-    *targets: torch.Tensor,
-) -> torch.Tensor:
-    """Gradients (2, batch, pair, 4, 4) of sum(cotangent * field) in the entries of both poses."""
-    leaves = [T.clone().requires_grad_() for T in (T_a, T_b)]
-    w = WitnessLayer(pairs, method)(*leaves, *targets)
-    sum((getattr(w, name) * torch.from_numpy(c).to(T_a)).sum() for name, c in cotangents.items()).backward()
-    return torch.stack([leaf.grad for leaf in leaves])
 
 
 # (a) finite wherever the bodies are
@@ -109,7 +93,8 @@ def check_all_finite(name: str, method: Derivative, count: int) -> None:
         targets[0, ::5] = transform_points(inverse(T_a[start : start + 1000][::5]), w.point_a[::5])
         targets[:, ::7] = np.nan
         cotangents = random_cotangents(w, FIELDS, seed=start)
-        found = gradients(pair(name), method, *poses, cotangents, *torch.from_numpy(targets))
+        layer, aims = WitnessLayer(pair(name), method), torch.from_numpy(targets)
+        found = gradients(layer, *poses, cotangents, target_a=aims[0], target_b=aims[1])
         assert torch.isfinite(found).all()
 
 
@@ -225,14 +210,14 @@ def test_single_precision_poses_give_nearly_the_same_gradients(name: str, gap: f
     double = [torch.from_numpy(T) for T in poses_at_gap(pairs, 40, gap, seed=31)]
     single = [T.float() for T in double]
     c = random_cotangents(query(pairs, *(T.numpy() for T in double)), FIELDS, seed=32)
-    found = gradients(pairs, METHODS[name], *single, c)
+    found = gradients(WitnessLayer(pairs, METHODS[name]), *single, c)
     assert found.dtype == torch.float32
     # Rounded poses in double precision: the very same but for the rounding of cotangents and results.
-    rounded = gradients(pairs, METHODS[name], *(T.double() for T in single), c)
+    rounded = gradients(WitnessLayer(pairs, METHODS[name]), *(T.double() for T in single), c)
     scale = rounded.abs().amax(dim=(0, 2, 3, 4))
     assert ((found - rounded).abs().amax(dim=(0, 2, 3, 4)) < 1e-5 * scale).all()
     # Poses that were never rounded: other samples in a few rows, hardly a difference in the rest.
-    exact = gradients(pairs, METHODS[name], *double, c)
+    exact = gradients(WitnessLayer(pairs, METHODS[name]), *double, c)
     close = (found - exact).abs().amax(dim=(0, 2, 3, 4)) < 1e-2 * scale
     assert close.double().mean() > 0.9
 
@@ -246,7 +231,9 @@ def test_a_row_does_not_depend_on_its_batch(name: str, gap: float) -> None:
     pairs = pair("concave")
     T_a, T_b = (torch.from_numpy(T) for T in poses_at_gap(pairs, 12, gap, seed=41))
     c = random_cotangents(query(pairs, T_a.numpy(), T_b.numpy()), FIELDS, seed=42)
-    whole = gradients(pairs, METHODS[name], T_a, T_b, c)
+    whole = gradients(WitnessLayer(pairs, METHODS[name]), T_a, T_b, c)
     for rows in ([3], [11, 0, 7, 5], [4, 4, 4, 4, 4, 9]):
-        part = gradients(pairs, METHODS[name], T_a[rows], T_b[rows], {key: value[rows] for key, value in c.items()})
+        part = gradients(
+            WitnessLayer(pairs, METHODS[name]), T_a[rows], T_b[rows], {key: value[rows] for key, value in c.items()}
+        )
         torch.testing.assert_close(part, whole[:, rows], rtol=1e-9, atol=1e-9 * float(whole.abs().max()))

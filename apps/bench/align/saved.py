@@ -251,7 +251,7 @@ class _Reader:
     def _numbers(self, key: str, shape: Sequence[int], *, nan: bool = False) -> np.ndarray:
         """Numbers of a shape."""
         self._need(key)
-        found = self.file.numbers(key, nan=nan)
+        found = self.file.numbers(key, allowed="nan" if nan else "finite")
         shape = tuple(map(int, shape))
         if found.shape != shape:
             raise self.file.error(f"{key} must have shape {shape}; it has {found.shape}")

@@ -26,7 +26,7 @@ class Square:
     depth: int
     """Percent of the darkest colour."""
     text: str
-    """What is written in it: how many are wrong."""
+    """What is written in it: how many faults there are."""
     hint: str
     """All of it in words."""
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from .cases import DTYPES
 from .rows import WRONG, Row
 
-SUMMED = ("queries", "refused", "points_compared", "mujoco_queries", "mujoco_wrong", *WRONG)
+SUMMED = ("queries", "refused", "points_compared", "collapsed", "mujoco_queries", "mujoco_wrong", *WRONG)
 """Counts of rows that add up."""
 
-WORST = ("error_max", "distance_error_max_m", "derivative_error_max")
+WORST = ("error_max", "distance_error_max_m", "points_error_max", "derivative_error_max")
 """Of these the largest counts."""
+
+SHARES = ("error_max", "points_error_max", "derivative_error_max")
+"""Those that are over their tolerance."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,7 @@ class Counts:
 
     @property
     def wrong(self) -> int:
-        """How often something was wrong."""
+        """How many faults there were; a query may have several."""
         return sum(self.sums[name] for name in WRONG)
 
 
@@ -46,7 +50,7 @@ def counted(rows: Iterable[Row]) -> Counts:
 
 
 def wrong(row: Row) -> int:
-    """How often something was wrong in a cell."""
+    """How many faults there were in a cell; a query may have several."""
     return sum(row[name] for name in WRONG)
 
 
@@ -64,17 +68,26 @@ def of_measure(rows: Iterable[Row], measure: str) -> list[Row]:
 
 
 def worst(rows: Iterable[Row], most: int, nearest: int) -> list[Row]:
-    """Of each body kind, state and measure the row with the most wrong answers, the worst first.
+    """Of each body kind, state, measure and precision the row with the most faults, the worst first.
 
     Args:
         rows: All rows.
         most: So many rows at most.
-        nearest: So many at most if nothing is wrong at all; then those with the largest errors are the worst.
+        nearest: So many of each precision at most if nothing is wrong at all; then those with the largest errors are
+            the worst. Each precision has its own, because tolerances are of the rounding of float32 poses.
     """
 
     def order(row: Row) -> tuple[int, float]:
-        return wrong(row), max(row["error_max"] or 0.0, row["derivative_error_max"] or 0.0)
+        return wrong(row), error_of(row) or 0.0
 
-    each = [max(its, key=order) for its in grouped(rows, ("kind", "state", "measure")).values()]
+    each = [max(its, key=order) for its in grouped(rows, ("kind", "state", "measure", "dtype")).values()]
     each = sorted((row for row in each if order(row) > (0, 0.0)), key=order, reverse=True)
-    return [row for row in each if wrong(row)][:most] or each[:nearest]
+    if each and wrong(each[0]):
+        return [row for row in each if wrong(row)][:most]
+    precise = grouped(each, ("dtype",))
+    return [row for dtype in DTYPES for row in precise.get((dtype,), [])[:nearest]]
+
+
+def error_of(row: Row) -> float | None:
+    """The largest error of a cell over its tolerance, of whatever was compared; None: nothing was."""
+    return max((row[name] for name in SHARES if row[name] is not None), default=None)

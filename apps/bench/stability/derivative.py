@@ -1,4 +1,10 @@
-"""Whether derivatives of witness points are finite, bounded, of the right sign, and scale with the world."""
+"""Whether derivatives of witness points are finite, bounded, of the right sign, and scale with the world.
+
+How points slip on their bodies is judged for two spheres only, where it is known: every method has to slip with the
+true way, and those that are exact have to slip by as much. Of polytopes, whose true slip is 0 or without bound and
+which most methods smooth on purpose, is judged what holds whatever the slip: the derivative of the distance, points
+that move with the bodies when these move together, bounds, and scale.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +28,7 @@ from grasp_refine.witness.zeroth_order import ZerothOrder
 from . import cases
 from .bodies import make_pairs
 from .judging import tolerance
-from .motion import Motion, Scene, forms_of, move, sphere_motion
+from .motion import Motion, Scene, forms_of, move, rigid_motion, sphere_motion
 from .poses import Posed, posers
 from .rows import Cell
 from .task import Task
@@ -47,6 +53,9 @@ TOLERANCE = 1e-9
 
 ROUNDINGS = 64.0
 """Of the precision of the result, as many may add up."""
+
+STEP = 1e-5
+"""What finite differences may be off by for their step of 1e-3, as a share of the largest entry or of 1."""
 
 
 def derivative_cells(task: Task) -> Iterator[Cell]:
@@ -84,7 +93,7 @@ class Faults:
     """Some entry exceeds the bound of the method."""
     wrong_sign: np.ndarray
     """Distances do not grow along the normal, points stay behind when the bodies move together, or those of two
-    spheres that are apart slide against the true way."""
+    spheres that are apart do not slip, slip against the true way, or by another length with a method that is exact."""
     unscaled: np.ndarray
     """The other size gives something else."""
     error: np.ndarray
@@ -131,14 +140,17 @@ def judged(scene: Scene, way: cases.Derivative, method: Derivative | None = None
         known = (np.abs(true) > 4.0 * allowed) & (np.abs(w.distance - true) <= allowed)
         backwards = known & scene.posed.truth.unique & ~(along > 0.0)
         if scene.spheres:
-            backwards |= known & (true > 0.0) & ~(_agreement(scene, motion) > 0.0)
+            slips = known & (true > 0.0)
+            agreement, off = _slips(scene, motion, way.method, rounding)
+            backwards |= slips & ~((agreement > 0.0) & (off <= 1.0))
+            errors = np.concatenate([errors, np.where(slips, off, 0.0)[None]])
     answered = w.valid & finite
     return Faults(
-        failed=w.status == QueryStatus.FAILED,
-        not_finite=w.valid & ~finite,
+        failed=~w.valid & (w.status != QueryStatus.NOT_FINITE),
+        not_finite=(w.valid & ~finite) | (w.status == QueryStatus.NOT_FINITE),
         unbounded=answered & ~(size <= _bound(scene, way.method, w.distance)),
         wrong_sign=answered & (~(errors[:2] <= 1.0).all(axis=0) | backwards),
-        unscaled=answered & (~(errors[2:] <= 1.0).all(axis=0) | (w.status != other.witness.status)),
+        unscaled=answered & (~(errors[2:4] <= 1.0).all(axis=0) | (w.status != other.witness.status)),
         error=np.where(answered, errors.max(axis=0), 0.0),
     )
 
@@ -167,9 +179,26 @@ def _truth_normal(posed: Posed) -> np.ndarray:
     return (posed.T_a[:, :3, :3] @ posed.truth.normal[..., None])[..., 0]
 
 
-def _agreement(scene: Scene, motion: Motion) -> np.ndarray:
-    """Products (N,) of derivatives of two spheres with the true ones: positive where points move the right way."""
-    return (motion.covectors * (motion.forms @ sphere_motion(scene))).sum(axis=(1, 2, 3))
+def _slips(scene: Scene, motion: Motion, method: cases.Method, rounding: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How points of two spheres slip, compared with the true way.
+
+    Returns:
+        Products (N,) of slips, that is of derivatives less those without any slip, with the true ones: positive where
+        points slip the right way. And for methods that are exact the largest error (N,) over its tolerance, else 0:
+        of all nine numbers for finite differences, and of both points for `Analytical`, which smooths the normal, and
+        whose system of both slips is as ill conditioned as the gap is small.
+    """
+    true, rigid = motion.forms @ sphere_motion(scene), rigid_motion(motion)
+    agreement = ((motion.covectors - rigid) * (true - rigid)).sum(axis=(1, 2, 3))
+    # Of each number, because the forms of spheres are nine that are orthonormal.
+    error = np.abs(motion.forms.T @ (motion.covectors - true))
+    size = 1.0 + np.abs(true).max(axis=(1, 2, 3))
+    if method == "analytical":
+        narrow = 1.0 + scene.diagonal / np.abs(motion.witness.distance)
+        return agreement, error[:, :, :6].max(axis=(1, 2, 3)) / (size * rounding * narrow)
+    if method == "finite-difference":
+        return agreement, error.max(axis=(1, 2, 3)) / (size * (STEP + rounding))
+    return agreement, np.zeros(len(size))
 
 
 def _bound(scene: Scene, method: cases.Method, distance: np.ndarray) -> np.ndarray:
@@ -224,5 +253,5 @@ def _cell(
         derivative_wrong_sign=count("wrong_sign"),
         derivative_unscaled=count("unscaled"),
         derivative_error_max=max((float(one.error.max()) for one in faults), default=None),
-        message="; ".join(dict.fromkeys(refused)) or None,
+        refusal="; ".join(dict.fromkeys(refused)) or None,
     )

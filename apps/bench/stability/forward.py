@@ -47,7 +47,7 @@ def _state_cells(
         dtype="float64",
         queries=each * (len(able) + len(refused)),
         refused=each * len(refused),
-        message="; ".join(dict.fromkeys(refused)) or None,
+        refusal="; ".join(dict.fromkeys(refused)) or None,
     )
     posed = [its for poser in able if (its := poser.pose(state, each)) is not None]
     second = _second_opinion(others, posed, task.mujoco) if able and task.mujoco else {}
@@ -59,9 +59,14 @@ def _state_cells(
             continue
         try:
             pairs = Pairs(tuple(poser.a for poser in able), tuple(poser.b for poser in able), engine=way.engine)
+        except GraspRefineError as error:
+            yield from (replace(cell, refused=cell.queries, refusal=str(error)) for cell in cells)
+            continue
+        try:
             found = _answers(pairs, posed, way, task.translations)
         except GraspRefineError as error:
-            yield from (replace(cell, refused=cell.queries, message=str(error)) for cell in cells)
+            # Bodies that could be built and poses that are finite have an answer: to refuse them is a fault.
+            yield from (replace(cell, failed=cell.queries - cell.refused, where=str(error)) for cell in cells)
             continue
         for step, (cell, far) in enumerate(zip(cells, task.translations, strict=True)):
             rows = slice(step * each, (step + 1) * each)
@@ -113,6 +118,7 @@ def _counted(cell: Cell, judged: Sequence[Judged], able: Sequence[Poser]) -> Cel
 
     errors = np.concatenate([one.error for one in judged])
     shares = np.concatenate([one.error / one.tolerance for one in judged])
+    points = np.concatenate([one.points_error for one in judged])
     compared = np.isfinite(errors).any()
     return replace(
         cell,
@@ -122,9 +128,11 @@ def _counted(cell: Cell, judged: Sequence[Judged], able: Sequence[Poser]) -> Cel
         wrong_sign=count("wrong_sign"),
         wrong_points=count("wrong_points"),
         points_compared=count("compared"),
+        collapsed=count("collapsed"),
         error_max=float(np.nanmax(shares)) if compared else None,
         distance_error_max_m=float(np.nanmax(errors)) if compared else None,
-        message="; ".join(filter(None, [cell.message, *map(_first_wrong, judged, able)])) or None,
+        points_error_max=float(np.nanmax(points)) if compared else None,
+        where="; ".join(filter(None, map(_first_wrong, judged, able))) or None,
     )
 
 

@@ -22,7 +22,13 @@ SINGLE = float(np.finfo(np.float32).eps)
 """The same in single precision: a share of diagonal and position together."""
 
 POINTS = 1e-6
-"""A point may be off by this share of the diagonal, and by as much as the tolerance of the distance lets it slide."""
+"""A point may be off by this share of the diagonal, and by as much as the error of the distance lets it slide."""
+
+SLIDE = 1e-12
+"""That error counts as this share of the diagonal and of the distance of the cores at least."""
+
+COLLAPSED = 64.0
+"""Distances of so many roundings of diagonal and position have a sign that can be told."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +48,14 @@ class Judged:
     along the normal; or a normal along which the bodies are not that far apart."""
     compared: np.ndarray
     """Where (N,) there is only one pair of points."""
+    collapsed: np.ndarray
+    """Where (N,) sign or status are not those of a truth that exceeds all rounding, but not the tolerance. No fault."""
     error: np.ndarray
     """Error of the distance (N,) in metres; NaN where there is none."""
     tolerance: np.ndarray
     """What it may be (N,), in metres."""
+    points_error: np.ndarray
+    """Largest error of points and normal (N,) over its tolerance; NaN where there is none."""
 
     @property
     def wrong(self) -> np.ndarray:
@@ -61,8 +71,12 @@ def tolerance(diagonal: float, position: np.ndarray, dtype: DType = "float64") -
         position: How far (N,) the bodies are from the origin of the world.
         dtype: Of poses and answers.
     """
-    single = SINGLE * (position + diagonal) if dtype == "float32" else 0.0
-    return SIZE * diagonal + LEAST_M + ROUNDING * position + single
+    return SIZE * diagonal + LEAST_M + _rounding(diagonal, position, dtype)
+
+
+def _rounding(diagonal: float, position: np.ndarray, dtype: DType) -> np.ndarray:
+    """How far (N,) bodies may be from where they are thought to be, because their poses are rounded, in metres."""
+    return ROUNDING * position + (SINGLE * (position + diagonal) if dtype == "float32" else 0.0)
 
 
 def _zeroed(found: Witness, good: np.ndarray) -> Witness:
@@ -105,9 +119,11 @@ def judge(
     # Where rounding of the poses is no matter: else it says which feature is the nearest.
     sharp = good & (allowed <= POINTS * diagonal)
     compared = sharp & truth.unique
-    # From points d apart, those of a plane are d + e apart sqrt(2 d e) away.
-    aslant = np.sqrt(2.0 * np.maximum(truth.distance, 0.0) * allowed)
-    near = POINTS * diagonal + aslant + np.where(compared, truth.slide, 1.0) * allowed
+    # Of a point d from a plane, points of the plane that are sqrt(2 d e) from the nearest one are d + e away.
+    least = SLIDE * (diagonal + np.abs(truth.core)) + _rounding(diagonal, position, dtype)
+    slack = np.maximum(error, least)
+    aslant = np.sqrt(2.0 * np.maximum(truth.core, 0.0) * slack)
+    near = POINTS * diagonal + aslant + np.where(compared, truth.slide, 1.0) * slack
     R = T_a[:, :3, :3]
     off = np.maximum(
         *(
@@ -131,13 +147,21 @@ def judge(
         fault[rows] = np.maximum.reduce(faults)
     fault += np.abs(np.linalg.norm(found.normal, axis=1) - 1.0) * diagonal
     wide = POINTS * (diagonal + np.abs(truth.distance)) + allowed
+    points_error = np.where(good, np.maximum(np.where(compared, off / near, 0.0), fault / wide), np.nan)
+    wrong_distance, wrong_sign = good & (error > allowed), good & (opposite | contrary)
+    told = np.abs(truth.distance) > COLLAPSED * np.finfo(dtype).eps * (diagonal + position)
+    other = (np.sign(found.distance) != np.sign(truth.distance)) | (
+        (found.status == QueryStatus.SEPARATED) != (truth.distance > 0.0)
+    )
     return Judged(
         failed=~answered & ~not_finite,
         not_finite=not_finite,
-        wrong_distance=good & (error > allowed),
-        wrong_sign=good & (opposite | contrary),
-        wrong_points=good & ((compared & (off > near)) | (fault > wide)),
+        wrong_distance=wrong_distance,
+        wrong_sign=wrong_sign,
+        wrong_points=points_error > 1.0,
         compared=compared,
+        collapsed=good & told & other & ~wrong_distance & ~wrong_sign,
         error=error,
         tolerance=allowed,
+        points_error=points_error,
     )

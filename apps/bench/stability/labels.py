@@ -31,7 +31,7 @@ WHAT = MappingProxyType(
         "wrong_points": "wrong points",
         "derivative_not_finite": "derivative not finite",
         "derivative_unbounded": "derivative unbounded",
-        "derivative_wrong_sign": "derivative of wrong sign",
+        "derivative_wrong_sign": "wrong derivative",
         "derivative_unscaled": "derivative does not scale",
     }
 )
@@ -81,11 +81,11 @@ OPTIONS = ("dtype", "batch", "engine", "translation", "method", "neighborhood")
 def again(row: Row, seed: int) -> str:
     """The command line that asks for this cell alone once more."""
     count = "queries" if row["measure"] == "forward" else "differentiated"
-    asked = ["--kinds", row["kind"], "--diagonals", f"{row['diagonal']:g}", "--states", row["state"]]
+    asked = ["--kinds", row["kind"], "--diagonals", repr(float(row["diagonal"])), "--states", row["state"]]
     asked += ["--measures", row["measure"]]
     for name in OPTIONS:
         if row[name] is not None and not (name == "translation" and row["measure"] == "derivative"):
-            value = f"{row[name]:g}" if name == "translation" else str(row[name])
+            value = repr(float(row[name])) if name == "translation" else str(row[name])
             asked += [f"--{PLURALS.get(name, f'{name}s')}", value]
     asked += [f"--{count}", str(row["queries"]), *(["--seed", str(seed)] if seed else [])]
     return shlex.join(["refine-grasp", "bench", "stability", *asked])

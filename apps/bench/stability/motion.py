@@ -138,6 +138,17 @@ def _covector(G: np.ndarray, T: np.ndarray, pivot: np.ndarray) -> np.ndarray:
     return np.concatenate([force, moment + cross(T[:, :3, 3] - pivot, force)], axis=1)
 
 
+def rigid_motion(motion: Motion) -> np.ndarray:
+    """What `Motion.covectors` (N, body, K, 6) would be without any slip: points stay where they are on their bodies.
+
+    The normal turns by the mean of how far the bodies do.
+    """
+    f_a, f_b, f_n = np.split(motion.forms, 3, axis=1)
+    turn = 0.5 * np.cross(motion.witness.normal[:, None], f_n)
+    sides = [np.concatenate([np.broadcast_to(force, turn.shape), turn], axis=2) for force in (f_a, f_b)]
+    return np.stack(sides, axis=1)
+
+
 def sphere_motion(scene: Scene) -> np.ndarray:
     """Derivatives (N, body, 9, 6) of x_a / D, x_b / D and n of two spheres, in the same units as `Motion.covectors`.
 

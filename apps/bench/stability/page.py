@@ -8,13 +8,13 @@ from typing import Any
 from ..report import rendered
 from .cases import DTYPES
 from .chart import LEAST, HeatMap, heat_map
-from .counts import counted, of_measure, worst, wrong
+from .counts import counted, error_of, grouped, of_measure, worst
 from .labels import WHAT, again, faults, length, ordered, words
 from .rows import WRONG, Row
 from .table import number
 
 WORST = 40
-"""Cells that are shown by name where something is wrong; where nothing is, `NEAREST`."""
+"""Cells that are shown by name where something is wrong; where nothing is, `NEAREST` of each precision."""
 NEAREST = 10
 
 MESSAGES = 20
@@ -47,7 +47,8 @@ def _totals(rows: Sequence[Row], crashes: int) -> list[tuple[str, str]]:
     forward, derivative, found = of_measure(rows, "forward"), of_measure(rows, "derivative"), counted(rows)
     lines = [("cells", len(rows)), ("queries", counted(forward)["queries"])]
     lines += [("witness points judged", found["points_compared"]), ("derivatives", counted(derivative)["queries"])]
-    lines += [("refused with a reason", found["refused"]), *((WHAT[name], found[name]) for name in WRONG)]
+    lines += [("refused with a reason", found["refused"]), ("collapsed", found["collapsed"])]
+    lines += [(WHAT[name], found[name]) for name in WRONG]
     return [(name, f"{count:,}".replace(",", "\u202f")) for name, count in [*lines, ("crashes", crashes)]]
 
 
@@ -63,6 +64,8 @@ def _maps(rows: Sequence[Row]) -> list[tuple[str, str, HeatMap]]:
         ("Signed distances by body and state, float32", "Poses in single precision, whose rounding is most of it.",
          single, body, "state", "error_max"),
         ("Signed distances by way of asking", "All bodies together.", forward, way, "state", "error_max"),
+        ("Witness points by body and state", "Poses in double precision; the colour is of points and normals.", double,
+         body, "state", "points_error_max"),
         ("Derivatives by method and state", "All bodies together.", derivative, method, "state", moves),
         ("Derivatives by method and size", "Body kinds and states together.", derivative, method, "diagonal", moves),
         ("Derivatives by body and state", "All methods together.", derivative, body, "state", moves),
@@ -74,21 +77,16 @@ def _told(row: Row, seed: int) -> tuple[str, str, str, str]:
     """A cell: what it is, what is wrong, its worst error, and how to ask again."""
     keys = ("kind", "diagonal", "state", "dtype", "batch", "engine", "translation", "method", "neighborhood")
     shown = ", ".join(words(key, row[key]) for key in keys if row[key] is not None)
-    error = max((row[key] for key in ("error_max", "derivative_error_max") if row[key] is not None), default=None)
-    said = [faults(row), row["message"] if wrong(row) else None]
-    return shown, "; ".join(filter(None, said)), number(error), again(row, seed)
+    said = [faults(row), row["where"]]
+    return shown, "; ".join(filter(None, said)), number(error_of(row)), again(row, seed)
 
 
 def _refusals(rows: Sequence[Row]) -> list[tuple[str, int, str]]:
     """Why something was refused, how often, and of which bodies."""
-    refused = [row for row in rows if row["refused"]]
-    # Where something is wrong besides, the message goes on with that.
-    reasons = list(dict.fromkeys(row["message"] or "no reason" for row in refused if not wrong(row)))
-    found: dict[str, list[Row]] = {}
-    for row in refused:
-        said = row["message"] or "no reason"
-        found.setdefault(next(filter(said.startswith, reasons), said), []).append(row)
-    return [(why, counted(its)["refused"], _bodies(its)) for why, its in list(found.items())[:MESSAGES]]
+    found = grouped((row for row in rows if row["refused"]), ("refusal",))
+    return [
+        (str(why or "no reason"), counted(its)["refused"], _bodies(its)) for (why,), its in [*found.items()][:MESSAGES]
+    ]
 
 
 def _bodies(rows: Sequence[Row]) -> str:

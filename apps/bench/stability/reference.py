@@ -52,6 +52,8 @@ class Truth:
     """The same on the second one."""
     unique: np.ndarray
     """Where (N,) there is one pair of witness points, which small errors of the distance move little."""
+    core: np.ndarray
+    """Signed distances (N,) of the cores, without the balls around them."""
     slide: np.ndarray
     """How far (N,) points slide on the pieces at most for each metre by which the distance is off; where `unique`."""
 
@@ -93,7 +95,7 @@ class Difference:
         distance = core * self.unit - sum(self.radii)
         x_a = in_a * self.unit + self.a.vertices.mean(axis=0) + self.radii[0] * normal
         x_b = in_b * self.unit + self.turned.mean(axis=0) + t - self.radii[1] * normal
-        return Truth(distance, normal, x_a, x_b, clear & (slide <= _FLAT), slide)
+        return Truth(distance, normal, x_a, x_b, clear & (slide <= _FLAT), core * self.unit, slide)
 
     def boundary(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """An offset (3,) at which the cores touch, at a facet, edge or vertex of M, and a way (3,) out of there."""
@@ -214,8 +216,8 @@ class Truths:
             return self.difference(0).at(t)
         bound = np.linalg.norm(t[:, None] - self._offset, axis=2) - self._radius
         normal, point_a, point_b = np.zeros((3, len(t), 3))
-        unique, slide = np.zeros(len(t), dtype=bool), np.zeros(len(t))
-        found = Truth(np.full(len(t), np.inf), normal, point_a, point_b, unique, slide)
+        unique, (core, slide) = np.zeros(len(t), dtype=bool), np.zeros((2, len(t)))
+        found = Truth(np.full(len(t), np.inf), normal, point_a, point_b, unique, core, slide)
         # The pair with the lowest bound first; then all that can still be nearer.
         first = bound.argmin(axis=1)
         for k in np.unique(first):

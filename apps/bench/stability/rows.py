@@ -50,23 +50,29 @@ class Cell:
     translation: float = 0.0
     """How far from the origin of the world both bodies are, in metres."""
     refused: int = 0
-    """Queries that a named error or a status turned down, see `message`."""
+    """Queries of bodies that could not be built, or of an engine that is not there, see `refusal`."""
     failed: int = 0
-    """Queries without an answer, whose status says so."""
+    """Queries without an answer, as the status or an error says."""
     not_finite: int = 0
-    """Answers with a distance, point or normal that is no number though the status says that it is one."""
+    """Answers with a distance, point or normal that is no number, or finite poses that are called not finite."""
     wrong_distance: int = 0
     """Distances further from the reference than the tolerance."""
     wrong_sign: int = 0
     """Distances of the wrong sign where the reference exceeds the tolerance."""
     wrong_points: int = 0
-    """Witness points further from the reference than the tolerance, of those compared."""
+    """Witness points further from the reference than the tolerance, of those compared; or, of all, not on the bodies,
+    or not as far apart along the normal as the answer says."""
     points_compared: int = 0
     """Queries whose witness points are unique."""
+    collapsed: int = 0
+    """Answers within the tolerance whose sign or status is not that of the reference, though that exceeds rounding by
+    far: gaps that are told as contact. No fault."""
     error_max: float | None = None
     """Largest error of a distance over its tolerance; None: nothing was compared."""
     distance_error_max_m: float | None = None
     """Largest error of a distance in metres; None: nothing was compared."""
+    points_error_max: float | None = None
+    """Largest error of witness points and normal over its tolerance; None: nothing was compared."""
     mujoco_queries: int = 0
     """Queries that MuJoCo was asked too."""
     mujoco_wrong: int = 0
@@ -76,18 +82,15 @@ class Cell:
     derivative_unbounded: int = 0
     """Queries whose derivative exceeds its bound."""
     derivative_wrong_sign: int = 0
-    """Queries whose points move the wrong way."""
+    """Queries whose derivative is not the true one where that is known: points that move the wrong way, too."""
     derivative_unscaled: int = 0
     """Queries whose derivative does not follow a change of the unit of length."""
     derivative_error_max: float | None = None
     """Largest error of a derivative over its tolerance; None: nothing was compared."""
-    message: str | None = None
-    """Why queries were refused or failed, in one line."""
-
-    @property
-    def wrong(self) -> int:
-        """How often this cell is wrong in some way; a query may be so in several."""
-        return sum(getattr(self, name) for name in WRONG)
+    refusal: str | None = None
+    """Why queries were refused, in one line."""
+    where: str | None = None
+    """Which answers are wrong, the first of each pair of bodies; or the error that there was instead of answers."""
 
     def row(self) -> Row:
         """The entry of the table."""

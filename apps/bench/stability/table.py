@@ -8,32 +8,37 @@ from textwrap import wrap
 from rich.box import SIMPLE
 from rich.table import Table
 
-from .counts import counted, grouped, of_measure, worst, wrong
+from .counts import counted, error_of, grouped, of_measure, worst, wrong
 from .labels import again, faults, ordered, words
 from .rows import Row
 
 FORWARD = (
     ("re-\nfused", "refused"),
-    ("no\nanswer", "failed"),
-    ("not\nfinite", "not_finite"),
-    ("wrong\ndist.", "wrong_distance"),
-    ("wrong\nsign", "wrong_sign"),
-    ("wrong\npoints", "wrong_points"),
+    ("no\nans.", "failed"),
+    ("not\nfin.", "not_finite"),
+    ("bad\ndist.", "wrong_distance"),
+    ("bad\nsign", "wrong_sign"),
+    ("bad\npts.", "wrong_points"),
     ("points\njudged", "points_compared"),
+    ("col-\nlaps.", "collapsed"),
+    ("dist.\nerr.", "error_max"),
+    ("pts.\nerr.", "points_error_max"),
 )
-"""Columns on queries, and what they count."""
+"""Columns on queries, and what they count, or the largest of which error they are."""
 
 DERIVATIVE = (
     ("re-\nfused", "refused"),
+    ("no\nanswer", "failed"),
     ("not\nfinite", "derivative_not_finite"),
     ("un-\nbounded", "derivative_unbounded"),
-    ("wrong\nsign", "derivative_wrong_sign"),
+    ("\nwrong", "derivative_wrong_sign"),
     ("not\nscaled", "derivative_unscaled"),
+    ("worst\nerror", "derivative_error_max"),
 )
 """Columns on derivatives."""
 
 WORST, NEAREST = 5, 2
-"""Cells that are shown by name: most if something is wrong, and if nothing is."""
+"""Cells that are shown by name: most if something is wrong, and of each precision if nothing is."""
 
 WIDTH = 78
 """Letters of a line of a command, which goes on after a backslash."""
@@ -52,44 +57,47 @@ def bench_tables(rows: Sequence[Row], seed: int, crashes: int) -> Iterator[Table
         table = _table("wrong distances and points; errors are over their tolerance", "body")
         _columns(table, [head for head, _ in FORWARD])
         for key in ("kind", "state"):
-            _counts(table, forward, key, FORWARD, "error_max")
+            _counts(table, forward, key, FORWARD)
         yield table
     if derivative:
         table = _table("wrong derivatives; errors are over their tolerance", "method")
         _columns(table, [head for head, _ in DERIVATIVE])
         for key in ("method", "state"):
-            _counts(table, derivative, key, DERIVATIVE, "derivative_error_max")
+            _counts(table, derivative, key, DERIVATIVE)
         yield table
     yield "\n".join([*_worst(rows, seed), *summary(rows, crashes)])
 
 
 def summary(rows: Sequence[Row], crashes: int) -> Iterator[str]:
-    """How much was asked, and how much was wrong, in a line; one more of MuJoCo."""
+    """How much was asked, and how many faults there were, in a line; one more of MuJoCo."""
     found = counted(rows)
     asked = [
         f"{counted(its)['queries']} {what}"
         for its, what in ((of_measure(rows, "forward"), "queries"), (of_measure(rows, "derivative"), "derivatives"))
         if its
     ]
+    wrongs = f"{found.wrong} fault{'' if found.wrong == 1 else 's'}"
+    collapsed = f", {found['collapsed']} collapsed" if found["collapsed"] else ""
     refused = f", {found['refused']} refused" if found["refused"] else ""
     crashed = f", {crashes} crashed" if crashes else ""
     if found["mujoco_queries"]:
         yield f"MuJoCo, asked {found['mujoco_queries']} of the queries: {found['mujoco_wrong']} wrong"
-    yield f"{found.cells} cells, {' and '.join(asked)}: {found.wrong} wrong{refused}{crashed}"
+    yield f"{found.cells} cells, {' and '.join(asked)}: {wrongs}{collapsed}{refused}{crashed}"
 
 
 def _columns(table: Table, heads: Sequence[str]) -> None:
-    for head in ("\nasked", *heads, "worst\nerror"):
+    for head in ("\nasked", *heads):
         table.add_column(head, justify="right", no_wrap=True)
 
 
-def _counts(table: Table, rows: Sequence[Row], key: str, columns: Sequence[tuple[str, str]], error: str) -> None:
+def _counts(table: Table, rows: Sequence[Row], key: str, columns: Sequence[tuple[str, str]]) -> None:
     """A line for each value of a key; of states, one for all too."""
     groups = grouped(rows, (key,))
     lines = [(words(key, value), counted(groups[value,])) for value in ordered(key, (row[key] for row in rows))]
     lines += [("all", counted(rows))] if key == "state" else []
     for name, found in lines:
-        cells = [str(found["queries"]), *(str(found[count]) for _, count in columns), number(found.largest[error])]
+        names = ["queries", *(of for _, of in columns)]
+        cells = [number(found.largest[of]) if of in found.largest else str(found[of]) for of in names]
         table.add_row(name, *cells, style="bold" if found.wrong else None)
     if key != "state":
         table.add_section()
@@ -106,8 +114,8 @@ def _worst(rows: Sequence[Row], seed: int) -> Iterator[str]:
     if shown:
         yield "what is wrong, and how to ask for it again:" if wrong(shown[0]) else "nearest to being wrong:"
     for row in shown:
-        errors = [row[key] for key in ("error_max", "derivative_error_max") if row[key] is not None]
-        said = [faults(row), f"error {number(max(errors))} of its tolerance" if errors else ""]
+        error = error_of(row)
+        said = [faults(row), row["dtype"], "" if error is None else f"error {number(error)} of its tolerance"]
         yield f"- {', '.join(filter(None, said))}"
         lines = wrap(again(row, seed), WIDTH, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False)
         yield " \\\n".join(lines)

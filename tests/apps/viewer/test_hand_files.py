@@ -109,6 +109,10 @@ def test_a_hand_toml_names_no_urdf_outside(urdf: str, folder: Path):
     assert f"urdf = '{urdf}' in hand.toml lies outside of the upload" in text
 
 
+def test_a_hand_toml_names_no_urdf_that_cannot_be(folder: Path):
+    assert "which is not in it; pack it, too" in refused(zipped({"hand/hand.toml": f'urdf = "{"a/" * 3000}b"'}), folder)
+
+
 def test_mjcf_is_not_read_from_uploads(folder: Path):
     """It can include any file, and sizes in it can fill the memory."""
     content = gripper_zip(**{"gripper/hand.toml": 'urdf = "urdf/gripper.urdf"\nmjcf = "hand.xml"'})

@@ -5,24 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from apps.bench.stability import cases
+from apps.bench.stability import cases, derivative
 from apps.bench.stability.bodies import make_pairs
+from apps.bench.stability.counts import wrong
 from apps.bench.stability.derivative import METHODS, Faults, derivative_cells, judged, method_of
-from apps.bench.stability.motion import Scene, move, sphere_motion
+from apps.bench.stability.motion import Motion, Scene, forms_of, move, rigid_motion, sphere_motion
 from apps.bench.stability.poses import Posed, posers
 from apps.bench.stability.presets import derivatives_of
 from apps.bench.stability.task import Task
-from grasp_refine.collision.query import query
+from grasp_refine.collision.query import QueryStatus, query
 from grasp_refine.se3 import exp_se3
 from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.finite_difference import FiniteDifference
+from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
 
@@ -49,7 +52,7 @@ def test_no_derivative_is_wrong(kind: cases.Kind) -> None:
     states = ("far", "gap-1e-12", "face-face", "deep")
     cells = list(derivative_cells(Task(kind, 1e-3, states, derivatives=WAYS, differentiated=2)))
     assert len(cells) == len(WAYS) * (3 if kind == "ball" else 4)
-    assert [cell for cell in cells if cell.wrong] == []
+    assert [cell for cell in cells if wrong(cell.row())] == []
     assert {cell.queries for cell in cells} == {2}
     assert all(cell.measure == "derivative" and cell.derivative_error_max < 1.0 for cell in cells)
 
@@ -136,6 +139,51 @@ def test_spheres_that_slide_the_wrong_way_are_seen() -> None:
     assert found["wrong_sign"] == 4 and found["unscaled"] == 0
 
 
+@pytest.mark.parametrize("pair", [0, 1])
+@pytest.mark.parametrize("state", ["near", "gap-1e-6"])
+def test_points_of_spheres_that_do_not_slip_at_all_are_seen(state: cases.State, pair: int) -> None:
+    """Of polytopes they are not: there, no slip may be the true one."""
+    one = scene("ball", state, pair=pair)
+    for way in WAYS:
+        assert counts(judged(one, way, Rigid())) == {**dict.fromkeys(NAMES, 0), "wrong_sign": 4}
+        assert counts(judged(one, way)) == dict.fromkeys(NAMES, 0)
+    assert counts(judged(scene("box", "near"), cases.Derivative(), Rigid())) == dict.fromkeys(NAMES, 0)
+
+
+@pytest.mark.parametrize("method", ["analytical", "finite-difference"])
+@pytest.mark.parametrize("state", ["far", "near", "gap-1e-6", "gap-1um"])
+def test_exact_methods_have_to_slip_by_as_much_as_spheres(method: cases.Method, state: cases.State) -> None:
+    """A slip too long by 1 in 1000 is right for a method that estimates curvatures, and wrong for one that is exact."""
+
+    @dataclass(frozen=True)
+    class TooFar:
+        def pull_back(self, scene: WitnessScene, *forces: np.ndarray | None) -> Pull:
+            way = method_of(cases.Derivative(method, None))
+            pairs = zip(way.pull_back(scene, *forces), Rigid().pull_back(scene, *forces), strict=True)
+            first, second = (rigid + 1.001 * (found - rigid) for found, rigid in pairs)
+            return first, second
+
+    exact, other = cases.Derivative(method, None), cases.Derivative("contact-kinematics")
+    assert counts(judged(scene("ball", state), exact)) == dict.fromkeys(NAMES, 0)
+    assert counts(judged(scene("ball", state), exact, TooFar())) == {**dict.fromkeys(NAMES, 0), "wrong_sign": 4}
+    assert counts(judged(scene("ball", state), other, TooFar())) == dict.fromkeys(NAMES, 0)
+
+
+@pytest.mark.parametrize(
+    ("status", "name"),
+    [(QueryStatus.FAILED, "failed"), (QueryStatus.FAR, "failed"), (QueryStatus.NOT_FINITE, "not_finite")],
+)
+def test_queries_without_points_are_counted_whatever_the_status(
+    status: QueryStatus, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*asked: Any) -> Motion:
+        found = move(*asked)
+        return replace(found, witness=replace(found.witness, status=np.full(4, status)))
+
+    monkeypatch.setattr(derivative, "move", broken)
+    assert counts(judged(scene("box"), cases.Derivative())) == {**dict.fromkeys(NAMES, 0), name: 4}
+
+
 def test_normals_that_point_the_other_way_are_seen() -> None:
     posed = scene("box").posed
     turned = replace(posed, truth=replace(posed.truth, normal=-posed.truth.normal))
@@ -144,6 +192,13 @@ def test_normals_that_point_the_other_way_are_seen() -> None:
 
 
 # what it is judged by
+
+
+def test_the_motion_without_slip_is_that_of_rigid_points() -> None:
+    one = scene("box")
+    asked = one.posed.T_a, one.posed.T_b, one.targets, forms_of(one), torch.float64
+    found = move(one.pairs, Rigid(), *asked)
+    np.testing.assert_allclose(rigid_motion(found), found.covectors, atol=1e-12)
 
 
 def test_the_derivatives_of_spheres_are_those_of_their_points() -> None:

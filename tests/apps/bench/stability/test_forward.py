@@ -11,6 +11,7 @@ import pytest
 from apps.bench.stability import forward
 from apps.bench.stability.bodies import Made, make_pairs
 from apps.bench.stability.cases import APART, APART_M, DIAGONALS, KINDS, STATES, Forward, Kind, State, diagonals_of
+from apps.bench.stability.counts import wrong
 from apps.bench.stability.forward import forward_cells
 from apps.bench.stability.judging import Judged, judge, tolerance
 from apps.bench.stability.poses import Posed, posers
@@ -18,6 +19,7 @@ from apps.bench.stability.second import SecondOpinion
 from apps.bench.stability.task import Task
 from grasp_refine.collision.engine import VARIABLE
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
+from grasp_refine.errors import GraspRefineError
 
 PYTHON = Forward(engine="python")
 
@@ -46,7 +48,7 @@ def test_kinds_are_what_they_are_called():
 def test_a_body_without_thickness_is_refused_and_counted():
     task = Task("slivers", 0.1, ("near",), (PYTHON,), queries=8)
     (cell,) = forward_cells(task)
-    assert (cell.queries, cell.refused) == (8, 2) and "flat, 8.6e-08 of its diagonal thick" in cell.message
+    assert (cell.queries, cell.refused) == (8, 2) and "flat, 8.6e-08 of its diagonal thick" in cell.refusal
 
 
 def posed(kind: Kind, diagonal: float, state: State, count: int, pair: int = 0) -> tuple[Made, Posed]:
@@ -165,6 +167,36 @@ def test_every_fault_is_seen(answered: tuple[Witness, Posed, Pairs]):
     assert counts(judged(answered, normal=lambda n: 1.001 * n)) == {"wrong_points": 1}
 
 
+def test_points_may_slide_by_what_the_error_of_the_distance_allows_and_no_more():
+    """Of a plane 1000 diagonals away, points 1e-2 diagonals off are 5e-8 diagonals farther: that would be an error."""
+    made, found = posed("box", 0.1, "far", 24)
+    pairs = Pairs(*((body,) for body in made.pairs[0]), engine="python")
+    right = query(pairs, found.T_a[:, None], found.T_b[:, None]).pairs(0), found, pairs
+    fine = judged(right)
+    assert counts(fine) == {} and found.truth.unique.any() and fine.points_error.max() < 0.2
+    across = np.cross(right[0].normal[one(found)], [0.3, 0.5, 0.8])
+    across /= np.linalg.norm(across)
+    off = {name: lambda x: x + 1e-5 * across for name in ("point_a", "point_b")}
+    bad = judged(right, **off)
+    assert counts(bad) == {"wrong_points": 1} and 1.0 < bad.points_error[one(found)] < 1e3
+
+
+def test_gaps_that_are_told_as_contact_are_counted_and_are_no_fault():
+    made, found = posed("box", 0.1, "gap-1e-9", 16)
+    pairs = Pairs(*((body,) for body in made.pairs[0]), engine="python")
+    right = query(pairs, found.T_a[:, None], found.T_b[:, None]).pairs(0), found, pairs
+    before = judged(right)
+    touching = {"distance": lambda _: 0.0, "status": lambda _: QueryStatus.PENETRATING}
+    after = judged(right, **touching)
+    assert counts(after) == {} and after.collapsed.sum() == before.collapsed.sum() + 1
+    # What rounding of the poses cannot tell is none.
+    (T_a, T_b), w = found.moved(1e6), right[0]
+    shut = replace(w, distance=np.zeros(16), point_b=w.point_a, status=np.full(16, QueryStatus.PENETRATING))
+    move = (T_a - found.T_a)[:, :3, 3]
+    shut = replace(shut, point_a=w.point_a + move, point_b=w.point_a + move)
+    assert not judge(shut, found.truth, pairs.piece_pairs, T_a, T_b, 0.1).collapsed.any()
+
+
 def test_points_that_are_not_the_only_ones_have_to_be_on_the_bodies():
     made, found = posed("box", 0.1, "face-face", 16, pair=1)
     pairs = Pairs(*((body,) for body in made.pairs[1]), engine="python")
@@ -185,12 +217,12 @@ def test_a_wrong_answer_of_the_query_is_counted_in_its_cell(monkeypatch: pytest.
     task = Task("box", 0.1, ("near", "deep"), (PYTHON,), translations=(0.0, 1e3), queries=12, mujoco=0)
     right = list(forward_cells(task))
     monkeypatch.setattr(forward, "query", broken)
-    wrong = list(forward_cells(task))
-    assert [cell.wrong for cell in right] == [0] * 4 and all(cell.queries == 12 for cell in right)
+    bad = list(forward_cells(task))
+    assert [wrong(cell.row()) for cell in right] == [0] * 4 and all(cell.queries == 12 for cell in right)
     # The first pose of each call, which asks for both translations.
-    assert [cell.wrong_distance for cell in wrong] == [1, 0] * 2
-    assert wrong[0].error_max == pytest.approx(1e-3 / tolerance(0.1, np.array(0.0)), rel=0.3)
-    assert wrong[0].message == "box 0a and box 0b: pose 0 of 4" and right[0].message is None
+    assert [cell.wrong_distance for cell in bad] == [1, 0] * 2
+    assert bad[0].error_max == pytest.approx(1e-3 / tolerance(0.1, np.array(0.0)), rel=0.3)
+    assert bad[0].where == "box 0a and box 0b: pose 0 of 4" and right[0].where is right[0].refusal is None
 
 
 def test_ways_to_ask():
@@ -199,7 +231,7 @@ def test_ways_to_ask():
     assert [(cell.dtype, cell.batch, cell.translation) for cell in cells] == [
         (way.dtype, way.batch, far) for way in ways for far in (0.0, 1e6)
     ]
-    assert [cell.wrong for cell in cells] == [0] * 6 and sum(cell.mujoco_queries for cell in cells) == 5
+    assert [wrong(cell.row()) for cell in cells] == [0] * 6 and sum(cell.mujoco_queries for cell in cells) == 5
     # Poses in single precision are rounded; how many are asked at once changes nothing.
     assert cells[1].distance_error_max_m > 100 * cells[0].distance_error_max_m
     assert cells[2].distance_error_max_m > 100 * cells[0].distance_error_max_m
@@ -210,8 +242,19 @@ def test_an_engine_that_refuses_is_a_message_not_an_end(monkeypatch: pytest.Monk
     monkeypatch.setenv(VARIABLE, "none")
     way = replace(PYTHON, engine="auto")
     cells = list(forward_cells(Task("box", 0.1, ("near",), (way,), queries=6, mujoco=0)))
-    assert [(cell.queries, cell.refused, cell.wrong) for cell in cells] == [(6, 6, 0)]
-    assert cells[0].message == f"{VARIABLE} is 'none'; choose auto, native, python"
+    assert [(cell.queries, cell.refused, wrong(cell.row())) for cell in cells] == [(6, 6, 0)]
+    assert cells[0].refusal == f"{VARIABLE} is 'none'; choose auto, native, python"
+
+
+def test_a_query_that_refuses_is_a_fault(monkeypatch: pytest.MonkeyPatch):
+    def refuses(*asked: Any) -> Witness:
+        raise GraspRefineError("nothing can be answered")
+
+    monkeypatch.setattr(forward, "query", refuses)
+    (cell,) = forward_cells(Task("slivers", 0.1, ("near",), (PYTHON,), queries=8))
+    # The pair that could not be built was never asked.
+    assert (cell.queries, cell.refused, cell.failed, wrong(cell.row())) == (8, 2, 6, 6)
+    assert cell.where == "nothing can be answered" and "flat" in cell.refusal
 
 
 @pytest.mark.parametrize("kind", ["ball", "box", "plate", "near-duplicates"])

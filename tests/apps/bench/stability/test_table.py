@@ -22,52 +22,65 @@ def printed(rows: list[Row], seed: int = 0, crashes: int = 0) -> list[str]:
 
 
 def test_counts_of_a_large_run_fit_into_80_columns():
-    count = {"queries": 1_234_567, "points_compared": 1_000_000, "mujoco_queries": 12_345, "mujoco_wrong": 1234}
+    count = {
+        "queries": 1_234_567,
+        "points_compared": 1_000_000,
+        "collapsed": 12_345,
+        "mujoco_queries": 12_345,
+        "mujoco_wrong": 1234,
+    }
     rows = [forward(kind=kind, state=STATES[k], **count).row() for k, kind in enumerate(KINDS)]
     rows += [derivative(method=method, queries=123_456).row() for method in METHODS]
     found = printed(rows)
     assert max(map(len, found)) <= 80
     for kind in KINDS:
         (line,) = (line for line in found if line.split()[:1] == [kind])
-        assert line.split()[1:] == ["1234567", *"000000", "1000000", "1e-6"]
+        assert line.split()[1:] == ["1234567", *"000000", "1000000", "12345", "1e-6", "1e-5"]
     (line,) = (line for line in found if line.startswith("zeroth-order"))
-    assert line.split()[1:] == ["123456", *"00000", "1e-3"]
-    assert found[-1] == "15 cells, 11111103 queries and 740736 derivatives: 0 wrong"
+    assert line.split()[1:] == ["123456", *"000000", "1e-3"]
+    assert found[-1] == "15 cells, 11111103 queries and 740736 derivatives: 0 faults, 111105 collapsed"
     assert found[-2] == "MuJoCo, asked 111105 of the queries: 11106 wrong"
 
 
 def test_all_is_the_sum_over_states_and_nothing_is_counted_twice():
     found = printed([forward(wrong_sign=1).row(), forward(kind="ball", state="deep", not_finite=2, refused=5).row()])
     (line,) = (line for line in found if line.split()[:1] == ["all"])
-    assert line.split() == ["all", "20", "5", "0", "2", "0", "1", "0", "0", "1e-6"]
-    assert found[-1] == "2 cells, 20 queries: 3 wrong, 5 refused"
+    assert line.split() == ["all", "20", "5", "0", "2", "0", "1", "0", "0", "0", "1e-6", "1e-5"]
+    assert found[-1] == "2 cells, 20 queries: 3 faults, 5 refused"
 
 
 def test_crashes_are_told_though_they_have_no_rows():
-    assert printed([forward().row()], crashes=2)[-1] == "1 cells, 10 queries: 0 wrong, 2 crashed"
+    assert printed([forward().row()], crashes=2)[-1] == "1 cells, 10 queries: 0 faults, 2 crashed"
 
 
 def test_what_is_wrong_is_told_with_its_command():
     text = "\n".join(printed([forward().row(), forward(state="deep", wrong_sign=2).row()], seed=3))
-    assert "- 2 wrong sign, error 1e-6 of its tolerance\n  refine-grasp bench stability --kinds box" in text
+    assert "- 2 wrong sign, float64, error 1e-5 of its tolerance\n  refine-grasp bench stability --kinds box" in text
     assert "--states deep" in text and "--seed 3" in text and "--states near" not in text
     text = "\n".join(printed([forward().row()]))
-    assert "nearest to being wrong:\n- error 1e-6 of its tolerance\n  refine-grasp" in text
-    text = "\n".join(printed([forward(error_max=None).row()]))
-    assert "refine-grasp" not in text and text.endswith("1 cells, 10 queries: 0 wrong")
+    assert "nearest to being wrong:\n- float64, error 1e-5 of its tolerance\n  refine-grasp" in text
+    text = "\n".join(printed([forward(error_max=None, points_error_max=None).row()]))
+    assert "refine-grasp" not in text and text.endswith("1 cells, 10 queries: 0 faults")
 
 
 def test_commands_name_all_that_a_cell_depends_on():
     asked = again(forward(diagonal=1e-6, translation=1e6, dtype="float32").row(), 5).removeprefix("refine-grasp ")
     assert asked == (
         "bench stability --kinds box --diagonals 1e-06 --states near --measures forward --dtypes float32 --batches 4 "
-        "--engines python --translations 1e+06 --queries 10 --seed 5"
+        "--engines python --translations 1000000.0 --queries 10 --seed 5"
     )
     asked = again(derivative().row(), 0).removeprefix("refine-grasp ")
     assert asked == (
         "bench stability --kinds box --diagonals 0.1 --states near --measures derivative --dtypes float64 "
         "--methods distance --neighborhoods adaptive --differentiated 3"
     )
+
+
+def test_commands_name_sizes_and_places_to_the_last_digit():
+    """Poses depend on them."""
+    asked = again(forward(diagonal=0.12345678, translation=1 / 3).row(), 0).split()
+    assert float(asked[asked.index("--diagonals") + 1]) == 0.12345678
+    assert float(asked[asked.index("--translations") + 1]) == 1 / 3
 
 
 @pytest.mark.parametrize(
