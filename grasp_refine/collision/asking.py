@@ -37,8 +37,8 @@ _TOUCHING = 4e-9
 """A distance within this is contact to GJK, at the default tolerance."""
 _APART = (0.25, 2.0**-14)
 """The gaps at which GJK is asked again, one after the other."""
-_ROUNDS = 8
-"""How often the normal is followed at each of them."""
+_ROUNDS = 32
+"""How often the normal is followed at most at each of them."""
 _NOTHING = 1e-24
 """The square of a distance between centres that has no direction."""
 _ASIDE = 0.25
@@ -193,8 +193,8 @@ class Asker:
             found = self._climb(pair, R, t, u)
             if best is None or found.gap > best.gap:
                 best = found
-            # Apart, nothing is better than a closed gap. In penetration there may be a larger one elsewhere.
-            if best.closed and (best.gap > 0.0 or abs(d - best.gap) <= close):
+            # Elsewhere there may be a larger gap.
+            if best.closed and (abs(d - best.gap) <= close or (np.isnan(d) and best.gap > 0.0)):
                 break
         else:
             if not best.answered or (np.isnan(d) and not best.closed):

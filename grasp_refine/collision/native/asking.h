@@ -21,7 +21,7 @@ constexpr double kWild = 1e300;  // A distance beyond this, either way, is no an
 
 // As in asking.py, in units of the pieces.
 constexpr double kSure = 1e-10, kTouching = 4e-9, kNothing = 1e-24, kAside = 0.25, kApart[] = {0.25, 1.0 / 16384};
-constexpr int kRounds = 8, kEpaIterations = 256;
+constexpr int kRounds = 32, kEpaIterations = 256;
 
 struct Tolerances {
   double gjk, epa, retry, slack;
@@ -165,8 +165,10 @@ class Asker {
     Vec3s starts[9];
     const int count = begin(pair, T, starts);
     Climbed best = climb(pair, T, starts[0]);
-    // Apart, nothing is better than a closed gap. In penetration there may be a larger one elsewhere.
-    const auto sure = [&] { return best.closed && (best.gap > 0 || std::abs(d - best.gap) <= close); };
+    // Elsewhere there may be a larger gap.
+    const auto sure = [&] {
+      return best.closed && (std::abs(d - best.gap) <= close || (std::isnan(d) && best.gap > 0));
+    };
     for (int k = 1; k < count + 6 && !sure(); ++k) {
       const Vec3s u = k < count ? starts[k] : Vec3s(normalized(best.normal + kAside * axis(k - count)));
       const Climbed found = climb(pair, T, u);
