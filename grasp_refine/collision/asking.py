@@ -17,6 +17,7 @@ other gaps. If not, the normal there is a better direction. It is followed until
 from nearer, because a small turn moves points less there.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -39,8 +40,10 @@ _APART = (0.25, 2.0**-14)
 """The gaps at which GJK is asked again, one after the other."""
 _ROUNDS = 32
 """How often the normal is followed at most at each of them."""
-_NOTHING = 1e-24
-"""The square of a distance between centres that has no direction."""
+_NOTHING = 1e-12
+"""The length of a vector that has no direction."""
+_UNIT = 1e-6
+"""How far the square of a normal may be from 1: coal's is zero where the axes of capsules meet."""
 _ASIDE = 0.25
 """How far from the best direction so far others are tried."""
 _AXES = np.array([sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)])
@@ -101,6 +104,11 @@ class PiecePair:
         start_b = (v[0] * y[0] + v[1] * y[1] + v[2] * y[2]).min() - self.b.radius
         return (u[0] * t[0] + u[1] * t[1] + u[2] * t[2]) + start_b - end_a
 
+    def gap_quickly(self, R: np.ndarray, t: np.ndarray, u: np.ndarray) -> float:
+        """The same up to the last bit, which is enough to compare it with something."""
+        end_a, start_b = (u @ self.a.vertices).max(), (u @ R @ self.b.vertices).min()
+        return float(u @ t + start_b - end_a - (self.a.radius + self.b.radius))
+
     def between(self, R: np.ndarray, t: np.ndarray) -> np.ndarray:
         """From the centre of a to that of b (3,), in the frame of a."""
         y = self.b.center
@@ -159,20 +167,21 @@ class Asker:
             d = self._ask(pair, t, self._loose, _NO_GUESS)
             if not (floor <= d < _WILD):
                 d = np.nan
-        n = self.normal
-        # Not bit for bit `pair.gap`, but faster.
-        gap = n @ t + (n @ R @ pair.b.vertices).min() - (n @ pair.a.vertices).max() - (pair.a.radius + pair.b.radius)
-        if abs(d) > _TOUCHING and abs(d - gap) <= _SURE and _is_unit(n) and not self._disproven(pair, R, t, d):
+        if abs(d) > _TOUCHING and self._is_proven(pair, R, t, d):
             return d
         d = self._settled(pair, R, t, d)
         return d if d >= floor else np.nan
 
-    def _disproven(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, d: float) -> bool:
-        """Whether the pieces are parted more easily along the line between their centres: EPA was elsewhere."""
-        if d > 0.0:
+    def _is_proven(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, d: float) -> bool:
+        """Whether the gap along coal's normal is d and, in penetration, that along the line of centres not above it."""
+        n = self.normal
+        if not (abs(d - pair.gap_quickly(R, t, n)) <= _SURE and abs(n @ n - 1.0) <= _UNIT):
             return False
-        m = pair.between(R, t)
-        return bool(_square(m) > _NOTHING and pair.gap(R, t, _normalized(m)) > d + _SURE)
+        if d > 0.0:
+            return True
+        m = R @ pair.b.center + t - pair.a.center
+        length = math.sqrt(m @ m)
+        return length <= _NOTHING or pair.gap_quickly(R, t, m / length) <= d + _SURE
 
     def _ask(self, pair: PiecePair, t: np.ndarray, request: coal.DistanceRequest, guess: np.ndarray) -> float:
         """Coal's answer for body b at t (3,), as it is."""
@@ -205,8 +214,8 @@ class Asker:
     def _starts(self, pair: PiecePair, R: np.ndarray, t: np.ndarray) -> list[np.ndarray]:
         """Directions to begin with: coal's normal, across two capsules, the line between the centres, and the axes."""
         across, m = pair.across(R), pair.between(R, t)
-        starts = [self.normal] if _is_unit(self.normal) else []
-        starts += [_normalized(u) for u in (across, m) if _square(u) > _NOTHING]
+        starts = [self.normal] if abs(_square(self.normal) - 1.0) <= _UNIT else []
+        starts += [_normalized(u) for u in (across, m) if _square(u) > _NOTHING**2]
         return [*starts, *_AXES]
 
     def _climb(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, u: np.ndarray) -> _Climbed:
@@ -232,11 +241,6 @@ class Asker:
                     break
                 found.gap, found.normal = gap, n
         return found
-
-
-def _is_unit(n: np.ndarray) -> bool:
-    """Whether a normal (3,) is one: coal's is zero where the axes of capsules meet."""
-    return bool(abs(_square(n) - 1.0) <= 1e-6)
 
 
 def _normalized(u: np.ndarray) -> np.ndarray:

@@ -20,7 +20,8 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr double kWild = 1e300;  // A distance beyond this, either way, is no answer.
 
 // As in asking.py, in units of the pieces.
-constexpr double kSure = 1e-10, kTouching = 4e-9, kNothing = 1e-24, kAside = 0.25, kApart[] = {0.25, 1.0 / 16384};
+constexpr double kSure = 1e-10, kTouching = 4e-9, kNothing = 1e-12, kUnit = 1e-6, kAside = 0.25;
+constexpr double kApart[] = {0.25, 1.0 / 16384};
 constexpr int kRounds = 32, kEpaIterations = 256;
 
 struct Tolerances {
@@ -134,7 +135,7 @@ class Asker {
   }
 
   // coal's normal is zero where the axes of capsules meet.
-  bool has_normal() const { return std::abs(PiecePair::dot(normal, normal) - 1) <= 1e-6; }
+  bool has_normal() const { return std::abs(PiecePair::dot(normal, normal) - 1) <= kUnit; }
 
   static Vec3s no_guess() { return Vec3s(1, 0, 0); }
 
@@ -142,7 +143,7 @@ class Asker {
   static bool disproven(const PiecePair& pair, const Transform3s& T, double d) {
     if (d > 0) return false;
     const Vec3s m = pair.between(T);
-    return PiecePair::dot(m, m) > kNothing && pair.gap(T, normalized(m)) > d + kSure;
+    return PiecePair::dot(m, m) > kNothing * kNothing && pair.gap(T, normalized(m)) > d + kSure;
   }
 
   double ask(const PiecePair& pair, const Transform3s& T, coal::DistanceRequest& request, const Vec3s& guess) {
@@ -185,7 +186,7 @@ class Asker {
     int count = 0;
     if (has_normal()) out[count++] = normal;
     for (const Vec3s& u : {pair.across(T), pair.between(T)})
-      if (PiecePair::dot(u, u) > kNothing) out[count++] = normalized(u);
+      if (PiecePair::dot(u, u) > kNothing * kNothing) out[count++] = normalized(u);
     for (int k = 0; k < 6; ++k) out[count++] = axis(k);
     return count;
   }
