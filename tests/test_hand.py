@@ -38,7 +38,9 @@ TIP = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 
 
 def test_a_link_without_geometry_says_which_links_have_some(tmp_path: Path):
-    path = write(tmp_path, {"base": "", "tip": TIP, "thumb": TIP}, joint("a", "base", "tip"), joint("b", "base", "thumb"))
+    path = write(
+        tmp_path, {"base": "", "tip": TIP, "thumb": TIP}, joint("a", "base", "tip"), joint("b", "base", "thumb")
+    )
     hand = load_hand(path, candidates=16)
     assert hand.links_by_name["tip"].solid is hand.links_by_name["tip"].body
     message = "link 'base' has no collision geometry; links that have: tip, thumb"

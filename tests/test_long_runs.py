@@ -41,7 +41,8 @@ def random_steps(count: int) -> np.ndarray:
     return np.random.default_rng(0).normal(size=(100, count, 6)) * [1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2]
 
 
-@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype", PRECISIONS)
 def test_steps_of_first_order_solvers_keep_rotations_orthonormal(dtype: str) -> None:
     steps = torch.from_numpy(random_steps(8)).to(getattr(torch, dtype))
     T = torch.eye(4, dtype=steps.dtype).expand(8, 4, 4)
@@ -59,17 +60,18 @@ def test_steps_of_levenberg_marquardt_keep_rotations_orthonormal(dtype: str) -> 
     assert T.dtype == dtype and crooked(T[:, :3, :3]) < PRECISIONS[dtype][0]
 
 
-@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
-def test_a_helix_of_ten_turns_does_not_drift(dtype: str) -> None:
-    """Ten thousand equal steps are one motion of ten thousand times the twist, in closed form."""
+@pytest.mark.parametrize("dtype", PRECISIONS)
+@pytest.mark.parametrize("count", [2000, pytest.param(LONG, marks=pytest.mark.slow)])
+def test_a_helix_of_ten_turns_does_not_drift(count: int, dtype: str) -> None:
+    """So many equal steps are one motion of so many times the twist, in closed form."""
     axis = np.random.default_rng(1).normal(size=(8, 3))
     turns = 20.0 * np.pi * axis / np.linalg.norm(axis, axis=1, keepdims=True)
     twist = np.concatenate([np.tile([0.5, 0.2, -0.1], (8, 1)), turns], axis=1)
-    step = torch.from_numpy(twist / LONG).to(getattr(torch, dtype))
+    step = torch.from_numpy(twist / count).to(getattr(torch, dtype))
     T = torch.eye(4, dtype=step.dtype).expand(8, 4, 4)
-    for _ in range(LONG):
+    for _ in range(count):
         T = retract(T, step)
-    np.testing.assert_allclose(T.double().numpy(), exp_se3(step.double().numpy() * LONG), atol=PRECISIONS[dtype][1])
+    np.testing.assert_allclose(T.double().numpy(), exp_se3(step.double().numpy() * count), atol=PRECISIONS[dtype][1])
 
 
 @pytest.mark.parametrize("solver", [Descent(), pytest.param(Adam(), marks=pytest.mark.slow)], ids=["descent", "adam"])
@@ -137,7 +139,7 @@ a hundred refinements as after a thousand, and more where other tests ran before
 
 
 def check_no_growth(scene: Scene, config: Config, warm: int, count: int, *, prepared: HandObject | None) -> None:
-    """Nothing is left of `count` refinements: the arrays of one are larger than 300 bytes."""
+    """Nothing is left of `count` refinements but 300 bytes each, which is less than the arrays of one."""
     tracemalloc.start()
     try:
         # What is kept once is traced from here on: of what was there before, what takes its place would look like

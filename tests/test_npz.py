@@ -96,6 +96,16 @@ def test_a_damaged_header_is_named(header: bytes, tmp_path: Path):
     assert refused(path) == "entry 'q' is damaged"
 
 
+def test_which_numbers_may_stand_in_an_entry_is_said_in_one_word(tmp_path: Path):
+    np.savez(tmp_path / "a.npz", whole=[1, 2], absent=[1.0, np.nan], endless=[1.0, np.inf])
+    file = load_npz(tmp_path / "a.npz")
+    for key, allowed in (("whole", "finite"), ("absent", "nan"), ("endless", "any"), ("absent", "any")):
+        np.testing.assert_array_equal(file.numbers(key, allowed=allowed), file.entries[key])
+    for key, allowed in (("absent", "finite"), ("endless", "finite"), ("endless", "nan")):
+        with pytest.raises(GraspFileError, match=f"{key} must be finite; row 1 is not"):
+            file.numbers(key, allowed=allowed)
+
+
 def test_a_header_says_shape_type_and_where_the_numbers_begin():
     shape, dtype, start = array_header(npy(np.arange(6.0).reshape(2, 3)))
     assert (shape, dtype) == ((2, 3), np.dtype(float))

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import refused
 
 from grasp_refine.assets import resource_dir
 from grasp_refine.cli import main
 from grasp_refine.config import Config
+from grasp_refine.formats.reading import reading
 from grasp_refine.goal import goal_of
 from grasp_refine.grasps import load_grasps, save_npz
 from grasp_refine.hand import load_hand
@@ -48,6 +48,8 @@ CONFIGS = {
     "descent, float32": Config(solver=DESCENT, weights=GEOMETRY, dtype="float32"),
     "adam": Config(solver=ADAM, weights=GEOMETRY),
 }
+SLOW = ("descent", "adam", "levenberg-marquardt, one at a time")
+"""Those that go the way of another one: descent in single precision, and all at a time."""
 
 Poison = Callable[[np.ndarray, np.ndarray], None]
 """Changes a pose (4, 4) and joint values (n,) in place."""
@@ -147,7 +149,9 @@ def strict(text: str) -> dict:
 # refinement
 
 
-@pytest.mark.parametrize("name", CONFIGS)
+@pytest.mark.parametrize(
+    "name", [name if name not in SLOW else pytest.param(name, marks=pytest.mark.slow) for name in CONFIGS]
+)
 def test_poisoned_poses_spoil_only_themselves(scene: Scene, name: str) -> None:
     """A hand at 1e300 m, or joint values that overflowed, once ended the refinement of all."""
     config = CONFIGS[name]
@@ -188,7 +192,11 @@ def test_their_measures_are_null_in_valid_json(scene: Scene) -> None:
     assert np.isnan(motion.q[nowhere]).all() and np.isnan(motion.T_world_root[nowhere]).all()
 
 
-@pytest.mark.parametrize("solver", [LM, DESCENT, ADAM], ids=["levenberg-marquardt", "descent", "adam"])
+@pytest.mark.parametrize(
+    "solver",
+    [LM, DESCENT, pytest.param(ADAM, marks=pytest.mark.slow)],
+    ids=["levenberg-marquardt", "descent", "adam"],
+)
 @pytest.mark.parametrize("side", ["target_link", "target_object"])
 def test_impossible_targets_spoil_only_themselves(aimed: Scene, side: str, solver: object) -> None:
     """A target 1e6 m from its link made a matrix singular, which once ended the refinement of all."""
@@ -357,6 +365,12 @@ def test_a_batch_goes_on_around_poison(files: Path, workplace: Path) -> None:
     assert [statuses[row] for row in BAD] == LABELS
 
 
-def test_other_formats_hold_no_poison(files: Path, workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    complaint = refused(capfd, "convert", files / "poisoned.npz", "other", "--to", "bodex")
-    assert complaint == f"{files}/poisoned.npz: grasp 2 is not finite, and cannot be converted: leave it out"
+def test_other_formats_leave_out_what_is_not_finite(
+    files: Path, workplace: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """And only that: numbers that are merely wrong are the next reader's to judge."""
+    assert main(["convert", str(files / "poisoned.npz"), "other", "--to", "bodex"]) == 0
+    assert "note: 3 of 9 grasps are left out\n" in capfd.readouterr().err
+    given, found = load_grasps(files / "poisoned.npz"), reading(Path("other"), hand=load_hand("allegro")).grasps
+    np.testing.assert_allclose(found.hand_pose[:, :3], given.hand_pose[[0, 1, 5, 6, 7, 8], :3], rtol=0, atol=1e-6)
+    assert np.isfinite(found.hand_pose).all() and np.isfinite(found.q).all()

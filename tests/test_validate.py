@@ -39,16 +39,22 @@ def test_a_grasp_that_is_nowhere_has_no_measures(workplace: Path, capfd: pytest.
     save_npz(Path("near.npz"), grasps.select([0, 2]).arrays())
     near, far = (validate(name, "--no-simulate") for name in ("near.npz", "far.npz"))
     one, nowhere, two = far["grasps"]
-    measures = ("contact_error_m", "penetration_m", "self_penetration_m", "wrench_residual", "quality")
+    measures = ("contact_distance_m", "penetration_m", "self_penetration_m", "wrench_residual", "quality")
     assert all(nowhere[name]["after"] is None for name in measures)
     for name in measures:
-        found = [(grasp[name]["after"], other[name]["after"]) for grasp, other in zip((one, two), near["grasps"])]
+        found = [
+            (grasp[name]["after"], other[name]["after"])
+            for grasp, other in zip((one, two), near["grasps"], strict=True)
+        ]
         assert all(mine == pytest.approx(theirs, abs=1e-9) for mine, theirs in found), name
     capfd.readouterr()
-    (tried,) = validate("far.npz", "--index", "1", "--seconds", "0.1")["grasps"]
+    _, tried = validate("far.npz", "--index", "0", "1", "--seconds", "0.2")["grasps"]
     assert tried["simulation"]["after"]["reason"] == "not finite"
     said = " ".join(capfd.readouterr().out.split())
-    assert "1 not finite: the grasp holds NaN or infinite numbers, or is nowhere: its pose is no rigid motion, or beyond" in said
+    assert (
+        "1 not finite: the grasp holds NaN or infinite numbers, or is nowhere: its pose is no rigid motion, or beyond"
+        in said
+    )
 
 
 def test_a_validation_has_the_keys_of_the_contract(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:

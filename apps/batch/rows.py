@@ -169,9 +169,7 @@ def read_rows(shard: Shard, out: Path) -> Rows:
     reason = file.text("simulation_reason_after") if "simulation_reason_after" in file.entries else np.array("")
     reason = file.per_row("simulation_reason_after", reason, n)
     columns["reason_after"] = np.where(reason == Reason.HELD.label, "", reason)
-    return Rows(
-        {name: columns[name] for name in COLUMNS}, tuple(map(str, look)), str(batch.get("stamp"))
-    )
+    return Rows({name: columns[name] for name in COLUMNS}, tuple(map(str, look)), str(batch.get("stamp")))
 
 
 def _numbers(file: NpzFile, key: str, n: int) -> np.ndarray:

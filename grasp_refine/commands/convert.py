@@ -89,7 +89,9 @@ class Convert:
             check_no_input(self.output, read.files, "is one of the files of the input; give another name")
             known = np.flatnonzero(read.grasps.finite)
             if not len(known):
-                raise GraspRefineError(f"{self.source}: none of its {len(read.grasps)} grasps is finite: nothing to convert")
+                raise GraspRefineError(
+                    f"{self.source}: none of its {len(read.grasps)} grasps is finite: nothing to convert"
+                )
             grasps, left = read.grasps.select(known), len(read.grasps) - len(known)
             to, load = format_named(self.to), self._load(grasps)
             parts, lost = to.write(grasps, load)

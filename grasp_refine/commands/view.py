@@ -99,9 +99,7 @@ class View:
                 screen().print(f"{address(server)} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
                 if self.serving.json is not None:
                     where = {"address": address(server), "host": server.get_host(), "port": server.get_port()}
-                    save_json(
-                        self.serving.json, {"schema": SCHEMA, "command": "view", "versions": versions(), **where}
-                    )
+                    save_json(self.serving.json, {"schema": SCHEMA, "command": "view", "versions": versions(), **where})
                 if self.serving.open and _has_screen():
                     webbrowser.open(address(server))
                 _wait()

@@ -121,7 +121,7 @@ def _check(element: _Element, where: str) -> None:
         if not element.get(name):
             raise HandError(f"{where}: <{tag}> has no '{name}'")
         if not is_sound(element.get(name)):
-            raise HandError(f"{where}: <{tag} {name}=\"{element.get(name)}\"> holds letters that no name has")
+            raise HandError(f'{where}: <{tag} {name}="{element.get(name)}"> holds letters that no name has')
     for name, counts in NUMBERS.get(tag, {}).items():
         if name in element.attrib:
             element.set(name, _numbers(element, name, counts, where))

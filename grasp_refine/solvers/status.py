@@ -4,7 +4,7 @@ from enum import IntEnum
 
 
 class Status(IntEnum):
-    """End of a refinement."""
+    """How the refinement of a grasp ended, such as converged, stalled or invalid, with advice on what to do."""
 
     RUNNING = 0
     CONVERGED = 1
@@ -36,8 +36,8 @@ _ADVICE = {
     Status.NOT_FINITE: "the grasp holds NaN or infinite numbers, or a query failed: check the input",
     Status.UNREACHABLE: "a target lies off the surface of its link or of the object: check frames and scale, or lower "
     "--threshold",
-    Status.INVALID: "the pose is no rigid motion, pose, joints or targets are beyond 1e6 m or rad, or a wanted normal is "
-    "not of length 1: check the input",
+    Status.INVALID: "the pose is no rigid motion, pose, joints or targets are beyond 1e6 m or rad, or a wanted normal "
+    "is not of length 1: check the input",
 }
 
 UNUSABLE = (Status.NO_TARGET, Status.NOT_FINITE, Status.INVALID)

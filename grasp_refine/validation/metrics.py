@@ -60,7 +60,7 @@ class Metrics:
 
 
 def metrics(hand: Hand, obj: Object, T_world_root: np.ndarray, q: np.ndarray) -> Metrics:
-    """Measures of grasps on one object at the world's origin.
+    """Penetration, gaps, contacts, limits, wrench residual and quality of grasps on one object at the world's origin.
 
     Args:
         hand: The hand.

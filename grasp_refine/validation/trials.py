@@ -43,8 +43,8 @@ class Reason(IntEnum):
             Reason.PENETRATES: f"hand and object are deeper than {protocol.deepest * 1e3:g} mm in each other at the "
             "pregrasp, which would throw the object",
             Reason.UNSTABLE: "the simulation diverged",
-            Reason.NOT_FINITE: "the grasp holds NaN or infinite numbers, or is nowhere: its pose is no rigid motion, or "
-            "beyond 1e6 m or rad",
+            Reason.NOT_FINITE: "the grasp holds NaN or infinite numbers, or is nowhere: its pose is no rigid "
+            "motion, or beyond 1e6 m or rad",
         }[self]
 
 

@@ -140,7 +140,7 @@ def validate(
     checks: Checks | None = None,
     tell: Tell = lambda what, done: None,
 ) -> Validated:
-    """What N grasps on one object are worth.
+    """What N grasps on one object are worth: their measures and, with a world, what became of them in simulation.
 
     Args:
         scene: Hand, object and grasps.

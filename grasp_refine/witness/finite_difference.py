@@ -11,7 +11,9 @@ from grasp_refine.witness.scene import WitnessScene
 
 @dataclass(frozen=True)
 class FiniteDifference:
-    """12 queries: the relative pose moved forth and back along six twists about the witness point of b.
+    """The slip by central differences: 12 queries with the relative pose moved forth and back along six twists.
+
+    The twists are about the witness point of b.
 
     Exact, up to the step, where the witness pair moves smoothly; on polytopes that is the slip along the present
     features, or a jump to the next ones where the step crosses an edge.

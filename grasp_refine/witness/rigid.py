@@ -11,7 +11,9 @@ from grasp_refine.witness.slip import wrench
 
 @dataclass(frozen=True)
 class Rigid:
-    """dx_a = V_a(x_a), dx_b = V_b(x_b), dn = (w_a + w_b) / 2 x n: no slip along either surface.
+    """No slip: each witness point moves with its body, and the normal turns with the mean of both.
+
+    dx_a = V_a(x_a), dx_b = V_b(x_b), dn = (w_a + w_b) / 2 x n.
 
     Exact for the signed distance, for a vertex against a vertex, and for nothing else.
     """

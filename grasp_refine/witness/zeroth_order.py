@@ -11,7 +11,9 @@ from grasp_refine.witness.scene import WitnessScene
 
 @dataclass(frozen=True)
 class ZerothOrder:
-    """Gradient of E[x(sigma z)], z ~ N(0, I_6), estimated as the mean of (x(sigma z) - x(-sigma z)) z / (2 sigma).
+    """The slip of witness points that are smoothed over random relative poses, by two queries a sample.
+
+    The gradient of E[x(sigma z)], z ~ N(0, I_6), is estimated as the mean of (x(sigma z) - x(-sigma z)) z / (2 sigma).
 
     Antithetic pairs; unbiased for the smoothed points, with a variance that falls as 1 / samples. The
     perturbations depend on the seed and the iteration only, and are the same for all items of a batch.

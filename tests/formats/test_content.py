@@ -94,7 +94,10 @@ def test_code_in_an_array_file_is_refused_and_does_not_run(file: Path):
             crafted("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000, 1000)}", b"12345678"),
             "is cut off: shape (1000000000000, 1000) of float64 needs 8000000000000000 bytes, 8 are there",
         ),
-        (crafted("{'descr': '<f8', 'fortran_order': False, 'shape': (0, 1" + "0" * 30 + ")}"), "is a damaged .npy file"),
+        (
+            crafted("{'descr': '<f8', 'fortran_order': False, 'shape': (0, 1" + "0" * 30 + ")}"),
+            "is a damaged .npy file",
+        ),
         (crafted("{'descr': '<c16', 'fortran_order': False, 'shape': (0,)}"), "holds an array of the type complex128"),
         (crafted("{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (0,)}"), "holds an array of the type ["),
         (npy(np.arange(4.0))[:-1], "is cut off: shape (4,) of float64 needs 32 bytes, 31 are there"),

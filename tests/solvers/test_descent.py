@@ -142,3 +142,6 @@ def test_every_end_has_a_name_and_what_went_wrong_an_advice() -> None:
     assert Status.NO_TARGET.label == "no target" and Status.CONVERGED.label == "converged"
     for status in Status:
         assert bool(status.advice) == (status not in (Status.RUNNING, Status.CONVERGED))
+    # Each thing that makes `Scene.sound` false.
+    for fault in ("no rigid motion", "beyond 1e6 m or rad", "a wanted normal is not of length 1"):
+        assert fault in Status.INVALID.advice

@@ -183,19 +183,21 @@ def _slips(scene: Scene, motion: Motion, method: cases.Method, rounding: np.ndar
     """How points of two spheres slip, compared with the true way.
 
     Returns:
-        Products (N,) of slips, that is of derivatives less those without any slip, with the true ones: positive where
-        points slip the right way. And for methods that are exact the largest error (N,) over its tolerance, else 0:
-        of all nine numbers for finite differences, and of both points for `Analytical`, which smooths the normal, and
-        whose system of both slips is as ill conditioned as the gap is small.
+        Products (N,) of slips, that is of derivatives less those without any slip, with the true ones, less what
+        rounding may make of them: positive where points slip the right way. And for methods that are exact the
+        largest error (N,) over its tolerance, else 0: of all nine numbers for finite differences, and of both points
+        for `Analytical`, which smooths the normal, and whose system of both slips is as ill conditioned as the gap
+        is small.
     """
     true, rigid = motion.forms @ sphere_motion(scene), rigid_motion(motion)
-    agreement = ((motion.covectors - rigid) * (true - rigid)).sum(axis=(1, 2, 3))
+    slip = true - rigid
+    agreement = ((motion.covectors - rigid - rounding[:, None, None, None] * slip) * slip).sum(axis=(1, 2, 3))
     # Of each number, because the forms of spheres are nine that are orthonormal.
     error = np.abs(motion.forms.T @ (motion.covectors - true))
     size = 1.0 + np.abs(true).max(axis=(1, 2, 3))
     if method == "analytical":
-        narrow = 1.0 + scene.diagonal / np.abs(motion.witness.distance)
-        return agreement, error[:, :, :6].max(axis=(1, 2, 3)) / (size * rounding * narrow)
+        narrow = (rounding - TOLERANCE) * scene.diagonal / np.abs(motion.witness.distance)
+        return agreement, error[:, :, :6].max(axis=(1, 2, 3)) / (size * (rounding + narrow))
     if method == "finite-difference":
         return agreement, error.max(axis=(1, 2, 3)) / (size * (STEP + rounding))
     return agreement, np.zeros(len(size))

@@ -144,7 +144,8 @@ def test_spheres_that_slide_the_wrong_way_are_seen() -> None:
 def test_points_of_spheres_that_do_not_slip_at_all_are_seen(state: cases.State, pair: int) -> None:
     """Of polytopes they are not: there, no slip may be the true one."""
     one = scene("ball", state, pair=pair)
-    for way in WAYS:
+    # A gap of 1e-6 diagonals is not told from none in single precision.
+    for way in (way for way in WAYS if state == "near" or way.dtype == "float64"):
         assert counts(judged(one, way, Rigid())) == {**dict.fromkeys(NAMES, 0), "wrong_sign": 4}
         assert counts(judged(one, way)) == dict.fromkeys(NAMES, 0)
     assert counts(judged(scene("box", "near"), cases.Derivative(), Rigid())) == dict.fromkeys(NAMES, 0)
