@@ -196,18 +196,22 @@ class Asker:
     def _settled(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, d: float) -> float:
         """The largest gap that is found, where that is not what coal says, d (NaN: nothing)."""
         close = 0.5 * self._tolerances.gjk * (1.0 + abs(d))
-        starts, best = self._starts(pair, R, t), None
-        for k in range(len(starts) + len(_AXES)):
+        starts = self._starts(pair, R, t)
+        best = self._climb(pair, R, t, starts[0])
+
+        def sure() -> bool:
+            # Elsewhere there may be a larger gap.
+            return best.closed and (abs(d - best.gap) <= close or (math.isnan(d) and best.gap > 0.0))
+
+        for k in range(1, len(starts) + len(_AXES)):
+            if sure():
+                break
             u = starts[k] if k < len(starts) else _normalized(best.normal + _ASIDE * _AXES[k - len(starts)])
             found = self._climb(pair, R, t, u)
-            if best is None or found.gap > best.gap:
+            if found.gap > best.gap:
                 best = found
-            # Elsewhere there may be a larger gap.
-            if best.closed and (abs(d - best.gap) <= close or (np.isnan(d) and best.gap > 0.0)):
-                break
-        else:
-            if not best.answered or (np.isnan(d) and not best.closed):
-                return np.nan
+        if not best.answered or (math.isnan(d) and not best.closed):
+            return math.nan
         self.point, self.normal = best.point, best.normal
         return best.gap
 

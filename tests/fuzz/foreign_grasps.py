@@ -109,9 +109,9 @@ def read(path: Path) -> Hashable:
     load_content(path)
     found = reading(path)
     grasps, n = found.grasps, len(found.grasps)
-    assert n and grasps.q.shape == (n, len(grasps.joint_names)) and np.isfinite(grasps.q).all()
-    assert (grasps.scale > 0).all() and np.isfinite(grasps.scale).all() and np.isfinite(grasps.hand_pose).all()
-    np.testing.assert_allclose(np.linalg.norm(grasps.hand_pose[:, 3:], axis=1), 1, atol=1e-9)
+    assert n and grasps.q.shape == (n, len(grasps.joint_names)) and not np.isinf(grasps.q).any()
+    assert (grasps.scale > 0).all() and np.isfinite(grasps.scale).all() and not np.isinf(grasps.hand_pose).any()
+    np.testing.assert_allclose(np.linalg.norm(grasps.hand_pose[grasps.finite, 3:], axis=1), 1, atol=1e-9)
     for text in (grasps.hand, *grasps.joint_names, *grasps.object.tolist(), *found.notes):
         plain(text)
     return found.format.name, n, len(found.notes), grasps.pregrasp is None
