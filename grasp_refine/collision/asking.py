@@ -201,7 +201,7 @@ class Asker:
 
         def sure() -> bool:
             # Elsewhere there may be a larger gap.
-            return best.closed and (abs(d - best.gap) <= close or (math.isnan(d) and best.gap > 0.0))
+            return bool(best.closed and (abs(d - best.gap) <= close or (math.isnan(d) and best.gap > 0.0)))
 
         for k in range(1, len(starts) + len(_AXES)):
             if sure():
