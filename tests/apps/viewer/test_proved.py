@@ -48,7 +48,11 @@ def everywhere(reason: Reason, **known: float) -> Proved:
             "moved by 61.0 mm after 0.4 s, no link touched it",
         ),
         (tried("+x", Reason.UNSTABLE, at=0.6), "the simulation became unstable after 0.6 s"),
-        (tried("+x", Reason.NOT_FINITE), "the grasp holds numbers that are not finite"),
+        (
+            tried("+x", Reason.NOT_FINITE),
+            "the grasp holds NaN or infinite numbers, or is nowhere: its pose is no rigid motion, or beyond 1e6 m or "
+            "rad",
+        ),
         (tried("+x", Reason.IN_TABLE), "the hand is deeper than 10 mm in the table at the pregrasp"),
     ],
 )
