@@ -261,6 +261,11 @@ def test_a_place_outside_of_the_cache_is_refused(claw: Asset, place: str):
         inside(asset_folder(claw, "mirror"), place)
 
 
+def test_a_place_that_no_file_can_have_is_refused(claw: Asset):
+    with pytest.raises(AssetError, match="^'9{3000}' cannot be the name of a file: File name too long$"):
+        inside(asset_folder(claw, "mirror"), "9" * 3000)
+
+
 @pytest.mark.parametrize("link", ["hands", "hands/claw", "FOLDER", "FOLDER/meshes", "FOLDER/meshes/tip.obj"])
 def test_nothing_is_written_or_read_through_a_link(claw: Asset, server: Server, cache: Path, tmp_path: Path, link: str):
     outside = tmp_path / "outside"

@@ -60,10 +60,14 @@ def inside(folder: Path, place: str) -> Path:
     relative = path.relative_to(root) if path.is_relative_to(root) else None
     if relative is None or not place or ".." in relative.parts or "\\" in place:
         raise AssetError(f"'{place}' does not stay in the cache of assets, {root}")
-    for parent in [root / Path(*relative.parts[: i + 1]) for i in range(len(relative.parts))]:
-        if parent.is_symlink():
-            raise AssetError(f"{parent}: is a link, nothing is read or written through it; remove it and fetch again")
-    if path.is_dir():
+    parents = [root / Path(*relative.parts[: i + 1]) for i in range(len(relative.parts))]
+    try:
+        link, folder_there = next((parent for parent in parents if parent.is_symlink()), None), path.is_dir()
+    except OSError as error:
+        raise AssetError(f"'{place}' cannot be the name of a file: {error.strerror}") from None
+    if link is not None:
+        raise AssetError(f"{link}: is a link, nothing is read or written through it; remove it and fetch again")
+    if folder_there:
         raise AssetError(f"{path}: is a folder where a file should be; remove it and fetch again")
     return path
 

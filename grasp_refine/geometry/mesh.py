@@ -172,9 +172,10 @@ def watertight(mesh: trimesh.Trimesh, name: str, holes: Holes = "refuse") -> tup
     if not _closed(mesh):
         before = len(mesh.faces)
         mesh = mesh.copy()
-        mesh.update_faces(mesh.unique_faces())
-        mesh.fill_holes()
-        mesh.fix_normals()
+        with quietly():
+            mesh.update_faces(mesh.unique_faces())
+            mesh.fill_holes()
+            mesh.fix_normals()
         closed = _closed(mesh)
         if closed or len(mesh.faces) != before:
             what = "repaired to be watertight" if closed else "repaired in part"

@@ -233,3 +233,11 @@ def test_sizes_that_no_solid_has(size, kind):
 def test_a_name_that_is_too_long_is_no_mesh(tmp_path):
     with pytest.raises(MeshError, match="no such mesh file"):
         load_mesh(tmp_path / f"{'a' * 300}.obj")
+
+
+def test_mending_a_sheet_says_nothing_in_the_words_of_others():
+    """trimesh divides by its volume, which is none."""
+    square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    sheet = trimesh.Trimesh(square, [[1, 2, 3], [2, 0, 1], [0, 3, 1]], process=False)
+    with pytest.raises(MeshError, match="encloses no volume"):  # and warnings are errors
+        watertight(sheet, "sheet")
