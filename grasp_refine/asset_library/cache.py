@@ -53,7 +53,8 @@ def inside(folder: Path, place: str) -> Path:
     """The path of `place` in a folder of the cache.
 
     Raises:
-        AssetError: it would lie elsewhere: it is no plain relative path, or a link or a folder is in the way.
+        AssetError: it would lie elsewhere: it is no plain relative path, or a link or a folder is in the way; or it
+            cannot be a path at all.
     """
     root = default_cache("assets")
     path = folder / place
