@@ -40,6 +40,8 @@ _APART = (0.25, 2.0**-14)
 """The gaps at which GJK is asked again, one after the other."""
 _ROUNDS = 32
 """How often the normal is followed at most at each of them."""
+_STEPS = (1.0, 8.0, 64.0, 512.0)
+"""How far that way is followed: to its end, and beyond, because slivers have many such steps to go."""
 _NOTHING = 1e-12
 """The length of a vector that has no direction."""
 _UNIT = 1e-6
@@ -236,11 +238,13 @@ class Asker:
                 n = self.normal
                 gap = pair.gap(R, t, n)
                 if found.gap > 1.0:
-                    # Far apart, a small turn moves much: there it is the line between the points that counts.
-                    w = _normalized(d * n - move * u)
-                    along = pair.gap(R, t, w)
-                    if along > gap:
-                        n, gap = w, along
+                    # Far apart, a small turn moves much: it is the way to the line between the points that counts.
+                    turn = _normalized(d * n - move * u) - u
+                    for step in _STEPS:
+                        w = _normalized(u + step * turn)
+                        along = pair.gap(R, t, w)
+                        if along > gap:
+                            n, gap = w, along
                 if not gap > found.gap + 1e-14:
                     break
                 found.gap, found.normal = gap, n

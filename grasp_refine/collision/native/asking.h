@@ -21,7 +21,7 @@ constexpr double kWild = 1e300;  // A distance beyond this, either way, is no an
 
 // As in asking.py, in units of the pieces.
 constexpr double kSure = 1e-10, kTouching = 4e-9, kNothing = 1e-12, kUnit = 1e-6, kAside = 0.25;
-constexpr double kApart[] = {0.25, 1.0 / 16384};
+constexpr double kApart[] = {0.25, 1.0 / 16384}, kSteps[] = {1, 8, 64, 512};
 constexpr int kRounds = 32, kEpaIterations = 256;
 
 struct Tolerances {
@@ -211,10 +211,13 @@ class Asker {
         Vec3s n = normal;
         double gap = pair.gap(T, n);
         if (found.gap > 1) {
-          // Far apart, a small turn moves much: there it is the line between the points that counts.
-          const Vec3s w = normalized(d * n - move * u);
-          const double along = pair.gap(T, w);
-          if (along > gap) n = w, gap = along;
+          // Far apart, a small turn moves much: it is the way to the line between the points that counts.
+          const Vec3s turn = normalized(d * n - move * u) - u;
+          for (const double step : kSteps) {
+            const Vec3s w = normalized(u + step * turn);
+            const double along = pair.gap(T, w);
+            if (along > gap) n = w, gap = along;
+          }
         }
         if (!(gap > found.gap + 1e-14)) break;
         found.gap = gap, found.normal = n;
