@@ -11,6 +11,7 @@ import shutil
 import signal
 import sys
 import sysconfig
+import tempfile
 import time
 import traceback
 import warnings
@@ -98,6 +99,8 @@ class Judge:
         secrets(folder / "outside")
         reader.prepare(self.folder)
         os.chdir(self.folder)
+        # Folders for intermediate files, such as CoACD's, are to lie in it, too.
+        tempfile.tempdir = str(self.folder)
         os.environ["GRASP_REFINE_CACHE"] = str(self.folder / "cache")
         os.environ["HOME"] = str(self.folder)
         self.watch = Watch(reader, self.folder)
