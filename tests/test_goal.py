@@ -4,14 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from boxed_example import boxed_example
 
-from grasp_refine.assets import resource_dir
 from grasp_refine.goal import goal_of
-from grasp_refine.grasps import load_grasps
-from grasp_refine.hand import load_hand
-from grasp_refine.objects import load_object
 from grasp_refine.scene import Scene
-from grasp_refine.se3 import transform_from_pose, transform_points
+from grasp_refine.se3 import transform_points
 from grasp_refine.targets import Touching
 from grasp_refine.validation.geometry import measure
 
@@ -19,13 +16,7 @@ from grasp_refine.validation.geometry import measure
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     """The four example grasps of the embedded hand on the embedded box."""
-    grasps = load_grasps(resource_dir("robots") / "allegro/example_rounded_box.npz")
-    return Scene(
-        load_hand("allegro", candidates=64),
-        load_object("rounded_box", candidates=64),
-        transform_from_pose(grasps.hand_pose),
-        grasps.q,
-    )
+    return boxed_example(candidates=64)
 
 
 def given(scene: Scene, seed: int = 0) -> Scene:

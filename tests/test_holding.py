@@ -4,21 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from boxed_example import boxed_example
 
 from grasp_refine import holding
-from grasp_refine.assets import resource_dir
 from grasp_refine.collision.query import query
 from grasp_refine.config import Config
-from grasp_refine.grasps import load_grasps
-from grasp_refine.hand import load_hand
 from grasp_refine.hand_object import HandObject
 from grasp_refine.holding import GOOD
 from grasp_refine.losses import Weights
-from grasp_refine.objects import load_object
 from grasp_refine.quality import Quality, quality
 from grasp_refine.refine import Refinement, refine
 from grasp_refine.scene import Scene
-from grasp_refine.se3 import transform_from_pose
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.solvers.status import Status
 from grasp_refine.squeeze import CONTACTS
@@ -29,9 +25,7 @@ CONFIG = Config(starts=3)
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     """The four example grasps of the embedded hand on the embedded box."""
-    grasps = load_grasps(resource_dir("robots") / "allegro/example_rounded_box.npz")
-    hand, obj = load_hand("allegro", candidates=256), load_object("rounded_box", candidates=256)
-    return Scene(hand, obj, transform_from_pose(grasps.hand_pose), grasps.q)
+    return boxed_example()
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from boxed_example import FILE, boxed_example
 
-from grasp_refine.assets import resource_dir
 from grasp_refine.cli import main
 from grasp_refine.config import Config
 from grasp_refine.formats.reading import reading
@@ -19,13 +19,11 @@ from grasp_refine.grasps import load_grasps, save_npz
 from grasp_refine.hand import load_hand
 from grasp_refine.losses import Weights
 from grasp_refine.max_move import MaxMove
-from grasp_refine.objects import load_object
 from grasp_refine.refine import Refinement, refine
 from grasp_refine.report.document import run_document
 from grasp_refine.report.outcome import compare
 from grasp_refine.report.writing import dumps
 from grasp_refine.scene import Scene
-from grasp_refine.se3 import transform_from_pose
 from grasp_refine.solvers.adam import Adam
 from grasp_refine.solvers.descent import Descent
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt, bounded_step
@@ -33,7 +31,6 @@ from grasp_refine.solvers.status import UNUSABLE, Status
 from grasp_refine.targets import Touching
 from grasp_refine.validation.motion import closing
 
-EXAMPLE = resource_dir("robots") / "allegro/example_rounded_box.npz"
 GEOMETRY = Weights(wrench=0.0)
 LM, DESCENT, ADAM = LevenbergMarquardt(iterations=25, restarts=1), Descent(iterations=4), Adam(iterations=4)
 CONFIGS = {
@@ -96,13 +93,7 @@ POISONS: dict[str, tuple[Poison, Status]] = {
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     """The four example grasps of the embedded hand on the embedded box."""
-    grasps = load_grasps(EXAMPLE)
-    return Scene(
-        load_hand("allegro", candidates=256),
-        load_object("rounded_box", candidates=256),
-        transform_from_pose(grasps.hand_pose),
-        grasps.q,
-    )
+    return boxed_example()
 
 
 @pytest.fixture(scope="module")
@@ -267,7 +258,7 @@ def test_a_singular_matrix_is_no_step_and_no_error() -> None:
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with `clean.npz` of four grasps, and `poisoned.npz` of these with five more that are poisoned."""
     folder = tmp_path_factory.mktemp("files")
-    grasps = load_grasps(EXAMPLE)
+    grasps = load_grasps(FILE)
     save_npz(folder / "clean.npz", grasps.arrays())
     mixed = grasps.select([0, 1, 0, 1, 2, 3, 0, 2, 3])
     poses, q = mixed.hand_pose.copy(), mixed.q.copy()

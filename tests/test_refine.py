@@ -6,15 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from boxed_example import boxed_example
 
-from grasp_refine.assets import resource_dir
 from grasp_refine.chain import moved
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.goal import Goal, goal_of
 from grasp_refine.grasp_problem import GraspProblem
-from grasp_refine.grasps import load_grasps
 from grasp_refine.hand import load_hand
 from grasp_refine.hand_object import HandObject
 from grasp_refine.kinematics import Kinematics
@@ -23,7 +22,7 @@ from grasp_refine.objective import Objective
 from grasp_refine.objects import load_object
 from grasp_refine.refine import Refinement, refine
 from grasp_refine.scene import Scene
-from grasp_refine.se3 import exp_se3, transform_from_pose, transform_points
+from grasp_refine.se3 import exp_se3, transform_points
 from grasp_refine.self_collision import touching_pairs
 from grasp_refine.solvers.adam import Adam
 from grasp_refine.solvers.descent import Descent
@@ -49,13 +48,7 @@ SHORT = Config(solver=Descent(iterations=8), nearest=True)
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     """The four example grasps of the embedded hand on the embedded box, one of the fastest objects."""
-    grasps = load_grasps(resource_dir("robots") / "allegro/example_rounded_box.npz")
-    return Scene(
-        load_hand("allegro", candidates=256),
-        load_object("rounded_box", candidates=256),
-        transform_from_pose(grasps.hand_pose),
-        grasps.q,
-    )
+    return boxed_example()
 
 
 @pytest.fixture(scope="module")
