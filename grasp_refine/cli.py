@@ -17,7 +17,7 @@ from errno import ENAMETOOLONG
 from importlib import import_module
 from io import TextIOWrapper
 
-from grasp_refine.errors import GraspRefineError
+from grasp_refine.errors import GraspRefineError, visible
 
 PROGRAM = "refine-grasp"
 
@@ -149,7 +149,7 @@ def _unknown(name: str) -> str:
 
 
 def _fail(message: str, code: int) -> int:
-    print(f"{PROGRAM}: {'' if code == INTERRUPTED else 'error: '}{message}", file=sys.stderr)
+    print(f"{PROGRAM}: {'' if code == INTERRUPTED else 'error: '}{visible(message)}", file=sys.stderr)
     return code
 
 

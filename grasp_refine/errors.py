@@ -18,9 +18,7 @@ class GraspRefineError(Exception):
 
     def __init__(self, message: str) -> None:
         """Keep the message, with spaces for line breaks and escapes for other letters that nobody can see."""
-        message = str(message)
-        if not message.isprintable():
-            message = "".join(map(_shown, " ".join(message.splitlines())))
+        message = visible(" ".join(str(message).splitlines()))
         super().__init__(message if len(message) <= LONGEST else f"{message[: LONGEST - 4]} ...")
 
 
@@ -57,7 +55,12 @@ _TOLD.maxstring = _TOLD.maxother = 200
 _TOLD.maxlevel = 3
 
 
-def _shown(letter: str) -> str:
-    if letter.isprintable():
-        return letter
-    return " " if letter.isspace() else ascii(letter)[1:-1]
+def visible(text: str) -> str:
+    """Return `text` as a terminal may be sent it: spaces for other white space, escapes for what cannot be seen."""
+    return text if text.isprintable() else "".join(map(_visible_character, text))
+
+
+def _visible_character(character: str) -> str:
+    if character.isprintable():
+        return character
+    return " " if character.isspace() else ascii(character)[1:-1]

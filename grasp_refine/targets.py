@@ -1,6 +1,7 @@
 """Which links should touch the object, and where, when nobody says."""
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -24,7 +25,7 @@ class Touching:
     farthest: float = 0.03
     """If links of fewer than two groups (fingers, palm) are in reach, the nearest contact links up to here count."""
     links: tuple[str, ...] = ()
-    """Instead of all that: these links touch."""
+    """Instead of all that: these links touch. The name of a finger stands for its contact links."""
 
     def __post_init__(self) -> None:
         """Refuse distances that are none.
@@ -36,28 +37,39 @@ class Touching:
             if not getattr(self, name) >= 0:
                 raise GraspRefineError(f"{name} must be a distance of at least 0 m, got {getattr(self, name):g}")
 
-    def check(self, hand: Hand, links: tuple[str, ...]) -> None:
-        """Refuse named `links` that are not among those with collision geometry.
+    def named(self, hand: Hand, links: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the names of `links` that `self.links` stands for, fingers replaced by their contact links.
+
+        Args:
+            hand: The hand.
+            links: Links with collision geometry.
 
         Raises:
-            HandError: they are not.
+            HandError: a name is neither one of them nor a finger.
         """
-        unknown = [link for link in self.links if link not in links]
+        fingers: dict[str, list[str]] = {}
+        for contact in hand.contacts:
+            fingers.setdefault(contact.group, []).append(contact.link)
+        # A link comes before a finger that is called like it.
+        meant = [[name] if name in links else fingers.get(name, []) for name in self.links]
+        unknown = [name for name, found in zip(self.links, meant, strict=True) if not found]
         if unknown:
+            close = get_close_matches(unknown[0], [*fingers, *links], n=1)
             raise HandError(
-                f"hand {hand.name} has no link {', '.join(unknown)} with collision geometry; it has "
-                f"{', '.join(dict.fromkeys(links))}"
+                f"hand {hand.name} has neither a finger nor a link with collision geometry called "
+                f"{', '.join(unknown)}{f', did you mean {close[0]}?' if close else ';'} its fingers are "
+                f"{', '.join(fingers)}, its links {', '.join(dict.fromkeys(links))}"
             )
+        return tuple(dict.fromkeys(link for found in meant for link in found))
 
     def cutoff(self, hand: Hand, links: tuple[str, ...]) -> np.ndarray:
         """How far each link (L,) may be away to matter, in metres: what a query need not find beyond.
 
         Raises:
-            HandError: a link that was named is not there.
+            HandError: a link or finger that was named is not there.
         """
-        self.check(hand, links)
         if self.links:
-            return np.where(np.isin(links, self.links), np.inf, -np.inf)
+            return np.where(np.isin(links, self.named(hand, links)), np.inf, -np.inf)
         tips = np.isin(links, [contact.link for contact in hand.contacts])
         # What is exactly at the limit is asked.
         return np.nextafter(np.where(tips, max(self.reach, self.farthest), self.reach_others), np.inf)
@@ -73,7 +85,7 @@ class Touching:
         first = np.array([links.index(link) == column for column, link in enumerate(links)])
         distance = np.where(witness.valid & first, witness.distance, np.inf)
         if self.links:
-            return np.isfinite(distance) & np.isin(links, self.links)
+            return np.isfinite(distance) & np.isin(links, self.named(hand, links))
         tips = np.isin(links, [contact.link for contact in hand.contacts])
         touching = distance <= np.where(tips, self.reach, self.reach_others)
         group = np.unique(link_groups(hand, links), return_inverse=True)[1]

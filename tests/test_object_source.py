@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from grasp_refine.commands.object_source import chosen_object, is_known, named_object
-from grasp_refine.errors import AssetError
+from grasp_refine.commands.object_source import check_object, chosen_object, is_known, named_object
+from grasp_refine.errors import AssetError, MeshError
 
 FILE = Path("grasps.npz")
 
@@ -29,11 +29,18 @@ def test_what_is_no_asset_is_left_to_load_object(name: str, workplace: Path) -> 
     assert chosen_object(name, silent).source == name
 
 
-def test_what_nobody_knows_is_said_with_what_there_is(workplace: Path) -> None:
-    with pytest.raises(
-        AssetError, match="no object 'ycb/011_bananna': embedded ones are mug, .*perhaps ycb_011_banana "
-    ):
-        chosen_object("ycb/011_bananna", silent)
+@pytest.mark.parametrize(("name", "meant"), [("ycb/011_bananna", "ycb_011_banana"), ("mugg", "mug")])
+def test_an_unknown_object_is_refused_with_the_one_that_may_be_meant(workplace: Path, name: str, meant: str) -> None:
+    for function in (lambda: chosen_object(name, silent), lambda: check_object(name)):
+        with pytest.raises(AssetError, match=f"'{name}'.* {meant}\\?.* mug, bottle"):
+            function()
+
+
+def test_a_mesh_file_that_is_not_there_is_refused_before_anything_is_loaded(workplace: Path) -> None:
+    with pytest.raises(MeshError, match="cup.obj"):
+        check_object("cup.obj")
+    Path("cup.obj").touch()
+    check_object("cup.obj")
 
 
 def test_a_file_or_folder_wins_over_an_asset(workplace: Path) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import io
 import json
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
+from rich.console import Console, RenderableType
+from rich.console import Group as RichGroup
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand import load_hand
@@ -247,6 +249,16 @@ def test_the_screen_is_80_to_100_columns(monkeypatch: pytest.MonkeyPatch):
 
 
 # The outcome
+
+
+@pytest.mark.parametrize("wrapped", [lambda text: text, lambda text: RichGroup("b", text)], ids=["alone", "in a group"])
+def test_what_is_printed_controls_no_terminal(
+    wrapped: Callable[[str], RenderableType], capsys: pytest.CaptureFixture[str]
+):
+    screen().print(wrapped("a \x1b[31m\x9b2J\u202eé\nb"), markup=False, soft_wrap=True)
+    out = capsys.readouterr().out
+    assert all(character.isprintable() or character == "\n" for character in out)
+    assert "a \\x1b[31m\\x9b2J\\u202eé\nb" in out
 
 
 def test_worst_and_mean_errors_look_at_links_with_targets():

@@ -87,8 +87,11 @@ def test_the_number_is_a_whole_one(number: str, gripper: str, workplace: Path, c
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (("--hand", "HAND"), "--grasps sample:2 needs to know of what: give --hand and --object"),
-        (("--object", BOX), "--grasps sample:2 needs to know of what: give --hand and --object"),
+        ((), "give --hand and --object"),
+        (("--hand", "HAND"), "give --object"),
+        (("--object", BOX), "give --hand"),
+        (("--object", "x.obj"), "x.obj: no such mesh file"),
+        (("--hand", "HAND", "--object", "mugg"), "did you mean mug?"),
         ((*HELD, "--objects", "."), "--objects and --object-name are for grasp files"),
         ((*HELD, "--object-name", "a"), "--objects and --object-name are for grasp files"),
         ((*HELD, "--targets", "a.npz"), "--targets a.npz: has no rows for the grasps of --grasps sample:2"),

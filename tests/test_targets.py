@@ -132,8 +132,17 @@ def test_distances_below_zero_are_refused(name: str, value: float) -> None:
 
 def test_links_that_do_not_exist_are_refused_with_those_that_do(hand: Hand) -> None:
     links = links_of(hand)
-    with pytest.raises(HandError, match=f"allegro has no link knee with collision geometry; it has {INDEX}, .*base_"):
+    with pytest.raises(HandError, match=f"allegro .* knee.* thumb.* {INDEX}, .*base_"):
         Touching(links=(INDEX, "knee")).cutoff(hand, links)
+
+
+def test_a_finger_stands_for_its_contact_links(hand: Hand) -> None:
+    links = links_of(hand)
+    assert Touching(links=("thumb", "link_1.0", THUMB)).named(hand, links) == (THUMB, "link_1.0")
+    near = {INDEX: 0.5, THUMB: 0.5, "link_1.0": 0.5, "base_link": 0.001}
+    assert chosen(hand, Touching(links=("thumb", "link_1.0")), near) == {THUMB, "link_1.0"}
+    cutoff = dict(zip(links, Touching(links=("thumb",)).cutoff(hand, links), strict=True))
+    assert cutoff[THUMB] == np.inf and cutoff[INDEX] == cutoff["base_link"] == -np.inf
 
 
 def test_targets_are_points_of_the_bodies_in_closed_form() -> None:

@@ -67,7 +67,7 @@ def refined(
         Stopped: nobody wants it any more.
     """
     scene = aimed(scene, pose, targets)
-    config.touching.check(scene.hand, scene.links)
+    config.touching.named(scene.hand, scene.links)
     recorder = Recorder(prepared, targets, config.margin)
     held = config.holds and not targets
     most = most_iterations(config) if held else config.solver.iterations

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -32,8 +31,8 @@ from grasp_refine.versions import NAME, Requirement, requirements, versions
 BROKEN = 1
 """Exit code when something that is always needed is missing or too old."""
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-"""Programs that the viewer's tests can use."""
+DEVELOPMENT = "test"
+"""Extra of what only the test suite needs; users are not told of it."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class Doctor:
 
 def examine() -> dict[str, Any]:
     """Everything that is found, for JSON; `problems` holds what keeps the program from working."""
-    packages = [_package(need) for need in requirements()]
+    packages = [_package(need) for need in requirements() if need.extra != DEVELOPMENT]
     problems = [
         f"{package['name']} is {package['state']}, {package['range']} is needed"
         for package in packages
@@ -86,7 +85,6 @@ def examine() -> dict[str, Any]:
         "assets": _assets(),
         "hands": hands,
         "pictures": _pictures(),
-        "browser": next(filter(None, map(shutil.which, BROWSERS)), None),
         "problems": problems,
     }
 
@@ -195,7 +193,6 @@ def _lines(found: dict[str, Any]) -> list[str]:
     cache, assets = found["cache"], found["assets"]
     devices = [f"{device['name']} ({device['what']})" for device in found["devices"]]
     lacking = sorted({p["extra"] for p in found["packages"] if p["extra"] and p["state"] == "missing"})
-    browser = found["browser"] or "none; the viewer's tests need chromium, apt install chromium"
     lines = [
         f"devices: {', '.join(devices) or 'none'}" + ("" if found["gpu"] else "; no GPU, none is needed"),
         f"engine:  {_engine_text(found['engine'])}",
@@ -205,7 +202,6 @@ def _lines(found: dict[str, Any]) -> list[str]:
         + (f"; {assets['fault']}" if assets["fault"] else ""),
         f"hands:   {', '.join(found['hands']) or 'none'}",
         f"films:   {found['pictures'] or 'none, no OpenGL without a screen; apt install libegl1 libgl1-mesa-dri'}",
-        f"browser: {browser}",
     ]
     if lacking:
         lines.append(f'optional: pip install "{NAME}[{",".join(lacking)}]"')

@@ -12,7 +12,8 @@ import numpy as np
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.assets import resource_dir
-from grasp_refine.commands.object_source import chosen_object
+from grasp_refine.commands.object_source import check_object, chosen_object
+from grasp_refine.commands.options import flag
 from grasp_refine.commands.sources import Sources
 from grasp_refine.errors import GraspFileError, GraspRefineError
 from grasp_refine.formats.reading import Reading
@@ -72,8 +73,11 @@ class Inputs(Sources):
             raise GraspRefineError(f"--grasps {asked}: {SAMPLE}N needs a whole number N from 1 on, as in {SAMPLE}32")
         if self.objects is not None or self.object_name is not None:
             raise GraspRefineError(f"--objects and --object-name are for grasp files; --grasps {asked} needs --object")
-        if self.hand is None or self.object is None:
-            raise GraspRefineError(f"--grasps {asked} needs to know of what: give --hand and --object")
+        if self.object is not None:
+            check_object(self.object)
+        lacking = [flag(name) for name in ("hand", "object") if getattr(self, name) is None]
+        if lacking:
+            raise GraspRefineError(f"--grasps {asked} needs a hand and an object: give {' and '.join(lacking)}")
         if self.targets not in (AUTO, NEAREST):
             raise GraspRefineError(f"--targets {self.targets}: has no rows for the grasps of --grasps {asked}")
         return int(count)
@@ -138,6 +142,8 @@ class Inputs(Sources):
         if wanted is None:
             return examples.get(EXAMPLE_OBJECT) or next(iter(examples.values()))
         if wanted not in examples:
+            if self.object is not None:
+                check_object(self.object)
             raise GraspRefineError(
                 f"--grasps FILE is needed, or --grasps {SAMPLE}16 for new ones: there are no example grasps of hand "
                 f"'{hand}' on '{wanted}', only on {', '.join(examples) or 'nothing'}"

@@ -35,18 +35,36 @@ def chosen_object(name: str, say: Callable[[str], None]) -> ObjectSource:
     Raises:
         AssetError: the name could be several assets, or the one that it is cannot be fetched.
     """
+    asset = _asset_meant(name)
+    return ObjectSource(name) if asset is None else ObjectSource(fetched(asset, say), asset)
+
+
+def check_object(name: str) -> None:
+    """Refuse a `name` that means no object, before anything is loaded or fetched.
+
+    Raises:
+        AssetError: no object is called so, or several assets are.
+        MeshError: it is the path of a mesh file that is not there.
+    """
+    if ":" not in name and Path(name).suffix.lower() in SUFFIXES and not exists(Path(name)):
+        raise MeshError(f"{name}: no such mesh file")
+    _asset_meant(name)
+
+
+def _asset_meant(name: str) -> Asset | None:
+    """Return the asset that `name` means, or None where it means an embedded object, a primitive or a path."""
     if name in EMBEDDED or ":" in name or Path(name).suffix or exists(Path(name)):
-        return ObjectSource(name)
+        return None
     asset = find_asset(name, "objects")
     if asset is None:
-        close = get_close_matches(name.replace("/", "_"), read_manifest("objects"), n=1)
-        perhaps = f", perhaps {close[0]}" if close else ""
+        close = get_close_matches(name.replace("/", "_"), [*EMBEDDED, *read_manifest("objects")], n=1)
+        meant = f", did you mean {close[0]}?" if close else ":"
         raise AssetError(
-            f"no object '{name}': embedded ones are {', '.join(EMBEDDED)}; primitives are {PRIMITIVE_FORMS}; or give a "
-            f"mesh file ({', '.join(SUFFIXES)}), a folder of convex pieces, or an asset{perhaps} "
+            f"no object '{name}'{meant} embedded ones are {', '.join(EMBEDDED)}; primitives are {PRIMITIVE_FORMS}; or "
+            f"give a mesh file ({', '.join(SUFFIXES)}), a folder of convex pieces, or an asset "
             "(refine-grasp assets list objects)"
         )
-    return ObjectSource(fetched(asset, say), asset)
+    return asset
 
 
 def named_object(name: str, objects: Path | None, file: Path, say: Callable[[str], None]) -> ObjectSource:

@@ -9,9 +9,10 @@ import sys
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from math import isfinite
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
 import tyro
+from tyro.constructors import PrimitiveConstructorSpec
 
 from grasp_refine.errors import GraspRefineError
 
@@ -25,10 +26,31 @@ MAY_BE_ZERO = ("seed", "restarts", "noise")
 MAY_BE_INFINITE = ("max_move",)
 """Limits, of which there may be none."""
 
+
+def _indices(words: list[str]) -> tuple[int, ...]:
+    """Integers separated by spaces or commas.
+
+    Raises:
+        ValueError: a word is none.
+    """
+    return tuple(int(word) for word in ",".join(words).split(",") if word)
+
+
+INDICES = PrimitiveConstructorSpec(
+    nargs="*",
+    metavar="I [I ...]",
+    instance_from_str=_indices,
+    is_instance=lambda value: isinstance(value, tuple),
+    str_from_instance=lambda value: [str(number) for number in value],
+)
+"""Option that takes integers, as in 0 3 7 or 0,3,7."""
+
 _FRAME, _RULE = "│| \n", "│╭╮╰╯─|+- "
 """What tyro draws its boxes with, also where it has only ASCII."""
 _ANSI = re.compile(r"\x1b\[[0-9;]*m")
 _PUNCTUATION = re.compile(r"[.;:?]$")
+_CHOICES = re.compile(r"(?<=one of )\('[^()]*'\)")
+_UNRECOGNIZED = "unrecognized options: "
 
 
 def parse(command: type[Command], program: str, arguments: Sequence[str]) -> Command:
@@ -45,7 +67,8 @@ def parse(command: type[Command], program: str, arguments: Sequence[str]) -> Com
     except SystemExit as end:
         if not end.code:
             raise
-        raise GraspRefineError(f"{_one_line(said.getvalue())}; see {program} --help") from None
+        complaint = _one_line(said.getvalue())
+        raise GraspRefineError(f"{complaint}{_grasps_hint(complaint, command)}; see {program} --help") from None
     sys.stderr.write(said.getvalue())
     return parsed
 
@@ -69,7 +92,24 @@ def _one_line(box: str) -> str:
         if text.startswith("--")
     ]
     guess = f"; perhaps {' or '.join(dict.fromkeys(meant))}" if meant else ""
-    return _PUNCTUATION.sub("", complaint) + guess
+    return _PUNCTUATION.sub("", _CHOICES.sub(_sorted_choices, complaint)) + guess
+
+
+def _sorted_choices(found: re.Match[str]) -> str:
+    """The choices that tyro lists, in alphabetical order: it has them in that of a set, with the None of no option."""
+    return ", ".join(sorted(set(re.findall(r"'([^']*)'", found[0])) - {"None"}))
+
+
+def _grasps_hint(complaint: str, command: type[Any]) -> str:
+    """Say how a grasp file is given where a word without an option looks like one."""
+    word = complaint.removeprefix(_UNRECOGNIZED).split()[0] if complaint.startswith(_UNRECOGNIZED) else "-"
+    return "" if word.startswith("-") or not _has_option(command, "grasps") else f"; perhaps --grasps {word}"
+
+
+def _has_option(command: type[Any], name: str) -> bool:
+    """Whether a dataclass of options, or one inside it, has a field of this name."""
+    types = get_type_hints(command)
+    return name in types or any(is_dataclass(kind) and _has_option(kind, name) for kind in types.values())
 
 
 def flag(name: str, prefix: str = "--") -> str:

@@ -147,7 +147,7 @@ class Run:
             GraspRefineError: names them.
         """
         touching = config.touching
-        touching.check(problem.hand, problem.groups[0].scene.links)
+        touching.named(problem.hand, problem.groups[0].scene.links)
         if touching != Touching() and any(group.scene.target_link is not None for group in problem.groups):
             raise GraspRefineError(
                 "--contacts, --reach and --reach-others are for grasps without targets: the targets say what touches"

@@ -175,9 +175,9 @@ class Settings:
     reach_others: float = Touching.reach_others
     """The same of all other links."""
     contacts: Annotated[
-        tuple[str, ...], arg(metavar="LINK [LINK ...]", help_behavior_hint="(default: those within reach)")
+        tuple[str, ...], arg(metavar="LINK|FINGER [...]", help_behavior_hint="(default: those within reach)")
     ] = ()
-    """Links that should touch, instead of those within reach."""
+    """Links, or fingers as `refine-grasp hands` lists them, that should touch, instead of those within reach."""
     transport: bool = Descent.transport
     """Equivalent gradient transport with descent or adam: the object's gradient acts through the links."""
     width: int = Config.width

@@ -14,7 +14,7 @@ from tyro.conf import DisallowNone, arg
 from grasp_refine.asset_library.locating import fetched
 from grasp_refine.asset_library.names import find_asset
 from grasp_refine.commands.object_source import ObjectSource, chosen_object, is_known, named_object
-from grasp_refine.commands.options import check_hull_limit
+from grasp_refine.commands.options import INDICES, check_hull_limit
 from grasp_refine.description.link_geometry import HULL_LIMIT
 from grasp_refine.description.tree import read_tree
 from grasp_refine.errors import GraspFileError, GraspRefineError, HandError
@@ -66,7 +66,7 @@ class Sources:
     """What becomes of an object's mesh with holes: an error, flat caps on flat holes, or its convex hull."""
     format: Annotated[DisallowNone[FormatName | None], arg(help_behavior_hint="(default: as its content says)")] = None
     """Format of the grasp file, or of the files in the folder; `refine-grasp convert --help` describes them."""
-    index: Annotated[tuple[int, ...], arg(metavar="I [I ...]", help_behavior_hint="(default: all)")] = ()
+    index: Annotated[tuple[int, ...], INDICES, arg(help_behavior_hint="(default: all)")] = ()
     """Which grasps of the object; 0 is its first one in the file."""
     table: Annotated[DisallowNone[float | None], arg(metavar="Z", help_behavior_hint="(default: none)")] = None
     """A table at this height (metres) of the object's frame, z up, that no link may go through."""

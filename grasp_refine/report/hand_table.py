@@ -27,7 +27,7 @@ WHOLE = ("hand", "turns, deg", "licence", "kind")
 
 def list_table(hands: Sequence[Hand], waiting: Sequence[str]) -> Table:
     """The hands that come with the program; `waiting` are those without a URDF."""
-    table = _table("hand", "joints", "turns, deg", "links", "contact links", "licence", "grasps")
+    table = _table("hand", "joints", "turns, deg", "links", "fingers", "licence", "grasps")
     for hand in hands:
         followers = sum(joint.mimic is not None for joint in hand.joints)
         table.add_row(
