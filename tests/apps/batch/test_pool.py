@@ -17,12 +17,10 @@ from command_line import interruptible, subprocess_environment
 from grasp_refine.apps.batch.crew import ONE_THREAD
 from grasp_refine.apps.batch.pool import run_local
 from grasp_refine.apps.batch.shard import Done, Failed
+from running_processes import PATIENCE_S, alive, children, soon
 from shard_works import Slow, Tally, Unknown, Unloadable, done, some_shards, tallies, work
 
 from grasp_refine.errors import GraspRefineError
-
-PATIENCE_S = 20.0
-"""Longer than any start, also on a busy machine."""
 
 
 def ignore(number: int, what: str, share: float) -> None:
@@ -37,21 +35,6 @@ def outcomes(
     found = {each.number: each for each in run_local(shards, work, workers=workers, patience_s=patience_s, beat=beat)}
     assert multiprocessing.active_children() == []
     return found
-
-
-def alive(number: int) -> bool:
-    """Whether a process runs; one that has ended and waits for its parent to notice does not."""
-    try:
-        return Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
-
-
-def soon(holds: Callable[[], bool], seconds: float = PATIENCE_S) -> bool:
-    until = time.monotonic() + seconds
-    while not holds() and time.monotonic() < until:
-        time.sleep(0.02)
-    return holds()
 
 
 @pytest.fixture
@@ -267,11 +250,7 @@ def test_workers_end_with_a_caller_who_is_killed(tmp_path: Path, program: Callab
     workers = list(map(int, children(process.pid)))
     assert int(deep.read_text()) in workers
     process.kill()
-    assert soon(lambda: not any(map(alive, workers)), 1.5)
-
-
-def children(number: int) -> list[str]:
-    return Path(f"/proc/{number}/task/{number}/children").read_text().split()
+    assert soon(lambda: not any(map(alive, workers)))
 
 
 def test_workers_that_take_too_long_to_start_end_the_batch_with_a_reason(tmp_path: Path):
@@ -295,6 +274,6 @@ def test_an_interrupt_in_a_terminal_ends_everything_without_a_word(
     workers = children(process.pid)
     assert len(workers) >= 2
     os.killpg(process.pid, signal.SIGINT)
-    assert process.communicate(timeout=10.0) == ("interrupted\n", "")
-    assert soon(lambda: not any(alive(int(worker)) for worker in workers), 1.0)
+    assert process.communicate(timeout=PATIENCE_S) == ("interrupted\n", "")
+    assert soon(lambda: not any(alive(int(worker)) for worker in workers))
     assert not half.exists()
