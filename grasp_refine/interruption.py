@@ -11,13 +11,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Event, Thread
 from types import FrameType
-from typing import NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that interrupt."""
 
 NOTICE_S = 2.0
 """How long (s) compiled code may keep the main thread from raising KeyboardInterrupt."""
+
+_AGAIN_S = 0.05
+"""How long (s) an interruption waits that arrives during an import, until it tries again."""
 
 _POLL_S = 0.5
 """How often (s) a child looks for its parent where the kernel does not end both."""
@@ -29,17 +31,21 @@ _PR_SET_PDEATHSIG = 1
 def interruptible(end: Callable[[], None]) -> Iterator[Event]:
     """Let SIGNALS raise KeyboardInterrupt in the main thread; yields an event that is set once one did.
 
-    Signals that the caller of this process ignores, as nohup does, stay ignored.
+    Signals that the caller of this process ignores, as nohup does, stay ignored. During an import nothing is raised:
+    some packages catch whatever is raised while they are loaded, and go on.
 
     Args:
-        end: Called in another thread if the main thread is still in compiled code NOTICE_S after the first signal. Only
-            compiled code that holds the GIL delays it.
+        end: Called in another thread if the main thread is still in compiled code, or imports, NOTICE_S after the first
+            signal. Only compiled code that holds the GIL delays it.
     """
     noticed = Event()
 
-    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
-        noticed.set()
-        raise KeyboardInterrupt
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        importing = _imports(frame)
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S if importing else 0.0)
+        if not importing:
+            noticed.set()
+            raise KeyboardInterrupt
 
     def watch() -> None:
         # Where the main thread blocks them for a moment, they wait.
@@ -53,7 +59,7 @@ def interruptible(end: Callable[[], None]) -> Iterator[Event]:
     read, write = os.pipe()
     os.set_blocking(write, False)
     wakeup = signal.set_wakeup_fd(write, warn_on_full_buffer=False)
-    before = {number: signal.getsignal(number) for number in SIGNALS}
+    before = {number: signal.getsignal(number) for number in (*SIGNALS, signal.SIGALRM)}
     for number, handler in before.items():
         if handler is not signal.SIG_IGN:
             signal.signal(number, interrupt)
@@ -62,12 +68,22 @@ def interruptible(end: Callable[[], None]) -> Iterator[Event]:
     try:
         yield noticed
     finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(wakeup)
         os.close(write)
         watcher.join()
         os.close(read)
+
+
+def _imports(frame: FrameType | None) -> bool:
+    """Whether a frame is part of an import."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def end_with(parent: int) -> None:

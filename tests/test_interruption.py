@@ -153,3 +153,33 @@ def test_what_is_ignored_stays_ignored(start: Starter):
     out, error = start(NOHUP).communicate(timeout=PATIENCE_S)
     assert error == ""
     assert out.splitlines() == ["SIGINT True", "SIGTERM True", "SIGHUP False", "True SIG_DFL"]
+
+
+IMPORTING = """
+import os, time
+from grasp_refine.interruption import interruptible
+
+def end():
+    print("interrupted", flush=True)
+    os._exit(0)
+
+with interruptible(end):
+    try:
+        import interrupted_import
+        print(interrupted_import.swallowed, flush=True)
+        time.sleep(3600.0)
+    except KeyboardInterrupt:
+        end()
+"""
+
+
+def test_what_is_imported_does_not_swallow_it(tmp_path: Path, start: Starter):
+    """Ctrl-C just after "refining ..." was lost where a package that was being loaded caught everything."""
+    (tmp_path / "workplace" / "interrupted_import.py").write_text(
+        "import os, signal\nswallowed = False\n"
+        "try:\n    os.kill(os.getpid(), signal.SIGINT)\n    sum(range(1000))\n"
+        "except BaseException:\n    swallowed = True\n"
+    )
+    out, error = start(IMPORTING).communicate(timeout=PATIENCE_S)
+    assert error == "" and "True" not in out
+    assert out.endswith("interrupted\n")

@@ -195,7 +195,7 @@ def test_a_button_brings_a_notification_and_new_lines_in_the_chart(page: ViserPa
 def test_tabs_texts_and_uploads(toy: Toy, page: ViserPage, tmp_path: Path):
     assert "nothing" not in page.text()
     page.tab("Second")
-    page.wait_for_text("nothing", 2.0)
+    page.wait_for_text("nothing")
     file = tmp_path / "some.bin"
     file.write_bytes(bytes(range(100)))
     page.upload("Upload", file)
