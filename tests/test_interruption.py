@@ -167,7 +167,8 @@ with interruptible(end):
     try:
         import interrupted_import
         print(interrupted_import.swallowed, flush=True)
-        time.sleep(3600.0)
+        time.sleep(60.0)
+        print("lost", flush=True)
     except KeyboardInterrupt:
         end()
 """
