@@ -12,10 +12,12 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from difflib import get_close_matches
 from errno import ENAMETOOLONG
 from importlib import import_module
 from io import TextIOWrapper
+from typing import NoReturn
 
 from grasp_refine.errors import GraspRefineError, visible
 
@@ -55,8 +57,11 @@ OMP_NUM_THREADS: the child process that decomposes meshes would inherit it, and 
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line (by default that of the process); returns its exit code."""
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    """Run a command line; returns its exit code.
+
+    By default that of the process, which then ends at once when interrupted, without returning.
+    """
+    of_process, arguments = arguments is None, sys.argv[1:] if arguments is None else list(arguments)
     if isinstance(sys.stdout, TextIOWrapper):
         # Where the terminal has no such letter, an arrow is not worth an error.
         sys.stdout.reconfigure(errors="replace")
@@ -76,6 +81,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(_unknown(name), BAD_INPUT)
     for variable in THREADS:
         os.environ.setdefault(variable, "1")
+    if not of_process:
+        return _run(name, rest)
+    from grasp_refine.interruption import interruptible
+
+    code = INTERRUPTED
+    with interruptible(_end_interrupted) as interrupted:
+        try:
+            code = _run(name, rest)
+        finally:
+            if interrupted.is_set():
+                # Python itself would first wait for threads, and take seconds to unload torch on a busy machine.
+                _end(code)
+    return code
+
+
+def _run(name: str, rest: Sequence[str]) -> int:
+    """The exit code of a command with the options `rest`."""
     try:
         if name in WITH_MUJOCO:
             from grasp_refine.replay.offscreen import check_setting
@@ -146,6 +168,21 @@ def _unknown(name: str) -> str:
         return f"no {kind} '{name}'; {known}"
     meant = close[0] if close[0] in COMMANDS else f"--{close[0]}"
     return f"no {kind} '{name}', did you mean {meant}? {known}"
+
+
+def _end_interrupted() -> NoReturn:
+    """End the process without the main thread, which is deep in compiled code."""
+    with suppress(OSError):
+        _fail("interrupted", INTERRUPTED)
+    _end(INTERRUPTED)
+
+
+def _end(code: int) -> NoReturn:
+    """End the process at once; child processes end with it (`interruption.end_with`)."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):
+            stream.flush()
+    os._exit(code)
 
 
 def _fail(message: str, code: int) -> int:

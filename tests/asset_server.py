@@ -12,6 +12,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import unquote
 
+from running_processes import PATIENCE_S
+
 from grasp_refine.asset_library.manifest import Asset, read_manifest
 
 CONTENTS = {
@@ -72,7 +74,7 @@ class _Handler(BaseHTTPRequestHandler):
         if fault == "stall":
             self.wfile.write(content[: len(content) // 2])
             self.server.stalled.set()
-            self.server.go_on.wait(30)
+            self.server.go_on.wait(PATIENCE_S)
             return
         self.wfile.write(content[: len(content) // 2] if fault in ("cut", "short") else content)
 

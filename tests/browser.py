@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
+from running_processes import PATIENCE_S
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Locator, Page
@@ -34,7 +35,7 @@ NOISE = ("Unable to preventDefault inside passive event listener",)
 DETAIL = 0.2
 """Pixels drawn per pixel of the window, along each axis: without a graphics card a scene takes a second at 1."""
 
-SECONDS = 10.0
+SECONDS = PATIENCE_S
 """How long a helper waits for what it was asked for before the test fails."""
 
 POSE = """name => {
@@ -131,7 +132,7 @@ class ViserPage:
         """Close the page and forget its session."""
         self.page.context.close()
 
-    def open(self, address: str, detail: float = DETAIL, seconds: float = 30.0) -> None:
+    def open(self, address: str, detail: float = DETAIL, seconds: float = SECONDS) -> None:
         """Load an address and wait until its scene exists; viser's remark on slow graphics is closed."""
         self._detail = detail
         self.page.goto(f"{address}?fixedDpr={detail:g}")
@@ -163,7 +164,7 @@ class ViserPage:
         size = round(width), round(height)
         return np.asarray(Image.alpha_composite(white, drawn).convert("RGB").resize(size, Image.Resampling.NEAREST))
 
-    def wait_for_scene(self, share: float = 0.01, seconds: float = 30.0) -> np.ndarray:
+    def wait_for_scene(self, share: float = 0.01, seconds: float = SECONDS) -> np.ndarray:
         """The picture, as soon as more than `share` of its pixels differ from the white background."""
         drawn = self.picture()
         end = time.monotonic() + seconds
@@ -300,7 +301,7 @@ class ViserPage:
             self.click(label)
         chosen.value.set_files(file)
 
-    def download(self, label: str, folder: Path, seconds: float = 60.0) -> Path:
+    def download(self, label: str, folder: Path, seconds: float = SECONDS) -> Path:
         """Click a button that sends a file; returns where in `folder` it was put."""
         with self.page.expect_download(timeout=1000 * seconds) as coming:
             self.click(label)

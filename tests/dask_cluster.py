@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 from command_line import subprocess_environment
+from running_processes import PATIENCE_S
 from viewer_process import free_port
 
 
@@ -24,7 +25,7 @@ class DaskCluster:
         port = free_port()
         self.address = f"tcp://127.0.0.1:{port}"
         self.scheduler = self.start("scheduler", "--host", "127.0.0.1", "--port", str(port))
-        until = time.monotonic() + 60.0
+        until = time.monotonic() + PATIENCE_S
         while True:
             try:
                 socket.create_connection(("127.0.0.1", port), 1.0).close()

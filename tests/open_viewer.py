@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from grasp_refine.apps.viewer.collection import Collection
 from grasp_refine.apps.viewer.controller import Controller
+from running_processes import PATIENCE_S
 
 from grasp_refine.commands.inputs import Inputs
 from grasp_refine.commands.settings import Settings
@@ -50,7 +51,7 @@ def shown_panel(kind: type, made: Controller) -> Iterator[tuple[Any, Page]]:
     server.stop()
 
 
-def settled(viewer: Controller, seconds: float = 30.0) -> None:
+def settled(viewer: Controller, seconds: float = PATIENCE_S) -> None:
     """Wait until nothing is being done any more."""
     end = time.monotonic() + seconds
     while viewer.state.job is not None:

@@ -71,7 +71,7 @@ def _crash(how: str, first: bool, beat: Beat) -> None:
     if how.endswith("exit"):
         os._exit(3)
     os.kill(os.getpid(), signal.Signals[how.split()[-1]])
-    time.sleep(60.0)
+    time.sleep(3600.0)
 
 
 def _worse(how: str, first: bool, beat: Beat) -> None:
@@ -92,9 +92,9 @@ def _beat(how: str, first: bool, beat: Beat) -> None:
 
 def _child(how: str, first: bool, beat: Beat) -> None:
     """A process of its own, whose number is written down."""
-    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(3600)"])
     Path(how).write_text(str(child.pid))
-    time.sleep(60.0)
+    time.sleep(3600.0)
 
 
 def _compute(how: str, first: bool, beat: Beat) -> None:
@@ -108,7 +108,7 @@ def _tidy(how: str, first: bool, beat: Beat) -> None:
     partial = Path(how)
     partial.touch()
     try:
-        time.sleep(60.0)
+        time.sleep(3600.0)
     finally:
         partial.unlink()
 
@@ -164,7 +164,7 @@ class Slow(Unknown):
     """A work that takes too long to load."""
 
     def __reduce__(self):
-        return time.sleep, (60.0,)
+        return time.sleep, (3600.0,)
 
 
 ACTIONS = {

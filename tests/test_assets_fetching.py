@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from asset_server import CONTENTS, MIDDLE, Server, made_asset, made_tree, serving
 from command_line import subprocess_environment
+from running_processes import PATIENCE_S
 
 from grasp_refine.asset_library.cache import asset_folder, inside, is_whole
 from grasp_refine.asset_library.download import ATTEMPTS
@@ -192,7 +193,7 @@ def test_a_process_that_is_killed_leaves_nothing_that_counts(
     monkeypatch.setenv("GRASP_REFINE_ASSETS", server.address)
     command = [sys.executable, "-c", KILLED, str(tmp_path / "manifest")]
     with subprocess.Popen(command, env=subprocess_environment()) as process:
-        assert server.stalled.wait(30)
+        assert server.stalled.wait(PATIENCE_S)
         process.kill()
     server.go_on.set()
     assert not (asset_folder(claw, "mirror") / "meshes/tip.obj").exists() and not is_whole(claw, "mirror")
@@ -458,7 +459,7 @@ def test_two_processes_that_fetch_at_once_end_with_whole_files(shared_assets: Pa
         running = [
             subprocess.Popen(command, env=subprocess_environment(), stderr=subprocess.PIPE, text=True) for _ in range(2)
         ]
-        said = [process.communicate(timeout=60)[1] for process in running]
+        said = [process.communicate(timeout=PATIENCE_S)[1] for process in running]
         assert [process.returncode for process in running] == [0, 0], said
     for kind, name in (name.split("/") for name in names):
         asset = read_manifest(kind)[name]

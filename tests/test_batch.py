@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import PROGRAM, interruptible, refused, subprocess_environment
+from running_processes import PATIENCE_S, children, nothing_left, running_in_session, soon
 
 from grasp_refine.assets import resource_dir
 from grasp_refine.cli import main
@@ -355,38 +356,13 @@ def running(sources: Path, out: Path, *options: str) -> subprocess.Popen[str]:
 
 def finished(process: subprocess.Popen[str]) -> int:
     """The exit code."""
-    process.communicate(timeout=120)
+    process.communicate(timeout=PATIENCE_S)
     return process.returncode
 
 
 def wait_for(out: Path, files: int) -> None:
     """Until so many result files are there."""
-    limit = time.monotonic() + 120
-    while len(list(out.rglob("*.npz"))) < files:
-        assert time.monotonic() < limit
-        time.sleep(0.02)
-
-
-def left_running(process: subprocess.Popen[str], seconds: float = 5.0) -> list[str]:
-    """Names of processes of a session that still run after a while; what looks after resources ends last."""
-    limit = time.monotonic() + seconds
-    while (found := _running(process)) and time.monotonic() < limit:
-        time.sleep(0.05)
-    return found
-
-
-def _running(process: subprocess.Popen[str]) -> list[str]:
-    """Those that run now; ended ones may wait for whoever adopted them."""
-    found = []
-    for entry in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            name, _, rest = entry.read_text().partition(") ")
-        except OSError:
-            continue
-        state, _, _, session, *_ = rest.split()
-        if int(session) == process.pid and state != "Z":
-            found.append(name)
-    return found
+    assert soon(lambda: len(list(out.rglob("*.npz"))) >= files)
 
 
 @pytest.mark.slow
@@ -397,12 +373,12 @@ def test_interrupted_it_says_how_to_go_on_and_leaves_nothing_running(
     process = running(sources, tmp_path / "out", "--workers", "1", "--geometry-only", "--no-report")
     wait_for(tmp_path / "out", 1)
     (os.killpg if signal_ == signal.SIGINT else os.kill)(process.pid, signal_)
-    out, error = process.communicate(timeout=30)
+    out, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
     assert " of 8 shards are complete; the same command goes on from there" in " ".join(error.split())
     assert error.rstrip().endswith("refine-grasp: interrupted")
     assert "Traceback" not in error
-    assert left_running(process) == []
+    assert nothing_left(process)
     assert not list((tmp_path / "out").rglob(".*"))
 
 
@@ -437,8 +413,8 @@ def test_a_full_disk_costs_only_what_cannot_be_written(copy: Path, whole: Path, 
 
 def workers_of(process: subprocess.Popen[str]) -> list[int]:
     """The processes that a process started, but for those that only look after resources."""
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    return [pid for pid in map(int, children) if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text()]
+    found = running_in_session(process)
+    return [number for number in map(int, children(process.pid)) if "spawn_main" in found.get(number, "")]
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="there is no /proc to find the workers in")
@@ -446,15 +422,15 @@ def workers_of(process: subprocess.Popen[str]) -> list[int]:
 @pytest.mark.slow
 def test_a_worker_that_is_lost_is_replaced(tmp_path: Path, sources: Path, signal_: signal.Signals):
     out, summary = tmp_path / "out", tmp_path / "summary.json"
-    options = ("--workers", "2", "--no-report", "--patience", "10", "--json", str(summary))
+    options = ("--workers", "2", "--no-report", "--patience", "30", "--json", str(summary))
     process = running(sources, out, *options)
     wait_for(out, 1)
     os.kill(workers_of(process)[0], signal_)
-    _, error = process.communicate(timeout=120)
+    _, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, error
     assert json.loads(summary.read_text())["totals"]["n"] == 8
     assert len(results(out)) == 8
-    assert left_running(process) == []
+    assert nothing_left(process)
 
 
 @pytest.mark.slow
@@ -471,7 +447,7 @@ def test_killed_at_any_moment_it_goes_on_and_comes_out_the_same(tmp_path: Path, 
         time.sleep(random.uniform(0, 0.5))
         process.kill()
         process.communicate()
-        assert left_running(process) == [], "workers go on without their parent"
+        assert nothing_left(process), "workers go on without their parent"
     assert finished(running(sources, out, *options)) == 0
     assert_same(out, expected)
     assert {path.name for path in out.rglob(".*")} == set()

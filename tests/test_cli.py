@@ -8,14 +8,14 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
-from command_line import PROGRAM, call, interruptible, refused, subprocess_environment
+from command_line import PROGRAM, interruptible, refused, subprocess_environment
+from running_processes import PATIENCE_S
 
 import grasp_refine
 from grasp_refine.assets import resource_dir
@@ -62,19 +62,15 @@ def grasp_file(inputs: Path) -> Callable[..., Path]:
 
 
 def test_help_is_instant_and_loads_nothing_heavy():
+    """Nothing but the standard library, of which it takes what `argparse` would load, too."""
     code = (
-        "import sys; from grasp_refine.cli import main; code = main(['--help']);"
-        "print(sorted({'torch', 'numpy', 'tyro', 'rich', 'trimesh'} & set(sys.modules)), code)"
+        "import sys; before = set(sys.modules); from grasp_refine.cli import main; code = main(['--help']);"
+        "loaded = set(sys.modules) - before; packages = {name.partition('.')[0] for name in loaded};"
+        "print(sorted(packages - sys.stdlib_module_names), len(loaded) < 100, code)"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=subprocess_environment())
-    assert result.stdout.splitlines()[-1] == "[] 0"
+    assert result.stdout.splitlines()[-1] == "['grasp_refine'] True 0"
     assert all(f"  {name} " in result.stdout for name in COMMANDS)
-    seconds = []
-    for _ in range(3):
-        start = time.perf_counter()
-        assert call("--help").returncode == 0
-        seconds.append(time.perf_counter() - start)
-    assert min(seconds) < 0.5
 
 
 def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]):
@@ -526,7 +522,7 @@ def test_ctrl_c_leaves_one_line_and_no_files():
     )  # fmt: skip
     assert process.stderr is not None and process.stderr.readline().startswith("refining 4 grasps")
     process.send_signal(signal.SIGINT)
-    out, error = process.communicate(timeout=20)
+    out, error = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, out, error) == (130, "", "refine-grasp: interrupted\n")
     assert list(Path().iterdir()) == []
 

@@ -64,7 +64,7 @@ def test_texts_without_end_take_no_time(tmp_path: Path, text: str):
     start = time.process_time()
     with pytest.raises(ValueError) if text != "#" else nullcontext():
         read_toml(path)
-    assert time.process_time() - start < 0.5
+    assert time.process_time() - start < 2.0
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_a_key_of_thousands_of_parts_takes_neither_time_nor_memory(tmp_path: Pat
     start = time.process_time()
     with pytest.raises(ValueError, match="more than 64 parts"):
         read_toml(path)
-    assert time.process_time() - start < 0.5
+    assert time.process_time() - start < 2.0
 
 
 def test_a_file_that_is_too_large_or_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -7,7 +7,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ import pytest
 from command_line import PROGRAM, interruptible, subprocess_environment
 from grasp_refine.apps.viewer.controller import Controller
 from open_viewer import settled
+from running_processes import PATIENCE_S, soon
 
 from grasp_refine.cli import main
 from grasp_refine.commands.inputs import Inputs
@@ -121,12 +121,10 @@ def test_it_ends_when_asked_and_leaves_nothing(tmp_path: Path, ending: signal.Si
     )
     try:
         assert "Ctrl-C ends it" in process.stdout.readline()
-        time.sleep(0.2)
+        assert soon(told.exists)
         assert json.loads(told.read_text())["address"].startswith("http://127.0.0.1:")
-        began = time.monotonic()
         process.send_signal(ending)
-        _, error = process.communicate(timeout=20.0)
-        assert time.monotonic() - began < 6.0
+        _, error = process.communicate(timeout=PATIENCE_S)
     finally:
         process.kill()
         process.communicate()

@@ -11,6 +11,7 @@ from pathlib import Path
 from urllib.request import urlopen
 
 from command_line import PROGRAM, interruptible, subprocess_environment
+from running_processes import PATIENCE_S
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ def answers(port: int) -> bool:
         return False
 
 
-def start_viewer_process(folder: Path, *arguments: str | Path, seconds: float = 60.0) -> Viewer:
+def start_viewer_process(folder: Path, *arguments: str | Path, seconds: float = PATIENCE_S) -> Viewer:
     """Start it in `folder` and return once it answers; the caller ends it."""
     port, log, started = free_port(), folder / "log.txt", time.monotonic()
     command = [sys.executable, "-c", PROGRAM, "view", *map(str, arguments), "--port", str(port), "--no-open"]

@@ -55,7 +55,7 @@ class Client(Page):
 
     def download(self) -> tuple[str, bytes]:
         """Name and content of the only file, once it has come."""
-        until(self.downloads, 60.0)
+        until(self.downloads)
         ((name, content),) = self.downloads().items()
         return name, content
 

@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import viser
 import zstandard
+from running_processes import PATIENCE_S
 from viser._messages import GuiUpdateMessage, Message, ViewerCameraMessage
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
@@ -43,7 +44,7 @@ class Page:
     def close(self) -> None:
         """Leave."""
         self._socket.close()
-        self._reader.join(5.0)
+        self._reader.join(PATIENCE_S)
 
     def _send(self, message: Message) -> None:
         self._socket.send(msgspec.msgpack.encode(message.as_serializable_dict()))
@@ -61,7 +62,7 @@ class Page:
             pass
 
 
-def until(said: Callable[[], Any], seconds: float = 10.0) -> Any:
+def until(said: Callable[[], Any], seconds: float = PATIENCE_S) -> Any:
     """What `said` returns when it is true for the first time.
 
     Raises:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import ctypes
 import faulthandler
 import fcntl
 import os
 import pickle
 import select
 import signal
-import sys
 import time
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from threading import Lock, Thread
 from types import FrameType
 from typing import NoReturn
+
+from grasp_refine.interruption import end_with
 
 from .attempt import attempt
 from .shard import Done, Failed, Shard, Work
@@ -25,8 +25,6 @@ BEAT_S = 0.2
 
 WHERE = signal.SIGUSR1
 """On this signal a worker writes into its log where it is, whatever it does."""
-
-_PR_SET_PDEATHSIG = 1
 
 
 class Ready:
@@ -67,17 +65,6 @@ def work_on_shards(connection: Connection, work: bytes, log: Connection, parent:
     except _ToldToEndError:
         os._exit(128 + signal.SIGTERM)
     except (BrokenPipeError, ConnectionResetError):
-        os._exit(1)
-
-
-def end_with(parent: int) -> None:
-    """Let the kernel end this process with the thread that started it, also in the midst of compiled code; Linux only.
-
-    Elsewhere the thread that receives shards finds out, once compiled code lets it run.
-    """
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:
         os._exit(1)
 
 

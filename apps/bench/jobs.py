@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from traceback import format_exception
 from typing import Any, Protocol, runtime_checkable
+
+from grasp_refine.interruption import end_with
 
 
 @runtime_checkable
@@ -74,7 +77,9 @@ def _side_by_side(
     total, finished = sum(job.work for job in todo), 0.0
     # A forked child of a process that has used torch may hang.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(todo)), mp_context=context) as pool:
+    with ProcessPoolExecutor(
+        min(workers, len(todo)), mp_context=context, initializer=end_with, initargs=(os.getpid(),)
+    ) as pool:
         try:
             # The longest first, so that no process is left alone with one at the end.
             order = sorted(range(len(todo)), key=lambda index: -todo[index].work)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
@@ -116,34 +114,32 @@ class Batch:
             "engine": chosen("auto"),
         }
         console = screen(stderr=True)
-        with _terminated_as_interrupted():
-            with Progress(console, (), 1) as progress:
-                plan = self._plan(outputs.out, described, config.seed, progress)
-                outputs.check(plan)
-                progress.wait("looking at what is there")
-                asked = part_of(plan.shards, *part)
-                states = {shard.number: State.MISSING if self.sharding.again else state_of(shard) for shard in asked}
-                _tell_states(asked, states, progress)
-            todo = [shard for shard in asked if states[shard.number] is not State.COMPLETE]
-            session = Session({number for number, state in states.items() if state is State.COMPLETE}, len(asked))
-            session.skipped = sum(shard.size for shard in asked if shard.number in session.complete)
-            self._work(todo, ShardWork(config, protocol, described, self.output.profile), session, console)
-            with Progress(console, (), 1) as progress:
-                summary = outputs.read(Summary.of(asked, plan.refused, session), progress)
-                document = {
-                    "schema": SCHEMA,
-                    "command": "batch",
-                    "invocation": invocation("batch", self),
-                    "versions": versions(),
-                    "config": described
-                    | {"inputs": settings(self.inputs.plain()), "sharding": settings(self.sharding)},
-                    "seed": config.seed,
-                    "totals": summary.totals(session, time.perf_counter() - wall, cpu_seconds() - cpu),
-                    "failed": summary.failed,
-                    "jobs": summary.jobs(),
-                    "profile": profile_entry(session.profile or None),
-                }
-                outputs.write(document, summary, progress)
+        with Progress(console, (), 1) as progress:
+            plan = self._plan(outputs.out, described, config.seed, progress)
+            outputs.check(plan)
+            progress.wait("looking at what is there")
+            asked = part_of(plan.shards, *part)
+            states = {shard.number: State.MISSING if self.sharding.again else state_of(shard) for shard in asked}
+            _tell_states(asked, states, progress)
+        todo = [shard for shard in asked if states[shard.number] is not State.COMPLETE]
+        session = Session({number for number, state in states.items() if state is State.COMPLETE}, len(asked))
+        session.skipped = sum(shard.size for shard in asked if shard.number in session.complete)
+        self._work(todo, ShardWork(config, protocol, described, self.output.profile), session, console)
+        with Progress(console, (), 1) as progress:
+            summary = outputs.read(Summary.of(asked, plan.refused, session), progress)
+            document = {
+                "schema": SCHEMA,
+                "command": "batch",
+                "invocation": invocation("batch", self),
+                "versions": versions(),
+                "config": described | {"inputs": settings(self.inputs.plain()), "sharding": settings(self.sharding)},
+                "seed": config.seed,
+                "totals": summary.totals(session, time.perf_counter() - wall, cpu_seconds() - cpu),
+                "failed": summary.failed,
+                "jobs": summary.jobs(),
+                "profile": profile_entry(session.profile or None),
+            }
+            outputs.write(document, summary, progress)
         self._show(document, summary, session, outputs, time.perf_counter() - wall)
         return NOTHING_USABLE if summary.failed or (asked and not summary.statistics.all.usable) else 0
 
@@ -270,20 +266,3 @@ def _tell_states(shards: Sequence[Shard], states: Mapping[int, State], progress:
         progress.say(f"{path} cannot be read and is made anew")
     if len(damaged) > MOST_NAMED:
         progress.say(f"and so are {len(damaged) - MOST_NAMED} others")
-
-
-@contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """Let SIGTERM, with which schedulers announce the end, interrupt as Ctrl-C does."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

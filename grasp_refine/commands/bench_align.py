@@ -132,7 +132,7 @@ class BenchAlign:
         title = f"alignment, {study.targets} targets a pair, seed {study.seed}; accuracies in %"
 
         def run(console: Console, progress: Callable[[float, str], None]) -> Outcome:
-            outcome = run_study(study, lambda line: console.print(escape(line), style="dim"), progress)
+            outcome = run_study(study, lambda line: console.print(escape(line), style="dim", soft_wrap=True), progress)
             if self.save is not None and outcome.recorded is not None and outcome.rows:
                 save_task(self.save, outcome.recorded)
             return outcome

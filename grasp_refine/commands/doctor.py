@@ -182,7 +182,7 @@ def _show(found: dict[str, Any], console: Console) -> None:
     for line in _lines(found):
         console.print(line, markup=False, soft_wrap=True)
     for problem in found["problems"]:
-        console.print(f"[red]problem[/]: {escape(problem)}")
+        console.print(f"[red]problem[/]: {escape(problem)}", soft_wrap=True)
     if set(found["problems"]) - {found["engine"]["fault"]}:
         console.print(f"install again: pip install --upgrade {NAME}")
     elif not found["problems"]:

@@ -77,7 +77,7 @@ class Hands:
             mjcf=self.mjcf,
             candidates=CANDIDATES,
             hull_limit=self.hull_limit,
-            progress=lambda line: screen(stderr=True).print(line, markup=False, style="dim"),
+            progress=lambda line: screen(stderr=True).print(line, markup=False, style="dim", soft_wrap=True),
         )
         return self._check(hand, place) if self.check else self._show(hand)
 
@@ -93,7 +93,7 @@ class Hands:
         console.print(list_table(hands, waiting), "")
         for hand in hands:
             for note in hand.notes:
-                console.print(f"{hand.name}: {note}", markup=False)
+                console.print(f"{hand.name}: {note}", markup=False, soft_wrap=True)
         if waiting:
             console.print(
                 f"{', '.join(waiting)}: the URDF is not ours; it is fetched when the hand is used (refine-grasp assets "
@@ -117,9 +117,9 @@ class Hands:
         if not hand.contacts_guessed:
             console.print("contact links are those that hand.toml names")
         for note in hand.notes:
-            console.print(f"note: {note}", markup=False)
+            console.print(f"note: {note}", markup=False, soft_wrap=True)
         for note in notes:
-            console.print(f"in simulation: {note}", markup=False)
+            console.print(f"in simulation: {note}", markup=False, soft_wrap=True)
         _show_examples(hand, console)
         return 0
 

@@ -116,7 +116,7 @@ class Validate:
         console = screen()
         for path, part in zip(files, examined, strict=True):
             if len(files) > 1:
-                console.print(f"[bold]{escape(str(path))}[/]\n")
+                console.print(f"[bold]{escape(str(path))}[/]\n", soft_wrap=True)
             frictions, verbose = self.robustness.frictions, self.told.verbose
             console.print(
                 validation_table(part.validated, part.problem.hand.name, protocol, frictions, verbose=verbose)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import threading
 import time
@@ -90,8 +89,6 @@ class View:
 
         if self.serving.json is not None:
             check_writable(self.serving.json)
-        # Whoever ends it otherwise than by Ctrl-C wants it to clean up, too.
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
         # First, so that a browser can load the page while the rest is being loaded.
         server = open_server(self.serving.host, self.serving.port)
         try:
@@ -108,9 +105,7 @@ class View:
             return 0
         finally:
             close_server(server)
-        sys.stdout.flush()
-        # A thread that is in the middle of a computation would keep Python from ending, or make it crash.
-        os._exit(0)
+        return 0
 
     def _shown(self, server: viser.ViserServer) -> AbstractContextManager[Any]:
         """What the files mean, on the page.

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 
 from grasp_refine.errors import MeshError
+from grasp_refine.interruption import end_with
 
 _RANGES = {
     "threshold": (0.01, 1),
@@ -89,7 +90,14 @@ def _run(
     with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
         np.savez(Path(folder, "mesh.npz"), vertices=vertices, faces=faces)
         child = subprocess.run(
-            [sys.executable, "-m", "grasp_refine.geometry.decomposition", folder, json.dumps(settings)],
+            [
+                sys.executable,
+                "-m",
+                "grasp_refine.geometry.decomposition",
+                folder,
+                json.dumps(settings),
+                str(os.getpid()),
+            ],
             # The child finds what this process finds, also where the package is not installed.
             env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             stdin=subprocess.DEVNULL,
@@ -104,8 +112,9 @@ def _run(
             return [arrays[f"arr_{index}"] for index in range(len(arrays.files))], ""
 
 
-def _main(folder: str, settings: str) -> None:
-    """The child's part: `mesh.npz` of `folder` in, `parts.npz` out."""
+def _main(folder: str, settings: str, parent: str) -> None:
+    """The child's part: `mesh.npz` of `folder` in, `parts.npz` out; ends with the process `parent`."""
+    end_with(int(parent))
     import coacd
 
     coacd.set_log_level("error")

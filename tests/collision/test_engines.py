@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from running_processes import PATIENCE_S
 from shapes_for_tests import convex_body, ring_body
 from twists import random_poses
 
@@ -176,9 +177,14 @@ def test_other_threads_run_meanwhile(both: tuple[Pairs, Pairs]) -> None:
     other = threading.Thread(target=count)
     other.start()
     try:
-        before = steps[0]
-        pairs.native.ask(pair, T_a, T_b, limit, None, 1)
-        assert steps[0] > before + 10
+        # On a busy machine the thread may not get its turn during one of them.
+        for _ in range(1000):
+            before = steps[0]
+            pairs.native.ask(pair, T_a, T_b, limit, None, 1)
+            if steps[0] > before + 10:
+                break
+        else:
+            pytest.fail("the thread stood still in every query")
     finally:
         done.set()
         other.join()
@@ -250,11 +256,11 @@ pairs, T = Pairs((ball,), (ball,), engine="native"), np.tile(np.eye(4), (2000, 1
 ask = lambda: pairs.native.ask(np.zeros(2000, np.int64), T, T, np.full(2000, np.inf), None, 2)[3].sum()
 before, child = ask(), os.fork()
 if child == 0:
-    signal.alarm(20)
+    signal.alarm(600)
     os._exit(0 if ask() == before else 1)
 sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
-    assert subprocess.run([sys.executable, "-c", code], timeout=30).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], timeout=PATIENCE_S).returncode == 0
 
 
 @native

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from running_processes import PATIENCE_S
 
 from grasp_refine.description.urdf import read_urdf
 from grasp_refine.errors import HandError
@@ -176,7 +177,7 @@ def test_what_a_urdf_points_to_is_not_even_opened(tmp_path: Path, kind: str) -> 
 
     reader = threading.Thread(target=read, daemon=True)
     reader.start()
-    reader.join(timeout=20)
+    reader.join(timeout=PATIENCE_S)
     assert not reader.is_alive(), "the pipe was opened"
     assert len(refused) == 1 and "a DOCTYPE is refused, because it can pull in other files" in refused[0]
 

@@ -12,6 +12,8 @@ from multiprocessing.synchronize import Barrier
 from threading import BrokenBarrierError
 from typing import Any, TypeVar
 
+from grasp_refine.interruption import end_with
+
 Result = TypeVar("Result")
 
 PATIENCE = 600.0
@@ -35,7 +37,7 @@ def together(works: Sequence[Callable[[Callable[[], None]], Result]]) -> list[Re
     try:
         for work in works:
             told, its = context.Pipe(duplex=False)
-            child = context.Process(target=_do, args=(work, barrier, its))
+            child = context.Process(target=_do, args=(work, barrier, its, os.getpid()))
             child.start()
             its.close()
             children[told] = child
@@ -67,8 +69,9 @@ def _received(child: Any, mine: Connection) -> Any:
         return RuntimeError(f"a process ended without a result, exit code {child.exitcode}")
 
 
-def _do(work: Callable[[Callable[[], None]], Any], barrier: Barrier, told: Connection) -> None:
+def _do(work: Callable[[Callable[[], None]], Any], barrier: Barrier, told: Connection, parent: int) -> None:
     """The child's part, with one thread: the other cores are for the others."""
+    end_with(parent)
     os.environ["OMP_NUM_THREADS"] = "1"
 
     def ready() -> None:

@@ -18,6 +18,7 @@ from grasp_refine.apps.batch.cluster import run_on_cluster
 from grasp_refine.apps.batch.cluster_workers import fault_of
 from grasp_refine.apps.batch.on_cluster import Seen
 from grasp_refine.apps.batch.shard import Done, Failed
+from running_processes import PATIENCE_S, soon
 from shard_works import Tally, done, some_shards, tallies, work
 
 from grasp_refine.errors import GraspRefineError
@@ -29,7 +30,7 @@ def ignore(number: int, what: str, share: float) -> None:
     pass
 
 
-def workers_of(cluster: DaskCluster, count: int, seconds: float = 60.0) -> None:
+def workers_of(cluster: DaskCluster, count: int, seconds: float = PATIENCE_S) -> None:
     """Wait for so many workers."""
     with Client(cluster.address, set_as_default=False) as client:
         client.wait_for_workers(count, timeout=seconds)
@@ -54,11 +55,11 @@ def address(cluster: DaskCluster) -> str:
 
 
 def outcomes(
-    address: str, folder: Path, *tasks: str, tries: int = 2, beat: Callable = ignore
+    address: str, folder: Path, *tasks: str, tries: int = 2, patience_s: float = PATIENCE_S, beat: Callable = ignore
 ) -> dict[int, Done | Failed]:
     """Number -> what came of it."""
     shards = some_shards(folder, *tasks)
-    results = run_on_cluster(shards, work, address=address, tries=tries, patience_s=2.0, beat=beat)
+    results = run_on_cluster(shards, work, address=address, tries=tries, patience_s=patience_s, beat=beat)
     return {each.number: each for each in results}
 
 
@@ -101,19 +102,19 @@ def test_shards_of_lost_workers_are_tried_again(address: str, tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_worker_that_hangs_is_restarted(address: str, tmp_path: Path):
-    found = outcomes(address, tmp_path, "a:sleep 600", "b:beat 4", "b:write", tries=1)
+    found = outcomes(address, tmp_path, "a:sleep 3600", "b:beat 15", "b:write", tries=1, patience_s=10.0)
     hung = found.pop(0)
     assert found == {shard.number: done(shard) for shard in some_shards(tmp_path, "", "", "")[1:]}
     assert (hung.reason, hung.tries) == ("hung", 1)
-    assert hung.message.endswith(" gave no sign of life for 2 s at 25% of the shard: sleep 600")
+    assert hung.message.endswith(" gave no sign of life for 10 s at 25% of the shard: sleep 3600")
 
 
 def test_a_shard_that_waits_for_others_is_not_taken_for_one_that_hangs(address: str, tmp_path: Path):
     """What somebody else gave to the workers, and what is left of an interrupted batch, comes first."""
     with Client(address, set_as_default=False) as other:
-        busy = [other.submit(time.sleep, 6.0, workers=[worker], pure=False) for worker in other.nthreads()]
-        time.sleep(0.5)
-        assert outcomes(address, tmp_path, "write", tries=1) == {0: done(some_shards(tmp_path, "")[0])}
+        busy = [other.submit(time.sleep, 12.0, workers=[worker], pure=False) for worker in other.nthreads()]
+        assert soon(lambda: all(other.processing().values()))
+        assert outcomes(address, tmp_path, "write", tries=1, patience_s=8.0) == {0: done(some_shards(tmp_path, "")[0])}
         assert any(future.done() for future in busy)
 
 
@@ -123,7 +124,9 @@ def test_a_caller_who_stops_lets_no_other_shard_begin(address: str, tmp_path: Pa
     next(results)
     results.close()
     time.sleep(1.5)
-    assert len(list(tmp_path.glob("*.txt"))) == len(list(tmp_path.glob("*.started"))) <= 4
+    begun = len(list(tmp_path.glob("*.started")))
+    assert begun <= 4 and soon(lambda: len(list(tmp_path.glob("*.txt"))) == begun)
+    assert len(list(tmp_path.glob("*.started"))) == begun
 
 
 def test_a_folder_that_workers_do_not_see_is_refused(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -225,8 +228,8 @@ def test_a_worker_that_hangs_for_ever_and_a_scheduler_that_is_lost(bare: DaskClu
     """Nobody restarts this worker, so it gets nothing any more; without a scheduler, the batch ends with advice."""
     bare.add_workers("--no-nanny", "--nthreads", "1")
     workers_of(bare, 1)
-    shards = some_shards(tmp_path, "write", "sleep 600", "write")
-    results = run_on_cluster(shards, work, address=bare.address, tries=1, patience_s=2.0, beat=ignore)
+    shards = some_shards(tmp_path, "write", "sleep 3600", "write")
+    results = run_on_cluster(shards, work, address=bare.address, tries=1, patience_s=10.0, beat=ignore)
     assert next(results) == done(shards[0])
     hung = next(results)
     assert isinstance(hung, Failed) and (hung.number, hung.reason) == (1, "hung")

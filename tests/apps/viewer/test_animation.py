@@ -81,7 +81,7 @@ def test_it_plays_from_disk_again_and_again(film: Film, page: str, tmp_path: Pat
         heights = np.array(hand)[:, 2]
         return len(set(heights.round(3))) >= 4 and bool((np.diff(heights) < -0.01).any()) and len(captions) >= 3
 
-    until(seen, "the hand goes up, and begins again", 60.0)
+    until(seen, "the hand goes up, and begins again")
     np.testing.assert_allclose(np.array(hand)[:, :2], 0.0, atol=1e-5)
     assert -1e-6 < np.min(hand) and np.max(hand) < 0.1 + 1e-6
     assert len(set(np.array(mug)[:, 2].round(3))) >= 3 and -0.05 - 1e-6 < np.min(mug) and np.max(mug) < 1e-6

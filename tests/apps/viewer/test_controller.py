@@ -14,6 +14,7 @@ from grasp_refine.apps.viewer.marks import marks_path
 from grasp_refine.apps.viewer.measuring import unmeasured
 from grasp_refine.apps.viewer.pose import Pose
 from open_viewer import controller, example, settled
+from running_processes import PATIENCE_S
 from websocket_page import until
 
 from grasp_refine.chain import Chain
@@ -72,16 +73,15 @@ def test_a_refinement_ends_where_the_command_line_ends(viewer: Controller) -> No
     assert [state.change for state in states] == sorted({state.change for state in states})
 
 
-def test_stop_takes_effect_at_once_and_keeps_what_was_reached(viewer: Controller) -> None:
+def test_stop_takes_effect_at_the_next_iteration_and_keeps_what_was_reached(viewer: Controller) -> None:
     viewer.set_settings(Settings(solver="descent", iterations=100_000, tolerance=0.0))
     viewer.start()
     until(lambda: viewer.state.trace is not None and len(viewer.state.trace) > 3)
-    began = time.monotonic()
     viewer.stop()
     assert viewer.state.job is None
-    viewer._worker.close()
-    # 2 to 30 ms; a busy machine may take its time.
-    assert time.monotonic() - began < 1.0
+    # All iterations would take hours.
+    viewer._worker.close(PATIENCE_S)
+    assert not viewer._worker._thread.is_alive()
     assert viewer.state.trace is not None
     assert same(viewer.state.pose, viewer.state.trace.pose(len(viewer.state.trace) - 1))
 

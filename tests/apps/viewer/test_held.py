@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -42,7 +43,7 @@ def test_what_a_user_does_is_sent_and_what_states_do_is_not(server: Any, page: P
 
 
 def test_late_states_do_not_push_a_slider_back(server: Any, page: Page, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "HOLD", 0.3)
+    monkeypatch.setattr(module, "HOLD", 3.0)
     sent: list[float] = []
     slider = Held(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), sent.append)
     for value in range(1, 9):
@@ -83,10 +84,12 @@ def test_what_comes_fast_is_drawn_now_and_then_and_the_last_always():
 
 def test_what_is_closed_draws_nothing():
     drawn: list[int] = []
-    paced = Paced(0.05, drawn.append)
+    before = set(threading.enumerate())
+    paced = Paced(60.0, drawn.append)
     paced(1)
     paced(2)
+    (timer,) = set(threading.enumerate()) - before
     paced.close()
     paced(3)
-    time.sleep(0.15)
+    timer.join()
     assert drawn == [1]

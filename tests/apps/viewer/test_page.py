@@ -13,6 +13,7 @@ import viser
 from grasp_refine.apps.viewer.page import Drawer, address, close_server, open_server
 from grasp_refine.apps.viewer.state import State
 from open_viewer import controller
+from running_processes import PATIENCE_S
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -75,7 +76,7 @@ def test_the_newest_state_is_drawn_and_a_part_that_breaks_does_not_harm_others(
 
     class Slow:
         def draw(self, state: State) -> None:
-            release.wait(5.0)
+            release.wait(PATIENCE_S)
             drawn.append(state.change)
             if state.change == 9:
                 last.set()
@@ -92,7 +93,7 @@ def test_the_newest_state_is_drawn_and_a_part_that_breaks_does_not_harm_others(
     for state in states[1:]:
         drawer.draw(state)
     release.set()
-    assert last.wait(5.0)
+    assert last.wait(PATIENCE_S)
     drawer.close()
     # The first may have begun before the others came.
     assert drawn in ([9], [0, 9])

@@ -75,7 +75,7 @@ def test_a_refinement_from_start_to_timeline(shown: Shown):
     assert shown.disabled() == {"pause", "stop", "reset"}
     assert shown.slider.disabled and not shown.panel._plot._handle.visible
     shown.press("start")
-    until(lambda: shown.controller.state.outcome is not None, 60.0)
+    until(lambda: shown.controller.state.outcome is not None)
     count = len(shown.controller.state.trace)
     assert count > 2
     until(lambda: shown.slider.max == count - 1 and shown.slider.value == count - 1)
@@ -102,27 +102,27 @@ def test_a_refinement_from_start_to_timeline(shown: Shown):
 
 def test_step_by_step(shown: Shown):
     shown.press("step")
-    until(lambda: shown.controller.state.trace is not None and len(shown.controller.state.trace) == 1, 60.0)
+    until(lambda: shown.controller.state.trace is not None and len(shown.controller.state.trace) == 1)
     assert until(lambda: shown.disabled() == set())
     assert shown.panel._pause.label == "Resume" and shown.panel._text.content.startswith("**Paused**")
     shown.press("step")
     until(lambda: len(shown.controller.state.trace) == 2)
     until(lambda: shown.slider.value == 1)
     shown.press("pause")
-    until(lambda: shown.controller.state.outcome is not None, 60.0)
+    until(lambda: shown.controller.state.outcome is not None)
 
 
 def test_a_film_shows_every_iteration_and_ends_by_itself(shown: Shown):
     seen: list[int | None] = []
     shown.press("start")
-    until(lambda: shown.controller.state.outcome is not None, 60.0)
+    until(lambda: shown.controller.state.outcome is not None)
     count = len(shown.controller.state.trace)
     play = shown.panel._timeline._play
     until(lambda: not play.disabled)
     shown.controller.listen(lambda state: seen.append(state.frame))
     shown.page.change(play, True)
     until(lambda: play.label == "Stop playing")
-    until(lambda: play.label == "Play", 30.0)
+    until(lambda: play.label == "Play")
     assert seen == list(range(count))
     # Played again from the start; a click in the timeline ends it where that is.
     shown.page.change(play, True)
@@ -205,7 +205,7 @@ def test_words_say_what_comes_next(problem: Problem):
 def test_the_outcome_is_told_with_advice(shown: Shown):
     shown.controller.set_settings(Settings(solver="descent", iterations=3))
     shown.controller.start()
-    outcome = until(lambda: shown.controller.state.outcome, 60.0)
+    outcome = until(lambda: shown.controller.state.outcome)
     text = outcome_words(outcome)
     assert text.startswith("**Budget** after 3 iterations,")
     assert "raise iterations\n" in text and "| quality, 0 to 1 |" in text

@@ -130,7 +130,7 @@ def test_targets_are_set_listed_and_deleted(shown: Shown):
     until(lambda: shown.controller.state.targets == ())
     until(lambda: not delete.visible)
     shown.press("nearest")
-    until(lambda: len(shown.controller.state.targets) > 1, 30.0)
+    until(lambda: len(shown.controller.state.targets) > 1)
     until(lambda: len(delete.options) == len(shown.controller.state.targets))
     shown.press("auto")
     until(lambda: shown.controller.state.targets == ())

@@ -69,7 +69,7 @@ class Shown:
     def notice(self, text: str) -> str:
         """What the user is told, once it holds a text."""
 
-        until(lambda: self.controller.state.notice is not None and text in self.controller.state.notice.text, 60.0)
+        until(lambda: self.controller.state.notice is not None and text in self.controller.state.notice.text)
         return self.controller.state.notice.text
 
 
@@ -153,7 +153,7 @@ def test_the_animation_needs_something_to_show(shown: Shown):
 
 def test_an_animation_goes_to_the_browser_that_asks(shown: Shown):
     shown.controller.start()
-    until(lambda: shown.controller.state.outcome is not None and shown.controller.state.job is None, 60.0)
+    until(lambda: shown.controller.state.outcome is not None and shown.controller.state.job is None)
     shown.one.change(shown.panel._animation, True)
     name, content = shown.one.download()
     assert name == "allegro_sphere_0.03_0.html" and b"<html" in content[:1000].lower()
@@ -162,7 +162,7 @@ def test_an_animation_goes_to_the_browser_that_asks(shown: Shown):
 
 def test_one_thing_at_a_time(shown: Shown):
     ended = threading.Event()
-    assert shown.controller.run_job("load", "something long", lambda control: ended.wait(60.0) and None)
+    assert shown.controller.run_job("load", "something long", lambda control: ended.wait() and None)
     shown.one.change(shown.panel._save, True)
     assert shown.notice("something else is being done: wait until it ends") and not shown.one.downloads()
     ended.set()
@@ -173,7 +173,7 @@ def test_a_browser_that_left_gets_nothing(shown: Shown):
     shown.one.change(shown.panel._save, True)
     until(lambda: shown.controller.state.job is not None)
     shown.one.close()
-    until(lambda: shown.controller.state.job is None, 60.0)
+    until(lambda: shown.controller.state.job is None)
     assert shown.controller.state.notice is None and not shown.other.downloads()
 
 

@@ -5,6 +5,7 @@ import time
 
 import pytest
 from grasp_refine.apps.viewer.worker import Control, Stopped, Worker
+from running_processes import PATIENCE_S, soon
 
 
 def nothing(share: float | None, what: str) -> None:
@@ -37,14 +38,16 @@ def test_a_paused_job_waits_goes_step_by_step_and_goes_on() -> None:
     time.sleep(0.05)
     assert passed == []
     control.step()
+    assert soon(lambda: passed)
     time.sleep(0.05)
     assert passed == [0]
     control.step()
     control.step()
+    assert soon(lambda: len(passed) == 3)
     time.sleep(0.05)
     assert passed == [0, 1, 2]
     control.pause(False)
-    thread.join(1.0)
+    thread.join(PATIENCE_S)
     assert passed == [0, 1, 2, 3, 4]
 
 
@@ -59,7 +62,7 @@ def test_a_paused_job_can_be_stopped() -> None:
 
     threading.Thread(target=job).start()
     control.stop()
-    assert ended.wait(1.0)
+    assert ended.wait(PATIENCE_S)
 
 
 def test_the_worker_does_jobs_in_order_and_survives_those_that_fail(capsys: pytest.CaptureFixture[str]) -> None:
@@ -77,7 +80,7 @@ def test_the_worker_does_jobs_in_order_and_survives_those_that_fail(capsys: pyte
     worker.do(stopped, failures.append)
     worker.do(broken, failures.append)
     worker.do(lambda: done.append(2), failures.append)
-    worker.close()
+    worker.close(PATIENCE_S)
     assert done == [1, 2]
     assert [str(error) for error in failures] == ["broken"]
     assert "ValueError: broken" in capsys.readouterr().err

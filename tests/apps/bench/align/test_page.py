@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+from running_processes import PATIENCE_S
 
 pytest.importorskip("matplotlib", reason="charts are drawn with matplotlib")
 pytest.importorskip("jinja2", reason="the page is a template of jinja2")
@@ -331,4 +332,4 @@ def test_labels_are_spread_in_order(count: int):
 def test_importing_the_page_loads_no_plotting():
     root = Path(__file__).resolve().parents[4]
     code = "import sys, apps.bench.align.page; assert not {'matplotlib', 'jinja2', 'PIL'} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=root, timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=root, timeout=PATIENCE_S)
