@@ -173,7 +173,7 @@ def problem_of(task: Task, seed: int, kept: Kept, beat: Beat) -> Problem:
     beat("loading", 0.0)
     if task.sampled is not None:
         count, draw = task.sampled
-        return inputs.load_sampled(count, seed, say, say, draw)
+        return inputs.cut(inputs.draft_sampled(count, seed, say, say, draw), seed, say)
     assert inputs.grasps is not None  # a task that is not sampled has a file
     path = on_disk(inputs.grasps, say)
     read = inputs.read(path, say)

@@ -36,7 +36,7 @@ def test_the_most_pieces_can_be_set():
 def test_one_closed_part_is_remeshed_only_after_a_failure(monkeypatch, preprocess, single, modes):
     asked = []
 
-    def fail(vertices, faces, settings):
+    def fail(vertices, faces, settings, *_):
         asked.append(settings["preprocess"])
         return None, "exit code -11"
 
@@ -47,7 +47,7 @@ def test_one_closed_part_is_remeshed_only_after_a_failure(monkeypatch, preproces
 
 
 def test_the_second_attempt_can_succeed(monkeypatch):
-    def fail_once(vertices, faces, settings):
+    def fail_once(vertices, faces, settings, *_):
         return (None, "exit code -11") if settings["preprocess"] == "off" else ([VERTICES], "")
 
     monkeypatch.setattr(decomposition, "_run", fail_once)
