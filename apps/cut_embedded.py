@@ -26,6 +26,7 @@ def main(arguments: list[str] | None = None) -> None:
         path.unlink()
     for entry, pieces in made.items():
         save(out / entry, pieces)
+        (out / entry).chmod(0o644)  # as all files of the program, whoever reads them
         print(f"{out / entry}: {len(pieces)} pieces")
 
 

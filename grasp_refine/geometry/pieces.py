@@ -321,6 +321,11 @@ def _decomposed(
             raise MeshError(f"{unit.name}: {error}") from None
         return found, time.perf_counter() - start
 
+    if len(units) > 1:
+        report(
+            f"cutting {len(units)} objects, {workers} at a time; the pieces of each are kept as soon as it is done "
+            "(--object-name takes one object only)"
+        )
     running: dict[Future[tuple[list[np.ndarray], float]], _UnitMesh] = {}
     with ThreadPoolExecutor(workers) as pool:
         try:

@@ -1,5 +1,7 @@
 """CoACD in its own process: what it is asked for, and what becomes of its failures."""
 
+import signal
+
 import numpy as np
 import pytest
 import trimesh
@@ -59,6 +61,25 @@ def test_an_abort_inside_coacd_is_an_error_here():
     object.__setattr__(config, "threshold", 2.0)
     with pytest.raises(MeshError, match="tube: CoACD ended without a result .*threshold > 1"):
         convex_pieces(TUBE, config, name="tube")
+
+
+def test_the_number_of_threads_changes_nothing():
+    config = Decomposition(mcts_iterations=60)
+    one, two = (decompose(VERTICES, FACES, config, single=True, threads=threads) for threads in (1, 2))
+    assert [part.tobytes() for part in one] == [part.tobytes() for part in two]
+
+
+def test_a_decomposition_that_is_no_longer_wanted_ends_its_process(monkeypatch):
+    started = []
+    start = decomposition._start
+    monkeypatch.setattr(decomposition, "_start", lambda *given: started.append(start(*given)) or started[-1])
+
+    def refuse():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        decompose(VERTICES, FACES, Decomposition(), single=True, check=refuse)
+    assert [child.returncode for child in started] == [-signal.SIGKILL]
 
 
 @pytest.mark.parametrize(
