@@ -68,7 +68,7 @@ class Sources:
     format: Annotated[DisallowNone[FormatName | None], arg(help_behavior_hint="(default: as its content says)")] = None
     """Format of the grasp file, or of the files in the folder; `refine-grasp convert --help` describes them."""
     index: Annotated[tuple[int, ...], arg(metavar="I [I ...]", help_behavior_hint="(default: all)")] = ()
-    """Which grasps of the object; 0 is its first one in the file."""
+    """Which grasps of each object; 0 is its first one in the file."""
     table: Annotated[DisallowNone[float | None], arg(metavar="Z", help_behavior_hint="(default: none)")] = None
     """A table at this height (metres) of the object's frame, z up, that no link may go through."""
     hull_limit: float = HULL_LIMIT

@@ -234,13 +234,14 @@ def cut_meshes(
             parts[unit.entry] = known
         else:
             waiting.setdefault(unit.entry, unit)
-    for unit, found, seconds in _decomposed(list(waiting.values()), config, report):
+    for done, (unit, found, seconds) in enumerate(_decomposed(list(waiting.values()), config, report), 1):
         parts[unit.entry] = solid = _solid(found)
         dropped = len(found) - len(solid)
         if not solid:
             raise MeshError(f"{unit.name}: CoACD found no solid piece in it ({dropped} flat ones)")
         flat = f", {dropped} flat ones dropped" if dropped else ""
-        report(f"{unit.name}: {len(solid)} convex pieces in {seconds:.1f} s{flat}")
+        of_all = f"; {done} of {len(waiting)} objects are cut" if len(waiting) > 1 else ""
+        report(f"{unit.name}: {len(solid)} convex pieces in {seconds:.1f} s{flat}{of_all}")
         try:
             if cache:
                 disk.save(cache / unit.entry, solid)
@@ -323,18 +324,17 @@ def _decomposed(
 
     if len(units) > 1:
         report(
-            f"cutting {len(units)} objects, {workers} at a time; the pieces of each are kept as soon as it is done "
-            "(--object-name takes one object only)"
+            f"cutting {len(units)} objects, {workers} at a time; each is kept when it is done "
+            "(--object-name NAME takes only the grasps of one)"
         )
     running: dict[Future[tuple[list[np.ndarray], float]], _UnitMesh] = {}
     with ThreadPoolExecutor(workers) as pool:
         try:
-            for number, unit in enumerate(units, 1):
+            for unit in units:
                 if len(running) == workers:
                     yield from _ended(running)
-                which = f" ({number} of {len(units)})" if len(units) > 1 else ""
                 threshold = f"threshold {config.threshold:g}"
-                report(f"decomposing {unit.name} ({len(unit.faces)} faces) with CoACD, {threshold} ...{which}")
+                report(f"decomposing {unit.name} ({len(unit.faces)} faces) with CoACD, {threshold} ...")
                 running[pool.submit(timed, unit)] = unit
             while running:
                 yield from _ended(running)
