@@ -15,7 +15,7 @@ from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.mesh import SUFFIXES, Holes, is_convex, load_mesh, watertight
-from grasp_refine.geometry.pieces import Piece, convex_pieces
+from grasp_refine.geometry.pieces import Piece, cut_meshes
 from grasp_refine.geometry.shapes import EMBEDDED, primitive, primitive_pieces
 from grasp_refine.geometry.units import UNITS, Unit, check_size
 from grasp_refine.names import is_folder
@@ -43,6 +43,22 @@ class Object:
     """What was repaired in the mesh, or is wrong with given pieces, for the user."""
 
 
+@dataclass(frozen=True, eq=False)
+class UncutObject:
+    """An object that was read and found usable, and is still to be cut into convex pieces."""
+
+    name: str
+    """As `Object.name`."""
+    mesh: trimesh.Trimesh
+    """As `Object.mesh`."""
+    pieces: tuple[Piece, ...]
+    """Its convex pieces where they are given; empty: the mesh is to be cut."""
+    convex: bool
+    """As `Object.convex`."""
+    notes: tuple[str, ...]
+    """As `Object.notes`."""
+
+
 def load_object(
     source: str | Path,
     *,
@@ -58,7 +74,8 @@ def load_object(
     """The object, cut into convex pieces, that `source` names: embedded, a primitive, a mesh file, a folder of pieces.
 
     The hulls of the meshes in a folder (see `object_folders`) are the convex pieces; nothing is decomposed. What is
-    shown is the folder's surface if it has one, else all pieces. A mesh file of convex bodies is not decomposed either.
+    shown is the folder's surface if it has one, else all pieces. A mesh file of convex bodies is not decomposed either,
+    and the pieces of the embedded objects come with the program.
 
     Args:
         source: name in EMBEDDED, "box:x,y,z", "sphere:r", "cylinder:r,h", or a path.
@@ -76,6 +93,19 @@ def load_object(
         AssetError: no such name.
         MeshError: the mesh is missing, unreadable, open, flat or empty, a folder has no usable piece or one that
             cannot be read, or the scale is not positive.
+    """
+    uncut = read_object(source, scale=scale, unit=unit, holes=holes)
+    (cut,) = cut_objects([uncut], decomposition, candidates=candidates, seed=seed, cache=cache, progress=progress)
+    return cut
+
+
+def read_object(
+    source: str | Path, *, scale: float = 1.0, unit: Unit | None = "m", holes: Holes = "refuse"
+) -> UncutObject:
+    """The object that `source` names, read and checked, which is quick: the first half of `load_object`.
+
+    Raises:
+        AssetError, MeshError: as `load_object`.
     """
     text = str(source)
     if not (np.isfinite(scale) and scale > 0):
@@ -109,7 +139,28 @@ def load_object(
     if not pieces:
         mesh, notes = watertight(mesh, name, holes)
         convex = is_convex(mesh)
-        folder = default_cache() if cache == "user" else cache
-        pieces = convex_pieces(mesh, decomposition, cache=folder, progress=progress, name=name)
-    body = build_body(name, pieces, candidates=candidates, seed=seed)
-    return Object(name, mesh, body, convex, notes)
+    return UncutObject(name, mesh, tuple(pieces), convex, notes)
+
+
+def cut_objects(
+    objects: Sequence[UncutObject],
+    decomposition: Decomposition | None = None,
+    *,
+    candidates: int = 1024,
+    seed: int = 0,
+    cache: Path | Literal["user"] | None = "user",
+    progress: Callable[[str], None] | None = None,
+) -> list[Object]:
+    """The objects, cut into convex pieces, several at a time as by `cut_meshes`: the second half of `load_object`.
+
+    Raises:
+        MeshError: one cannot be cut.
+    """
+    folder = default_cache() if cache == "user" else cache
+    meshes = [(uncut.name, uncut.mesh) for uncut in objects if not uncut.pieces]
+    cut = iter(cut_meshes(meshes, decomposition, cache=folder, progress=progress))
+    bodies = [build_body(uncut.name, uncut.pieces or next(cut), candidates=candidates, seed=seed) for uncut in objects]
+    return [
+        Object(uncut.name, uncut.mesh, body, uncut.convex, uncut.notes)
+        for uncut, body in zip(objects, bodies, strict=True)
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -10,6 +11,7 @@ import numpy as np
 
 from grasp_refine.grasps import OTHER_STAGES, GraspSet
 from grasp_refine.hand import Hand
+from grasp_refine.objects import Object, UncutObject
 from grasp_refine.scene import Scene
 from grasp_refine.validation.motion import Motion, closing, motion_of
 
@@ -50,6 +52,24 @@ class Group:
             return closing(self.scene)
         whole = source == "file" or (self.grasps.pregrasp is not None and self.grasps.squeeze is not None)
         return motion_of(self.grasps, self.scene.hand, None if whole else closing(self.scene))
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """All grasps that were asked for, when everything is read and checked and no object is cut yet."""
+
+    hand: Hand
+    """As `Problem.hand`."""
+    files: tuple[Path, ...]
+    """As `Problem.files`."""
+    names: tuple[str, ...]
+    """Name of each grasp's object, in the order in which they were asked for; of grasps to be sampled, one."""
+    aimed: bool
+    """Whether links have targets."""
+    objects: tuple[UncutObject, ...]
+    """The objects at each scale."""
+    finish: Callable[[Sequence[Object]], Problem]
+    """Gives the problem, once these objects are cut."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ from grasp_refine.commands.job_list import read_jobs
 from grasp_refine.commands.proving import Proving
 from grasp_refine.commands.settings import Settings
 from grasp_refine.commands.shard_plan import Plan, Planner, part_of
-from grasp_refine.commands.shard_work import ShardWork
+from grasp_refine.commands.shard_work import ShardWork, unusable_objects
 from grasp_refine.commands.sharding import Sharding
 from grasp_refine.config import Config
 from grasp_refine.cores import usable_cores
@@ -231,10 +231,16 @@ class Batch:
             else:
                 run = partial(run_local, workers=workers)
             by_number = {shard.number: shard for shard in todo}
+            unusable = unusable_objects(
+                todo, lambda number: progress.wait(f"reading objects, {number + 1} of {len(todo)} shards")
+            )
+            for failed in unusable:
+                session.take(failed, by_number[failed.number], progress)
+            usable = [shard for shard in todo if shard.number not in session.failed]
             try:
                 with closing(
                     run(
-                        todo,
+                        usable,
                         work,
                         patience_s=self.sharding.patience,
                         tries=self.sharding.tries,

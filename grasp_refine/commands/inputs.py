@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -18,8 +18,9 @@ from grasp_refine.commands.sources import Sources
 from grasp_refine.errors import GraspFileError, GraspRefineError
 from grasp_refine.formats.reading import Reading
 from grasp_refine.grasps import GraspSet, Targets, choose_rows, load_grasps
-from grasp_refine.hand import list_hands, load_hand, needs_urdf
-from grasp_refine.problem import Group, Problem
+from grasp_refine.hand import Hand, list_hands, load_hand, needs_urdf
+from grasp_refine.objects import Object
+from grasp_refine.problem import Draft, Group, Problem
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import transform_from_pose
 from grasp_refine.stopwatch import stage
@@ -50,16 +51,20 @@ class Inputs(Sources):
     """Where links should touch: a grasp file with targets; auto: as --grasps says, else anywhere; or nearest: where
     they are nearest to the object at first."""
 
-    @stage("loading")
     def load(self, seed: int, say: Callable[[str], None], wait: Callable[[str], None] = lambda what: None) -> Problem:
         """The grasps that the options mean, as `load_from`; `wait` hears what takes a while.
 
         Raises:
             GraspRefineError: something is missing, cannot be used, or does not fit the rest.
         """
+        return self.cut(self.draft(seed, say, wait), seed, say)
+
+    @stage("loading")
+    def draft(self, seed: int, say: Callable[[str], None], wait: Callable[[str], None] = lambda what: None) -> Draft:
+        """The first half of `load`: everything that is needed is read and checked, no object is cut."""
         if str(self.grasps).startswith(SAMPLE):
-            return self.load_sampled(self.sample_count(), seed, say, wait)
-        return self.load_from(self.grasps if self.grasps is not None else self._example(), seed, say)
+            return self.draft_sampled(self.sample_count(), seed, say, wait)
+        return self.draft_from(self.grasps if self.grasps is not None else self._example(), say)
 
     def sample_count(self) -> int:
         """How many grasps are to be sampled.
@@ -82,32 +87,49 @@ class Inputs(Sources):
             raise GraspRefineError(f"--targets {self.targets}: has no rows for the grasps of --grasps {asked}")
         return int(count)
 
-    def load_sampled(
+    def draft_sampled(
         self, count: int, seed: int, say: Callable[[str], None], wait: Callable[[str], None], draw: int = 0
-    ) -> Problem:
-        """New grasps of the hand on the object.
+    ) -> Draft:
+        """New grasps of the hand on the object, which are sampled once it is cut.
 
         Args:
             count: How many.
-            seed: Of the object's surface, and of what is drawn.
-            say: Hears when a decomposition starts and ends.
+            seed: Of what is drawn.
+            say: Hears when a decomposition of the hand's links starts and ends.
             wait: Hears what takes a while.
             draw: Which of several draws; each gives other grasps.
 
         Raises:
             GraspRefineError: hand or object cannot be used.
         """
-        from grasp_refine.grasp_sampling import sample_grasps
-
         self.check_numbers()
         assert self.hand is not None and self.object is not None  # or `sample_count` refuses
         hand = self._simulated(self.load_hand(self.hand, self.base_link, say))
         source = chosen_object(self.object, say)
         scale = self.scale * (1.0 if source.asset is None else source.asset.scale)
-        obj, table = self._object(source, scale, seed, say), self._table()
+        uncut = self.read_object(source, scale)
+
+        def finish(objects: Sequence[Object]) -> Problem:
+            return self._sampled(hand, objects[0], scale, count, (seed, draw) if draw else seed, wait)
+
+        return Draft(hand, (hand.urdf,), (uncut.name,), False, (uncut,), finish)
+
+    def _sampled(
+        self,
+        hand: Hand,
+        obj: Object,
+        scale: float,
+        count: int,
+        seed: int | tuple[int, int],
+        wait: Callable[[str], None],
+    ) -> Problem:
+        """So many new grasps of a hand on an object, `scale` of its source."""
+        from grasp_refine.grasp_sampling import sample_grasps
+
+        table = self._table()
         began = time.perf_counter()
         wait(f"sampling grasps of {hand.name} on {obj.name}")
-        grasps = sample_grasps(hand, obj, count, seed=(seed, draw) if draw else seed, table=table)
+        grasps = sample_grasps(hand, obj, count, seed=seed, table=table)
         notes = [*hand.notes, *(f"{obj.name}: {note}" for note in obj.notes)]
         notes.append(f"{len(grasps)} grasps were sampled in {time.perf_counter() - began:.1f} s")
         if len(grasps) < count:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -14,9 +14,9 @@ from grasp_refine.commands.object_source import ObjectSource
 from grasp_refine.formats.reading import Reading
 from grasp_refine.grasps import GraspSet
 from grasp_refine.hand import Hand
-from grasp_refine.objects import Object
+from grasp_refine.objects import Object, UncutObject
 
-MOST = {"file": 2, "hand": 4, "object": 16}
+MOST = {"file": 2, "hand": 4, "uncut": 16, "object": 16}
 """How many of each kind are kept, or of another kind 4; the ones used last. It bounds the memory of a worker."""
 
 Value = TypeVar("Value")
@@ -90,7 +90,15 @@ class KeptInputs(Inputs):
         simulated = super()._simulated
         return self.kept.get("simulated", (hand, self.mjcf), lambda: simulated(hand))
 
-    def _object(self, source: ObjectSource, scale: float, seed: int, say: Callable[[str], None]) -> Object:
-        key = (source.source, scale, self.unit, self.holes, self.threshold, seed)
-        load = super()._object
-        return self.kept.get("object", key, lambda: load(source, scale, seed, say))
+    def read_object(self, source: ObjectSource, scale: float) -> UncutObject:
+        """An object of the size that the options say, still to be cut."""
+        key = (source.source, scale, self.unit, self.holes)
+        read = super().read_object
+        return self.kept.get("uncut", key, lambda: read(source, scale))
+
+    def _cut(self, objects: Sequence[UncutObject], seed: int, say: Callable[[str], None]) -> Sequence[Object]:
+        cut = super()._cut
+        return [
+            self.kept.get("object", (uncut, self.threshold, seed), lambda uncut=uncut: cut([uncut], seed, say)[0])
+            for uncut in objects
+        ]

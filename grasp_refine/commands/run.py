@@ -23,7 +23,7 @@ from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand_object import HandObject
 from grasp_refine.holding import most_iterations
 from grasp_refine.losses import Weights
-from grasp_refine.problem import Problem
+from grasp_refine.problem import Draft, Problem
 from grasp_refine.report.document import run_document, settings
 from grasp_refine.report.outcome import Outcome
 from grasp_refine.report.profile import profile_table
@@ -33,6 +33,7 @@ from grasp_refine.report.results import fingerprint, result_paths, save_results
 from grasp_refine.report.screen import screen
 from grasp_refine.report.table import grasp_table
 from grasp_refine.report.writing import check_no_input, check_writable, save_json
+from grasp_refine.scene import links_of
 from grasp_refine.stopwatch import Stopwatch, cpu_seconds
 from grasp_refine.targets import Touching
 from grasp_refine.validation.protocol import Protocol
@@ -85,12 +86,13 @@ class Run:
         with watch or nullcontext(), Reporter(screen(stderr=True)) as reporter:
             if self.output.json is not None:
                 check_writable(self.output.json)
-            problem = self.inputs.load(config.seed, reporter.say, reporter.wait)
-            self._check_used(problem, config)
-            paths = self._paths(problem)
+            draft = self.inputs.draft(config.seed, reporter.say, reporter.wait)
+            self._check_used(draft, config)
+            paths = self._paths(draft)
+            problem = self.inputs.cut(draft, config.seed, reporter.say)
             for note in problem.notes:
                 reporter.say(f"note: {note}")
-            held = config.holds and not _aimed(problem, config)
+            held = config.holds and not _aimed(draft, config)
             most = most_iterations(config) if held else config.solver.iterations
             reporter.start(problem.hand.name, len(problem), most, config.starts if held else 0)
             parts = [
@@ -140,29 +142,28 @@ class Run:
         # Not to fail now because some port is taken.
         return View(inputs=inputs, settings=self.settings, serving=Serving(port=0)).execute()
 
-    def _check_used(self, problem: Problem, config: Config) -> None:
+    def _check_used(self, draft: Draft, config: Config) -> None:
         """Refuse options that would mean nothing for these grasps.
 
         Raises:
             GraspRefineError: names them.
         """
         touching = config.touching
-        touching.named(problem.hand, problem.groups[0].scene.links)
-        if touching != Touching() and any(group.scene.target_link is not None for group in problem.groups):
+        touching.named(draft.hand, links_of(draft.hand))
+        if touching != Touching() and draft.aimed:
             raise GraspRefineError(
                 "--contacts, --reach and --reach-others are for grasps without targets: the targets say what touches"
             )
-        if _aimed(problem, config):
+        if _aimed(draft, config):
             self.settings.check_aimed()
 
-    def _paths(self, problem: Problem) -> dict[str, Path]:
+    def _paths(self, draft: Draft) -> dict[str, Path]:
         """Object name -> result file; nothing that is written takes the place of an input."""
-        names = tuple(dict.fromkeys(group.object for group in problem.groups))
-        paths = result_paths(self.output.out, problem.hand.name, names)
+        paths = result_paths(self.output.out, draft.hand.name, tuple(dict.fromkeys(draft.names)))
         for path in paths.values():
             check_writable(path)
         for path in [*paths.values(), *([self.output.json] if self.output.json else [])]:
-            check_no_input(path, problem.files, "the results would overwrite an input; give another --out or --json")
+            check_no_input(path, draft.files, "the results would overwrite an input; give another --out or --json")
         return paths
 
     def _save(
@@ -185,9 +186,9 @@ class Run:
             save_results(path, problem.hand, links, outcome.select(rows), provenance, trials)
 
 
-def _aimed(problem: Problem, config: Config) -> bool:
+def _aimed(draft: Draft, config: Config) -> bool:
     """Whether links have targets."""
-    return config.nearest or any(group.scene.target_link is not None for group in problem.groups)
+    return config.nearest or draft.aimed
 
 
 def _proved(problem: Problem, parts: Sequence[Outcome], protocol: Protocol, reporter: Reporter) -> Proof:

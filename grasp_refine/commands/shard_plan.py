@@ -17,7 +17,7 @@ from grasp_refine.commands.digests import Digests
 from grasp_refine.commands.inputs import SAMPLE, Inputs
 from grasp_refine.commands.job_list import Job
 from grasp_refine.commands.kept import Kept, KeptInputs
-from grasp_refine.commands.object_source import chosen_object
+from grasp_refine.commands.object_source import ObjectSource, chosen_object
 from grasp_refine.commands.sources import on_disk
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.formats.folders import object_folder
@@ -52,6 +52,10 @@ class Task:
     """The object, as the grasp file calls it."""
     object_digest: str
     """Hash of the object's files."""
+    object_source: ObjectSource
+    """Where the object comes from."""
+    scales: tuple[float, ...]
+    """Scales of the object, as `Sources.read_object` takes them."""
     rows: np.ndarray
     """Rows in the grasp file (n,); empty where grasps are sampled."""
     index: np.ndarray
@@ -152,13 +156,15 @@ class Planner:
         hand, digest = digests.hand(named, inputs, say)
         of_job = partial(Task, self.batch, job.name, job.inputs, source=digests.file(path), hand=(named, digest))
         for name, where in inputs.named_objects(read.grasps, path, say).items():
-            of_object = partial(of_job, object=name, object_digest=digests.object(where))
+            of_object = partial(of_job, object=name, object_digest=digests.object(where), object_source=where)
             rows = choose_rows(read.grasps, object_name=name, index=None)
+            scales = read.grasps.scale[rows] * inputs.scale
             # Grasps on objects of one size are refined at once.
-            order = np.argsort(read.grasps.scale[rows], kind="stable")
+            order = np.argsort(scales, kind="stable")
             for number, start in enumerate(range(0, len(rows), self.size)):
                 index = order[start : start + self.size]
-                yield self._shard(of_object(rows=rows[index], index=index), hand, number, digests)
+                some = tuple(np.unique(scales[index]).tolist())
+                yield self._shard(of_object(rows=rows[index], index=index, scales=some), hand, number, digests)
 
     def _sampled(self, job: Job, inputs: KeptInputs, digests: Digests, say: Callable[[str], None]) -> Iterator[Shard]:
         """The shards of a job whose grasps are drawn, each in a draw of its own."""
@@ -177,6 +183,8 @@ class Planner:
                 hand=(inputs.hand, digest),
                 object=name,
                 object_digest=digests.object(where),
+                object_source=where,
+                scales=(inputs.scale * (1.0 if where.asset is None else where.asset.scale),),
                 rows=nothing,
                 index=nothing,
                 sampled=(size, number),

@@ -5,13 +5,14 @@ from __future__ import annotations
 import resource
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from grasp_refine.apps.batch.shard import Beat, Done, Shard
+from grasp_refine.apps.batch.attempt import message_of, traceback_of
+from grasp_refine.apps.batch.shard import Beat, Done, Failed, Shard
 from grasp_refine.commands.digests import Digests
 from grasp_refine.commands.inputs import AUTO, NEAREST, Inputs
 from grasp_refine.commands.invocation import words
@@ -23,6 +24,7 @@ from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand_object import HandObject
 from grasp_refine.holding import most_iterations
+from grasp_refine.names import is_folder
 from grasp_refine.problem import Problem
 from grasp_refine.report.document import settings
 from grasp_refine.report.outcome import Outcome
@@ -173,7 +175,7 @@ def problem_of(task: Task, seed: int, kept: Kept, beat: Beat) -> Problem:
     beat("loading", 0.0)
     if task.sampled is not None:
         count, draw = task.sampled
-        return inputs.load_sampled(count, seed, say, say, draw)
+        return inputs.cut(inputs.draft_sampled(count, seed, say, say, draw), seed, say)
     assert inputs.grasps is not None  # a task that is not sampled has a file
     path = on_disk(inputs.grasps, say)
     read = inputs.read(path, say)
@@ -183,6 +185,25 @@ def problem_of(task: Task, seed: int, kept: Kept, beat: Beat) -> Problem:
     # Targets were read with the file.
     targets = NEAREST if inputs.targets == NEAREST else AUTO
     return replace(inputs, object_name=task.object, targets=targets).load_read(some, path, seed, say)
+
+
+def unusable_objects(shards: Sequence[Shard], progress: Callable[[int], None]) -> list[Failed]:
+    """Those of the shards whose object is a mesh that cannot be read or used; found before any mesh is cut.
+
+    Folders of pieces are left to the workers: they need not be cut. `progress` hears how many shards are looked at.
+    """
+    kept, failed = Kept(), []
+    for number, shard in enumerate(shards):
+        progress(number)
+        task = shard.task
+        if is_folder(Path(task.object_source.source)):
+            continue
+        try:
+            for scale in task.scales:
+                KeptInputs.of(task.inputs, kept).read_object(task.object_source, scale)
+        except Exception as error:
+            failed.append(Failed(shard.number, "error", message_of(error), traceback_of(error), tries=1))
+    return failed
 
 
 def _check_unchanged(task: Task, inputs: KeptInputs, path: Path, say: Callable[[str], None]) -> None:

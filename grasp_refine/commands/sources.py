@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -27,13 +27,14 @@ from grasp_refine.grasps import GraspSet, Targets, choose_rows, match_joints
 from grasp_refine.hand import Hand, load_hand
 from grasp_refine.hand_source import check_known
 from grasp_refine.names import exists
-from grasp_refine.objects import Object, load_object
+from grasp_refine.objects import Object, UncutObject, cut_objects, read_object
 from grasp_refine.plane import Plane
-from grasp_refine.problem import Group, Problem
+from grasp_refine.problem import Draft, Group, Problem
 from grasp_refine.rebase import rebased
 from grasp_refine.report.results import fingerprint, recorded_urdf
-from grasp_refine.scene import Scene
+from grasp_refine.scene import Scene, links_of
 from grasp_refine.se3 import transform_from_pose
+from grasp_refine.stopwatch import stage
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Sources:
     format: Annotated[DisallowNone[FormatName | None], arg(help_behavior_hint="(default: as its content says)")] = None
     """Format of the grasp file, or of the files in the folder; `refine-grasp convert --help` describes them."""
     index: Annotated[tuple[int, ...], INDICES, arg(help_behavior_hint="(default: all)")] = ()
-    """Which grasps of the object; 0 is its first one in the file."""
+    """Which grasps of each object; 0 is its first one in the file."""
     table: Annotated[DisallowNone[float | None], arg(metavar="Z", help_behavior_hint="(default: none)")] = None
     """A table at this height (metres) of the object's frame, z up, that no link may go through."""
     hull_limit: float = HULL_LIMIT
@@ -82,11 +83,19 @@ class Sources:
         Raises:
             GraspRefineError: something is missing, cannot be used, or does not fit the rest.
         """
-        path = on_disk(path, say)
-        return self.load_read(self._read(path, say), path, seed, say)
+        return self.cut(self.draft_from(path, say), seed, say)
 
     def load_read(self, read: Reading, path: Path, seed: int, say: Callable[[str], None]) -> Problem:
         """The same for grasps that were read from `path` already."""
+        return self.cut(self.draft_read(read, path, say), seed, say)
+
+    def draft_from(self, path: Path, say: Callable[[str], None]) -> Draft:
+        """The first half of `load_from`: everything that is needed is read and checked."""
+        path = on_disk(path, say)
+        return self.draft_read(self._read(path, say), path, say)
+
+    def draft_read(self, read: Reading, path: Path, say: Callable[[str], None]) -> Draft:
+        """The first half of `load_read`."""
         self.check_numbers()
         grasps = read.grasps
         names = self._names(grasps, path)
@@ -96,20 +105,34 @@ class Sources:
         hand, grasps, resting = self._hand(grasps, path, say)
         q, notes = match_joints(grasps, hand)
         notes = (*read.notes, *hand.notes, *resting, *notes, *_other_urdf(path, hand, chosen=bool(self.hand)))
-        groups, count = [], 0
+        uncut, parts, count = [], [], 0
         for name, rows in chosen.items():
             index = np.asarray(self.index) if self.index else np.arange(len(rows))
             place, count = np.arange(count, count + len(rows)), count + len(rows)
             scales = grasps.scale[rows] * self.scale
             for scale in np.unique(scales):
                 at = np.flatnonzero(scales == scale)
-                obj = self._object(sources[name], float(scale), seed, say)
-                notes += tuple(f"{name}: {note}" for note in obj.notes)
-                T = transform_from_pose(grasps.hand_pose[rows[at]])
-                scene = _aimed(Scene(hand, obj, T, q[rows[at]], table=self._table()), targets, rows[at])
-                metres = self._metres(scale)
-                groups.append(Group(name, metres, scene, grasps.select(rows[at]), rows[at], index[at], place[at]))
-        return Problem(hand, self._files(path, read), tuple(groups), tuple(dict.fromkeys(notes)))
+                uncut.append(self.read_object(sources[name], float(scale)))
+                notes += tuple(f"{name}: {note}" for note in uncut[-1].notes)
+                aim = _aim(hand, targets, rows[at])
+                parts.append((name, self._metres(scale), aim, rows[at], index[at], place[at]))
+        files, table, told = self._files(path, read), self._table(), tuple(dict.fromkeys(notes))
+
+        def finish(objects: Sequence[Object]) -> Problem:
+            groups = []
+            for (name, metres, aim, rows, index, place), obj in zip(parts, objects, strict=True):
+                some = grasps.select(rows)
+                scene = Scene(hand, obj, transform_from_pose(some.hand_pose), q[rows], *aim, table=table)
+                groups.append(Group(name, metres, scene, some, rows, index, place))
+            return Problem(hand, files, tuple(groups), told)
+
+        names_of_grasps = tuple(name for name, rows in chosen.items() for _ in rows)
+        return Draft(hand, files, names_of_grasps, targets is not None, tuple(uncut), finish)
+
+    @stage("loading")
+    def cut(self, draft: Draft, seed: int, say: Callable[[str], None]) -> Problem:
+        """The second half of `load_from`: the objects are cut into convex pieces, several at a time."""
+        return draft.finish(self._cut(draft.objects, seed, say))
 
     def check_numbers(self) -> None:
         """Refuse a scale, a table or a hull limit that can mean nothing.
@@ -131,18 +154,18 @@ class Sources:
         """The table, if there is one."""
         return None if self.table is None else Plane(offset=self.table)
 
-    def _object(self, source: ObjectSource, scale: float, seed: int, say: Callable[[str], None]) -> Object:
-        """An object, of the size and cut as the options say."""
-        found = load_object(
-            source.source,
-            scale=scale,
-            unit=self.unit,
-            holes=self.holes,
-            decomposition=Decomposition(threshold=self.threshold),
-            seed=seed,
-            progress=say,
-        )
+    def read_object(self, source: ObjectSource, scale: float) -> UncutObject:
+        """An object of the size that the options say, still to be cut.
+
+        Raises:
+            GraspRefineError: it cannot be read or used.
+        """
+        found = read_object(source.source, scale=scale, unit=self.unit, holes=self.holes)
         return found if source.asset is None else replace(found, name=source.asset.name)
+
+    def _cut(self, objects: Sequence[UncutObject], seed: int, say: Callable[[str], None]) -> Sequence[Object]:
+        """The objects, cut as the options say."""
+        return cut_objects(objects, Decomposition(threshold=self.threshold), seed=seed, progress=say)
 
     def _read(self, path: Path, say: Callable[[str], None]) -> Reading:
         """The grasps of a file, or of a folder, of any format."""
@@ -250,20 +273,25 @@ def _other_urdf(path: Path, hand: Hand, *, chosen: bool) -> list[str]:
     return [other]
 
 
-def _aimed(scene: Scene, targets: Targets | None, rows: np.ndarray) -> Scene:
-    """The scene with the targets of some rows of a grasp file, one column per link of the scene."""
+def _aim(hand: Hand, targets: Targets | None, rows: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """`target_link` and `target_object` of a scene with some rows of a grasp file; None each without targets.
+
+    Raises:
+        GraspFileError: a link has no target column.
+    """
     if targets is None:
-        return scene
-    columns = list(scene.links)
+        return None, None
+    links = links_of(hand)
+    columns = list(links)
     points = np.full((2, len(rows), len(columns), 3), np.nan)
     for k, link in enumerate(targets.links):
         if link not in columns:
             raise GraspFileError(
-                f"target link '{link}' is no link with collision geometry of hand '{scene.hand.name}', or comes more "
-                f"often than its contact points; there are {', '.join(scene.links)}"
+                f"target link '{link}' is no link with collision geometry of hand '{hand.name}', or comes more "
+                f"often than its contact points; there are {', '.join(links)}"
             )
         at = columns.index(link)
         # A link with several contact points has as many columns.
         columns[at] = ""
         points[0, :, at], points[1, :, at] = targets.point_link[rows, k], targets.point_object[rows, k]
-    return replace(scene, target_link=points[0], target_object=points[1])
+    return points[0], points[1]

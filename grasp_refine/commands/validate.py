@@ -19,7 +19,7 @@ from grasp_refine.commands.recording import Recording
 from grasp_refine.commands.simulating import Robustness, Simulation
 from grasp_refine.commands.sources import Sources
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.problem import Group, Problem
+from grasp_refine.problem import Draft, Group, Problem
 from grasp_refine.report.document import settings
 from grasp_refine.report.progress import Reporter
 from grasp_refine.report.proof import closing_line
@@ -82,10 +82,11 @@ class Validate:
         self._check(protocol, files)
         torch.set_num_threads(1)
         with Reporter(screen(stderr=True)) as reporter:
-            problems = [self.sources.load_from(path, self.robustness.seed, reporter.say) for path in files]
+            drafts = [self.sources.draft_from(path, reporter.say) for path in files]
             if self.told.compare is not None:
-                _check_comparable(*problems)
-            self.recording.check(protocol, sum(len(problem) for problem in problems))
+                _check_comparable(*drafts)
+            self.recording.check(protocol, sum(len(draft.names) for draft in drafts))
+            problems = [self.sources.cut(draft, self.robustness.seed, reporter.say) for draft in drafts]
             for note in dict.fromkeys(note for problem in problems for note in problem.notes):
                 reporter.say(f"note: {note}")
             examined = [self._examined(problem, protocol, reporter) for problem in problems]
@@ -260,14 +261,14 @@ class _Examined:
     """CPU time of making models for MuJoCo, seconds."""
 
 
-def _check_comparable(before: Problem, after: Problem) -> None:
+def _check_comparable(before: Draft, after: Draft) -> None:
     """Nothing, when two files hold the same grasps as far as one can tell.
 
     Raises:
         GraspRefineError: they do not.
     """
-    if len(before) != len(after):
-        raise GraspRefineError(f"--compare needs the same grasps in both files: {len(before)} against {len(after)}")
-    names = [np.concatenate([np.full(len(g.rows), g.object) for g in p.groups])[p.order] for p in (before, after)]
-    if (names[0] != names[1]).any():
+    counts = len(before.names), len(after.names)
+    if counts[0] != counts[1]:
+        raise GraspRefineError(f"--compare needs the same grasps in both files: {counts[0]} against {counts[1]}")
+    if before.names != after.names:
         raise GraspRefineError("--compare needs the same grasps in both files: their objects differ")

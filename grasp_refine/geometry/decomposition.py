@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
@@ -15,6 +16,9 @@ import numpy as np
 
 from grasp_refine.errors import MeshError
 from grasp_refine.interruption import end_with
+
+CHECKED_EVERY_S = 0.1
+"""Time between two looks at whether a decomposition is still wanted, in seconds."""
 
 _RANGES = {
     "threshold": (0.01, 1),
@@ -66,8 +70,19 @@ class Decomposition:
             raise MeshError(f"decomposition: max_pieces must be -1 (any) or at least 1, got {self.max_pieces}")
 
 
-def decompose(vertices: np.ndarray, faces: np.ndarray, config: Decomposition, *, single: bool) -> list[np.ndarray]:
+def decompose(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    config: Decomposition,
+    *,
+    single: bool,
+    threads: int | None = None,
+    check: Callable[[], None] = lambda: None,
+) -> list[np.ndarray]:
     """The corners (V, 3) of each part that CoACD cuts a mesh into; `single` says that it is one closed part.
+
+    It uses so many `threads` (None: one for each core), which changes nothing in the parts. `check` is called every
+    `CHECKED_EVERY_S`; what it raises ends the decomposition.
 
     CoACD's own "auto" remeshes also where triangles of a single closed part cross. On scanned mugs and cans
     that took 3 to 7 times as long and made walls up to 50 % thicker, so it is the second attempt only.
@@ -77,39 +92,56 @@ def decompose(vertices: np.ndarray, faces: np.ndarray, config: Decomposition, *,
     """
     modes = ("off", "auto") if single and config.preprocess == "auto" else (config.preprocess,)
     for mode in modes:
-        parts, fault = _run(vertices, faces, asdict(config) | {"preprocess": mode})
+        parts, fault = _run(vertices, faces, asdict(config) | {"preprocess": mode}, threads, check)
         if parts is not None:
             return parts
     raise MeshError(f"CoACD ended without a result ({fault})")
 
 
 def _run(
-    vertices: np.ndarray, faces: np.ndarray, settings: dict[str, float | str]
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    settings: dict[str, float | str],
+    threads: int | None,
+    check: Callable[[], None],
 ) -> tuple[list[np.ndarray] | None, str]:
     """The parts, or None and what was wrong."""
     with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
         np.savez(Path(folder, "mesh.npz"), vertices=vertices, faces=faces)
-        child = subprocess.run(
-            [
-                sys.executable,
-                "-m",
-                "grasp_refine.geometry.decomposition",
-                folder,
-                json.dumps(settings),
-                str(os.getpid()),
-            ],
-            # The child finds what this process finds, also where the package is not installed.
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-        )
+        with _start(folder, settings, threads) as child:
+            try:
+                said = _errors(child, check)
+            except BaseException:
+                child.kill()
+                raise
         if child.returncode != 0:
-            said = child.stderr.strip().splitlines()[-1:]
-            return None, ": ".join([f"exit code {child.returncode}", *said])
+            return None, ": ".join([f"exit code {child.returncode}", *said.strip().splitlines()[-1:]])
         with np.load(Path(folder, "parts.npz"), allow_pickle=False) as arrays:
             return [arrays[f"arr_{index}"] for index in range(len(arrays.files))], ""
+
+
+def _start(folder: str, settings: dict[str, float | str], threads: int | None) -> subprocess.Popen[str]:
+    """The child at work on `mesh.npz` of `folder`."""
+    # The child finds what this process finds, also where the package is not installed.
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    return subprocess.Popen(
+        [sys.executable, "-m", "grasp_refine.geometry.decomposition", folder, json.dumps(settings), str(os.getpid())],
+        env=environment | ({} if threads is None else {"OMP_NUM_THREADS": str(threads)}),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+    )
+
+
+def _errors(child: subprocess.Popen[str], check: Callable[[], None]) -> str:
+    """The error output of a child that has ended."""
+    while True:
+        try:
+            return child.communicate(timeout=CHECKED_EVERY_S)[1]
+        except subprocess.TimeoutExpired:
+            check()
 
 
 def _main(folder: str, settings: str, parent: str) -> None:

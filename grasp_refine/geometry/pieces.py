@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib.metadata import version
@@ -14,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
+from grasp_refine.cores import usable_cores
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry.decomposition import Decomposition, decompose
@@ -22,6 +25,9 @@ from grasp_refine.geometry.rings import Rings
 
 if TYPE_CHECKING:
     import trimesh
+
+SHIPPED = Path(__file__).parent / "embedded_pieces"
+"""The pieces of the embedded objects, made by `python -m grasp_refine.apps.cut_embedded`."""
 
 NEGLIGIBLE = 1e-9
 """A piece of less than this volume, times the cubed diagonal of the mesh, is dropped."""
@@ -192,46 +198,156 @@ def convex_pieces(
     progress: Callable[[str], None] | None = None,
     name: str = "mesh",
 ) -> tuple[Piece, ...]:
-    """The convex pieces of a closed `mesh`: its bodies when all are convex, else what CoACD cuts it into.
+    """The convex pieces of one closed `mesh`, as `cut_meshes`."""
+    return cut_meshes([(name, mesh)], config, cache=cache, progress=progress)[0]
 
-    What CoACD sees is the mesh divided by its diagonal and rounded to 1e-9, so that an entry of the folder
-    `cache` (none: nothing is read or kept) serves the same mesh at every scale. `progress` gets a line before
-    and one after a decomposition.
+
+def cut_meshes(
+    meshes: Sequence[tuple[str, trimesh.Trimesh]],
+    config: Decomposition | None = None,
+    *,
+    cache: Path | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> list[tuple[Piece, ...]]:
+    """The convex pieces of named closed meshes: the bodies of one when all are convex, else what CoACD cuts it into.
+
+    What CoACD sees is the mesh divided by its diagonal and rounded to 1e-9, so that one decomposition, and an entry of
+    the folder `cache` (none: nothing is read or kept), serves the same mesh at every scale. Pieces of the embedded
+    objects come with the program. As many meshes as there are cores are decomposed at a time, which changes no piece,
+    and each is kept as soon as it is done. `progress` gets a line before and one after each decomposition.
 
     Raises:
-        MeshError: CoACD fails on it, or nothing solid came out.
+        MeshError: CoACD fails on one, or nothing solid came out.
+    """
+    config, report = config or Decomposition(), progress or (lambda line: None)
+    pieces: dict[int, tuple[Piece, ...]] = {}
+    concave: dict[int, _UnitMesh] = {}
+    parts: dict[str, list[disk.Polytope]] = {}
+    waiting: dict[str, _UnitMesh] = {}
+    for number, (name, mesh) in enumerate(meshes):
+        if bodies := convex_bodies(mesh):
+            pieces[number] = tuple(hull(points, name=name) for points in bodies)
+            continue
+        unit = concave[number] = _UnitMesh.of(mesh, config, name)
+        known = parts.get(unit.entry) or disk.load(SHIPPED / unit.shipped) or (cache and disk.load(cache / unit.entry))
+        if known:
+            parts[unit.entry] = known
+        else:
+            waiting.setdefault(unit.entry, unit)
+    for done, (unit, found, seconds) in enumerate(_decomposed(list(waiting.values()), config, report), 1):
+        parts[unit.entry] = solid = _solid(found)
+        dropped = len(found) - len(solid)
+        if not solid:
+            raise MeshError(f"{unit.name}: CoACD found no solid piece in it ({dropped} flat ones)")
+        flat = f", {dropped} flat ones dropped" if dropped else ""
+        of_all = f"; {done} of {len(waiting)} objects are cut" if len(waiting) > 1 else ""
+        report(f"{unit.name}: {len(solid)} convex pieces in {seconds:.1f} s{flat}{of_all}")
+        try:
+            if cache:
+                disk.save(cache / unit.entry, solid)
+        except OSError as error:
+            report(f"{unit.name}: the pieces could not be kept for the next time ({error})")
+    for number, unit in concave.items():
+        pieces[number] = tuple(Piece(corners * unit.diagonal, faces) for corners, faces in parts[unit.entry])
+    return [pieces[number] for number in range(len(meshes))]
+
+
+def unit_pieces(
+    mesh: trimesh.Trimesh, config: Decomposition | None = None, *, name: str = "mesh"
+) -> tuple[str, list[disk.Polytope]]:
+    """What the folder `SHIPPED` holds of a concave closed `mesh`: file name, and pieces for a diagonal of 1; cut anew.
+
+    Raises:
+        MeshError: CoACD fails on it.
     """
     config = config or Decomposition()
-    report = progress or (lambda line: None)
-    bodies = convex_bodies(mesh)
-    if bodies:
-        return tuple(hull(points, name=name) for points in bodies)
-    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    # Adding 0 turns -0 into 0, which has other bytes.
-    vertices = np.round(np.asarray(mesh.vertices, dtype=np.float64) / diagonal, 9) + 0.0
-    faces = np.ascontiguousarray(mesh.faces, dtype=np.int64)
-    entry = cache and cache / disk.entry_name(vertices, faces, f"{asdict(config)} coacd {version('coacd')}")
-    parts = disk.load(entry) if entry else None
-    if parts is None:
-        report(f"decomposing {name} ({len(faces)} faces) with CoACD, threshold {config.threshold:g} ...")
-        start = time.perf_counter()
+    unit = _UnitMesh.of(mesh, config, name)
+    return unit.shipped, _solid(decompose(unit.vertices, unit.faces, config, single=unit.single))
+
+
+@dataclass(frozen=True, eq=False)
+class _UnitMesh:
+    """A concave mesh as CoACD sees it."""
+
+    name: str
+    """Name in messages."""
+    vertices: np.ndarray
+    """Vertices (V, 3), divided by the diagonal and rounded."""
+    faces: np.ndarray
+    """Triangles (F, 3)."""
+    diagonal: float
+    """Diagonal of the mesh in metres."""
+    single: bool
+    """Whether it is one closed part."""
+    entry: str
+    """File name of its pieces in a cache."""
+    shipped: str
+    """File name of its pieces among those that come with the program, whichever CoACD is installed."""
+
+    @staticmethod
+    def of(mesh: trimesh.Trimesh, config: Decomposition, name: str) -> _UnitMesh:
+        """That of a closed mesh in metres, to be cut as `config` says."""
+        diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+        # Adding 0 turns -0 into 0, which has other bytes.
+        vertices = np.round(np.asarray(mesh.vertices, dtype=np.float64) / diagonal, 9) + 0.0
+        faces = np.ascontiguousarray(mesh.faces, dtype=np.int64)
         single = bool(mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1)
+        entry, shipped = (
+            disk.entry_name(vertices, faces, f"{asdict(config)}{coacd}") for coacd in (f" coacd {version('coacd')}", "")
+        )
+        return _UnitMesh(name, vertices, faces, diagonal, single, entry, shipped)
+
+
+def _decomposed(
+    units: Sequence[_UnitMesh], config: Decomposition, report: Callable[[str], None]
+) -> Iterator[tuple[_UnitMesh, list[np.ndarray], float]]:
+    """Each mesh with its parts and the seconds that they took, as they are done; all are ended when one fails.
+
+    Raises:
+        MeshError: CoACD ended without a result.
+    """
+    ending = threading.Event()
+    workers = max(min(usable_cores(), len(units)), 1)
+    threads = max(usable_cores() // workers, 1)
+
+    def check() -> None:
+        if ending.is_set():
+            raise CancelledError
+
+    def timed(unit: _UnitMesh) -> tuple[list[np.ndarray], float]:
+        start = time.perf_counter()
         try:
-            found = decompose(vertices, faces, config, single=single)
+            found = decompose(unit.vertices, unit.faces, config, single=unit.single, threads=threads, check=check)
         except MeshError as error:
-            raise MeshError(f"{name}: {error}") from None
-        parts = _solid(found)
-        dropped = len(found) - len(parts)
-        if not parts:
-            raise MeshError(f"{name}: CoACD found no solid piece in it ({dropped} flat ones)")
-        flat = f", {dropped} flat ones dropped" if dropped else ""
-        report(f"{name}: {len(parts)} convex pieces in {time.perf_counter() - start:.1f} s{flat}")
+            raise MeshError(f"{unit.name}: {error}") from None
+        return found, time.perf_counter() - start
+
+    if len(units) > 1:
+        report(
+            f"cutting {len(units)} objects, {workers} at a time; each is kept when it is done "
+            "(--object-name NAME takes only the grasps of one)"
+        )
+    running: dict[Future[tuple[list[np.ndarray], float]], _UnitMesh] = {}
+    with ThreadPoolExecutor(workers) as pool:
         try:
-            if entry:
-                disk.save(entry, parts)
-        except OSError as error:
-            report(f"{name}: the pieces could not be kept for the next time ({error})")
-    return tuple(Piece(corners * diagonal, triangles) for corners, triangles in parts)
+            for unit in units:
+                if len(running) == workers:
+                    yield from _ended(running)
+                threshold = f"threshold {config.threshold:g}"
+                report(f"decomposing {unit.name} ({len(unit.faces)} faces) with CoACD, {threshold} ...")
+                running[pool.submit(timed, unit)] = unit
+            while running:
+                yield from _ended(running)
+        finally:
+            ending.set()
+
+
+def _ended(
+    running: dict[Future[tuple[list[np.ndarray], float]], _UnitMesh],
+) -> Iterator[tuple[_UnitMesh, list[np.ndarray], float]]:
+    """Those of `running` that end first, which are taken from it."""
+    for future in wait(running, return_when=FIRST_COMPLETED).done:
+        yield running.pop(future), *future.result()
 
 
 def _solid(parts: Sequence[np.ndarray]) -> list[disk.Polytope]:

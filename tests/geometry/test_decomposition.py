@@ -1,5 +1,7 @@
 """CoACD in its own process: what it is asked for, and what becomes of its failures."""
 
+import signal
+
 import numpy as np
 import pytest
 import trimesh
@@ -36,7 +38,7 @@ def test_the_most_pieces_can_be_set():
 def test_one_closed_part_is_remeshed_only_after_a_failure(monkeypatch, preprocess, single, modes):
     asked = []
 
-    def fail(vertices, faces, settings):
+    def fail(vertices, faces, settings, *_):
         asked.append(settings["preprocess"])
         return None, "exit code -11"
 
@@ -47,7 +49,7 @@ def test_one_closed_part_is_remeshed_only_after_a_failure(monkeypatch, preproces
 
 
 def test_the_second_attempt_can_succeed(monkeypatch):
-    def fail_once(vertices, faces, settings):
+    def fail_once(vertices, faces, settings, *_):
         return (None, "exit code -11") if settings["preprocess"] == "off" else ([VERTICES], "")
 
     monkeypatch.setattr(decomposition, "_run", fail_once)
@@ -59,6 +61,25 @@ def test_an_abort_inside_coacd_is_an_error_here():
     object.__setattr__(config, "threshold", 2.0)
     with pytest.raises(MeshError, match="tube: CoACD ended without a result .*threshold > 1"):
         convex_pieces(TUBE, config, name="tube")
+
+
+def test_the_number_of_threads_changes_nothing():
+    config = Decomposition(mcts_iterations=60)
+    one, two = (decompose(VERTICES, FACES, config, single=True, threads=threads) for threads in (1, 2))
+    assert [part.tobytes() for part in one] == [part.tobytes() for part in two]
+
+
+def test_a_decomposition_that_is_no_longer_wanted_ends_its_process(monkeypatch):
+    started = []
+    start = decomposition._start
+    monkeypatch.setattr(decomposition, "_start", lambda *given: started.append(start(*given)) or started[-1])
+
+    def refuse():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        decompose(VERTICES, FACES, Decomposition(), single=True, check=refuse)
+    assert [child.returncode for child in started] == [-signal.SIGKILL]
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,8 @@
 """Convex pieces: hulls, primitives, and the decomposition of concave meshes with its cache."""
 
+import threading
+import time
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,15 +12,19 @@ from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry import pieces as pieces_module
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.geometry.pieces import (
+    SHIPPED,
     Decomposition,
     Piece,
     box,
     capsule,
     convex_pieces,
+    cut_meshes,
     cylinder,
     hull,
     sphere,
+    unit_pieces,
 )
+from grasp_refine.geometry.shapes import EMBEDDED
 
 
 def pose(seed: int) -> np.ndarray:
@@ -266,6 +273,115 @@ def test_flat_parts_are_dropped_and_counted(bracket, monkeypatch):
     monkeypatch.setattr(pieces_module, "decompose", lambda *_, **__: [cube * [1, 1, 0]])
     with pytest.raises(MeshError, match=r"bracket: CoACD found no solid piece in it \(1 flat ones\)"):
         convex_pieces(bracket, name="bracket")
+
+
+@pytest.fixture
+def slow_cuts(monkeypatch):
+    """What is decomposed meanwhile: [at most at once, in all]; each mesh becomes its hull, the larger ones last."""
+    lock, count = threading.Lock(), [0, 0, 0]
+
+    def decompose(vertices, faces, config, **_):
+        with lock:
+            count[2] += 1
+            count[0] = max(count[0], count[2])
+            count[1] += 1
+        time.sleep(0.01 * len(faces) / 20)
+        with lock:
+            count[2] -= 1
+        return [vertices]
+
+    monkeypatch.setattr(pieces_module, "decompose", decompose)
+    monkeypatch.setattr(pieces_module, "usable_cores", lambda: 2)
+    return count
+
+
+def brackets(bracket, number):
+    """Meshes with names, each other a little different."""
+    meshes = []
+    for n in range(number):
+        mesh = bracket.copy()
+        mesh.vertices[0] *= 1 - 0.02 * n
+        meshes.append((f"bracket {n}", mesh))
+    return meshes
+
+
+def test_several_meshes_are_cut_at_a_time_and_come_back_in_order(bracket, slow_cuts, tmp_path):
+    lines = []
+    meshes = brackets(bracket, 5)
+    found = cut_meshes(meshes, cache=tmp_path, progress=lines.append)
+    assert slow_cuts[:2] == [2, 5]
+    for (_, mesh), (piece,) in zip(meshes, found, strict=True):
+        np.testing.assert_allclose(piece.bounds, mesh.bounds, atol=1e-9)
+    assert len(list(tmp_path.iterdir())) == 5
+    for n in range(5):
+        assert any(f"{n + 1} of 5 objects" in line for line in lines)
+    cut_meshes(meshes, cache=tmp_path)
+    assert slow_cuts[1] == 5
+
+
+def test_a_mesh_of_several_scales_is_cut_once_also_without_a_cache(bracket, slow_cuts):
+    sizes = (1.0, 0.3, 7.0)
+    found = cut_meshes([("bracket", bracket.copy().apply_scale(size)) for size in sizes])
+    assert slow_cuts[1] == 1
+    for size, (piece,) in zip(sizes, found, strict=True):
+        np.testing.assert_allclose(piece.bounds, size * bracket.bounds, atol=1e-8)
+
+
+def test_the_number_of_processes_changes_no_piece(bracket, monkeypatch):
+    meshes = brackets(bracket, 2)
+    monkeypatch.setattr(pieces_module, "usable_cores", lambda: 1)
+    alone = cut_meshes(meshes)
+    monkeypatch.setattr(pieces_module, "usable_cores", lambda: 2)
+    for one, other in zip(alone, cut_meshes(meshes), strict=True):
+        for a, b in zip(one, other, strict=True):
+            assert a.vertices.tobytes() == b.vertices.tobytes() and a.faces.tobytes() == b.faces.tobytes()
+
+
+@pytest.mark.parametrize("ending", [KeyboardInterrupt, ValueError])
+def test_what_was_cut_before_the_end_is_kept_and_what_runs_is_ended(bracket, tmp_path, monkeypatch, ending):
+    meshes = brackets(bracket, 3)
+    first, ended = [True], []
+
+    def decompose(vertices, faces, config, *, check, **_):
+        if first and first.pop():
+            return [vertices]
+        try:
+            while True:
+                time.sleep(0.01)
+                check()
+        finally:
+            ended.append(True)
+
+    def interrupt(line):
+        if "bracket 2" in line:
+            raise ending
+
+    monkeypatch.setattr(pieces_module, "decompose", decompose)
+    monkeypatch.setattr(pieces_module, "usable_cores", lambda: 2)
+    with pytest.raises(ending):
+        cut_meshes(meshes, cache=tmp_path, progress=interrupt)
+    assert ended == [True] and len(list(tmp_path.iterdir())) == 1
+
+
+CONCAVE = [name for name in EMBEDDED if name != "rounded_box"]
+
+
+@pytest.mark.parametrize(
+    "name", [name if name == "bottle" else pytest.param(name, marks=pytest.mark.slow) for name in CONCAVE]
+)
+def test_pieces_that_come_with_the_program_are_what_cutting_gives(name):
+    entry, pieces = unit_pieces(EMBEDDED[name](), name=name)
+    there = disk.load(SHIPPED / entry)
+    assert len(there) == len(pieces)
+    for (vertices, faces), (own_vertices, own_faces) in zip(there, pieces, strict=True):
+        np.testing.assert_allclose(vertices, own_vertices, atol=1e-9)
+        np.testing.assert_array_equal(faces, own_faces)
+
+
+def test_other_settings_take_no_pieces_that_come_with_the_program(slow_cuts):
+    mesh = EMBEDDED["bottle"]()
+    assert len(convex_pieces(mesh)) == 2 and slow_cuts[1] == 0
+    assert len(convex_pieces(mesh, Decomposition(threshold=0.2))) == 1 and slow_cuts[1] == 1
 
 
 def test_the_cache_folder_can_be_set(monkeypatch, tmp_path):
