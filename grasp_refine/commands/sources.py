@@ -15,6 +15,7 @@ from grasp_refine.asset_library.locating import fetched
 from grasp_refine.asset_library.names import find_asset
 from grasp_refine.commands.object_source import ObjectSource, chosen_object, is_known, named_object
 from grasp_refine.commands.options import check_hull_limit
+from grasp_refine.convention_check import convention_notes
 from grasp_refine.description.link_geometry import HULL_LIMIT
 from grasp_refine.description.tree import read_tree
 from grasp_refine.errors import GraspFileError, GraspRefineError, HandError
@@ -109,7 +110,9 @@ class Sources:
                 scene = _aimed(Scene(hand, obj, T, q[rows[at]], table=self._table()), targets, rows[at])
                 metres = self._metres(scale)
                 groups.append(Group(name, metres, scene, grasps.select(rows[at]), rows[at], index[at], place[at]))
-        return Problem(hand, self._files(path, read), tuple(groups), tuple(dict.fromkeys(notes)))
+        doubts = convention_notes([group.scene for group in groups])
+        notes = tuple(dict.fromkeys((*notes, *doubts)))
+        return Problem(hand, self._files(path, read), tuple(groups), notes, convention_notes=doubts)
 
     def check_numbers(self) -> None:
         """Refuse a scale, a table or a hull limit that can mean nothing.
