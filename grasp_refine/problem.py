@@ -87,6 +87,8 @@ class Problem:
     """What a user should know about how hand, objects and grasps were read."""
     sampled: str = ""
     """What was asked for where the grasps were drawn and not read, such as sample:32."""
+    convention_notes: tuple[str, ...] = ()
+    """Those of `notes` that say that the file most likely means something else than what was read."""
 
     def __len__(self) -> int:
         """Return the number of grasps."""

@@ -58,6 +58,7 @@ ORDER = (
     "equilibrium",
     "targets",
     "hand_object",
+    "convention_check",
     "squeeze",
     "quality",
     "goal",

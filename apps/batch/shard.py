@@ -56,6 +56,8 @@ class Done:
     """Largest resident memory of the process so far."""
     notes: tuple[str, ...] = ()
     """What a user should know about how hand, object and grasps were read."""
+    convention_notes: tuple[str, ...] = ()
+    """Signs that the grasp file means something else than what was read; what is before the colon says what."""
     profile: Mapping[str, tuple[float, float, int]] = field(default_factory=dict)
     """Stage -> CPU seconds, wall seconds and calls; empty where nobody asked."""
 

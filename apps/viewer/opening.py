@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from grasp_refine.convention_check import convention_notes
 from grasp_refine.errors import GraspRefineError, MeshError
 from grasp_refine.formats.reading import reading
 from grasp_refine.geometry.mesh import Holes
@@ -162,7 +163,8 @@ def _with_grasps(upload: Upload, scene: Scene, tell: Callable[[str], None], chec
             T = transform_from_pose(grasps.hand_pose[at])
             new = _aimed(Scene(hand, obj, T, q[at], table=scene.table), grasps, at)
             groups.append((name, float(scale), new, grasps.select(at), at))
-    problem = _problem(upload, hand, groups, tuple(notes))
+    doubts = convention_notes([group[2] for group in groups])
+    problem = _problem(upload, hand, groups, (*notes, *doubts))
     return replace(problem, files=tuple(dict.fromkeys((upload.source, *read.files))))
 
 

@@ -67,6 +67,12 @@ class Session:
             if note not in self.notes:
                 self.notes.add(note)
                 progress.say(f"note: {note}")
+        for note in result.convention_notes:
+            # Shards of a job differ in how many of their own grasps agree.
+            sign = f"{shard.task.job}: {note.partition(':')[0]}"
+            if sign not in self.notes:
+                self.notes.add(sign)
+                progress.say(f"note: {shard.task.job}: {note}")
         progress.done(result)
 
 

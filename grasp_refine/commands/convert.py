@@ -11,17 +11,19 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from rich.console import Console
 from rich.progress import Progress
 from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE
+from grasp_refine.convention_check import joint_notes, position_notes
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.formats.agreement import fingertip_distances
 from grasp_refine.formats.format import Format, Load
 from grasp_refine.formats.listing import FormatName, format_named
 from grasp_refine.formats.reading import Reading, reading
 from grasp_refine.formats.writing import check_output, written
-from grasp_refine.grasps import GraspSet
+from grasp_refine.grasps import GraspSet, match_joints
 from grasp_refine.hand import Hand, load_hand
 from grasp_refine.hand_source import check_known
 from grasp_refine.report.screen import screen
@@ -99,6 +101,10 @@ class Convert:
                 lost = [*lost, f"{left} of {len(read.grasps)} grasps {'is' if left == 1 else 'are'} left out"]
             check_output(self.output, to, parts)
             bar.update(task, description="writing and checking", total=None)
+            own = load(grasps.base_link)
+            doubts = (*joint_notes(own, match_joints(grasps, own)[0]), *position_notes(grasps.hand_pose))
+            # They may be why what was written is read as something else.
+            _tell(doubts, said)
             try:
                 with written(self.output, to, parts) as (place, rows):
                     again = reading(place, format=self.to, hand=load(grasps.base_link))
@@ -106,9 +112,8 @@ class Convert:
             except _Disagreement as found:
                 said.print(f"{self.output}: not written: {found}", soft_wrap=True, markup=False)
                 return NOTHING_USABLE
-        notes = tuple(dict.fromkeys([*read.notes, *lost, *changed]))
-        for note in notes:
-            said.print(f"note: {note}", style="dim", soft_wrap=True, markup=False)
+        notes = tuple(dict.fromkeys([*doubts, *read.notes, *lost, *changed]))
+        _tell(notes[len(doubts) :], said)
         if self.json is not None:
             document = {
                 "schema": SCHEMA,
@@ -141,6 +146,11 @@ class Convert:
             return load_hand(source, base_link=base_link, urdf=self.urdf, candidates=CANDIDATES)
 
         return load
+
+
+def _tell(notes: Sequence[str], console: Console) -> None:
+    for note in notes:
+        console.print(f"note: {note}", style="dim", soft_wrap=True, markup=False)
 
 
 class _Disagreement(GraspRefineError):

@@ -32,6 +32,7 @@ from grasp_refine.report.proof import Proof, proof_lines
 from grasp_refine.report.results import fingerprint, result_paths, save_results
 from grasp_refine.report.screen import screen
 from grasp_refine.report.table import grasp_table
+from grasp_refine.report.verdict import should_hold
 from grasp_refine.report.writing import check_no_input, check_writable, save_json
 from grasp_refine.scene import links_of
 from grasp_refine.stopwatch import Stopwatch, cpu_seconds
@@ -121,6 +122,9 @@ class Run:
         if proof is not None:
             for line in proof_lines(proof, outcome.quality[:, 1]):
                 console.print(line)
+        if not should_hold(outcome.quality[:, 1]).all():
+            for note in problem.convention_notes:
+                console.print(f"mend the file first: {note}", soft_wrap=True, markup=False)
         if profile is not None:
             console.print(profile_table(profile))
         if not outcome.usable.any():

@@ -105,7 +105,8 @@ class ShardWork:
             wall_s=time.perf_counter() - wall,
             cpu_s=time.process_time() - cpu,
             peak_bytes=peak_bytes(),
-            notes=problem.notes,
+            notes=tuple(note for note in problem.notes if note not in problem.convention_notes),
+            convention_notes=problem.convention_notes,
         )
 
     def _most(self) -> int:

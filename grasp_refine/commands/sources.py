@@ -15,6 +15,7 @@ from grasp_refine.asset_library.locating import fetched
 from grasp_refine.asset_library.names import find_asset
 from grasp_refine.commands.object_source import ObjectSource, chosen_object, is_known, named_object
 from grasp_refine.commands.options import INDICES, check_hull_limit
+from grasp_refine.convention_check import convention_notes
 from grasp_refine.description.link_geometry import HULL_LIMIT
 from grasp_refine.description.tree import read_tree
 from grasp_refine.errors import GraspFileError, GraspRefineError, HandError
@@ -124,7 +125,9 @@ class Sources:
                 some = grasps.select(rows)
                 scene = Scene(hand, obj, transform_from_pose(some.hand_pose), q[rows], *aim, table=table)
                 groups.append(Group(name, metres, scene, some, rows, index, place))
-            return Problem(hand, files, tuple(groups), told)
+            doubts = convention_notes([group.scene for group in groups])
+            notes = tuple(dict.fromkeys((*told, *doubts)))
+            return Problem(hand, files, tuple(groups), notes, convention_notes=doubts)
 
         names_of_grasps = tuple(name for name, rows in chosen.items() for _ in rows)
         return Draft(hand, files, names_of_grasps, targets is not None, tuple(uncut), finish)
