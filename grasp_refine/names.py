@@ -10,6 +10,8 @@ import numpy as np
 UNSOUND = ("Cc", "Cs", "Zl", "Zp")
 """Kinds of letters in Unicode: those that control a terminal, halves of letters, and ends of lines and paragraphs."""
 
+CODES_AT_ONCE = 2**20
+"""Codes of letters that are looked at together, which bounds the memory that it takes."""
 
 BIDI = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 """Letters that turn the order in which others are shown, so that a name looks like another one."""
@@ -25,6 +27,12 @@ def are_sound(texts: np.ndarray) -> bool:
     if not texts.itemsize or not texts.size:
         return True
     codes = np.ascontiguousarray(texts).reshape(-1, 1).view(np.uint32)
+    rows = max(CODES_AT_ONCE // codes.shape[1], 1)
+    return all(_are_letters(codes[start : start + rows]) for start in range(0, len(codes), rows))
+
+
+def _are_letters(codes: np.ndarray) -> bool:
+    """Whether all codes (N, length) are those of letters, as `is_sound` has them."""
     # Zeros fill a text up to its end; before another letter they are letters.
     padding = np.logical_and.accumulate((codes == 0)[:, ::-1], axis=1)[:, ::-1]
     control = (codes < 32) | ((codes >= 127) & (codes < 160)) | (codes == 0x2028) | (codes == 0x2029)
