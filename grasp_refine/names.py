@@ -16,6 +16,9 @@ CODES_AT_ONCE = 2**20
 BIDI = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 """Letters that turn the order in which others are shown, so that a name looks like another one."""
 
+FORMULA = tuple("=+-@\t\r\n\uff1d\uff0b\uff0d\uff20")
+"""What spreadsheets take for the beginning of a formula, in its wide forms too."""
+
 
 def is_sound(text: str) -> bool:
     """Whether a text holds no letters that control a terminal, end a line, turn the order, or that no text has."""
@@ -39,6 +42,19 @@ def _are_letters(codes: np.ndarray) -> bool:
     turning = np.isin(codes, [ord(letter) for letter in BIDI])
     half = (codes >= 0xD800) & (codes < 0xE000)
     return not ((control & ~padding) | turning | half | (codes >= 0x110000)).any()
+
+
+def to_cell(text: str) -> str:
+    """The text for a cell of a CSV: one that a spreadsheet would run as a formula begins with an apostrophe.
+
+    `from_cell` reads it again.
+    """
+    return f"'{text}" if text.lstrip("'").startswith(FORMULA) else text
+
+
+def from_cell(cell: str) -> str:
+    """The text that `to_cell` wrote."""
+    return cell[1:] if cell.startswith("'") and cell.lstrip("'").startswith(FORMULA) else cell
 
 
 def is_file(path: Path) -> bool:
