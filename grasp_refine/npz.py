@@ -31,6 +31,11 @@ compression NotImplementedError, an encrypted entry RuntimeError."""
 
 LARGEST = 2**31
 """How many bytes the arrays of a file may have together: 2 GiB, or eight million grasps of 32 numbers."""
+ROOM = 2**26
+"""How many bytes what is read may take, with numbers as float64, however small its file is: 64 MiB."""
+SPREAD = 16
+"""How many times the size of its file it may take beyond that. Poses that are packed tightly as float32 take 3 times,
+those with long object names and empty targets 10 times; zeros are packed to a thousandth."""
 MAGIC = b"\x93NUMPY"
 """What array files begin with."""
 BAD_HEADER = (ValueError, SyntaxError, TypeError, RecursionError, MemoryError, tokenize.TokenError)
@@ -58,9 +63,10 @@ class NpzFile:
         # An empty list of names is stored by NumPy as float64.
         if value.dtype.kind != "U" and value.size:
             raise self.error(f"{key} must hold text; it holds {value.dtype}")
-        if not are_sound(value.astype(str)):
+        value = value.astype(str, copy=False)
+        if not are_sound(value):
             raise self.error(f"{key} holds letters that no text has, or that control a terminal")
-        return value.astype(str)
+        return value
 
     def name(self, key: str) -> str:
         """Return the entry as one string."""
@@ -81,7 +87,7 @@ class NpzFile:
         value = self.entries[key]
         if value.dtype.kind not in "fiu":
             raise self.error(f"{key} must hold numbers; it holds {value.dtype}")
-        value = value.astype(float)
+        value = value.astype(float, copy=False)
         bad = np.isinf(value) if allowed == "nan" else ~np.isfinite(value)
         if allowed != "any" and bad.any():
             row = int(np.argwhere(bad)[0][0]) if value.ndim else 0
@@ -91,6 +97,7 @@ class NpzFile:
     def per_row(self, key: str, value: np.ndarray, n: int) -> np.ndarray:
         """Return `value` of the entry `key` as (n,), a single value repeated."""
         if value.size == 1:
+            _check_room(self.path, n * value.itemsize, f"{key}, once for each of {n} grasps,")
             return np.repeat(value.reshape(1), n)
         if value.shape != (n,):
             raise self.error(f"{key} must be one value or one per grasp, ({n},); it has {value.shape}")
@@ -101,7 +108,8 @@ def load_npz(path: str | Path, *, only: Collection[str] | None = None) -> NpzFil
     """Return the arrays of an `.npz` file, or `only` those of some names that are there, none of them unpickled.
 
     Raises GraspFileError when the file is missing, not an `.npz`, damaged, or holds a pickle or anything else
-    that is no plain array, or would unpack to more than `LARGEST` bytes or to other sizes than it says.
+    that is no plain array, or would unpack to more than `LARGEST` bytes or to other sizes than it says, or take more
+    than `ROOM` bytes and `SPREAD` times its size as float64.
     """
     path = Path(path)
     if not is_file(path):
@@ -114,7 +122,7 @@ def load_npz(path: str | Path, *, only: Collection[str] | None = None) -> NpzFil
             warnings.simplefilter("ignore")  # of heads that Python 2 wrote, or nobody
             if not zipfile.is_zipfile(file):
                 raise GraspFileError(f"{path}: not an .npz grasp file")
-            _check_sizes(path)
+            _check_sizes(path, only)
             with np.load(file, allow_pickle=False) as npz:
                 for key in npz.files:
                     if only is None or key in only:
@@ -133,8 +141,11 @@ def load_npz(path: str | Path, *, only: Collection[str] | None = None) -> NpzFil
     return NpzFile(path, entries)
 
 
-def _check_sizes(path: Path) -> None:
-    """Nothing, when an archive unpacks to what memory has room for, and each array to what its shape needs."""
+def _check_sizes(path: Path, only: Collection[str] | None) -> None:
+    """Nothing, when an archive unpacks to what memory has room for, and each array to what its shape needs.
+
+    Numbers count as float64, which they become.
+    """
     with zipfile.ZipFile(path) as archive:
         total = sum(entry.file_size for entry in archive.infolist())
         if total > LARGEST:
@@ -142,6 +153,7 @@ def _check_sizes(path: Path) -> None:
                 f"{path}: would unpack to {total / 2**20:.0f} MiB, as an archive bomb does; at most "
                 f"{LARGEST // 2**20} MiB are read"
             )
+        room = 0
         for entry in archive.infolist():
             with archive.open(entry) as stream:
                 head = stream.read(LONGEST_HEADER)
@@ -158,6 +170,20 @@ def _check_sizes(path: Path) -> None:
                     f"{path}: entry '{key}' is damaged: shape {shape} of {dtype} needs {needed} bytes, it has "
                     f"{entry.file_size}"
                 )
+            if only is None or key in only:
+                room += prod(shape) * max(dtype.itemsize, 8 if dtype.kind in "fiu" else 1)
+    _check_room(path, room, "as float64 it")
+
+
+def _check_room(path: Path, room: int, what: str) -> None:
+    """Nothing, when so many bytes are not out of all proportion to a file."""
+    size = path.stat().st_size
+    if room > max(ROOM, SPREAD * size):
+        raise GraspFileError(
+            f"{path}: {what} would take {room / 2**20:.0f} MiB of memory, {room / max(size, 1):.0f} times the size of "
+            f"the file; above {ROOM // 2**20} MiB at most {SPREAD} times is read: split it, or save it without "
+            "compression"
+        )
 
 
 def array_header(data: bytes) -> tuple[tuple[int, ...], np.dtype, int]:

@@ -196,6 +196,8 @@ def test_bad_jobs_among_good_ones_are_named_and_the_rest_is_done(
 ):
     (tmp_path / "mesh.obj").write_text("v 0 0 0\nthis is no mesh\n")
     (tmp_path / "torn.npz").write_bytes((sources / "example_bottle.npz").read_bytes()[:500])
+    (tmp_path / "named").mkdir()
+    shutil.copy(sources / "example_bottle.npz", tmp_path / "named" / "bad\x1b[2J\n.npz")
     jobs = tmp_path / "jobs.toml"
     jobs.write_text(
         f"""
@@ -206,6 +208,8 @@ def test_bad_jobs_among_good_ones_are_named_and_the_rest_is_done(
         [[job]]
         name = "torn"
         grasps = "torn.npz"
+        [[job]]
+        grasps = "named/*.npz"
         [[job]]
         name = "no such hand"
         grasps = "{sources / "example_bottle.npz"}"
@@ -223,7 +227,7 @@ def test_bad_jobs_among_good_ones_are_named_and_the_rest_is_done(
             np.testing.assert_array_equal(entries[key], results(whole)[name][key])
     document = json.loads(summary.read_text())
     failed = {one["name"].partition(":")[0]: one for one in document["failed"]}
-    assert set(failed) == {"unreadable mesh", "torn", "no such hand"}
+    assert set(failed) == {"unreadable mesh", "torn", "no such hand", "bad\\x1b[2J\\n"}
     assert "mesh.obj" in failed["unreadable mesh"]["message"]
     assert "Traceback" in failed["unreadable mesh"]["traceback"]
     assert failed["no such hand"]["reason"] == "refused"

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from grasp_refine.names import are_sound, at_home, exists, is_file, is_folder, is_sound
+from grasp_refine.names import are_sound, at_home, exists, from_cell, is_file, is_folder, is_sound, to_cell
 
 SOUND = ("FFJ4", "", "with space", "ö手", "\U0001f590", "non\xa0breaking")
 UNSOUND = ("a\nb", "\t", "\x1b[2J", "\x7f", "\x9b2J", "a\0b", "\u2028", "\u2029", "\ud800")
@@ -22,6 +22,16 @@ def test_letters_of_names(text: str):
 @pytest.mark.parametrize("text", UNSOUND)
 def test_what_controls_a_terminal_or_is_no_letter_is_no_name(text: str):
     assert not is_sound(text) and not are_sound(np.array(["fine", text, "longer than all of them"]))
+
+
+FORMULAS = ("=HYPERLINK(1)", "@SUM(1)", "+1", "-1", "\t=1", "\r=1", "\n=1", "\uff1d1", "'=1", "''@x")
+
+
+@pytest.mark.parametrize("text", [*FORMULAS, "mug", "", "'", "it's", "'mug", "a=b", "1-2"])
+def test_cells_hold_no_formulas_and_are_read_again(text: str):
+    cell = to_cell(text)
+    assert not cell.startswith(tuple("=+-@\t\r\n\uff1d")) and from_cell(cell) == text
+    assert (cell == text) == (text not in FORMULAS)
 
 
 def test_arrays_of_no_texts():

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import resource
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import pytest
 
 from grasp_refine import npz
 from grasp_refine.errors import GraspFileError
+from grasp_refine.grasps import load_grasps
 from grasp_refine.npz import LARGEST, array_header, load_npz
 
 
@@ -56,6 +59,82 @@ def test_an_archive_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_the_limit_has_room_for_grasps():
     assert LARGEST == 8 * 2**20 * 32 * 8
+
+
+def grasp_file(path: Path, count: int, dtype: str, name: str = "ball", seed: int | None = None, pack: bool = True):
+    """Write grasps of a hand with 16 joints, all of them zeros unless there is a seed."""
+    pose, q = np.zeros((count, 7), dtype), np.zeros((count, 16), dtype)
+    pose[:, 3] = 1
+    if seed is not None:
+        rng = np.random.default_rng(seed)
+        pose[:, :3], q[:] = rng.normal(size=(count, 3)), rng.normal(size=(count, 16))
+    (np.savez_compressed if pack else np.savez)(
+        path,
+        hand="hand",
+        base_link="palm",
+        joint_names=[str(number) for number in range(16)],
+        object=name,
+        scale=1.0,
+        hand_pose=pose,
+        q=q,
+    )
+
+
+PEAK_OF_LOADING = """
+import resource, sys
+from grasp_refine.errors import GraspFileError
+from grasp_refine.grasps import load_grasps
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    print(len(load_grasps(sys.argv[1])), end=" ")
+except GraspFileError:
+    print("refused", end=" ")
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
+"""
+
+
+@pytest.mark.parametrize(
+    ("count", "dtype", "name"),
+    [(3_000_000, "int8", "ball"), (400_000, "int8", "ball"), (300_000, "f2", "x" * 2000)],
+)
+def test_a_small_file_does_not_fill_the_memory(tmp_path: Path, count: int, dtype: str, name: str):
+    """259 kB of zeros, ten million rows of them, once took 3.5 GB as float64."""
+    path = tmp_path / "grasps.npz"
+    grasp_file(path, count, dtype, name)
+    assert path.stat().st_size < 2**20
+    done = subprocess.run([sys.executable, "-c", PEAK_OF_LOADING, path], capture_output=True, text=True, check=True)
+    found, grown = done.stdout.split()
+    assert found == "refused" and int(grown) < 100
+
+
+def test_what_may_be_large_without_a_large_file_takes_little(tmp_path: Path):
+    path = tmp_path / "grasps.npz"
+    grasp_file(path, 350_000, "int8")
+    done = subprocess.run([sys.executable, "-c", PEAK_OF_LOADING, path], capture_output=True, text=True, check=True)
+    found, grown = done.stdout.split()
+    assert found == "350000" and int(grown) < 300
+
+
+@pytest.mark.parametrize(("dtype", "seed", "pack"), [("f4", 1, True), ("f2", 1, False), ("int8", None, False)])
+def test_honest_files_of_many_grasps_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dtype: str, seed: int | None, pack: bool
+):
+    """As the file grows, so does what may come of it: here all of it is beyond what is free."""
+    monkeypatch.setattr(npz, "ROOM", 2**16)
+    path = tmp_path / "grasps.npz"
+    grasp_file(path, 20_000, dtype, "core-bottle-1ef68777bfdb7d6ba7a07ee616e34cd7", seed, pack)
+    grasps = load_grasps(path)
+    assert len(grasps) == 20_000 and grasps.q.dtype == float and (grasps.object == grasps.object[0]).all()
+
+
+def test_what_would_take_too_much_says_how_much_and_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(npz, "ROOM", 2**20)
+    path = tmp_path / "grasps.npz"
+    np.savez_compressed(path, q=np.zeros((2**18, 1), "int8"))
+    times = round(2**21 / path.stat().st_size)
+    message = refused(path)
+    assert all(part in message for part in ("2 MiB", f"{times} times", "1 MiB", "16 times", "without compression"))
+    assert load_npz(path, only=("other",)).entries == {}, "what is not asked for takes nothing"
 
 
 @pytest.mark.parametrize("shape", [(10**11,), (10**6, 10**6), (2,)])

@@ -43,6 +43,16 @@ def mixed(tmp_path: Path) -> Path:
     return path
 
 
+def test_a_file_with_control_characters_in_its_name_costs_no_other(mixed: Path):
+    """It once refused the whole folder."""
+    shutil.copy(mixed, mixed.with_name("a\nb\x1b[2J.npz"))
+    plan = planned(mixed.parent)
+    assert sum(shard.size for shard in plan.shards) == 11
+    (refused,) = plan.refused
+    assert refused.job == "a\\nb\\x1b[2J" and refused.message.isprintable()
+    assert {shard.task.job for shard in plan.shards} == {"mixed"}
+
+
 def test_every_grasp_is_in_exactly_one_shard_of_its_object(mixed: Path):
     grasps = load_grasps(mixed)
     shards = planned(mixed, size=3).shards

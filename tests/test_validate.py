@@ -12,6 +12,7 @@ from command_line import refused
 from grasp_refine.assets import resource_dir
 from grasp_refine.cli import main
 from grasp_refine.grasps import load_grasps, save_npz
+from grasp_refine.report.validation_document import save_table
 from grasp_refine.report.verdict import HOLDS
 from grasp_refine.validation.protocol import AXES
 
@@ -97,6 +98,11 @@ def test_a_validation_has_the_keys_of_the_contract(workplace: Path, capfd: pytes
     assert document["totals"]["good_before"] is None and document["totals"]["good_after"] == good
     assert f"{good} of 2 should hold by their quality" in out
     assert rows[0]["success"] == str(document["grasps"][0]["simulation"]["after"]["success"])
+
+
+def test_no_text_of_the_rows_is_run_by_a_spreadsheet(workplace: Path) -> None:
+    save_table(Path("rows.csv"), [{"object": "=1+1", "direction": "-z", "value": -0.5, "none": None}])
+    assert Path("rows.csv").read_text() == "object,direction,value,none\n'=1+1,'-z,-0.5,\n"
 
 
 def test_the_same_as_parquet(workplace: Path) -> None:

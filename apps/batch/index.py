@@ -13,6 +13,7 @@ import numpy as np
 
 from grasp_refine.atomic import written_whole
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.names import to_cell
 from grasp_refine.report.validation_document import check_table
 
 from .rows import COLUMNS, Kind, Rows
@@ -69,7 +70,10 @@ def _csv(path: Path) -> Iterator[_CsvWriter]:
 
 
 class _CsvWriter:
-    """Null is empty, flags are true and false, numbers are as short as they can be read back exactly."""
+    """Null is empty, flags are true and false, numbers are as short as they can be read back exactly.
+
+    Texts are no formulas of a spreadsheet, as `to_cell` has them.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self._writer = csv.writer(stream, lineterminator="\n")
@@ -82,7 +86,7 @@ class _CsvWriter:
 def _words(values: np.ndarray, kind: Kind) -> list[Any]:
     """A column as CSV shows it."""
     if kind == "text":
-        return values.tolist()
+        return [to_cell(text) for text in values.tolist()]
     words: dict[Kind, Callable[[Any], Any]]
     words = {"whole": int, "flag": lambda value: "true" if value else "false", "number": float}
     shown = words[kind]

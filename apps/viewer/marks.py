@@ -13,6 +13,7 @@ from typing import Literal, get_args
 from grasp_refine.assets import resource_dir
 from grasp_refine.atomic import written_whole
 from grasp_refine.errors import GraspFileError
+from grasp_refine.names import from_cell, to_cell
 
 Mark = Literal["", "good", "bad"]
 """What somebody thought of a grasp; empty: nothing."""
@@ -88,7 +89,7 @@ class Marks:
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(HEADER)
-        writer.writerows((row, m.object, m.index, m.mark, m.time) for row, m in self.by_row.items())
+        writer.writerows((row, to_cell(m.object), m.index, m.mark, m.time) for row, m in self.by_row.items())
         return stream.getvalue()
 
     def save(self) -> None:
@@ -129,7 +130,7 @@ def _marked(path: Path, at: int, line: list[str]) -> tuple[int, Marked]:
         raise _damaged(path, f"row and index in line {at} must be whole numbers")
     if mark not in MARKS:
         raise _damaged(path, f"the mark in line {at} must be {' or '.join(MARKS)}")
-    return int(row), Marked(name, int(index), mark, time)
+    return int(row), Marked(from_cell(name), int(index), mark, time)
 
 
 def _damaged(path: Path, reason: str) -> GraspFileError:

@@ -17,7 +17,7 @@ from grasp_refine.commands.inputs import SAMPLE, Inputs
 from grasp_refine.errors import GraspRefineError, told
 from grasp_refine.formats.folders import natural, told_apart
 from grasp_refine.formats.reading import SUFFIXES
-from grasp_refine.names import at_home, exists, is_folder, is_sound
+from grasp_refine.names import at_home, escaped, exists, is_folder, is_sound
 from grasp_refine.toml_file import UNREADABLE, read_toml
 
 LISTS = (".toml", ".csv")
@@ -35,7 +35,7 @@ class Job:
     """Grasps of one file, or sampled ones, with their hand and objects."""
 
     name: str
-    """What it is called in results; no two jobs of a batch are called the same."""
+    """What it is called in results; no two jobs of a batch are called the same. That of a file may not be sound."""
     inputs: Inputs
     """What is refined; the grasps are always given, and nothing depends on the working folder."""
     named: bool = True
@@ -65,7 +65,7 @@ def read_jobs(sources: Sequence[str], defaults: Inputs, *, together: bool = Fals
     once = {job.inputs: job for job in reversed(found)}
     jobs = [job for job in found if once[job.inputs] is job]
     for job in jobs:
-        if not job.name.strip("/") or not is_sound(job.name):
+        if not job.name.strip("/"):
             raise GraspRefineError(f"'{job.name}' cannot be the name of a job: it is the folder of its results")
     names = told_apart(job.name for job in jobs)
     return [replace(job, name=name) for job, name in zip(jobs, names, strict=True)]
@@ -131,6 +131,10 @@ def _listed(path: Path, defaults: Inputs, together: bool) -> Iterator[Job]:
         name = row.pop("name", "")
         if not isinstance(name, str):
             raise GraspRefineError(f"{where}: name must be text, got {told(name)}")
+        if not is_sound(name):
+            raise GraspRefineError(
+                f"{where}: '{escaped(name)}' cannot be the name of a job: it holds control characters"
+            )
         inputs = replace(defaults, **_values(row, path, where))
         if inputs.grasps is None:
             raise GraspRefineError(f'{where}: says no grasps = "FILE" (or a folder, a pattern, or sample:N)')

@@ -23,6 +23,7 @@ from grasp_refine.errors import GraspRefineError
 from grasp_refine.formats.folders import object_folder
 from grasp_refine.grasps import choose_rows
 from grasp_refine.hand_source import check_known
+from grasp_refine.names import escaped, is_sound
 
 READ = ("grasps", "hand", "urdf", "mjcf", "object", "objects", "targets")
 """Inputs that may be files or folders."""
@@ -115,15 +116,17 @@ class Planner:
         shards: list[Shard] = []
         refused: list[Refused] = []
         for number, job in enumerate(jobs):
-            progress(number, job.name)
+            progress(number, escaped(job.name))
             inputs = KeptInputs.of(job.inputs, kept)
             try:
+                if not is_sound(job.name):
+                    raise GraspRefineError("the name of its file holds control characters; rename it")
                 if not job.named and is_result(Path(str(inputs.grasps))):
                     results += 1
                     continue
                 shards += list(self._shards(job, inputs, digests, say))
             except GraspRefineError as error:
-                refused.append(Refused(job.name, " ".join(str(error).split())))
+                refused.append(Refused(escaped(job.name), " ".join(str(error).split())))
         # What shares a hand and an object is done together; else jobs stay in order.
         first: dict[str, int] = {}
         for place, shard in enumerate(shards):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.names import to_cell
 from grasp_refine.report.proof import simulation_entry
 from grasp_refine.report.verdict import should_hold
 from grasp_refine.report.writing import SCHEMA, save_bytes, save_text
@@ -184,6 +185,8 @@ def check_table(path: Path) -> None:
 def save_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write flat rows as CSV or Parquet, by the ending of the name; whole or not at all.
 
+    Texts of a CSV are no formulas of a spreadsheet, as `to_cell` has them.
+
     Raises:
         GraspRefineError: the file cannot be written.
     """
@@ -199,5 +202,7 @@ def save_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows(
+        {key: to_cell(value) if isinstance(value, str) else value for key, value in row.items()} for row in rows
+    )
     save_text(path, text.getvalue())

@@ -16,7 +16,7 @@ from grasp_refine.se3 import distances, exp_so3
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT, TABLETOP
 from grasp_refine.validation.robustness import Noise, holds_at, holds_without_squeeze, noise_score
-from grasp_refine.validation.simulation import CHUNK, simulate
+from grasp_refine.validation.simulation import CHUNK, close, push, simulate
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.world import World, build_world, volume
@@ -103,6 +103,19 @@ def test_a_simulation_that_diverges_is_unstable_never_a_success(
     assert (trials.reason == Reason.UNSTABLE).all()
     assert not trials.success.any()
     assert not list(tmp_path.iterdir()), "MuJoCo writes its warnings to a file in the current folder"
+
+
+def test_a_simulation_that_diverges_is_not_set_back_to_its_start() -> None:
+    """MuJoCo's autoreset lays the object back to where it lay, which looks like an object that was held."""
+    # It leaves the numbers that MuJoCo takes within some steps of the push.
+    world = build_world(gripper(), ball(), replace(FORCE_CLOSURE, acceleration=1e13))
+    trials = simulate(world, around(4.0))
+    assert (trials.closing_m < 1e-3).all(), "until the push all is well"
+    assert (trials.reason == Reason.UNSTABLE).all()
+    assert not (trials.displacement_m < 1.0).any()
+    closed, times = close(world, around(4.0), Conditions.nominal(world, 1)), []
+    push(world, closed, watch=lambda batch: times.append(batch.time.copy()))
+    assert (np.diff(times, axis=0) >= 0).all() and len(times) < FORCE_CLOSURE.steps_per_check
 
 
 def test_a_bad_grasp_fails_and_harms_no_other(world: World) -> None:

@@ -6,6 +6,7 @@ import csv
 import json
 import sys
 import tracemalloc
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from apps.batch.index import index_path, index_writer
 from apps.batch.rows import COLUMNS, ENTRIES, Rows, read_rows
 from apps.batch.shard import Shard
 from grasp_refine.errors import GraspFileError, GraspRefineError
+from grasp_refine.names import from_cell
 from grasp_refine.report.verdict import HOLDS
 
 
@@ -140,6 +142,21 @@ def test_both_kinds_read_back_as_the_result_files(batch: tuple[Path, list[Shard]
             assert line[name] == words if words is not None else float(line[name]) == value
     assert isinstance(table[0]["iterations"], int) and lines[0]["iterations"].isdigit()
     assert isinstance(table[0]["good_after"], bool)
+
+
+def test_no_text_of_a_csv_is_run_by_a_spreadsheet(tmp_path: Path):
+    name = '=HYPERLINK("http://x")'
+    rows = made_up_rows(1, object=name, source="@SUM(1).npz", scale=-1.5)
+    write(tmp_path / "index.csv", [rows])
+    with (tmp_path / "index.csv").open(newline="", encoding="utf-8") as stream:
+        (line,) = csv.DictReader(stream)
+    assert (line["object"], line["source"], line["scale"]) == (f"'{name}", "'@SUM(1).npz", "-1.5")
+    assert from_cell(line["object"]) == name
+    if find_spec("pyarrow") is not None:
+        import pyarrow.parquet
+
+        write(tmp_path / "index.parquet", [rows])
+        assert pyarrow.parquet.read_table(tmp_path / "index.parquet")["object"].to_pylist() == [name]
 
 
 def test_texts_are_kept_once_in_parquet(tmp_path: Path):

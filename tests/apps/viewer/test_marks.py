@@ -44,6 +44,17 @@ def test_marks_lie_beside_the_grasps_but_never_in_the_program(tmp_path: Path, mo
     assert marks_path(example) == tmp_path / "example_mug.npz.marks.csv"
 
 
+def test_no_name_is_a_formula_of_a_spreadsheet_and_all_are_read_again(tmp_path: Path) -> None:
+    names = ("=HYPERLINK(1)", "@SUM(1)", "-1", "'=1", "mug")
+    marks = Marks.read(tmp_path / "g.npz.marks.csv")
+    for row, name in enumerate(names):
+        marks = marks.marked(row, "good", object=name, index=row)
+    marks.save()
+    cells = [line.split(",")[1] for line in marks.text.splitlines()[1:]]
+    assert cells == ["'=HYPERLINK(1)", "'@SUM(1)", "'-1", "''=1", "mug"]
+    assert Marks.read(tmp_path / "g.npz.marks.csv") == marks
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
