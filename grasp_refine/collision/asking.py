@@ -6,10 +6,10 @@ For every unit direction u the gap
 
 is at most the signed distance, apart and in penetration, and the largest gap is the signed distance. So an answer
 with distance d and normal n must have g(n) = d, which is checked. Apart, that proves it. In penetration it proves
-that d is not too shallow; that it is not too deep is for EPA to say, and compared with the gap along the line between
-the centres. GJK and EPA miss it now and then: far apart, where GJK's tolerance grows with the distance; for slivers
-and nearly equal vertices; where the axes of two capsules cross; and within GJK's tolerance of contact, where the
-normal is rounding only, and gaps below it pass for contact.
+that d is not too shallow; it is not too deep, because EPA's polytope lies within the difference of the pieces, so that
+its nearest facet is no farther than theirs. GJK and EPA miss it now and then: far apart, where GJK's tolerance grows
+with the distance; for slivers and nearly equal vertices; where the axes of two capsules cross; and within GJK's
+tolerance of contact, where the normal is rounding only, and gaps below it pass for contact.
 
 Where an answer does not hold, b is moved along u until the gap is a quarter of the pieces' unit, where GJK is at its
 best. If u is right, so is the closest pair of points there: the move adds to g(u) what it is long, and less to all
@@ -175,15 +175,9 @@ class Asker:
         return d if d >= floor else np.nan
 
     def _is_proven(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, d: float) -> bool:
-        """Whether the gap along coal's normal is d and, in penetration, that along the line of centres not above it."""
+        """Whether the gap along coal's normal is d."""
         n = self.normal
-        if not (abs(d - pair.gap_quickly(R, t, n)) <= _SURE and abs(n @ n - 1.0) <= _UNIT):
-            return False
-        if d > 0.0:
-            return True
-        m = R @ pair.b.center + t - pair.a.center
-        length = math.sqrt(m @ m)
-        return length <= _NOTHING or pair.gap_quickly(R, t, m / length) <= d + _SURE
+        return bool(abs(d - pair.gap_quickly(R, t, n)) <= _SURE and abs(n @ n - 1.0) <= _UNIT)
 
     def _ask(self, pair: PiecePair, t: np.ndarray, request: coal.DistanceRequest, guess: np.ndarray) -> float:
         """Coal's answer for body b at t (3,), as it is."""

@@ -5,8 +5,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields
+from functools import partial
 from hashlib import sha256
 from itertools import product
 from pathlib import Path
@@ -22,6 +23,7 @@ from grasp_refine.collision.asking import Tolerances
 from grasp_refine.collision.engine import VARIABLE, chosen, engines, why_not_native
 from grasp_refine.collision.narrowphase import NarrowPhase
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query, query_items
+from grasp_refine.collision.table import PieceTable
 from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, hull, sphere
@@ -72,13 +74,51 @@ def scattered(batch: int, spread: float, seed: int = 0) -> tuple[np.ndarray, np.
     )
 
 
-def assert_same(found: Witness, other: Witness) -> None:
-    """The same answers, and the same work but where a bound is a distance to the last bit."""
-    for field in ("point_a", "point_b", "normal", "distance"):
-        np.testing.assert_allclose(getattr(found, field), getattr(other, field), rtol=0, atol=1e-12, err_msg=field)
-    for field in ("status", "winner"):
-        np.testing.assert_array_equal(getattr(found, field), getattr(other, field), err_msg=field)
-    assert (found.asked != other.asked).mean() < 0.01 and np.abs(found.asked - other.asked).max(initial=0) <= 3
+FIELDS = {"point_a": 1e-12, "point_b": 1e-12, "normal": 1e-12, "distance": 1e-12, "status": 0, "winner": 0, "asked": 0}
+"""How far the answers of both engines may differ: by rounding."""
+
+
+def same_answer(found: Witness, other: Witness) -> np.ndarray:
+    """Where (...) both answers, and the work that they took, are the same up to rounding."""
+    same = np.ones(found.distance.shape, dtype=bool)
+    for field, atol in FIELDS.items():
+        close = np.isclose(getattr(found, field), getattr(other, field), rtol=0, atol=atol, equal_nan=True)
+        same &= close if close.ndim == same.ndim else close.all(axis=-1)
+    return same
+
+
+def ask_with_other_rounding(pairs: Pairs, ask: Callable[[Pairs], Witness], sign: float) -> Witness:
+    """The answer where bounds of piece pairs are rounded otherwise: each is off by 1e-12 m, up or down."""
+    rng = np.random.default_rng(0)
+    error = sign * rng.choice([-1e-12, 1e-12], 4096) * rng.uniform(0.5, 1.0, 4096)
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("gap_bound", "box_bound"):
+            exact = getattr(PieceTable, name)
+            patch.setattr(
+                PieceTable, name, lambda table, of, column, *at, exact=exact: (
+                    exact(table, of, column, *at) + error[column]
+                )
+            )  # fmt: skip
+        return ask(pairs)
+
+
+def ask_both(both: tuple[Pairs, Pairs], ask: Callable[[Pairs], Witness]) -> tuple[Witness, Witness]:
+    """The answers of the compiled and of the Python engine, which are the same ones after the same work.
+
+    Neighbours that share a vertex are equally far: where a bound is the distance to the last bit, that bit, which the
+    kind of processor decides, says whether one more of them is asked, and which of them wins. Such ties are those
+    where the Python engine, with bounds that are rounded otherwise, does other work, too.
+    """
+    found, other = (ask(pairs) for pairs in both)
+    same = same_answer(found, other)
+    np.testing.assert_allclose(found.distance, other.distance, rtol=0, atol=1e-9)
+    if not same.all():
+        rounded = (ask_with_other_rounding(both[1], ask, sign) for sign in (1.0, -1.0))
+        tied = np.logical_or.reduce(
+            [(again.asked != other.asked) | (again.winner != other.winner) for again in rounded]
+        )
+        assert (same | tied).all() and tied.mean() < 0.2
+    return found, other
 
 
 @native
@@ -90,8 +130,8 @@ def test_both_engines_give_the_same_answers_cold_and_warm(
     T_a, T_b = scattered(8, spread)
     previous = None
     for _ in range(3):
-        found, other = (query(pairs, T_a, T_b, cutoff=cutoff, previous=previous) for pairs in both)
-        assert_same(found, other)
+        ask = partial(query, T_world_a=T_a, T_world_b=T_b, cutoff=cutoff, previous=previous)
+        _, other = ask_both(both, ask)
         previous, T_b = other, T_b.copy()
         T_b[..., :3, 3] += 1e-3
     assert other.valid.any() and np.isinf(cutoff) == other.valid.all()
@@ -105,7 +145,7 @@ def test_both_engines_give_the_same_answers_at_contact(both: tuple[Pairs, Pairs]
         w = query(both[1], T_a, T_b)
         T_b[..., :3, 3] += (gap - w.distance)[..., None] * w.normal
     assert (np.abs(query(both[1], T_a, T_b).distance - gap) < 1e-8).mean() > 0.5
-    assert_same(query(both[0], T_a, T_b), query(both[1], T_a, T_b))
+    ask_both(both, partial(query, T_world_a=T_a, T_world_b=T_b))
 
 
 @native
@@ -116,8 +156,7 @@ def test_both_engines_take_listed_items_limits_of_their_own_and_poses_that_are_n
     rng = np.random.default_rng(0)
     pair, cutoff = rng.integers(len(SIDES[0]), size=len(T_a)), rng.choice([np.inf, -np.inf, 0.03, 0.0], len(T_a))
     T_a[3, 1, 1], T_b[7, 0, 3], T_a[9], T_b[9] = np.nan, np.inf, np.inf, np.inf
-    found, other = (query_items(pairs, pair, T_a, T_b, cutoff=cutoff) for pairs in both)
-    assert_same(found, other)
+    found, _ = ask_both(both, partial(query_items, pair=pair, T_world_a=T_a, T_world_b=T_b, cutoff=cutoff))
     assert (found.status[[3, 7, 9]] == QueryStatus.NOT_FINITE).all() and set(found.status) == {0, 1, 2, 4}
     # Rows that are not next to each other in memory, and other number types.
     again = query_items(both[0], pair[::2], T_a[::2].astype(np.float32), T_b[::2], cutoff=cutoff[::2])
@@ -130,10 +169,9 @@ def test_both_engines_fail_where_no_answer_is_above_its_bound() -> None:
     ball, T = build_body("ball", [sphere(0.01)], candidates=16), np.tile(np.eye(4), (2, 3, 1, 1, 1))
     T[1, :, 0, 0, 3] = 0.015, 0.05, 0.08
     for slack, status in ((1e-6, [1, 0, 2]), (-1e-6, [3, 3, 2])):
-        pairs = (Pairs((ball,), (ball,), Tolerances(slack=slack), engine=name) for name in ("native", "python"))
-        found, other = (query(each, *T, cutoff=0.05) for each in pairs)
+        pairs = tuple(Pairs((ball,), (ball,), Tolerances(slack=slack), engine=name) for name in ("native", "python"))
+        found, _ = ask_both(pairs, partial(query, T_world_a=T[0], T_world_b=T[1], cutoff=0.05))
         assert found.status[:, 0].tolist() == status
-        assert_same(found, other)
 
 
 @native

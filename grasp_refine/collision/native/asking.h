@@ -105,9 +105,7 @@ class Asker {
     double d = ask(pair, T, guess);
     if (!usable(d)) d = ask(pair, T, loose_, no_guess());
     if (!usable(d)) d = kNaN;
-    if (std::abs(d) > kTouching && std::abs(d - pair.gap(T, normal)) <= kSure && has_normal() &&
-        !disproven(pair, T, d))
-      return d;
+    if (std::abs(d) > kTouching && std::abs(d - pair.gap(T, normal)) <= kSure && has_normal()) return d;
     d = settled(pair, T, d);
     return d >= floor ? d : kNaN;
   }
@@ -138,13 +136,6 @@ class Asker {
   bool has_normal() const { return std::abs(PiecePair::dot(normal, normal) - 1) <= kUnit; }
 
   static Vec3s no_guess() { return Vec3s(1, 0, 0); }
-
-  // Whether the pieces are parted more easily along the line between their centres: EPA was elsewhere.
-  static bool disproven(const PiecePair& pair, const Transform3s& T, double d) {
-    if (d > 0) return false;
-    const Vec3s m = pair.between(T);
-    return PiecePair::dot(m, m) > kNothing * kNothing && pair.gap(T, normalized(m)) > d + kSure;
-  }
 
   double ask(const PiecePair& pair, const Transform3s& T, coal::DistanceRequest& request, const Vec3s& guess) {
     static const coal::DistanceFunctionMatrix table;
