@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.arguments import check_kind
 from grasp_refine.description.base_link import guess_base
 from grasp_refine.description.defaults import Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
 from grasp_refine.description.hand_toml import Contact, Coupled
@@ -159,7 +160,16 @@ def load_hand(
     Raises:
         AssetError: no such name, or an asset that cannot be fetched.
         HandError: a file is missing or malformed, or names something that is not there.
+        GraspRefineError: an argument of another kind.
     """
+    check_kind("source", source, str | Path)
+    check_kind("base_link", base_link, str | None)
+    check_kind("urdf", urdf, str | Path | None)
+    check_kind("mjcf", mjcf, str | Path | None)
+    check_kind("candidates", candidates, int)
+    check_kind("hull_limit", hull_limit, float)
+    if hull_limit < 0:
+        raise HandError(f"hull_limit must be at least 0 m, got {hull_limit:g}")
     name, toml = hand_files(
         source,
         None if urdf is None else at_home(Path(urdf)),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from grasp_refine.arguments import check_kind, is_number, shown
 from grasp_refine.errors import AssetError, MeshError
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
@@ -47,7 +48,7 @@ def load_object(
     source: str | Path,
     *,
     scale: float = 1.0,
-    unit: Unit | None = "m",
+    unit: Unit | None = None,
     decomposition: Decomposition | None = None,
     holes: Holes = "refuse",
     candidates: int = 1024,
@@ -63,8 +64,8 @@ def load_object(
     Args:
         source: name in EMBEDDED, "box:x,y,z", "sphere:r", "cylinder:r,h", or a path.
         scale: factor that takes the mesh, or the pieces, to metres.
-        unit: of what the scale makes of it; another one than metres, or None, which is metres that nobody has said,
-            is asked about where no hand grasps what comes out.
+        unit: of what the scale makes of it. None is metres too, but a size that no hand grasps is then an error that
+            asks for the unit; "m" says that the numbers are metres, whatever the size.
         decomposition: how a concave mesh is cut into convex pieces; the defaults when None.
         holes: what becomes of a mesh with holes: an error, flat caps on flat holes, or its convex hull.
         candidates: number of points on the surface.
@@ -74,12 +75,20 @@ def load_object(
 
     Raises:
         AssetError: no such name.
-        MeshError: the mesh is missing, unreadable, open, flat or empty, a folder has no usable piece or one that
-            cannot be read, or the scale is not positive.
+        MeshError: the mesh is missing, unreadable, open, flat, empty or of a size that asks for its unit, a folder has
+            no usable piece or one that cannot be read, or the scale is not positive.
+        GraspRefineError: an argument of another kind.
     """
+    check_kind("source", source, str | Path)
+    check_kind("unit", unit, Unit | None)
+    check_kind("decomposition", decomposition, Decomposition | None)
+    check_kind("holes", holes, Holes)
+    check_kind("candidates", candidates, int)
+    check_kind("seed", seed, int)
+    check_kind("cache", cache, Path | Literal["user"] | None)
     text = str(source)
-    if not (np.isfinite(scale) and scale > 0):
-        raise MeshError(f"{text}: the scale must be positive and finite, got {scale:g}")
+    if not (is_number(scale) and 0 < scale < np.inf):
+        raise MeshError(f"{text}: the scale must be positive and finite, got {shown(scale)}")
     scale *= (factor := UNITS[unit or "m"])
     pieces: Sequence[Piece] = ()
     notes: tuple[str, ...] = ()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.arguments import check_kind
 from grasp_refine.chain import Chain, Frames
 from grasp_refine.collision.query import Witness
 from grasp_refine.equilibrium import PUSH, Equilibrium
@@ -61,6 +62,11 @@ def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witn
         frames: Where the links are.
         witness: Witness points (N, L) of links and object, at least of those that are near enough to be contacts.
     """
+    check_kind("hand", hand, Hand)
+    check_kind("obj", obj, Object)
+    check_kind("chain", chain, Chain)
+    check_kind("frames", frames, Frames)
+    check_kind("witness", witness, Witness)
     point, normal = contacts(hand, chain.links, witness)
     center = center_of_mass(obj)
     forms = Equilibrium.of(hand, chain, center).torque_forms(np.nan_to_num(point), frames)

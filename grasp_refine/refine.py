@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.arguments import check_kind
 from grasp_refine.batch import choose, take
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
@@ -76,8 +77,14 @@ def refine(
         The best iterate of each grasp by true loss. Not converging is a status, never an exception.
 
     Raises:
-        GraspRefineError: a link that should touch is not there, or `prepared` is of another hand or object.
+        GraspRefineError: an argument of another kind, a link that should touch is not there, or `prepared` is of
+            another hand or object.
     """
+    check_kind("scene", scene, Scene)
+    check_kind("config", config, Config | None)
+    check_kind("progress", progress, Progress | None)
+    check_kind("watch", watch, Watch | None)
+    check_kind("prepared", prepared, HandObject | None)
     wall, cpu = time.perf_counter(), time.process_time()
     config = config or Config()
     prepared = prepared or HandObject.of(scene)
