@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from typing import Any
 
@@ -40,6 +40,12 @@ def tallied(labels: Iterable[str]) -> str:
     return ", ".join(f"{counts[i]} {names[i]}" for i in np.argsort(-counts, kind="stable"))
 
 
+def labels(kind: Callable[[int], Any], codes: np.ndarray) -> np.ndarray:
+    """The labels of codes, an array of the same shape: "converged" for 1 where the kind is `Status`."""
+    codes = np.asarray(codes)
+    return np.array([kind(int(code)).label for code in codes.reshape(-1)], dtype=str).reshape(codes.shape)
+
+
 def spread(values: np.ndarray, digits: int = 3) -> str:
     """The smallest and the largest of numbers that need not be known: "0.912 to 0.985", or "unknown"."""
     known = np.asarray(values)[np.isfinite(values)]
@@ -51,10 +57,11 @@ def spread(values: np.ndarray, digits: int = 3) -> str:
 
 def _value(value: Any) -> str:
     if hasattr(value, "shape") and hasattr(value, "dtype"):
-        return f"{str(value.dtype).removeprefix('torch.')}{list(value.shape)}"
+        kind = "str" if str(value.dtype).startswith("<U") else str(value.dtype).removeprefix("torch.")
+        return f"{kind}{list(value.shape)}"
     if is_dataclass(value) and not isinstance(value, type):
-        name = getattr(value, "name", None)
-        return f"{type(value).__name__}({name if isinstance(name, str) else '...'})"
+        text = repr(value)
+        return text if len(text) <= 2 * LONGEST_TEXT else f"{type(value).__name__}(...)"
     if isinstance(value, tuple | list | Mapping) and len(value) > 3:
         return f"({len(value)} of them)"
     if isinstance(value, tuple | list):

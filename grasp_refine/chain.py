@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.arguments import check_alike, check_kind, check_shape
+from grasp_refine.brief import brief
 from grasp_refine.errors import HandError
 from grasp_refine.hand import Hand
 from grasp_refine.se3 import Array, array_namespace, exp_so3, inverse, tangents, transform
@@ -137,6 +138,8 @@ class Frames:
     First the root's: translation along the three world axes, rotation about the three world axes through the
     root's origin. Then those of `Chain.joints`.
     """
+
+    __repr__ = brief
 
 
 def moved(T_world_root: Array, dx: Array) -> Array:

@@ -30,6 +30,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from grasp_refine.arguments import as_numbers, check_kind, check_shape, shown
+from grasp_refine.brief import brief, counted
 from grasp_refine.description.mimics import followed
 from grasp_refine.errors import GraspFileError, GraspRefineError
 from grasp_refine.hand import Hand
@@ -64,6 +65,8 @@ class Targets:
     point_object: Float[np.ndarray, "N K 3"]
     """(N, K, 3) wanted contact points, metres, object frame."""
 
+    __repr__ = brief
+
     def select(self, indices: ArrayLike) -> Targets:
         """Return the targets of the rows `indices`, in that order."""
         rows = np.asarray(indices, dtype=int)
@@ -78,6 +81,8 @@ class Stage:
     """(N, 7) as in `GraspSet`."""
     q: Float[np.ndarray, "N n"]
     """(N, n) joint values, radians or metres, with the columns of `GraspSet.q`."""
+
+    __repr__ = brief
 
     def select(self, indices: ArrayLike) -> Stage:
         """Return the rows `indices`, in that order."""
@@ -112,6 +117,13 @@ class GraspSet:
     """Where the hand is before it closes to the grasp, when the file says so."""
     squeeze: Stage | None = None
     """Where it is sent after that, to press, when the file says so."""
+
+    def __repr__(self) -> str:
+        names = np.unique(self.object)
+        on = str(names[0]) if len(names) == 1 else counted(len(names), "object")
+        with_parts = [name for name in ("targets", *OTHER_STAGES) if getattr(self, name) is not None]
+        more = f", with {', '.join(with_parts)}" if with_parts else ""
+        return f"GraspSet({counted(len(self), 'grasp')} of {self.hand} on {on}{more})"
 
     def __post_init__(self) -> None:
         """Check that all parts are of N grasps and n joints.

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.arguments import check_kind
+from grasp_refine.brief import brief, counted
 from grasp_refine.description.base_link import guess_base
 from grasp_refine.description.defaults import Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
 from grasp_refine.description.hand_toml import Contact, Coupled
@@ -46,6 +47,8 @@ class Link:
     """Mass, centre and moments as the file gives them, which need not be possible; None where it has no moments."""
     solids: tuple[str, ...] = ()
     """The links of its hand that have collision geometry, for messages."""
+
+    __repr__ = brief
 
     @property
     def solid(self) -> Body:
@@ -106,6 +109,10 @@ class Hand:
     """Whether the contact links are the program's choice, because no hand.toml names any."""
     base_why: str = ""
     """Why the hand begins at its base link, for people."""
+
+    def __repr__(self) -> str:
+        parts = (len(self.joint_names), "joint"), (len(self.links), "link"), (len(self.contacts), "contact point")
+        return f"Hand({self.name}: {', '.join(counted(*part) for part in parts)})"
 
     @cached_property
     def links_by_name(self) -> dict[str, Link]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from grasp_refine.arguments import check_kind, is_number, shown
+from grasp_refine.brief import counted
 from grasp_refine.errors import AssetError, MeshError
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
@@ -42,6 +43,10 @@ class Object:
     """Whether it is one convex piece."""
     notes: tuple[str, ...]
     """What was repaired in the mesh, or is wrong with given pieces, for the user."""
+
+    def __repr__(self) -> str:
+        size = " x ".join(f"{side * 1e3:.3g}" for side in self.mesh.extents)
+        return f"Object({self.name}: {size} mm, {counted(len(self.body.pieces), 'convex piece')})"
 
 
 def load_object(

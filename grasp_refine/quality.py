@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.arguments import check_kind
+from grasp_refine.brief import brief
 from grasp_refine.chain import Chain, Frames
 from grasp_refine.collision.query import Witness
 from grasp_refine.equilibrium import PUSH, Equilibrium
@@ -39,6 +40,8 @@ class Quality:
     """Deepest penetration of hand and object (N,), over `DEEP`."""
     open: Float[np.ndarray, " N"]
     """Mean gap of the contacts (N,), each counted by its pressure, over `DEEP`."""
+
+    __repr__ = brief
 
     @property
     def score(self) -> Float[np.ndarray, " N"]:

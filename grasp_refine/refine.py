@@ -8,6 +8,7 @@ import numpy as np
 
 from grasp_refine.arguments import check_kind
 from grasp_refine.batch import choose, take
+from grasp_refine.brief import counted, labels, spread, tallied
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.glimpse import Watch, watched
@@ -53,6 +54,15 @@ class Refinement:
     """Share of the CPU time of each grasp (N,), seconds."""
     starts: np.ndarray
     """From how many starts each grasp was tried (N,)."""
+
+    def __repr__(self) -> str:
+        ended = tallied(self.labels)
+        return f"Refinement({counted(len(self.q), 'grasp')}: {ended}; loss now {spread(self.loss[:, 1])} m^2)"
+
+    @property
+    def labels(self) -> np.ndarray:
+        """How each grasp ended (N,), in words: the labels of `status`."""
+        return labels(Status, self.status)
 
 
 @stage("solver")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from grasp_refine.arguments import as_numbers, check_kind, shown
+from grasp_refine.brief import spread, tallied
 from grasp_refine.collision.asking import Tolerances
 from grasp_refine.collision.engine import Engine, chosen
 from grasp_refine.collision.narrowphase import Closest, NarrowPhase
@@ -62,6 +63,11 @@ class Witness:
     asked: np.ndarray
     """Number of narrow-phase queries that each pair took (batch, pair)."""
 
+    def __repr__(self) -> str:
+        known = tallied(QueryStatus(int(status)).name.lower().replace("_", " ") for status in self.status.reshape(-1))
+        distance = np.asarray(self.detached().distance)[np.asarray(self.valid)]
+        return f"Witness(batch, pair = {list(self.distance.shape)}: {known}; distance {spread(distance)} m)"
+
     @property
     def valid(self) -> Any:
         """Mask (batch, pair): the pair has witness points."""
@@ -105,6 +111,10 @@ class Pairs:
     """Of the narrow phase."""
     engine: Engine = "auto"
     """Who answers (see `collision.engine`)."""
+
+    def __repr__(self) -> str:
+        names = [f"{a.name} - {b.name}" for a, b in zip(self.a[:3], self.b[:3], strict=True)]
+        return f"Pairs({len(self)}: {', '.join(names)}{', ...' if len(self) > 3 else ''})"
 
     def __post_init__(self) -> None:
         """Check what is given; lists become tuples.

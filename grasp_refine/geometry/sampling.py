@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from grasp_refine.brief import brief
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry.pieces import Piece
 
@@ -27,6 +28,8 @@ class Candidates:
     """Unit outward normals (N, 3); at a vertex the mean of the faces around it, weighted by their angles."""
     areas: np.ndarray
     """Surface area (N,) in square metres that each point stands for."""
+
+    __repr__ = brief
 
 
 def sample(pieces: Sequence[Piece], count: int, seed: int) -> Candidates:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.batch import join, take
+from grasp_refine.brief import counted, spread
 from grasp_refine.chain import Chain
 from grasp_refine.collision.query import Witness
 from grasp_refine.hand import Hand
@@ -44,6 +45,10 @@ class Metrics:
     without contacts, too."""
     quality: Float[np.ndarray, " N"]
     """`Quality.value` (N,), from 0 to 1; NaN without contacts, too."""
+
+    def __repr__(self) -> str:
+        quality, depth = spread(self.quality), spread(self.penetration_m)
+        return f"Metrics({counted(len(self), 'grasp')}: quality {quality}, penetration {depth} m, ...)"
 
     def __len__(self) -> int:
         """Return the number of grasps."""

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from grasp_refine.arguments import check_kind
 from grasp_refine.batch import take
+from grasp_refine.brief import brief
 from grasp_refine.errors import GraspFileError
 from grasp_refine.grasps import OTHER_STAGES, GraspSet, match_joints
 from grasp_refine.hand import Hand
@@ -30,6 +31,8 @@ class Motion:
     """Poses (N, 3, 4, 4) of the hand's base link in the object's frame, metres."""
     q: Float[np.ndarray, "N 3 n"]
     """Joint values (N, 3, n) in `Hand.joint_names` order, radians or metres; a squeeze may lie beyond the limits."""
+
+    __repr__ = brief
 
     def __len__(self) -> int:
         """Return the number of grasps."""

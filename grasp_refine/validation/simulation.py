@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from grasp_refine import stopwatch
 from grasp_refine.arguments import check_kind, check_shape
+from grasp_refine.brief import brief
 from grasp_refine.cores import usable_cores
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.se3 import distances, exp_so3, log_so3, pose_from_transform, transform
@@ -48,6 +49,8 @@ class Closed:
     """How far it was turned (N,), radians."""
     penetration_m: Float[np.ndarray, " N"]
     """How deep hand and object were in each other at the pregrasp (N,), metres."""
+
+    __repr__ = brief
 
 
 @stopwatch.stage("simulating")

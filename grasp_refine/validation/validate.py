@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from grasp_refine.arguments import as_numbers, check_kind
 from grasp_refine.batch import take
+from grasp_refine.brief import brief
 from grasp_refine.hand import Hand
 from grasp_refine.plane import Plane
 from grasp_refine.scene import Scene
@@ -79,6 +80,8 @@ class Validated:
     """Whether it held with each of F coefficients of friction (N, F)."""
     unsqueezed: Bool[np.ndarray, " N"] | None = None
     """Whether it held without the squeeze (N,)."""
+
+    __repr__ = brief
 
     def __len__(self) -> int:
         """Return the number of grasps."""

@@ -68,6 +68,9 @@ class World:
     link_of_geom: Int[np.ndarray, " g"]
     """Number of the link that each geom belongs to (g,), or `OBJECT_GEOM`, or `OTHER_GEOM`, such as the table's."""
 
+    def __repr__(self) -> str:
+        return f"World({self.object} in a hand of {len(self.links)} links, protocol {self.protocol.name})"
+
 
 @stage("simulating")
 def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane | None = None) -> World:

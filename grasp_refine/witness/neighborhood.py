@@ -14,6 +14,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 
 from grasp_refine.arguments import check_positive
+from grasp_refine.brief import brief
 from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.body import Body
 
@@ -39,6 +40,8 @@ class Surfaces:
     """eps = 2 sqrt(area / N) of each body (S,), in metres: a disc of this radius holds about 12 candidates."""
     diagonal: np.ndarray
     """Bounding-box diagonal of each body (S,), in metres."""
+
+    __repr__ = brief
 
     @staticmethod
     def of(bodies: Sequence[Body]) -> "Surfaces":
