@@ -15,7 +15,7 @@ def resource_dir(name: Literal["robots", "assets_manifest", "apps"]) -> Path:
         AssetError: the folder is in neither place, so the installation is incomplete.
     """
     package = Path(__file__).resolve().parent
-    places = [package / name, package.parent / name]
+    places = [package / f"{name}", package.parent / f"{name}"]
     for place in places:
         if place.is_dir():
             return place

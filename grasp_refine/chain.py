@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.arguments import check_alike, check_kind, check_shape
+from grasp_refine.brief import brief
 from grasp_refine.errors import HandError
 from grasp_refine.hand import Hand
 from grasp_refine.se3 import Array, array_namespace, exp_so3, inverse, tangents, transform
@@ -41,7 +43,10 @@ class Chain:
 
         Raises:
             HandError: the hand has no link of such a name.
+            GraspRefineError: an argument of another kind.
         """
+        check_kind("hand", hand, Hand)
+        check_kind("links", tuple(links) if isinstance(links, list) else links, tuple[str, ...])
         unknown = [link for link in links if link not in hand.links_by_name]
         if unknown:
             known = ", ".join(sorted(hand.links_by_name))
@@ -55,7 +60,13 @@ class Chain:
         """Poses and joint axes at root poses (batch, 4, 4) and independent joint values (batch, n).
 
         The values are in `hand.joint_names` order: radians, metres for prismatic joints.
+
+        Raises:
+            GraspRefineError: other shapes.
         """
+        check_alike(T_world_root, q)
+        check_shape("q", q, "batch", self.dof, why="one column for each of hand.joint_names")
+        check_shape("T_world_root", T_world_root, len(q), 4, 4, why="one transform for each row of q")
         xp = array_namespace(q)
         numbers = self._on(xp, q)
         values = q @ numbers.values_matrix + numbers.values_offset
@@ -127,6 +138,8 @@ class Frames:
     First the root's: translation along the three world axes, rotation about the three world axes through the
     root's origin. Then those of `Chain.joints`.
     """
+
+    __repr__ = brief
 
 
 def moved(T_world_root: Array, dx: Array) -> Array:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import Literal
 
+from grasp_refine.arguments import check_fields
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.losses import Scales, Weights
 from grasp_refine.max_move import MaxMove
@@ -54,11 +55,16 @@ class Config:
         """Refuse what nothing could be done with.
 
         Raises:
-            GraspRefineError: a width below 1, or a number type or device that Levenberg-Marquardt does not have.
+            GraspRefineError: a field of another kind, a number out of its range, or a number type or device that
+                Levenberg-Marquardt does not have.
         """
+        check_fields(self)
         for name in ("width", "starts"):
             if getattr(self, name) < 1:
                 raise GraspRefineError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("margin", "tolerance", "seed"):
+            if not 0 <= getattr(self, name) < inf:
+                raise GraspRefineError(f"{name} must be at least 0 and finite, got {getattr(self, name):g}")
         if not self.seconds > 0.0:
             raise GraspRefineError(f"seconds must be above 0, got {self.seconds:g}")
         if isinstance(self.solver, LevenbergMarquardt) and (self.dtype, self.device) != ("float64", "cpu"):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from grasp_refine.brief import brief
 from grasp_refine.collision.query import Witness, query, query_items
 from grasp_refine.hand_object import POINT, HandObject
 from grasp_refine.scene import Scene
@@ -28,6 +29,8 @@ class Goal:
     """Smallest loss (N,) in m^2 that targets can have which lie off their surfaces, by their distances from these."""
     direction: np.ndarray | None = None
     """Wanted unit normals from link to object (N, L, 3), object frame; NaN: any. None: none is wanted."""
+
+    __repr__ = brief
 
     @staticmethod
     def nothing(count: int, links: int) -> Goal:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
+from grasp_refine.arguments import check_kind
 from grasp_refine.batch import join, take
 from grasp_refine.chain import Frames
 from grasp_refine.collision.query import Witness, query
@@ -82,8 +83,17 @@ def sample_grasps(
         progress: Is told after each batch how many grasps were found, of how many hands.
 
     Raises:
-        GraspRefineError: a count out of range, a hand that cannot grip, or no grasp was found at all.
+        GraspRefineError: an argument of another kind, a count out of range, a hand that cannot grip, or no grasp was
+            found at all.
     """
+    check_kind("hand", hand, Hand)
+    check_kind("obj", obj, Object)
+    check_kind("count", count, int)
+    check_kind("seed", seed, int | tuple[int, ...])
+    check_kind("table", table, Plane | None)
+    check_kind("prepared", prepared, HandObject | None)
+    if np.min(seed, initial=0) < 0:
+        raise GraspRefineError(f"seeds must be at least 0, got {seed}")
     if not 1 <= count <= MOST:
         raise GraspRefineError(f"1 to {MOST} grasps can be sampled, got {count}")
     grip, rng = grip_of(hand), np.random.default_rng(seed)

@@ -29,14 +29,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from grasp_refine.arguments import as_numbers, check_kind, check_shape, shown
+from grasp_refine.brief import brief, counted
 from grasp_refine.description.mimics import followed
-from grasp_refine.errors import GraspFileError
+from grasp_refine.errors import GraspFileError, GraspRefineError
+from grasp_refine.hand import Hand
 from grasp_refine.npz import NpzFile, load_npz, save_npz
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
-
-    from grasp_refine.hand import Hand
 
 __all__ = ["GraspSet", "Stage", "Targets", "choose_rows", "load_grasps", "match_joints", "save_npz"]
 
@@ -64,6 +65,8 @@ class Targets:
     point_object: Float[np.ndarray, "N K 3"]
     """(N, K, 3) wanted contact points, metres, object frame."""
 
+    __repr__ = brief
+
     def select(self, indices: ArrayLike) -> Targets:
         """Return the targets of the rows `indices`, in that order."""
         rows = np.asarray(indices, dtype=int)
@@ -79,6 +82,8 @@ class Stage:
     q: Float[np.ndarray, "N n"]
     """(N, n) joint values, radians or metres, with the columns of `GraspSet.q`."""
 
+    __repr__ = brief
+
     def select(self, indices: ArrayLike) -> Stage:
         """Return the rows `indices`, in that order."""
         rows = np.asarray(indices, dtype=int)
@@ -87,7 +92,10 @@ class Stage:
 
 @dataclass(frozen=True, eq=False)
 class GraspSet:
-    """N grasps of one hand; rows may belong to different objects."""
+    """N grasps of one hand; rows may belong to different objects.
+
+    Arrays may be given as lists or torch tensors, object and scale as one for all; they are kept as NumPy arrays.
+    """
 
     hand: str
     """Name of the hand, as the file says it."""
@@ -110,6 +118,45 @@ class GraspSet:
     squeeze: Stage | None = None
     """Where it is sent after that, to press, when the file says so."""
 
+    def __repr__(self) -> str:
+        names = np.unique(self.object)
+        on = str(names[0]) if len(names) == 1 else counted(len(names), "object")
+        with_parts = [name for name in ("targets", *OTHER_STAGES) if getattr(self, name) is not None]
+        more = f", with {', '.join(with_parts)}" if with_parts else ""
+        return f"GraspSet({counted(len(self), 'grasp')} of {self.hand} on {on}{more})"
+
+    def __post_init__(self) -> None:
+        """Check that all parts are of N grasps and n joints.
+
+        Raises:
+            GraspFileError: a part of another shape, or of another kind.
+        """
+        try:
+            for name in ("hand", "base_link"):
+                check_kind(name, getattr(self, name), str)
+            names = tuple(self.joint_names)
+            check_kind("joint_names", names, tuple[str, ...])
+            pose = as_numbers("hand_pose", self.hand_pose, "N", 7, why="x y z qw qx qy qz")
+            count = len(pose)
+            _, fault = unit_poses(pose)
+            if fault is not None:
+                raise GraspFileError(
+                    f"GraspSet: hand_pose row {fault[0]} has no unit quaternion: length {fault[1]:.6g}"
+                )
+            q = as_numbers("q", self.q, count, len(names), why="one row per hand_pose, one column per joint name")
+            scale = np.broadcast_to(as_numbers("scale", self.scale), np.shape(self.scale) or (count,))
+            check_shape("scale", scale, count)
+            thing = np.broadcast_to(np.asarray(self.object, dtype=str), np.shape(self.object) or (count,))
+            check_shape("object", thing, count)
+            for name in OTHER_STAGES:
+                check_kind(name, getattr(self, name), Stage | None)
+            check_kind("targets", self.targets, Targets | None)
+        except GraspRefineError as error:
+            raise GraspFileError(f"GraspSet: {error}") from None
+        arrays = {"joint_names": names, "object": thing, "scale": scale, "hand_pose": pose, "q": q}
+        for name, value in arrays.items():
+            object.__setattr__(self, name, value)
+
     def __len__(self) -> int:
         """Return the number of grasps N."""
         return len(self.object)
@@ -124,8 +171,12 @@ class GraspSet:
         )
 
     def select(self, indices: ArrayLike) -> GraspSet:
-        """Return the grasps in the rows `indices`, in that order."""
-        rows = np.asarray(indices, dtype=int)
+        """Return the grasps in the rows `indices`, in that order; or where a mask (N,) holds.
+
+        Raises:
+            GraspFileError: no list of row numbers, or one that is not there.
+        """
+        rows = row_numbers(indices, len(self))
         return replace(
             self,
             object=self.object[rows],
@@ -197,6 +248,7 @@ def load_grasps(path: str | Path) -> GraspSet:
     `.npz`, holds pickles, is of a newer version, lacks entries, or when an entry has the wrong type, shape
     or values.
     """
+    check_kind("path", path, str | Path)
     file = load_npz(path)
     _check_schema(file)
     missing = [key for key in REQUIRED if key not in file.entries]
@@ -236,6 +288,8 @@ def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"]
     file lacks stay at the rest pose. A note tells of each, and of mimic joints that are not where they should be.
     Raises GraspFileError when the file names joints that this hand cannot move.
     """
+    check_kind("grasps", grasps, GraspSet)
+    check_kind("hand", hand, Hand)
     joints = {joint.name: joint for joint in hand.joints}
     mimics = {name: followed(joint, joints) for name, joint in joints.items() if joint.mimic is not None}
     unknown = [name for name in grasps.joint_names if name not in mimics and name not in hand.joint_names]
@@ -303,6 +357,22 @@ def choose_rows(
             f"'{object_name}' has {len(rows)} grasps, 0 to {len(rows) - 1}"
         )
     return rows[np.asarray(index, dtype=int)]
+
+
+def row_numbers(indices: ArrayLike, count: int) -> Int[np.ndarray, " chosen"]:
+    """Numbers of rows of `count`, from numbers or a mask.
+
+    Raises:
+        GraspFileError: neither, or a row that is not there.
+    """
+    rows = np.asarray(indices)
+    if rows.dtype == bool and rows.shape == (count,):
+        return np.flatnonzero(rows)
+    if rows.ndim != 1 or (rows.size and rows.dtype.kind not in "iu"):
+        raise GraspFileError(f"rows must be a list of integers or a mask ({count},), got {shown(indices)}")
+    if rows.size and not -count <= rows.min() <= rows.max() < count:
+        raise GraspFileError(f"rows must be below {count}, the number of grasps, got {shown(indices)}")
+    return rows.astype(int)
 
 
 def unit_poses(poses: Float[np.ndarray, "N 7"]) -> tuple[Float[np.ndarray, "N 7"], tuple[int, float] | None]:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.arguments import check_kind
+from grasp_refine.brief import brief, counted
 from grasp_refine.description.base_link import guess_base
 from grasp_refine.description.defaults import Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
 from grasp_refine.description.hand_toml import Contact, Coupled
@@ -45,6 +47,8 @@ class Link:
     """Mass, centre and moments as the file gives them, which need not be possible; None where it has no moments."""
     solids: tuple[str, ...] = ()
     """The links of its hand that have collision geometry, for messages."""
+
+    __repr__ = brief
 
     @property
     def solid(self) -> Body:
@@ -106,6 +110,10 @@ class Hand:
     base_why: str = ""
     """Why the hand begins at its base link, for people."""
 
+    def __repr__(self) -> str:
+        parts = (len(self.joint_names), "joint"), (len(self.links), "link"), (len(self.contacts), "contact point")
+        return f"Hand({self.name}: {', '.join(counted(*part) for part in parts)})"
+
     @cached_property
     def links_by_name(self) -> dict[str, Link]:
         """Links by name."""
@@ -159,7 +167,16 @@ def load_hand(
     Raises:
         AssetError: no such name, or an asset that cannot be fetched.
         HandError: a file is missing or malformed, or names something that is not there.
+        GraspRefineError: an argument of another kind.
     """
+    check_kind("source", source, str | Path)
+    check_kind("base_link", base_link, str | None)
+    check_kind("urdf", urdf, str | Path | None)
+    check_kind("mjcf", mjcf, str | Path | None)
+    check_kind("candidates", candidates, int)
+    check_kind("hull_limit", hull_limit, float)
+    if hull_limit < 0:
+        raise HandError(f"hull_limit must be at least 0 m, got {hull_limit:g}")
     name, toml = hand_files(
         source,
         None if urdf is None else at_home(Path(urdf)),

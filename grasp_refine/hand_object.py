@@ -35,6 +35,9 @@ class HandObject:
     object: Object
     """Likewise the object."""
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.hand.name} and {self.object.name})"
+
     @staticmethod
     def of(scene: Scene) -> HandObject:
         """Those of a scene."""

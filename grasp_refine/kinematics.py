@@ -14,7 +14,8 @@ from pytorch_kinematics.chain import Chain
 from pytorch_kinematics.frame import Frame, Joint, Link
 from torch import Tensor
 
-from grasp_refine.errors import HandError
+from grasp_refine.arguments import as_numbers, check_kind, check_shape
+from grasp_refine.errors import GraspRefineError, HandError
 from grasp_refine.hand import Hand
 from grasp_refine.stopwatch import stage
 
@@ -34,7 +35,15 @@ class Kinematics:
 
         Raises:
             HandError: the hand has no link of such a name.
+            GraspRefineError: an argument of another kind, or a device that torch does not have.
         """
+        check_kind("hand", hand, Hand)
+        check_kind("links", tuple(links) if isinstance(links, list) else links, tuple[str, ...])
+        check_kind("dtype", dtype, torch.dtype)
+        try:
+            torch.empty(0, device=device)
+        except (RuntimeError, TypeError, AssertionError) as error:
+            raise GraspRefineError(f"device {device} cannot be used: {str(error).partition(chr(10))[0]}") from None
         parent_joint = {joint.child: joint for joint in hand.joints}
         known = {link.name for link in hand.links}
         unknown = [link for link in links if link not in known]
@@ -59,7 +68,7 @@ class Kinematics:
             )
             frames[joint.child] = frame
             frames[joint.parent].add_child(frame)
-        self.links = tuple(links)
+        self.links, self._name = tuple(links), hand.name
         self._chain = Chain(frames[hand.base_link], dtype=torch.float64)
         order = self._chain.get_joint_parameter_names()
         matrix, offset, names = hand.mimic_map()
@@ -76,6 +85,21 @@ class Kinematics:
         Args:
             T_world_root: Poses of the hand's base link (batch, 4, 4).
             q: Independent joint values (batch, n) in `hand.joint_names` order; radians, metres for prismatic joints.
+
+        Raises:
+            GraspRefineError: other shapes, or another device than that of the kinematics.
         """
+        T_world_root, q = self._given("T_world_root", T_world_root), self._given("q", q)
+        joints = f"one column for each joint in joint_names of hand '{self._name}'"
+        check_shape("q", q, "batch", len(self._matrix), why=joints)
+        check_shape("T_world_root", T_world_root, len(q), 4, 4, why="one transform for each row of q")
         T_root_frame = self._chain.forward_kinematics_tensor(q @ self._matrix + self._offset)
         return T_world_root[:, None] @ T_root_frame[self._index].transpose(0, 1)
+
+    def _given(self, name: str, value: Tensor) -> Tensor:
+        """An argument as a tensor of the number type of the chain, on its graph if it has one."""
+        if not isinstance(value, Tensor):
+            value = torch.as_tensor(as_numbers(name, value), device=self._matrix.device)
+        if value.device != self._matrix.device:
+            raise GraspRefineError(f"{name} is on {value.device}, the kinematics are on {self._matrix.device}")
+        return value.to(self._matrix.dtype)

@@ -8,8 +8,10 @@ the derivatives, which are *covectors*: rows g with dr = g . (v, w), (v, w) the 
 origin, while the object rests. Distances have exact derivatives; how witness points slide is contact kinematics.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from math import inf
 
+from grasp_refine.arguments import check_fields
 from grasp_refine.collision.query import Witness
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.se3 import Array, array_namespace, cross, log_so3, transform_points
@@ -39,6 +41,19 @@ class Weights:
     direction: float = 1e-3
     """Of contact normals that differ from wanted ones (1 - their cosine is half the square), in m^2."""
 
+    def __post_init__(self) -> None:
+        """Refuse what is no weight.
+
+        Raises:
+            GraspRefineError: names the one that is below 0 or no number.
+        """
+        check_fields(self)
+        for field in fields(self):
+            if not 0.0 <= getattr(self, field.name) < inf:
+                raise GraspRefineError(
+                    f"weights: {field.name} must be at least 0 and finite, got {getattr(self, field.name):g}"
+                )
+
 
 @dataclass(frozen=True)
 class Scales:
@@ -57,6 +72,7 @@ class Scales:
         Raises:
             GraspRefineError: a scale is not above 0.
         """
+        check_fields(self)
         for name in ("translation", "rotation", "joints"):
             if not getattr(self, name) > 0.0:
                 raise GraspRefineError(f"scales: {name} must be above 0, got {getattr(self, name):g}")

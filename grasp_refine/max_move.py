@@ -8,6 +8,7 @@ from math import inf
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.arguments import check_fields
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.se3 import exp_so3, log_so3
 
@@ -29,6 +30,7 @@ class MaxMove:
         Raises:
             GraspRefineError: names the one that is below 0 or no number.
         """
+        check_fields(self)
         for name in ("translation", "rotation", "joints"):
             if not getattr(self, name) >= 0.0:
                 raise GraspRefineError(f"max move: {name} must be at least 0, got {getattr(self, name):g}")

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from grasp_refine.arguments import check_kind, shown
 from grasp_refine.atomic import written_whole
 from grasp_refine.errors import GraspFileError
 from grasp_refine.names import are_sound, is_file
@@ -209,12 +210,19 @@ def array_header(data: bytes) -> tuple[tuple[int, ...], np.dtype, int]:
 def save_npz(path: str | Path, arrays: Mapping[str, ArrayLike]) -> None:
     """Write `arrays` as an `.npz` without pickle; the file appears whole or not at all.
 
-    Missing folders are made. Raises GraspFileError when the file cannot be written, ValueError when an array
-    could only be stored as a pickle.
+    Missing folders are made. Raises GraspFileError when the file cannot be written, or an array could only be stored as
+    a pickle.
     """
-    entries: dict[str, Any] = {key: np.asarray(value) for key, value in arrays.items()}
-    pickled = [key for key, value in entries.items() if value.dtype.hasobject]
-    if pickled:
-        raise ValueError(f"object arrays cannot be stored without pickle: {', '.join(pickled)}")
+    check_kind("path", path, str | Path)
+    if not isinstance(arrays, Mapping) or not all(isinstance(key, str) for key in arrays):
+        raise GraspFileError(f"arrays must be by name, as those of GraspSet.arrays() are, got {shown(arrays)}")
+    entries: dict[str, Any] = {}
+    for key, value in arrays.items():
+        try:
+            entries[key] = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
+        except (TypeError, ValueError):
+            entries[key] = np.asarray(None)
+        if entries[key].dtype.hasobject:
+            raise GraspFileError(f"{path}: '{key}' cannot be stored without pickle: it is no array of one type")
     with written_whole(path, GraspFileError) as partial, partial.open("wb") as stream:
         np.savez(stream, **entries)

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from grasp_refine.arguments import check_kind, is_number, shown
+from grasp_refine.brief import counted
 from grasp_refine.errors import AssetError, MeshError
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
@@ -42,6 +44,10 @@ class Object:
     notes: tuple[str, ...]
     """What was repaired in the mesh, or is wrong with given pieces, for the user."""
 
+    def __repr__(self) -> str:
+        size = " x ".join(f"{side * 1e3:.3g}" for side in self.mesh.extents)
+        return f"Object({self.name}: {size} mm, {counted(len(self.body.pieces), 'convex piece')})"
+
 
 @dataclass(frozen=True, eq=False)
 class UncutObject:
@@ -63,7 +69,7 @@ def load_object(
     source: str | Path,
     *,
     scale: float = 1.0,
-    unit: Unit | None = "m",
+    unit: Unit | None = None,
     decomposition: Decomposition | None = None,
     holes: Holes = "refuse",
     candidates: int = 1024,
@@ -80,8 +86,8 @@ def load_object(
     Args:
         source: name in EMBEDDED, "box:x,y,z", "sphere:r", "cylinder:r,h", or a path.
         scale: factor that takes the mesh, or the pieces, to metres.
-        unit: of what the scale makes of it; another one than metres, or None, which is metres that nobody has said,
-            is asked about where no hand grasps what comes out.
+        unit: of what the scale makes of it. None is metres too, but a size that no hand grasps is then an error that
+            asks for the unit; "m" says that the numbers are metres, whatever the size.
         decomposition: how a concave mesh is cut into convex pieces; the defaults when None.
         holes: what becomes of a mesh with holes: an error, flat caps on flat holes, or its convex hull.
         candidates: number of points on the surface.
@@ -91,16 +97,24 @@ def load_object(
 
     Raises:
         AssetError: no such name.
-        MeshError: the mesh is missing, unreadable, open, flat or empty, a folder has no usable piece or one that
-            cannot be read, or the scale is not positive.
+        MeshError: the mesh is missing, unreadable, open, flat, empty or of a size that asks for its unit, a folder has
+            no usable piece or one that cannot be read, or the scale is not positive.
+        GraspRefineError: an argument of another kind.
     """
+    check_kind("source", source, str | Path)
+    check_kind("unit", unit, Unit | None)
+    check_kind("decomposition", decomposition, Decomposition | None)
+    check_kind("holes", holes, Holes)
+    check_kind("candidates", candidates, int)
+    check_kind("seed", seed, int)
+    check_kind("cache", cache, Path | Literal["user"] | None)
     uncut = read_object(source, scale=scale, unit=unit, holes=holes)
     (cut,) = cut_objects([uncut], decomposition, candidates=candidates, seed=seed, cache=cache, progress=progress)
     return cut
 
 
 def read_object(
-    source: str | Path, *, scale: float = 1.0, unit: Unit | None = "m", holes: Holes = "refuse"
+    source: str | Path, *, scale: float = 1.0, unit: Unit | None = None, holes: Holes = "refuse"
 ) -> UncutObject:
     """The object that `source` names, read and checked, which is quick: the first half of `load_object`.
 
@@ -108,8 +122,8 @@ def read_object(
         AssetError, MeshError: as `load_object`.
     """
     text = str(source)
-    if not (np.isfinite(scale) and scale > 0):
-        raise MeshError(f"{text}: the scale must be positive and finite, got {scale:g}")
+    if not (is_number(scale) and 0 < scale < np.inf):
+        raise MeshError(f"{text}: the scale must be positive and finite, got {shown(scale)}")
     scale *= (factor := UNITS[unit or "m"])
     pieces: Sequence[Piece] = ()
     notes: tuple[str, ...] = ()

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from grasp_refine.arguments import as_numbers, check_kind
+from grasp_refine.errors import GraspRefineError
 from grasp_refine.geometry.body import Body
-from grasp_refine.se3 import matvec
+from grasp_refine.se3 import UNIT, matvec
 
 
 @dataclass(frozen=True)
@@ -19,6 +21,18 @@ class Plane:
     """Unit normal n, object frame, towards the free side."""
     offset: float = 0.0
     """Signed distance of the plane from the object's origin along the normal, in metres."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is no plane; numbers of an array become a tuple.
+
+        Raises:
+            GraspRefineError: a normal that is not of unit length, or an offset that is no number.
+        """
+        normal = as_numbers("Plane: normal", self.normal, 3)
+        object.__setattr__(self, "normal", tuple(normal.tolist()))
+        check_kind("Plane: offset", self.offset, float)
+        if not abs(np.linalg.norm(normal) - 1.0) <= UNIT:
+            raise GraspRefineError(f"Plane: normal must be of unit length, got {self.normal}")
 
     def lowest(self, bodies: Sequence[Body], T_world_body: np.ndarray) -> np.ndarray:
         """The point of each body that is farthest below the plane (M, L, 3), body frames, metres.

@@ -7,6 +7,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.arguments import check_kind
+from grasp_refine.brief import brief
 from grasp_refine.chain import Chain, Frames
 from grasp_refine.collision.query import Witness
 from grasp_refine.equilibrium import PUSH, Equilibrium
@@ -39,6 +41,8 @@ class Quality:
     open: Float[np.ndarray, " N"]
     """Mean gap of the contacts (N,), each counted by its pressure, over `DEEP`."""
 
+    __repr__ = brief
+
     @property
     def score(self) -> Float[np.ndarray, " N"]:
         """Sum of all (N,); infinite where a grasp has no forces."""
@@ -61,6 +65,11 @@ def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witn
         frames: Where the links are.
         witness: Witness points (N, L) of links and object, at least of those that are near enough to be contacts.
     """
+    check_kind("hand", hand, Hand)
+    check_kind("obj", obj, Object)
+    check_kind("chain", chain, Chain)
+    check_kind("frames", frames, Frames)
+    check_kind("witness", witness, Witness)
     point, normal = contacts(hand, chain.links, witness)
     center = center_of_mass(obj)
     forms = Equilibrium.of(hand, chain, center).torque_forms(np.nan_to_num(point), frames)

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.arguments import check_kind
 from grasp_refine.batch import choose, take
+from grasp_refine.brief import counted, labels, spread, tallied
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.glimpse import Watch, watched
@@ -53,6 +55,15 @@ class Refinement:
     starts: np.ndarray
     """From how many starts each grasp was tried (N,)."""
 
+    def __repr__(self) -> str:
+        ended = tallied(self.labels)
+        return f"Refinement({counted(len(self.q), 'grasp')}: {ended}; loss now {spread(self.loss[:, 1])} m^2)"
+
+    @property
+    def labels(self) -> np.ndarray:
+        """How each grasp ended (N,), in words: the labels of `status`."""
+        return labels(Status, self.status)
+
 
 @stage("solver")
 def refine(
@@ -76,8 +87,14 @@ def refine(
         The best iterate of each grasp by true loss. Not converging is a status, never an exception.
 
     Raises:
-        GraspRefineError: a link that should touch is not there, or `prepared` is of another hand or object.
+        GraspRefineError: an argument of another kind, a link that should touch is not there, or `prepared` is of
+            another hand or object.
     """
+    check_kind("scene", scene, Scene)
+    check_kind("config", config, Config | None)
+    check_kind("progress", progress, Progress | None)
+    check_kind("watch", watch, Watch | None)
+    check_kind("prepared", prepared, HandObject | None)
     wall, cpu = time.perf_counter(), time.process_time()
     config = config or Config()
     prepared = prepared or HandObject.of(scene)

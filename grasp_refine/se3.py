@@ -5,12 +5,15 @@ V(p) = v + w x p, so T(t) = exp(t xi) T(0); a *body* twist moves T(t) = T(0) exp
 All functions take any number of leading batch dimensions.
 """
 
-from math import factorial
+from math import factorial, prod
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import array_api_compat
 import numpy as np
+
+from grasp_refine.arguments import as_numbers, check_alike, check_shape
+from grasp_refine.errors import GraspRefineError
 
 Array = Any
 """A NumPy array or a torch tensor."""
@@ -22,6 +25,24 @@ if TYPE_CHECKING:
 else:
     # Importing torch takes a second, which only checkers of types need.
     Same = Any
+
+SKEWED = 1e-3
+"""How far a rotation matrix may be from its cofactors, and a unit vector from length 1: rounding passes, a mix-up does
+not."""
+
+_ROTATION = np.array([0, 1, 2, 4, 5, 6, 8, 9, 10])
+"""Places of the rotation's entries among the 16 of a transform."""
+_LAST_ROW = np.array([[0.0], [0.0], [0.0], [1.0]])
+"""Of every rigid transform."""
+_COFACTORS = tuple(
+    np.array([3 * ((row + down) % 3) + (column + right) % 3 for row in range(3) for column in range(3)])
+    for down, right in ((1, 1), (2, 2), (1, 2), (2, 1))
+)
+"""Places of entries of a 3 x 3 matrix: that of (i, j) has the cofactor R[i + 1, j + 1] R[i + 2, j + 2] -
+R[i + 1, j + 2] R[i + 2, j + 1], indices modulo 3."""
+
+UNIT = 1e-3
+"""How far the squared length of a quaternion may be from 1: rounding to float32 passes, a mix-up does not."""
 
 _SMALL_ANGLE_SQUARED = 1e-8
 """Below this squared angle (rad^2) the maps use their Taylor series; its error is then below 1e-16."""
@@ -119,7 +140,12 @@ def log_so3(R: Same) -> Same:
 
 
 def exp_se3(twist: Same) -> Same:
-    """Transform (..., 4, 4) of a twist (v, w) (..., 6) followed for unit time."""
+    """Transform (..., 4, 4) of a twist (v, w) (..., 6) followed for unit time.
+
+    Raises:
+        GraspRefineError: another shape.
+    """
+    twist = _given("twist", twist, "...", 6)
     xp = array_namespace(twist)
     v, w = twist[..., :3], twist[..., 3:]
     angle_squared = xp.sum(w * w, axis=-1)
@@ -166,6 +192,20 @@ def distances(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.nda
     moved = np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=-1)
     turned = np.linalg.norm(log_so3(before[:, :3, :3].mT @ after[:, :3, :3]), axis=-1)
     return np.where(finite, moved, np.nan), np.where(finite, turned, np.nan)
+
+
+def is_rigid(T: np.ndarray) -> np.ndarray:
+    """Which transforms (..., 4, 4) are rigid motions, up to rounding (...); none that is not finite.
+
+    A rotation matrix, and no other but 0, is its own matrix of cofactors.
+    """
+    entries = np.ascontiguousarray(T.reshape(prod(T.shape[:-2]), 16).T)
+    R = entries.take(_ROTATION, axis=0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        first, second, third, fourth = (R.take(places, axis=0) for places in _COFACTORS)
+        off = np.abs(R - (first * second - third * fourth)).max(axis=0)
+        rigid = (off <= SKEWED) & ((R[:3] ** 2).sum(axis=0) > 0.5)
+    return (rigid & (entries[12:] == _LAST_ROW).all(axis=0)).reshape(T.shape[:-2])
 
 
 def adjoint(T: Same) -> Same:
@@ -241,12 +281,32 @@ def quaternion_from_matrix(R: Same) -> Same:
 
 
 def transform_from_pose(pose: Same) -> Same:
-    """Transform (..., 4, 4) of a pose (x, y, z, qw, qx, qy, qz) (..., 7)."""
+    """Transform (..., 4, 4) of a pose (x, y, z, qw, qx, qy, qz) (..., 7).
+
+    Poses that are not finite give transforms that are not.
+
+    Raises:
+        GraspRefineError: another shape, or a quaternion that is not of unit length.
+    """
+    pose = _given("pose", pose, "...", 7)
+    squared = (pose[..., 3:] * pose[..., 3:]).sum(-1).reshape(-1)
+    wrong = abs(squared - 1) > UNIT
+    if wrong.any():
+        length = float(squared[wrong][0]) ** 0.5
+        if length < np.inf:
+            raise GraspRefineError(f"a pose is x y z qw qx qy qz with a unit quaternion; its length is {length:.6g}")
     return transform(matrix_from_quaternion(pose[..., 3:]), pose[..., :3])
 
 
 def pose_from_transform(T: Same) -> Same:
-    """Pose (x, y, z, qw, qx, qy, qz) (..., 7) of a transform (..., 4, 4), with qw >= 0."""
+    """Pose (x, y, z, qw, qx, qy, qz) (..., 7) of a transform (..., 4, 4), with qw >= 0.
+
+    Transforms that are not rigid give poses that mean nothing.
+
+    Raises:
+        GraspRefineError: another shape.
+    """
+    T = _given("transform", T, "...", 4, 4)
     xp = array_namespace(T)
     quaternion = quaternion_from_matrix(T[..., :3, :3])
     sign = xp.where(quaternion[..., :1] < 0, -xp.ones_like(quaternion[..., :1]), xp.ones_like(quaternion[..., :1]))
@@ -271,10 +331,23 @@ def body_gradient(T: Same, G: Same) -> Same:
 
     It is Proj(T^-1 G): v = R^T G_p and w = vee(skew(R^T G_R)), which is *half* the derivative of the loss along a body
     rotation (arXiv 2511.06267 uses the same projection).
+
+    Raises:
+        GraspRefineError: another shape.
     """
+    T, G = _given("transform", T, "...", 4, 4), _given("gradient", G, "...", 4, 4)
+    check_alike(T, G)
     xp = array_namespace(T)
     R_transposed = xp.matrix_transpose(T[..., :3, :3])
     return xp.concat([matvec(R_transposed, G[..., :3, 3]), vee(R_transposed @ G[..., :3, :3])], axis=-1)
+
+
+def _given(name: str, value: Same, *shape: int | str) -> Same:
+    """An argument of a public function, of the shape; lists become arrays."""
+    if isinstance(value, list | tuple):
+        value = as_numbers(name, value)
+    check_shape(name, value, *shape)
+    return value
 
 
 def _identity_like(matrix: Same) -> Same:

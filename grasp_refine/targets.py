@@ -5,6 +5,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
+from grasp_refine.arguments import check_fields
 from grasp_refine.collision.query import Witness
 from grasp_refine.errors import GraspRefineError, HandError
 from grasp_refine.hand import Hand
@@ -31,8 +32,9 @@ class Touching:
         """Refuse distances that are none.
 
         Raises:
-            GraspRefineError: a distance below zero.
+            GraspRefineError: a distance below zero, or links that are no tuple of names.
         """
+        check_fields(self)
         for name in ("reach", "reach_others", "farthest"):
             if not getattr(self, name) >= 0:
                 raise GraspRefineError(f"{name} must be a distance of at least 0 m, got {getattr(self, name):g}")

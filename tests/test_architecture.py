@@ -13,6 +13,8 @@ ROOT = Path(__file__).resolve().parents[1] / PACKAGE
 
 ORDER = (
     "errors",
+    "arguments",
+    "brief",
     "names",
     "toml_file",
     "versions",
@@ -86,6 +88,8 @@ ORDER = (
 
 LIGHT = (
     "errors",
+    "arguments",
+    "brief",
     "names",
     "toml_file",
     "versions",

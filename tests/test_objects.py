@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
+from grasp_refine import objects
 from grasp_refine.errors import AssetError, MeshError
 from grasp_refine.geometry.pieces import Decomposition
 from grasp_refine.geometry.shapes import EMBEDDED
 from grasp_refine.object_folders import find_object
-from grasp_refine.objects import load_object
+
+load_object = partial(objects.load_object, unit="m")  # most bodies of these tests are metres large
 
 
 @pytest.fixture
@@ -135,7 +138,7 @@ def test_a_file_in_millimetres_is_asked_about_and_read_when_told(source: str, tm
     trimesh.creation.box(extents=(90, 60, 40)).export(tmp_path / "brick.stl")
     source = tmp_path / "brick.stl" if source == "file" else source
     with pytest.raises(MeshError, match=r"90 x 60 x 40 m if its .* --unit mm if it is 90 x 60 x 40 mm"):
-        load_object(source, unit=None, candidates=64, cache=cache)
+        objects.load_object(source, candidates=64, cache=cache)
     thing = load_object(source, unit="mm", candidates=64, cache=cache)
     np.testing.assert_allclose(thing.mesh.extents, [0.09, 0.06, 0.04])
     np.testing.assert_allclose(thing.body.pieces[0].bounds[1], [0.045, 0.03, 0.02])

@@ -8,15 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from grasp_refine.arguments import as_numbers, check_kind, shown
+from grasp_refine.brief import spread, tallied
 from grasp_refine.collision.asking import Tolerances
 from grasp_refine.collision.engine import Engine, chosen
 from grasp_refine.collision.narrowphase import Closest, NarrowPhase
 from grasp_refine.collision.relative import in_frame, relative
 from grasp_refine.collision.search import Search, Warm
 from grasp_refine.collision.table import PieceTable
-from grasp_refine.errors import CollisionError
+from grasp_refine.errors import CollisionError, GraspRefineError
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
+from grasp_refine.se3 import is_rigid
 from grasp_refine.stopwatch import count_queries, stage
 
 if TYPE_CHECKING:
@@ -59,6 +62,11 @@ class Witness:
     """The piece pair that is closest (batch, pair), an index into the table of the pairs; -1 without points."""
     asked: np.ndarray
     """Number of narrow-phase queries that each pair took (batch, pair)."""
+
+    def __repr__(self) -> str:
+        known = tallied(QueryStatus(int(status)).name.lower().replace("_", " ") for status in self.status.reshape(-1))
+        distance = np.asarray(self.detached().distance)[np.asarray(self.valid)]
+        return f"Witness(batch, pair = {list(self.distance.shape)}: {known}; distance {spread(distance)} m)"
 
     @property
     def valid(self) -> Any:
@@ -104,7 +112,29 @@ class Pairs:
     engine: Engine = "auto"
     """Who answers (see `collision.engine`)."""
 
+    def __repr__(self) -> str:
+        names = [f"{a.name} - {b.name}" for a, b in zip(self.a[:3], self.b[:3], strict=True)]
+        return f"Pairs({len(self)}: {', '.join(names)}{', ...' if len(self) > 3 else ''})"
+
     def __post_init__(self) -> None:
+        """Check what is given; lists become tuples.
+
+        Raises:
+            CollisionError: other things than bodies, or not equally many on both sides.
+        """
+        for name in ("a", "b"):
+            bodies = getattr(self, name)
+            if not (isinstance(bodies, tuple | list) and all(isinstance(body, Body) for body in bodies)):
+                wrong = (
+                    bodies
+                    if not isinstance(bodies, tuple | list)
+                    else next(body for body in bodies if not isinstance(body, Body))
+                )
+                raise CollisionError(
+                    f'Pairs: {name} must be a tuple of bodies, such as (load_object("mug").body,), got {shown(wrong)}'
+                )
+            object.__setattr__(self, name, tuple(bodies))
+        check_kind("Pairs: tolerances", self.tolerances, Tolerances)
         if len(self.a) != len(self.b) or not self.a:
             raise CollisionError(f"pairs need equally many bodies on both sides, got {len(self.a)} and {len(self.b)}")
         chosen(self.engine)
@@ -182,11 +212,26 @@ def query(
         Witness points in world coordinates. Pairs with a pose that is not finite get the status NOT_FINITE.
 
     Raises:
-        CollisionError: the poses are of another number of pairs.
+        CollisionError: poses, cutoffs or the previous answer have another shape or are no numbers, or a pose that is
+            finite is no rigid transform.
     """
-    shape = T_world_a.shape[:2]
-    if shape[1] != len(pairs):
-        raise CollisionError(f"poses of {shape[1]} pairs of bodies, but there are {len(pairs)}: give one pose of each")
+    check_kind("pairs", pairs, Pairs)
+    check_kind("previous", previous, Witness | None)
+    try:
+        T_world_a, T_world_b = as_numbers("T_world_a", T_world_a), as_numbers("T_world_b", T_world_b)
+        check_poses(len(pairs), T_world_a, T_world_b, previous)
+        for name, T in (("T_world_a", T_world_a), ("T_world_b", T_world_b)):
+            wrong = ~is_rigid(T) & np.isfinite(T).all(axis=(2, 3))
+            if wrong.any():
+                row, pair = np.argwhere(wrong)[0]
+                raise CollisionError(f"{name}[{row}, {pair}] is no rigid transform")
+        shape = T_world_a.shape[:2]
+        if not isinstance(cutoff, float) or cutoff != cutoff:
+            cutoff = as_numbers("cutoff", cutoff)
+            if np.isnan(cutoff).any() or cutoff.shape not in ((), (1,), shape[1:], shape):
+                raise CollisionError(f"cutoff must be one number or one a pair ({len(pairs)},), got {shown(cutoff)}")
+    except GraspRefineError as error:
+        raise CollisionError(str(error)) from None
     if pairs.native is not None:
         return _ask_native(pairs, None, T_world_a, T_world_b, np.full(shape, cutoff, dtype=np.float64), previous)
     flat = None if previous is None else previous.reshape(-1)
@@ -195,6 +240,22 @@ def query(
     return query_items(pairs, pair, *poses, cutoff=np.broadcast_to(cutoff, shape).reshape(-1), previous=flat).reshape(
         *shape
     )
+
+
+def check_poses(pairs: int, T_world_a: Any, T_world_b: Any, previous: Witness | None) -> None:
+    """Refuse poses that are not (batch, pairs, 4, 4) both, and a previous answer of another batch.
+
+    Raises:
+        CollisionError: says the shapes.
+    """
+    shape = tuple(T_world_a.shape)
+    if len(shape) != 4 or shape[1:] != (pairs, 4, 4) or shape != tuple(T_world_b.shape):
+        advice = "; add the batch dimension, T[None]" if len(shape) == 3 else ""
+        raise CollisionError(
+            f"poses must have shape (batch, {pairs}, 4, 4), got {shape} and {tuple(T_world_b.shape)}{advice}"
+        )
+    if previous is not None and tuple(previous.distance.shape) != shape[:2]:
+        raise CollisionError(f"previous is of shape {tuple(previous.distance.shape)}, the poses of {shape[:2]}")
 
 
 @stage("broad phase")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.brief import brief
 from grasp_refine.description.finger_names import finger_names
 from grasp_refine.description.hand_toml import ACTUATOR, Contact, Coupled, HandToml
 from grasp_refine.description.tree import Joint
@@ -34,6 +35,8 @@ class Actuator:
     """Inertia of the rotor as seen at the joint."""
     frictionloss: Float[np.ndarray, " n"]
     """Dry friction torque."""
+
+    __repr__ = brief
 
 
 def contacts(

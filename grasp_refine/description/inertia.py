@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.brief import brief
 from grasp_refine.geometry.pieces import Piece
 
 DENSITY = 1000.0
@@ -33,6 +34,8 @@ class Inertia:
     """Centre of mass (3,) in metres, link frame."""
     matrix: Float[np.ndarray, "3 3"]
     """Moments (3, 3) in kg m^2 about that point, along the axes of the link frame."""
+
+    __repr__ = brief
 
     @classmethod
     def about(cls, mass: float, T_link_inertial: np.ndarray, matrix: np.ndarray) -> Inertia:

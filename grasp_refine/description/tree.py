@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.brief import brief
 from grasp_refine.description.urdf import read_urdf
 from grasp_refine.errors import HandError
 from grasp_refine.se3 import exp_so3, transform
@@ -54,6 +55,8 @@ class Joint:
     """What the joint follows; None if it moves on its own, or is fixed."""
     effort: float | None
     """Greatest torque (Nm) or force (N); None where the file names none above 0."""
+
+    __repr__ = brief
 
     @property
     def movable(self) -> bool:

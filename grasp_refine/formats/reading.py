@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.arguments import check_kind
 from grasp_refine.errors import GraspFileError
 from grasp_refine.formats.content import load_content
 from grasp_refine.formats.folders import natural
@@ -76,6 +77,7 @@ def reading(
     Raises:
         GraspFileError: no such file, none in a folder, of no format or of several, or something in it cannot be.
     """
+    check_kind("path", path, str | Path)
     path = Path(path)
     wanted = None if format is None else format_named(format)
     files = _files(path)

@@ -8,6 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from grasp_refine.arguments import as_numbers, check_kind, shown
+from grasp_refine.brief import counted
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.geometry.sampling import Candidates, sample
@@ -23,6 +25,10 @@ class Body:
     """Convex pieces whose union is the body."""
     candidates: Candidates
     """Points that stand for the exposed surface."""
+
+    def __repr__(self) -> str:
+        parts = (len(self.pieces), "convex piece"), (len(self.candidates.points), "surface point")
+        return f"Body({self.name}: {', '.join(counted(*part) for part in parts)})"
 
     @cached_property
     def centers(self) -> np.ndarray:
@@ -55,7 +61,16 @@ def build_body(name: str, pieces: Sequence[Piece], *, candidates: int = 1024, se
 
     Raises:
         MeshError: there are no pieces, or none of their surface is exposed.
+        GraspRefineError: an argument of another kind.
     """
+    check_kind("name", name, str)
+    check_kind("candidates", candidates, int)
+    check_kind("seed", seed, int)
+    if not (isinstance(pieces, Sequence) and all(isinstance(piece, Piece) for piece in pieces)):
+        raise MeshError(f"{name}: a body is made of a list of pieces, got {shown(pieces)}")
+    for piece in pieces:
+        if not np.isfinite(as_numbers(f"{name}: vertices of a piece", piece.vertices, "V", 3)).all():
+            raise MeshError(f"{name}: vertices of a piece must be finite")
     if not pieces:
         raise MeshError(f"{name}: a body needs at least one convex piece")
     try:

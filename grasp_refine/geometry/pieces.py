@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
+from grasp_refine.brief import brief
 from grasp_refine.cores import usable_cores
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry import cache as disk
@@ -43,6 +44,8 @@ class Piece:
     """Triangles (F, 3) of the core, counter-clockwise seen from outside; (0, 3) for spheres and capsules."""
     radius: float = 0.0
     """Radius of the ball in metres; 0 for a plain polytope."""
+
+    __repr__ = brief
 
     def transformed(self, T: np.ndarray) -> Piece:
         """The piece moved by the rigid transform `T` (4, 4), which maps its present frame to the new one."""

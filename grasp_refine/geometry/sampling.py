@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from grasp_refine.brief import brief
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry.pieces import Piece
 
@@ -28,6 +29,8 @@ class Candidates:
     areas: np.ndarray
     """Surface area (N,) in square metres that each point stands for."""
 
+    __repr__ = brief
+
 
 def sample(pieces: Sequence[Piece], count: int, seed: int) -> Candidates:
     """Exactly `count` candidates of the union of `pieces`: the same for the same seed.
@@ -39,10 +42,13 @@ def sample(pieces: Sequence[Piece], count: int, seed: int) -> Candidates:
     The areas add up to the exposed area, as estimated from the fraction of the drawn points that was kept.
 
     Raises:
-        MeshError: `count` is below 1, or (nearly) every point of every piece lies inside another piece.
+        MeshError: `count` is below 1, the seed below 0, or (nearly) every point of every piece lies inside another
+            piece.
     """
     if count < 1:
         raise MeshError(f"the number of surface candidates must be at least 1, got {count}")
+    if seed < 0:
+        raise MeshError(f"the seed must be at least 0, got {seed}")
     rng = np.random.default_rng(seed)
     bounds = np.stack([piece.bounds for piece in pieces])
     clearance = CLEARANCE * float(np.linalg.norm(bounds[:, 1].max(0) - bounds[:, 0].min(0)))

@@ -44,7 +44,7 @@ def check_size(extents: Float[np.ndarray, " 3"], unit: Unit | None, name: str) -
     right = "--unit m if that is right, or another --scale" if unit is None else "or another --scale"
     raise MeshError(
         f"{name}: is {_words(readings[here])} if its numbers are {NAMES[here]}, which is no size for a hand; "
-        f"in which unit is it? {guess}{right}"
+        f"in which unit is it? {guess}{right} (in Python: unit, scale)"
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_refine.batch import join, take
+from grasp_refine.brief import brief
 from grasp_refine.refine import Refinement
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import inverse, pose_from_transform, transform_points
@@ -91,6 +92,8 @@ class Outcome:
     """Poses (N, 3, 7) of the base link at pregrasp, grasp and squeeze, as `hand_pose`."""
     stage_q: np.ndarray
     """Joint values (N, 3, n) there; those of a squeeze may lie beyond the limits."""
+
+    __repr__ = brief
 
     def __len__(self) -> int:
         """Return the number of grasps."""

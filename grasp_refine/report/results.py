@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.brief import labels
 from grasp_refine.formats.folders import UNUSUAL
 from grasp_refine.grasps import OTHER_STAGES, GraspSet, Stage, Targets, save_npz
 from grasp_refine.hand import Hand
@@ -129,7 +130,7 @@ def save_results(
             "quality_before": outcome.quality[:, 0],
             "quality_after": outcome.quality[:, 1],
             "starts": outcome.starts,
-            "status": np.array([Status(status).label for status in outcome.status]),
+            "status": labels(Status, outcome.status),
             "iterations": outcome.iterations,
             "queries": outcome.queries,
             "limits_violated": outcome.limits_violated,
@@ -150,7 +151,7 @@ def _simulated(when: str, trials: Trials) -> dict[str, np.ndarray]:
     rows, worst = np.arange(len(trials)), trials.worst
     return {
         f"simulation_{when}": trials.success,
-        f"simulation_reason_{when}": np.array([Reason(reason).label for reason in trials.reason[rows, worst]]),
+        f"simulation_reason_{when}": labels(Reason, trials.reason[rows, worst]),
         f"simulation_direction_{when}": np.array(trials.directions)[worst],
         f"simulation_displacement_m_{when}": trials.displacement_m[rows, worst],
         f"simulation_angle_rad_{when}": trials.angle_rad[rows, worst],

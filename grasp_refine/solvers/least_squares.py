@@ -15,6 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from grasp_refine.batch import choose, join, take
+from grasp_refine.brief import brief
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt, bounded_step
 from grasp_refine.solvers.status import Status
 from grasp_refine.stopwatch import stage
@@ -35,6 +36,8 @@ class Point:
     q: np.ndarray
     """Joint values (batch, n); n may be 0."""
 
+    __repr__ = brief
+
 
 Watch = Callable[[np.ndarray, Point, np.ndarray], None]
 """Sees members (M,), where they are after an iteration, and their losses (M,); may raise to end it all."""
@@ -50,6 +53,8 @@ class Linear:
     """(batch, m, dof)"""
     one_sided: np.ndarray | None = None
     """Rows (batch, m) that count only where they are positive; None: none."""
+
+    __repr__ = brief
 
     def also(self, weight: float, residual: np.ndarray, jacobian: np.ndarray) -> Linear:
         """The same with further residuals (batch, k), whose squares count so much."""
@@ -125,6 +130,8 @@ class Minimum:
     """Share of the CPU time (N,), seconds."""
     wall_s: np.ndarray
     """Share of the wall time (N,), seconds."""
+
+    __repr__ = brief
 
 
 @dataclass(frozen=True, eq=False)

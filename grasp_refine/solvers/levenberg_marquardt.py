@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from grasp_refine.arguments import check_fields
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.se3 import Array, array_namespace, matvec
 
@@ -53,6 +54,9 @@ class LevenbergMarquardt:
         Raises:
             GraspRefineError: names the setting, its value and what it may be.
         """
+        check_fields(self)
+        if self.iterations < 0:
+            raise GraspRefineError(f"levenberg-marquardt: iterations must be at least 0, got {self.iterations}")
         for name in ("damping", "smallest"):
             if not getattr(self, name) > 0.0:
                 raise GraspRefineError(f"levenberg-marquardt: {name} must be above 0, got {getattr(self, name):g}")

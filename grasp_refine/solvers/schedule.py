@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from grasp_refine.arguments import check_fields
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.se3 import retract
 
@@ -43,8 +44,9 @@ class Schedule:
         """Refuse a schedule that cannot run.
 
         Raises:
-            GraspRefineError: not one factor for each share.
+            GraspRefineError: a field of another kind, or not one factor for each share.
         """
+        check_fields(self)
         if len(self.shares) != len(self.factors):
             name = type(self).__name__.lower().removesuffix("options")
             raise GraspRefineError(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.brief import brief
 from grasp_refine.hand import Actuator
 
 if TYPE_CHECKING:
@@ -45,3 +46,5 @@ class HandModel:
     Of a coupled group it is the stiffness and the limit of the tendon, as in `Hand.actuator`, whose place this takes
     where set points are planned.
     """
+
+    __repr__ = brief

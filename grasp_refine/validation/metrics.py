@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.batch import join, take
+from grasp_refine.brief import counted, spread
 from grasp_refine.chain import Chain
 from grasp_refine.collision.query import Witness
 from grasp_refine.hand import Hand
 from grasp_refine.objects import Object
 from grasp_refine.quality import quality
-from grasp_refine.scene import links_of
+from grasp_refine.scene import Scene, links_of
 from grasp_refine.self_collision import self_penetration, touching_pairs
 from grasp_refine.squeeze import grasp_forces
 from grasp_refine.validation.geometry import measure
@@ -45,6 +46,10 @@ class Metrics:
     quality: Float[np.ndarray, " N"]
     """`Quality.value` (N,), from 0 to 1; NaN without contacts, too."""
 
+    def __repr__(self) -> str:
+        quality, depth = spread(self.quality), spread(self.penetration_m)
+        return f"Metrics({counted(len(self), 'grasp')}: quality {quality}, penetration {depth} m, ...)"
+
     def __len__(self) -> int:
         """Return the number of grasps."""
         return len(self.penetration_m)
@@ -65,9 +70,18 @@ def metrics(hand: Hand, obj: Object, T_world_root: np.ndarray, q: np.ndarray) ->
     Args:
         hand: The hand.
         obj: The object.
-        T_world_root: Poses (N, 4, 4) of the base link in the object's frame.
+        T_world_root: Poses (N, 4, 4) of the base link in the object's frame; as those of `Scene` otherwise.
         q: Joint values (N, n).
+
+    Returns:
+        Measures, NaN for grasps that are nowhere (`Scene.posed`).
+
+    Raises:
+        GraspRefineError: an argument of another kind or shape.
     """
+    scene = Scene(hand, obj, T_world_root, q)
+    scene = scene.masked(scene.posed)
+    T_world_root, q = scene.T_world_root, scene.q
     links = tuple(dict.fromkeys(links_of(hand)))  # a link with several contact points comes several times
     nowhere = np.full((len(q), len(links), 3), np.nan)
     found = measure(hand, obj, links, T_world_root, q, nowhere, nowhere)

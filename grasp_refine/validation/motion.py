@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.arguments import check_kind
 from grasp_refine.batch import take
+from grasp_refine.brief import brief
 from grasp_refine.errors import GraspFileError
 from grasp_refine.grasps import OTHER_STAGES, GraspSet, match_joints
 from grasp_refine.hand import Hand
@@ -30,6 +32,8 @@ class Motion:
     q: Float[np.ndarray, "N 3 n"]
     """Joint values (N, 3, n) in `Hand.joint_names` order, radians or metres; a squeeze may lie beyond the limits."""
 
+    __repr__ = brief
+
     def __len__(self) -> int:
         """Return the number of grasps."""
         return len(self.q)
@@ -46,7 +50,12 @@ def closing(scene: Scene, prepared: HandObject | None = None, progress: Progress
         scene: Hand, object and grasps.
         prepared: Of this hand and object; None: built here.
         progress: As for `opened`.
+
+    Raises:
+        GraspRefineError: an argument of another kind.
     """
+    check_kind("scene", scene, Scene)
+    check_kind("prepared", prepared, HandObject | None)
     prepared = prepared or HandObject.of(scene)
     posed = scene.posed
     T = np.where(posed[:, None, None], scene.T_world_root, np.nan)

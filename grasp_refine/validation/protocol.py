@@ -6,6 +6,9 @@ from dataclasses import dataclass, replace
 from math import radians
 from typing import Literal
 
+from grasp_refine.arguments import check_positive
+from grasp_refine.errors import GraspRefineError
+
 AXES = {
     "+x": (1.0, 0.0, 0.0),
     "-x": (-1.0, 0.0, 0.0),
@@ -54,6 +57,17 @@ class Protocol:
     """The object has turned too far from this on, in radians."""
     deepest: float = 0.01
     """Hand and object may not penetrate deeper than this at the pregrasp, in metres."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be simulated.
+
+        Raises:
+            GraspRefineError: names the field, and the directions that there are.
+        """
+        check_positive(self, "friction", "mass", "timestep", "moves", "steps_per_move", "checks", "steps_per_check")
+        unknown = [direction for direction in self.directions if direction not in AXES]
+        if unknown:
+            raise GraspRefineError(f"Protocol: directions are among {', '.join(AXES)}, got {', '.join(unknown)}")
 
     @property
     def tabletop(self) -> bool:

@@ -9,9 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from grasp_refine import stopwatch
+from grasp_refine.arguments import check_kind, check_shape
+from grasp_refine.brief import brief
 from grasp_refine.cores import usable_cores
+from grasp_refine.errors import GraspRefineError
 from grasp_refine.se3 import distances, exp_so3, log_so3, pose_from_transform, transform
-from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.motion import STAGES, Motion
 from grasp_refine.validation.protocol import AXES, Protocol
 from grasp_refine.validation.stepping import Conditions, Rows, Watch
 from grasp_refine.validation.trials import Reason, Trials
@@ -47,6 +50,8 @@ class Closed:
     penetration_m: Float[np.ndarray, " N"]
     """How deep hand and object were in each other at the pregrasp (N,), metres."""
 
+    __repr__ = brief
+
 
 @stopwatch.stage("simulating")
 def simulate(
@@ -68,7 +73,18 @@ def simulate(
         first_failure: A grasp that failed in one direction is not simulated further in the others, for which the
             same reason is then given.
         progress: Is told how many grasps are done, in fractions.
+
+    Raises:
+        GraspRefineError: an argument of another kind, a motion of other shapes than the hand's, or no grasp at all.
     """
+    check_kind("world", world, World)
+    check_kind("motion", motion, Motion)
+    check_kind("conditions", conditions, Conditions | None)
+    check_kind("threads", threads, int | None)
+    check_shape("motion.q", motion.q, "N", len(STAGES), world.hand.matrix.shape[1], why="stages and joints of the hand")
+    check_shape("motion.T_world_root", motion.T_world_root, len(motion), len(STAGES), 4, 4)
+    if not len(motion):
+        raise GraspRefineError("there is no grasp to simulate: the motion is of 0 grasps")
     conditions = Conditions.nominal(world, len(motion)) if conditions is None else conditions
     parts = []
     for start in range(0, len(motion), CHUNK):

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from mujoco.batch import Batch, SimulationError
 
 from grasp_refine.batch import take
+from grasp_refine.brief import brief
 from grasp_refine.se3 import transform_from_pose
 from grasp_refine.validation.messages import unlogged
 from grasp_refine.validation.world import OBJECT_GEOM, OTHER_GEOM, World
@@ -43,6 +44,8 @@ class Conditions:
     friction: Float[np.ndarray, " N"]
     """Sliding friction (N,); torsional friction is in the protocol's proportion to it."""
 
+    __repr__ = brief
+
     @classmethod
     def nominal(cls, world: World, count: int) -> Conditions:
         """The object where the grasps say it is, with the friction of the protocol."""
@@ -63,6 +66,8 @@ class Touch:
     """How deep any of them is in the object (N,), metres."""
     depth_table: Float[np.ndarray, " N"]
     """How deep any of them is in the table (N,), metres."""
+
+    __repr__ = brief
 
 
 class Rows:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from grasp_refine.batch import take
+from grasp_refine.brief import counted, labels, tallied
 from grasp_refine.validation.protocol import Protocol
 
 
@@ -80,6 +81,15 @@ class Trials:
     """How far closing the hand turned it (N,), radians."""
     penetration_m: Float[np.ndarray, " N"]
     """How deep hand and object were in each other at the pregrasp (N,), metres."""
+
+    def __repr__(self) -> str:
+        held = f"{self.success.sum()} of {counted(len(self), 'grasp')} held"
+        return f"Trials({held}; pushed {', '.join(self.directions)}: {tallied(self.labels.reshape(-1))})"
+
+    @property
+    def labels(self) -> np.ndarray:
+        """How each trial ended (N, D), in words: the labels of `reason`."""
+        return labels(Reason, self.reason)
 
     def __len__(self) -> int:
         """Return the number of grasps."""

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from grasp_refine.arguments import as_numbers, check_kind
 from grasp_refine.batch import take
+from grasp_refine.brief import brief
 from grasp_refine.hand import Hand
 from grasp_refine.plane import Plane
 from grasp_refine.scene import Scene
@@ -79,6 +81,8 @@ class Validated:
     unsqueezed: Bool[np.ndarray, " N"] | None = None
     """Whether it held without the squeeze (N,)."""
 
+    __repr__ = brief
+
     def __len__(self) -> int:
         """Return the number of grasps."""
         return len(self.index)
@@ -122,7 +126,9 @@ def model_of(hand: Hand) -> HandModel:
 
     Raises:
         HandError: the MJCF cannot be used, or is of another hand.
+        GraspRefineError: no hand.
     """
+    check_kind("hand", hand, Hand)
     if hand.collision == "mjcf" and hand.mjcf is not None:
         return mjcf_model(hand, hand.mjcf)
     return urdf_model(hand)
@@ -152,16 +158,23 @@ def validate(
         motion: How the hand closes to the grasps; needed for simulation.
         checks: What is tried in simulation beside the protocol; by default nothing.
         tell: Is told how far the simulation is.
+
+    Raises:
+        GraspRefineError: an argument of another kind or shape.
     """
+    check_kind("scene", scene, Scene)
+    check_kind("world", world, World | None)
+    check_kind("motion", motion, Motion | None)
+    check_kind("checks", checks, Checks | None)
     checks = checks or Checks()
     count = len(scene.q)
-    posed = scene.masked(scene.posed)  # what is nowhere has no measures
+    rows, index = (as_numbers(name, value, count).astype(int) for name, value in (("rows", rows), ("index", index)))
     labels: dict[str, Any] = {
         "object": np.full(count, name),
         "scale": np.full(count, scale),
         "row": rows,
         "index": index,
-        "metrics": metrics(scene.hand, scene.object, posed.T_world_root, posed.q),
+        "metrics": metrics(scene.hand, scene.object, scene.T_world_root, scene.q),
     }
     if world is None or motion is None:
         return Validated(**labels, wall_s=np.full(count, np.nan), cpu_s=np.full(count, np.nan))

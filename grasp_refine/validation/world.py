@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
+from grasp_refine.arguments import check_kind
 from grasp_refine.description.inertia import Inertia
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.geometry.pieces import Piece
@@ -67,6 +68,9 @@ class World:
     link_of_geom: Int[np.ndarray, " g"]
     """Number of the link that each geom belongs to (g,), or `OBJECT_GEOM`, or `OTHER_GEOM`, such as the table's."""
 
+    def __repr__(self) -> str:
+        return f"World({self.object} in a hand of {len(self.links)} links, protocol {self.protocol.name})"
+
 
 @stage("simulating")
 def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane | None = None) -> World:
@@ -80,8 +84,12 @@ def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane |
 
     Raises:
         GraspRefineError: MuJoCo cannot compile it, with what it complains of; or nothing of the hand can touch the
-            object.
+            object; or an argument of another kind.
     """
+    check_kind("hand", hand, HandModel)
+    check_kind("obj", obj, Object)
+    check_kind("protocol", protocol, Protocol)
+    check_kind("table", table, Plane | None)
     spec = mujoco.MjSpec()
     spec.modelname = f"{obj.name} in a hand"
     spec.compiler.degree = False

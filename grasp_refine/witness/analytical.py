@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from grasp_refine.arguments import check_fields
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness
@@ -22,6 +23,8 @@ class Analytical:
     """A face is active when the witness lies in its plane to within this fraction of the piece's size."""
     coupling: Coupling = "coupled"
     """Solve both slips together, or hold the other witness point fixed."""
+
+    __post_init__ = check_fields
 
     def slip(self, scene: WitnessScene) -> Slip:
         """Slip matrices (batch, pair, 3, 3) of both bodies, world frame."""

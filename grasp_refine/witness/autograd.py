@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.arguments import as_numbers, check_kind
+from grasp_refine.collision.query import Pairs, Witness, check_poses, query
 from grasp_refine.se3 import ambient_gradient
 from grasp_refine.stopwatch import stage
 from grasp_refine.witness.derivative import Derivative
@@ -35,7 +36,13 @@ class WitnessLayer:
 
         With a `patch`, witness points move over it towards their targets. How it moves itself has no derivative:
         its points slip as `method` says of any.
+
+        Raises:
+            GraspRefineError: an argument of another kind.
         """
+        check_kind("pairs", pairs, Pairs)
+        check_kind("method", method, Derivative)
+        check_kind("patch", patch, Patch | None)
         self.pairs = pairs
         self.method = method
         self.patch = patch
@@ -66,13 +73,20 @@ class WitnessLayer:
 
         Returns:
             Witness points, normals and signed distances in the dtype and on the device of `T_world_a`.
+
+        Raises:
+            GraspRefineError: poses or targets of another shape, or no numbers.
         """
-        if T_world_a.shape != T_world_b.shape or T_world_a.shape[1:] != (len(self.pairs), 4, 4):
-            raise ValueError(
-                f"poses must have shape (batch, {len(self.pairs)}, 4, 4), got {tuple(T_world_a.shape)} and "
-                f"{tuple(T_world_b.shape)}"
-            )
-        T_a, T_b, targets = _array(T_world_a), _array(T_world_b), (_target(target_a), _target(target_b))
+        check_kind("key", key, int)
+        check_kind("previous", previous, Witness | None)
+        T_world_a, T_world_b = _tensor("T_world_a", T_world_a), _tensor("T_world_b", T_world_b)
+        check_poses(len(self.pairs), T_world_a, T_world_b, previous)
+        lead = T_world_a.shape[:2]
+        targets = tuple(
+            None if target is None else as_numbers(name, target, *lead, 3)
+            for name, target in (("target_a", target_a), ("target_b", target_b))
+        )
+        T_a, T_b = _array(T_world_a), _array(T_world_b)
         found = query(self.pairs, T_a, T_b, cutoff=cutoff, previous=previous)
         if self.patch is not None:
             found = self.patch.refine(self.pairs, T_a, T_b, found, *targets)
@@ -192,5 +206,8 @@ def _array(tensor: Tensor) -> np.ndarray:
     return tensor.detach().to("cpu", torch.float64).numpy()
 
 
-def _target(target: Tensor | np.ndarray | None) -> np.ndarray | None:
-    return _array(target) if isinstance(target, Tensor) else target
+def _tensor(name: str, poses: Tensor) -> Tensor:
+    """Poses as a tensor of a floating type; arrays and lists have no graph."""
+    if isinstance(poses, Tensor) and poses.is_floating_point():
+        return poses
+    return torch.as_tensor(as_numbers(name, poses))

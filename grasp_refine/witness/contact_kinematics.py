@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from grasp_refine.arguments import check_positive
 from grasp_refine.se3 import Array, array_namespace, cross, matvec, tangents
 from grasp_refine.witness.curvature import raised, with_eigenvalues
 from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
@@ -42,6 +43,10 @@ class ContactKinematics:
     """Floor of the eigenvalues of K_a + K_b, over the mean of the two bodies' diagonals."""
     seed: int = 0
     """Seed of the random choice of samples."""
+
+    def __post_init__(self) -> None:
+        """Refuse fields of another kind, and numbers out of their range."""
+        check_positive(self, "smallest_curvature")
 
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from grasp_refine.arguments import check_positive
 from grasp_refine.witness.neighborhood import Adaptive, Fixed
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
@@ -29,6 +30,10 @@ class Direction:
     """Temperature eps over the squared mean diagonal of the two bodies; none: the standard deviation of the scores."""
     seed: int = 0
     """Seed of the random choice of samples."""
+
+    def __post_init__(self) -> None:
+        """Refuse fields of another kind, and numbers out of their range."""
+        check_positive(self, "epsilon")
 
     def slip(self, scene: WitnessScene) -> Slip:
         """Slip matrices (batch, pair, 3, 3) of both bodies, world frame."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from grasp_refine.arguments import check_fields
 from grasp_refine.se3 import transform_points
 from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
 from grasp_refine.witness.rings import Neighbor
@@ -28,6 +29,8 @@ class Distance:
     """The self term moves the smoothed point x* instead of the witness point."""
     seed: int = 0
     """Seed of the random choice of samples."""
+
+    __post_init__ = check_fields
 
     def slip(self, scene: WitnessScene) -> Slip:
         """Slip matrices (batch, pair, 3, 3) of both bodies, world frame."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from grasp_refine.arguments import check_positive
 from grasp_refine.witness.perturbation import perturbed, relative_covector
 from grasp_refine.witness.relative import seen_from_a
 from grasp_refine.witness.scene import WitnessScene
@@ -21,6 +22,10 @@ class FiniteDifference:
 
     step: float = 1e-3
     """Step as a fraction of the mean diagonal of the two bodies (translations), and in radians (rotations)."""
+
+    def __post_init__(self) -> None:
+        """Refuse fields of another kind, and numbers out of their range."""
+        check_positive(self, "step")
 
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None

@@ -13,6 +13,8 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
+from grasp_refine.arguments import check_positive
+from grasp_refine.brief import brief
 from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.body import Body
 
@@ -38,6 +40,8 @@ class Surfaces:
     """eps = 2 sqrt(area / N) of each body (S,), in metres: a disc of this radius holds about 12 candidates."""
     diagonal: np.ndarray
     """Bounding-box diagonal of each body (S,), in metres."""
+
+    __repr__ = brief
 
     @staticmethod
     def of(bodies: Sequence[Body]) -> "Surfaces":
@@ -146,6 +150,10 @@ class Adaptive:
     without_target: float = 4.0
     """Radius where no target is given, in candidate spacings."""
 
+    def __post_init__(self) -> None:
+        """Refuse fields of another kind, and numbers out of their range."""
+        check_positive(self, "samples", "minimum", "without_target")
+
     def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
         """max(|t - x|, eps), and 4 eps where there is no target."""
         eps = surfaces.spacing[:, None]
@@ -165,6 +173,10 @@ class Fixed:
     """Candidates drawn at random from the neighbourhood; None: all of them."""
     minimum: int = 8
     """With fewer candidates inside, the nearest ones are taken."""
+
+    def __post_init__(self) -> None:
+        """Refuse fields of another kind, and numbers out of their range."""
+        check_positive(self, "fraction", "samples", "minimum")
 
     def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
         """Fraction x diagonal."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from grasp_refine.arguments import check_fields
 from grasp_refine.collision.query import Pairs, Witness
 from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.pieces import Piece
@@ -45,6 +46,7 @@ class Patch:
         Raises:
             CollisionError: epsilon is not positive and finite.
         """
+        check_fields(self)
         if not (np.isfinite(self.epsilon) and self.epsilon > 0):
             raise CollisionError(f"the epsilon of a patch must be positive and finite, got {self.epsilon}")
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from grasp_refine.arguments import check_fields
 from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.geometry.rings import Rings
@@ -30,6 +31,7 @@ class Neighbor:
         Raises:
             CollisionError: fewer than one ring or two samples.
         """
+        check_fields(self)
         if self.rings < 1 or (self.samples is not None and self.samples < 2):
             raise CollisionError(
                 f"a neighbourhood needs at least 1 ring and 2 samples, got rings={self.rings}, samples={self.samples}"

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from grasp_refine.brief import brief
 from grasp_refine.collision.query import Pairs, Witness
 from grasp_refine.witness.neighborhood import Neighborhood, Neighbors, Surfaces, choose, draw_offset
 from grasp_refine.witness.rings import Neighbor, choose_rings
@@ -29,6 +30,8 @@ class WitnessScene:
     """The same of the second bodies."""
     key: int
     """Number of the iteration: methods that draw samples draw others at another key."""
+
+    __repr__ = brief
 
     @property
     def length(self) -> np.ndarray:

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from grasp_refine.arguments import check_fields
 from grasp_refine.se3 import body_gradient, cross, hat, matvec
 
 
@@ -33,6 +34,8 @@ class EquivalentTransport:
     """s_r: how far (radians) a unit of angular gradient turns."""
     both: bool = False
     """The body called resting moves too, with the same step sizes, and gets the gradient of the other in turn."""
+
+    __post_init__ = check_fields
 
     def __call__(self, T_world_moving: Tensor, T_world_resting: Tensor) -> tuple[Tensor, Tensor]:
         """The same poses (..., 4, 4), whose gradients will be transported in the backward pass."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from grasp_refine.arguments import check_positive
 from grasp_refine.witness.perturbation import perturbed, relative_covector
 from grasp_refine.witness.relative import seen_from_a
 from grasp_refine.witness.scene import WitnessScene
@@ -25,6 +26,10 @@ class ZerothOrder:
     """Antithetic pairs: twice as many queries."""
     seed: int = 0
     """Seed of the perturbations."""
+
+    def __post_init__(self) -> None:
+        """Refuse fields of another kind, and numbers out of their range."""
+        check_positive(self, "sigma", "samples")
 
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None

@@ -123,7 +123,7 @@ def _load(source: str | Path, kind: Kind, candidates: int, seed: int, say: Calla
             embedded = EMBEDDED.get(str(source))
             name, mesh = (str(source), embedded()) if embedded else (Path(source).stem, load_mesh(source))
             return build_body(name, [hull(mesh.vertices, name=name)], candidates=candidates, seed=seed)
-        found = load_object(source, candidates=candidates, seed=seed, progress=say)
+        found = load_object(source, unit="m", candidates=candidates, seed=seed, progress=say)
     except GraspRefineError as error:
         say(f"left out: {error}")
         return None

@@ -1,0 +1,70 @@
+"""Short descriptions of dataclasses that hold arrays, for people who print them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+LONGEST_TEXT, LONGEST_REPR = 40, 300
+"""Characters that are shown of one text, and about how many of all fields together."""
+
+
+def brief(record: Any) -> str:
+    """The `repr` of a dataclass in a few lines at most: arrays by type and shape, long tuples by how many they hold.
+
+    A class takes it by `__repr__ = brief`. Fields that have their default None or () are left out.
+    """
+    parts: list[str] = []
+    for field in fields(record):
+        value = getattr(record, field.name)
+        if field.default is not MISSING and (value is None or value == ()):
+            continue
+        if sum(map(len, parts)) > LONGEST_REPR:
+            parts.append("...")
+            break
+        parts.append(f"{field.name}={_value(value)}")
+    return f"{type(record).__name__}({', '.join(parts)})"
+
+
+def counted(count: int, thing: str) -> str:
+    """A number and what there are so many of: "1 grasp", "4 grasps"."""
+    return f"{count} {thing}{'' if count == 1 else 's'}"
+
+
+def tallied(labels: Iterable[str]) -> str:
+    """How often each label comes, the most frequent first: "3 converged, 1 stalled"."""
+    names, counts = np.unique(list(labels), return_counts=True)
+    return ", ".join(f"{counts[i]} {names[i]}" for i in np.argsort(-counts, kind="stable"))
+
+
+def labels(kind: Callable[[int], Any], codes: np.ndarray) -> np.ndarray:
+    """The labels of codes, an array of the same shape: "converged" for 1 where the kind is `Status`."""
+    codes = np.asarray(codes)
+    return np.array([kind(int(code)).label for code in codes.reshape(-1)], dtype=str).reshape(codes.shape)
+
+
+def spread(values: np.ndarray, digits: int = 3) -> str:
+    """The smallest and the largest of numbers that need not be known: "0.912 to 0.985", or "unknown"."""
+    known = np.asarray(values)[np.isfinite(values)]
+    if not known.size:
+        return "unknown"
+    low, high = (f"{value:.{digits}g}" for value in (known.min(), known.max()))
+    return low if low == high else f"{low} to {high}"
+
+
+def _value(value: Any) -> str:
+    if hasattr(value, "shape") and hasattr(value, "dtype"):
+        kind = "str" if str(value.dtype).startswith("<U") else str(value.dtype).removeprefix("torch.")
+        return f"{kind}{list(value.shape)}"
+    if is_dataclass(value) and not isinstance(value, type):
+        text = repr(value)
+        return text if len(text) <= 2 * LONGEST_TEXT else f"{type(value).__name__}(...)"
+    if isinstance(value, tuple | list | Mapping) and len(value) > 3:
+        return f"({len(value)} of them)"
+    if isinstance(value, tuple | list):
+        return f"({', '.join(map(_value, value))}{',' if len(value) == 1 else ''})"
+    text = repr(value)
+    return text if len(text) <= LONGEST_TEXT else f"{text[: LONGEST_TEXT - 3]}..."
