@@ -2,6 +2,7 @@
 
 import threading
 import time
+from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -366,6 +367,7 @@ def test_what_was_cut_before_the_end_is_kept_and_what_runs_is_ended(bracket, tmp
 CONCAVE = [name for name in EMBEDDED if name != "rounded_box"]
 
 
+@pytest.mark.skipif(version("coacd") != "1.0.14", reason="another CoACD than that which cut them may cut otherwise")
 @pytest.mark.parametrize(
     "name", [name if name == "bottle" else pytest.param(name, marks=pytest.mark.slow) for name in CONCAVE]
 )
