@@ -71,12 +71,12 @@ def _scaled(factor: float) -> Callable[[Poses], Poses]:
 
 
 CONVENTIONS = (
-    Convention("positions look like millimetres", "metres", _scaled(1e-3), unit=True),
-    Convention("positions look like centimetres", "metres", _scaled(1e-2), unit=True),
+    Convention("positions look like millimetres", "in metres", _scaled(1e-3), unit=True),
+    Convention("positions look like centimetres", "in metres", _scaled(1e-2), unit=True),
     Convention("quaternions look like x y z w", "w x y z", lambda pose: pose[:, [0, 1, 2, 6, 3, 4, 5]]),
     Convention(
         "poses look like those of the object in the hand's frame",
-        "poses of the hand in the object's frame",
+        "those of the hand in the object's frame",
         lambda pose: pose_from_transform(inverse(transform_from_pose(pose))),
     ),
 )
@@ -98,11 +98,12 @@ def convention_notes(scenes: Sequence[Scene]) -> tuple[str, ...]:
     if not len(chosen):
         return ()
     number, row = number[chosen], np.concatenate(found)[chosen]
-    hand = scenes[0].hand
-    pose = np.concatenate([pose_from_transform(scenes[k].T_world_root[[i]]) for k, i in zip(number, row, strict=True)])
-    q = np.stack([scenes[k].q[i] for k, i in zip(number, row, strict=True)])
+    hand, each = scenes[0].hand, list(zip(number.tolist(), row.tolist(), strict=True))
+    pose = pose_from_transform(np.stack([scenes[k].T_world_root[i] for k, i in each]))
+    q = np.stack([scenes[k].q[i] for k, i in each])
     notes = joint_notes(hand, q)
-    at = _Objects(tuple(HandObject.of(scenes[k]) for k in np.unique(number)), np.unique(number, return_inverse=True)[1])
+    once, number = np.unique(number, return_inverse=True)
+    at = _Objects(tuple(HandObject.of(scenes[k]) for k in once.tolist()), number)
     return (*notes, *_pose_notes(hand, at, pose, np.radians(q) if notes else q))
 
 
@@ -121,7 +122,7 @@ def joint_notes(hand: Hand, q: Float[np.ndarray, "N n"]) -> tuple[str, ...]:
         return ()
     return (
         f"joint values look like degrees: read so, {as_degrees.sum()} of {len(q)} grasps lie within the joint limits, "
-        f"as they are {(as_read <= LIMIT_TOLERANCE_RAD).sum()}; they must be radians",
+        f"as they are {(as_read <= LIMIT_TOLERANCE_RAD).sum()}; they must be in radians",
     )
 
 
