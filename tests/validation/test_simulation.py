@@ -266,6 +266,20 @@ def test_an_object_that_is_thrown_while_the_hand_closes_is_not_lost_to_the_push(
     assert np.isnan(trials.time_s).all() and np.isnan(trials.displacement_m).all()
 
 
+def test_an_object_that_is_turned_while_the_hand_closes_is_not_lost_to_the_push(world: World) -> None:
+    # The plates turn about their own axis as they press, and the ball, whose middle stays, with them.
+    motion = around(8.0)
+    T = motion.T_world_root.copy()
+    turn = np.eye(4)
+    turn[:3, :3] = exp_so3(np.array([0.6, 0.0, 0.0]))
+    T[:, 1], T[:, 2] = T[:, 2], turn @ T[:, 2]
+    q = motion.q.copy()
+    q[:, 1] = q[:, 2]
+    trials = simulate(world, Motion(T, q))
+    assert trials.closing_rad[0] == pytest.approx(0.6, abs=0.05) and trials.closing_m[0] < 0.01
+    assert (trials.reason == Reason.THROWN).all()
+
+
 def test_a_failure_says_at_which_check(world: World) -> None:
     # A finger that slips slowly: later than at the first check, and earlier than at the end.
     forces = np.linspace(0.70, 0.86, 17)
