@@ -31,8 +31,8 @@ MOST_PAIRS = 20_000
 _MEET = 1e-3
 """Joints that turn about points closer than this, in metres, turn about the same point."""
 
-_BLOCK = 256
-"""Configurations that are asked at a time, which bounds the memory."""
+_BLOCK, _BLOCK_POSES = 256, 2**20
+"""Configurations, and configurations times pairs, that are asked at a time, which bounds the memory."""
 
 _ROUNDS = (256, 1280)
 """Where the configurations are split: pairs that were near in one round are not asked in the next, which is cheap
@@ -263,12 +263,13 @@ def _distances(
     bodies = [hand.links_by_name[name].solid for name in names]
     table = Pairs(tuple(bodies[i] for i in first), tuple(bodies[i] for i in second))
     distance = np.empty((len(q), len(pairs)))
-    for start in range(0, len(q), _BLOCK):
-        block = q[start : start + _BLOCK]
+    rows = max(min(_BLOCK, _BLOCK_POSES // len(pairs)), 1)
+    for start in range(0, len(q), rows):
+        block = q[start : start + rows]
         # What is not finite has no answer.
         with np.errstate(invalid="ignore"):
             T = chain(np.broadcast_to(np.eye(4), (len(block), 4, 4)), block).T_world_link
-        distance[start : start + _BLOCK] = query(table, T[:, first], T[:, second], cutoff=cutoff).distance
+        distance[start : start + rows] = query(table, T[:, first], T[:, second], cutoff=cutoff).distance
     return distance
 
 

@@ -88,9 +88,7 @@ def read_urdf(path: Path) -> yourdfpy.Robot:
     robot = _read_xml(path)
     for tag in ("link", "joint"):
         if (count := len(robot.findall(tag))) > MOST_LINKS:
-            raise HandError(
-                f"{path}: has {count} {tag}s, more than the {MOST_LINKS} of the largest hands; leave some out"
-            )
+            raise HandError(f"{path}: has {count} {tag}s, more than the {MOST_LINKS} that a hand may have")
     _check(robot, str(path))
     robot.set("name", robot.get("name", path.stem))
     # yourdfpy lets through whatever Python raises on a malformed element, so it is given a checked copy.

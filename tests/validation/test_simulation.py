@@ -118,6 +118,17 @@ def test_a_simulation_that_diverges_is_not_set_back_to_its_start() -> None:
     assert (np.diff(times, axis=0) >= 0).all() and len(times) < FORCE_CLOSURE.steps_per_check
 
 
+def test_without_memory_for_all_contacts_nothing_is_said_of_a_grasp(world: World) -> None:
+    """MuJoCo only warns when contacts no longer fit, and lets things pass through each other: 10 kB were too few."""
+    found = set()
+    for memory in range(8_000, 24_000, 1_000):
+        world.spec.memory = memory
+        trials = simulate(replace(world, model=world.spec.compile()), around(4.0))
+        found.add(frozenset(trials.reason.ravel().tolist()))
+    world.spec.memory = -1
+    assert found == {frozenset([Reason.UNSTABLE]), frozenset([Reason.HELD])}
+
+
 def test_a_bad_grasp_fails_and_harms_no_other(world: World) -> None:
     motion = around(4.0, count=3)
     q, T = motion.q.copy(), motion.T_world_root.copy()
