@@ -166,9 +166,10 @@ def test_a_batch_equals_its_grasps_one_by_one_bit_for_bit_at_any_number_of_threa
 def test_a_recorded_trial_is_the_same_trial(world: World) -> None:
     motion = around(0.9)
     trials = simulate(world, motion)
-    for direction in ("+y", "+x"):
+    for direction, force in (("+y", [0, PUSH, 0]), ("-x", [-PUSH, 0, 0])):
         replay = record(world, motion, direction, name="ball 0", hand="gripper")
         assert replay is not None
+        np.testing.assert_allclose(replay.force, force)
         assert replay.time[0] == 0 and replay.stage[0] == Stage.CLOSE
         np.testing.assert_array_equal(replay.object_pose[0], [0, 0, 0, 1, 0, 0, 0])
         np.testing.assert_array_equal(replay.mocap_pos[0], motion.T_world_root[0, 0, :3, 3])
