@@ -1,6 +1,7 @@
 """Self-collision: which links of a hand can touch each other, and how deep they are in each other."""
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -24,11 +25,14 @@ LinkPair = tuple[str, str]
 SCHEMA = 2
 """Which candidates there are, and how they are judged; a new one leaves all old cache entries unused."""
 
+MOST_PAIRS = 20_000
+"""Most pairs of links that are looked at, which takes half a minute: those of 200 links that each move on their own."""
+
 _MEET = 1e-3
 """Joints that turn about points closer than this, in metres, turn about the same point."""
 
-_BLOCK = 256
-"""Configurations that are asked at a time, which bounds the memory."""
+_BLOCK, _BLOCK_POSES = 256, 2**20
+"""Configurations, and configurations times pairs, that are asked at a time, which bounds the memory."""
 
 _ROUNDS = (256, 1280)
 """Where the configurations are split: pairs that were near in one round are not asked in the next, which is cheap
@@ -93,6 +97,9 @@ def touching_pairs(
         sampling: How many configurations are looked at, and what counts as near.
         cache: Folder of answers found before; "user" is the user's cache folder, None keeps none. An entry is named
             by all that the answer depends on: pieces, joints, limits, rest pose and settings.
+
+    Raises:
+        HandError: more than `MOST_PAIRS` pairs have a joint that can move between them.
     """
     candidates, _ = _candidates(hand)
     if not candidates:
@@ -163,7 +170,11 @@ def candidate_pairs(hand: Hand) -> tuple[LinkPair, ...]:
 
 
 def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
-    """All pairs of solid links that neither are rigidly connected nor neighbours, and the number of neighbours."""
+    """All pairs of solid links that neither are rigidly connected nor neighbours, and the number of neighbours.
+
+    Raises:
+        HandError: there are more than `MOST_PAIRS` pairs.
+    """
     matrix, _, movable = hand.mimic_map()
     lower, upper = _limits(hand)
     moving = {name for name, travel in zip(movable, np.abs(matrix) @ (upper - lower), strict=True) if travel > 0}
@@ -192,6 +203,13 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
         while inner in meeting:
             inner = carrier[inner]
             left_out |= {(own, carrier[inner]), (carrier[inner], own)}
+    parts = np.array(list(Counter(part[name] for name in names).values()))
+    count = (len(names) ** 2 - int((parts**2).sum())) // 2
+    if count > MOST_PAIRS:
+        raise HandError(
+            f"hand {hand.name}: {len(names)} links have collision geometry, of which {count} pairs move against each "
+            f"other, more than the {MOST_PAIRS} that are looked at; leave the collision geometry of some links out"
+        )
     apart = [(a, b) for a, b in combinations(names, 2) if part[a] != part[b]]
     pairs = [(a, b) for a, b in apart if (part[a], part[b]) not in left_out]
     return pairs, len(apart) - len(pairs)
@@ -245,12 +263,13 @@ def _distances(
     bodies = [hand.links_by_name[name].solid for name in names]
     table = Pairs(tuple(bodies[i] for i in first), tuple(bodies[i] for i in second))
     distance = np.empty((len(q), len(pairs)))
-    for start in range(0, len(q), _BLOCK):
-        block = q[start : start + _BLOCK]
+    rows = max(min(_BLOCK, _BLOCK_POSES // len(pairs)), 1)
+    for start in range(0, len(q), rows):
+        block = q[start : start + rows]
         # What is not finite has no answer.
         with np.errstate(invalid="ignore"):
             T = chain(np.broadcast_to(np.eye(4), (len(block), 4, 4)), block).T_world_link
-        distance[start : start + _BLOCK] = query(table, T[:, first], T[:, second], cutoff=cutoff).distance
+        distance[start : start + rows] = query(table, T[:, first], T[:, second], cutoff=cutoff).distance
     return distance
 
 

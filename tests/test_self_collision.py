@@ -102,6 +102,18 @@ def test_fingers_on_a_base_that_is_not_solid_are_no_neighbours(tmp_path: Path) -
     assert found(build(tmp_path, *fingers, base=link("base", None))) == (("a", "b"),)
 
 
+def test_more_pairs_than_are_looked_at_are_refused_before_anything_is_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A URDF of 20,000 links once kept `hands --check` busy for minutes."""
+    monkeypatch.setattr(self_collision, "query", None)
+    monkeypatch.setattr(self_collision, "MOST_PAIRS", 9)
+    # Four moving balls and the base with a ball fixed to it: 4 x 3 / 2 pairs of them, 2 x 4 with the base.
+    parts = [slide("base", name, 0.0, 0.1) for name in "abcd"]
+    with pytest.raises(HandError, match="14 pairs .* 9 "):
+        found(build(tmp_path, *parts, fixed("base", "more", 0.5)))
+
+
 def test_a_joint_that_cannot_move_is_rigid(tmp_path: Path) -> None:
     def hand(low: float) -> Hand:
         return build(tmp_path, slide("base", "a", 0, 0.1, z=0.1), slide("a", "b", low, 0), slide("b", "c", 0.015, 0.06))

@@ -34,6 +34,10 @@ READ = {
 }
 """What is read of an element; the rest (visuals, transmissions, simulator extensions) cannot break a hand."""
 
+MOST_LINKS = 1000
+"""Most links or joints of a URDF; a hand has thirty, one with an arm and hundreds of tactile cells some hundreds. What
+is worked out for pairs of joints and links takes minutes for ten times as many."""
+
 NEEDED = {"collision": ("geometry",), "visual": ("geometry",), "joint": ("parent", "child")}
 """Elements that an element must hold."""
 
@@ -75,12 +79,16 @@ def read_urdf(path: Path) -> yourdfpy.Robot:
     joints form a tree is not looked at here.
 
     Raises:
-        HandError: the file is missing, not XML, not a URDF, or an element of it lacks or garbles something.
+        HandError: the file is missing, not XML, not a URDF, or has more than `MOST_LINKS` links or joints, or an
+            element of it lacks or garbles something.
     """
     import yourdfpy
     from lxml import etree
 
     robot = _read_xml(path)
+    for tag in ("link", "joint"):
+        if (count := len(robot.findall(tag))) > MOST_LINKS:
+            raise HandError(f"{path}: has {count} {tag}s, more than the {MOST_LINKS} that a hand may have")
     _check(robot, str(path))
     robot.set("name", robot.get("name", path.stem))
     # yourdfpy lets through whatever Python raises on a malformed element, so it is given a checked copy.

@@ -182,6 +182,19 @@ def test_what_a_urdf_points_to_is_not_even_opened(tmp_path: Path, kind: str) -> 
     assert len(refused) == 1 and "a DOCTYPE is refused, because it can pull in other files" in refused[0]
 
 
+@pytest.mark.parametrize(("tag", "count"), [("link", 1001), ("joint", 1002)])
+def test_more_links_or_joints_than_a_hand_can_have_are_refused_before_any_is_read(
+    tmp_path: Path, tag: str, count: int
+) -> None:
+    """A URDF of 20,000 links once kept `hands --check` busy for minutes; these have no names, which nobody sees."""
+    path = write(tmp_path, f"<robot name='r'>{f'<{tag}/>' * count}</robot>")
+    with pytest.raises(HandError, match=rf"hand\.urdf: has {count} {tag}s, more than the 1000 "):
+        read_urdf(path)
+    links = "".join(f"<link name='{number}'/>" for number in range(1000))
+    path = write(tmp_path, f"<robot name='r'>{links}</robot>")
+    assert len(read_urdf(path).links) == 1000
+
+
 def test_a_doctype_is_refused_and_no_entity_is_read(tmp_path: Path) -> None:
     secret = tmp_path / "secret.txt"
     secret.write_text("do not read")

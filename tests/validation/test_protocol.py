@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import hypot
+from math import hypot, pi
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ import pytest
 from gripper import KP, RADIUS, around, ball, gripper
 from mujoco.batch import Batch
 
-from grasp_refine.commands.simulating import Simulation
+from grasp_refine.commands.simulating import Robustness, Simulation
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.hand import Hand, load_hand
@@ -20,7 +20,7 @@ from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import FORCE_CLOSURE, SETTINGS, TABLETOP, Protocol
-from grasp_refine.validation.robustness import holds_at
+from grasp_refine.validation.robustness import Noise, holds_at
 from grasp_refine.validation.simulation import close, push, simulate
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason
@@ -47,8 +47,8 @@ def fallen(acceleration: float, steps: int | np.ndarray, timestep: float) -> flo
 @pytest.mark.parametrize("protocol", [*SETTINGS.values(), replace(FORCE_CLOSURE, mass=0.3, acceleration=4.0)])
 def test_a_free_object_is_pushed_along_the_named_direction(protocol: Protocol) -> None:
     """A push along -z that acted along +z once failed no test."""
-    if protocol.tabletop:
-        assert protocol.directions == ()
+    if protocol.name == "tabletop":
+        assert protocol.tabletop, "it lifts instead"
         return
     world = build_world(gripper(), ball(), protocol)
     count = 2
@@ -79,6 +79,15 @@ def test_a_heavier_object_needs_so_much_more_force() -> None:
     across = ["xyz".index(name[1]) > 0 for name in heavy.directions]
     assert (simulate(world, around(1.15 * limit)).reason[:, across] == Reason.HELD).all()
     assert (simulate(world, around(0.85 * limit)).reason[:, across] == Reason.MOVED).all()
+
+
+def test_options_are_in_the_units_that_they_say() -> None:
+    asked = Simulation(setting="tabletop", mass=0.25, seconds=0.6).protocol()
+    assert (asked.mass, asked.checks * asked.steps_per_check * asked.timestep) == (0.25, pytest.approx(0.6))
+    assert asked == replace(TABLETOP, mass=0.25, checks=asked.checks)
+    noise = Robustness(noise=3, noise_offset=0.01, noise_degrees=90.0).checks(None).noise
+    assert (noise.count, noise.offset, noise.turn) == (3, 0.01, pytest.approx(pi / 2))
+    assert Robustness(noise=3).checks(None).noise == Noise(3)
 
 
 def test_on_a_tabletop_the_object_falls_and_the_hand_does_not() -> None:

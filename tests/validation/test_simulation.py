@@ -118,6 +118,17 @@ def test_a_simulation_that_diverges_is_not_set_back_to_its_start() -> None:
     assert (np.diff(times, axis=0) >= 0).all() and len(times) < FORCE_CLOSURE.steps_per_check
 
 
+def test_without_memory_for_all_contacts_nothing_is_said_of_a_grasp(world: World) -> None:
+    """MuJoCo only warns when contacts no longer fit, and lets things pass through each other: 10 kB were too few."""
+    found = set()
+    for memory in range(8_000, 24_000, 1_000):
+        world.spec.memory = memory
+        trials = simulate(replace(world, model=world.spec.compile()), around(4.0))
+        found.add(frozenset(trials.reason.ravel().tolist()))
+    world.spec.memory = -1
+    assert found == {frozenset([Reason.UNSTABLE]), frozenset([Reason.HELD])}
+
+
 def test_a_bad_grasp_fails_and_harms_no_other(world: World) -> None:
     motion = around(4.0, count=3)
     q, T = motion.q.copy(), motion.T_world_root.copy()
@@ -155,9 +166,10 @@ def test_a_batch_equals_its_grasps_one_by_one_bit_for_bit_at_any_number_of_threa
 def test_a_recorded_trial_is_the_same_trial(world: World) -> None:
     motion = around(0.9)
     trials = simulate(world, motion)
-    for direction in ("+y", "+x"):
+    for direction, force in (("+y", [0, PUSH, 0]), ("-x", [-PUSH, 0, 0])):
         replay = record(world, motion, direction, name="ball 0", hand="gripper")
         assert replay is not None
+        np.testing.assert_allclose(replay.force, force)
         assert replay.time[0] == 0 and replay.stage[0] == Stage.CLOSE
         np.testing.assert_array_equal(replay.object_pose[0], [0, 0, 0, 1, 0, 0, 0])
         np.testing.assert_array_equal(replay.mocap_pos[0], motion.T_world_root[0, 0, :3, 3])
@@ -264,6 +276,20 @@ def test_an_object_that_is_thrown_while_the_hand_closes_is_not_lost_to_the_push(
     assert (trials.reason == Reason.THROWN).all() and not trials.success.any()
     assert trials.closing_m[0] > FORCE_CLOSURE.farthest
     assert np.isnan(trials.time_s).all() and np.isnan(trials.displacement_m).all()
+
+
+def test_an_object_that_is_turned_while_the_hand_closes_is_not_lost_to_the_push(world: World) -> None:
+    # The plates turn about their own axis as they press, and the ball, whose middle stays, with them.
+    motion = around(8.0)
+    T = motion.T_world_root.copy()
+    turn = np.eye(4)
+    turn[:3, :3] = exp_so3(np.array([0.6, 0.0, 0.0]))
+    T[:, 1], T[:, 2] = T[:, 2], turn @ T[:, 2]
+    q = motion.q.copy()
+    q[:, 1] = q[:, 2]
+    trials = simulate(world, Motion(T, q))
+    assert trials.closing_rad[0] == pytest.approx(0.6, abs=0.05) and trials.closing_m[0] < 0.01
+    assert (trials.reason == Reason.THROWN).all()
 
 
 def test_a_failure_says_at_which_check(world: World) -> None:
