@@ -65,20 +65,14 @@ without its batch dimension:
     >>> from grasp_refine.hand import load_hand
     >>> from grasp_refine.scene import Scene
     >>> hand = load_hand("allegro")
-    >>> Scene(hand, load_object("mug"), [0.1, 0, 0, 1, 0, 0, 0], hand.rest)
+    >>> Scene(hand, load_object("mug"), np.array([0.1, 0, 0, 1, 0, 0, 0]), hand.rest)
     Scene(allegro on mug: 1 grasp)
 
 **Numbers.** float64 by default, float32 on request; collision queries run in float64 always. Seeds, device and dtype
 travel with the scene: same seed, same machine, same result.
 
 **Errors.** What a file or an argument can get wrong is a `grasp_refine.errors.GraspRefineError` of one line, raised
-where it comes in:
-
-    >>> Scene("allegro", load_object("mug"), np.eye(4), hand.rest)
-    Traceback (most recent call last):
-    grasp_refine.errors.GraspRefineError: hand must be a Hand, got 'allegro'; load_hand("allegro") returns one
-
-Not converging is a status of the result, which its `labels` say in words.
+where it comes in. Not converging is a status of the result, which its `labels` say in words.
 """
 
 __version__: str

@@ -123,7 +123,7 @@ def shape_error(name: str, array: Any, shape: tuple[int | str, ...], why: str = 
 def is_number(value: object) -> bool:
     """Whether it is one number, and not NaN."""
     number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    return number and value == value
+    return bool(number and value == value)
 
 
 def shown(value: object) -> str:

@@ -7,7 +7,6 @@ import pickle
 import re
 import zipfile
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ import pytest
 from grasp_refine.description.tree import Joint, Mimic
 from grasp_refine.errors import GraspFileError
 from grasp_refine.grasps import GraspSet, Stage, choose_rows, load_grasps, match_joints, save_npz
-from grasp_refine.hand import load_hand
+from grasp_refine.hand import Actuator, Hand, load_hand
 
 
 def entries(n: int = 3) -> dict:
@@ -392,9 +391,14 @@ def joint(name: str, mimic: Mimic | None = None) -> Joint:
     return Joint(name, "revolute", "palm", f"{name}_link", np.eye(4), np.array([0.0, 0.0, 1.0]), -9, 9, mimic, None)
 
 
-CLAW = SimpleNamespace(
+CLAW = Hand(
     name="claw",
+    urdf=Path("claw.urdf"),
+    base_link="palm",
+    links=(),
     joint_names=("b", "c", "a"),
+    lower=np.full(3, -9.0),
+    upper=np.full(3, 9.0),
     rest=np.array([0.1, 0.2, 0.3]),
     joints=(
         joint("b"),
@@ -403,6 +407,9 @@ CLAW = SimpleNamespace(
         joint("last", Mimic("follower", 3.0, 0.0)),
         joint("a"),
     ),
+    contacts=(),
+    notes=(),
+    actuator=Actuator(*np.ones((5, 3))),
 )
 
 

@@ -224,7 +224,7 @@ def test_terms_have_the_gradients_of_finite_differences(gap: float) -> None:
 @pytest.mark.parametrize("name", ["translation", "rotation", "joints"])
 @pytest.mark.parametrize("value", [0.0, -0.1, np.nan])
 def test_scales_of_nothing_are_refused(name: str, value: float) -> None:
-    with pytest.raises(GraspRefineError, match=f"^scales: {name} must be above 0, got {value:g}$"):
+    with pytest.raises(GraspRefineError, match=f"{name} must be .*, got {value:g}$"):
         Scales(**{name: value})
 
 

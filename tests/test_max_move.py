@@ -108,7 +108,7 @@ def test_turns_of_any_angle_are_bounded(angle: float) -> None:
 @pytest.mark.parametrize("name", ["translation", "rotation", "joints"])
 @pytest.mark.parametrize("value", [-0.01, np.nan])
 def test_what_is_no_distance_is_refused(name: str, value: float) -> None:
-    with pytest.raises(GraspRefineError, match=f"^max move: {name} must be at least 0, got {value:g}$"):
+    with pytest.raises(GraspRefineError, match=f"{name} must be .*, got {value:g}$"):
         MaxMove(**{name: value})
 
 

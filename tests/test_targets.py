@@ -126,7 +126,7 @@ def test_what_could_matter_is_asked_and_what_cannot_is_not(hand: Hand) -> None:
 @pytest.mark.parametrize("name", ["reach", "reach_others", "farthest"])
 @pytest.mark.parametrize("value", [-0.001, float("nan")])
 def test_distances_below_zero_are_refused(name: str, value: float) -> None:
-    with pytest.raises(GraspRefineError, match=f"{name} must be a distance of at least 0 m, got {value:g}"):
+    with pytest.raises(GraspRefineError, match=f"{name} must be .*, got {value:g}"):
         Touching(**{name: value})
 
 

@@ -226,9 +226,9 @@ def query(
                 row, pair = np.argwhere(wrong)[0]
                 raise CollisionError(f"{name}[{row}, {pair}] is no rigid transform")
         shape = T_world_a.shape[:2]
-        if not isinstance(cutoff, float) or cutoff != cutoff:
+        if not isinstance(cutoff, float):
             cutoff = as_numbers("cutoff", cutoff)
-            if np.isnan(cutoff).any() or cutoff.shape not in ((), (1,), shape[1:], shape):
+            if cutoff.shape not in ((), (1,), shape[1:], shape):
                 raise CollisionError(f"cutoff must be one number or one a pair ({len(pairs)},), got {shown(cutoff)}")
     except GraspRefineError as error:
         raise CollisionError(str(error)) from None

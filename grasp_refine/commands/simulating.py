@@ -46,8 +46,11 @@ class Simulation:
         """The protocol that the options mean.
 
         Raises:
-            GraspRefineError: a push cannot be that long.
+            GraspRefineError: a push cannot be that long, or friction or mass are 0.
         """
+        for name, value in (("friction", self.friction), ("mass", self.mass)):
+            if value == 0:
+                raise GraspRefineError(f"--{name} must be above 0")
         checks = round(min(self.seconds, 2 * LONGEST) / CHECK)
         if not CHECK <= self.seconds <= LONGEST or abs(checks * CHECK - self.seconds) > 1e-9:
             raise GraspRefineError(

@@ -150,17 +150,8 @@ class Validate:
             raise GraspRefineError("name a grasp file: refine-grasp validate FILE, or --compare BEFORE AFTER")
         if protocol is None and (self.simulation != Simulation(simulate=False) or self.robustness != Robustness()):
             raise GraspRefineError("with --no-simulate, options of the simulation mean nothing: leave them out")
-        zero = [
-            f"--{name}"
-            for name, value in (
-                ("friction", self.simulation.friction),
-                ("mass", self.simulation.mass),
-                *(("frictions", value) for value in self.robustness.frictions),
-            )
-            if value == 0
-        ]
-        if zero:
-            raise GraspRefineError(f"{zero[0]} must be above 0")
+        if 0 in self.robustness.frictions:
+            raise GraspRefineError("--frictions must be above 0")
         if len(set(self.robustness.frictions)) < len(self.robustness.frictions):
             raise GraspRefineError("--frictions names a coefficient twice")
         if self.robustness.noise == 0:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from grasp_refine.arguments import check_positive
+from grasp_refine.arguments import check_fields
 from grasp_refine.se3 import Array, array_namespace, cross, matvec, tangents
 from grasp_refine.witness.curvature import raised, with_eigenvalues
 from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
@@ -44,9 +44,7 @@ class ContactKinematics:
     seed: int = 0
     """Seed of the random choice of samples."""
 
-    def __post_init__(self) -> None:
-        """Refuse fields of another kind, and numbers out of their range."""
-        check_positive(self, "smallest_curvature")
+    __post_init__ = check_fields
 
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None

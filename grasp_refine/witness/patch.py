@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from grasp_refine.arguments import check_fields
+from grasp_refine.arguments import is_number
 from grasp_refine.collision.query import Pairs, Witness
 from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.pieces import Piece
@@ -46,8 +46,7 @@ class Patch:
         Raises:
             CollisionError: epsilon is not positive and finite.
         """
-        check_fields(self)
-        if not (np.isfinite(self.epsilon) and self.epsilon > 0):
+        if not (is_number(self.epsilon) and 0 < self.epsilon < np.inf):
             raise CollisionError(f"the epsilon of a patch must be positive and finite, got {self.epsilon}")
 
     def refine(

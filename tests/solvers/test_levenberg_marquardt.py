@@ -263,7 +263,7 @@ def test_a_lambda_that_would_not_move_is_refused(shrink: float, grow: float) -> 
     ("settings", "complaint"),
     [
         ({"damping": 0.0}, "damping must be above 0, got 0"),
-        ({"damping": float("nan")}, "damping must be above 0, got nan"),
+        ({"damping": float("nan")}, "damping must be a number, got nan"),
         ({"smallest": -1e-7}, "smallest must be above 0, got -1e-07"),
         ({"progress": 0.0}, r"progress must be in \(0, 1\), got 0"),
         ({"progress": 1.0}, r"progress must be in \(0, 1\), got 1"),
@@ -271,5 +271,5 @@ def test_a_lambda_that_would_not_move_is_refused(shrink: float, grow: float) -> 
     ],
 )
 def test_settings_that_cannot_work_are_refused(settings: dict[str, object], complaint: str) -> None:
-    with pytest.raises(GraspRefineError, match=f"^levenberg-marquardt: {complaint}$"):
+    with pytest.raises(GraspRefineError, match=f": {complaint}$"):
         LevenbergMarquardt(**settings)

@@ -18,6 +18,7 @@ from twists import (
 )
 
 from grasp_refine.collision.query import Pairs, QueryStatus, query
+from grasp_refine.errors import CollisionError
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
 from grasp_refine.witness.analytical import Analytical
@@ -337,7 +338,7 @@ def test_distance_gradients_need_no_method_and_agree_with_the_wrench_of_the_norm
 @pytest.mark.parametrize("shape", [(4, 4), (3, 4, 4), (3, 1, 4, 4), (3, 2, 3, 4), (3, 2, 4)])
 def test_wrong_shapes_are_refused_with_both(shape: tuple[int, ...]) -> None:
     layer = WitnessLayer(two_pairs(), Distance())
-    with pytest.raises(ValueError, match=r"poses must have shape \(batch, 2, 4, 4\), got .* and "):
+    with pytest.raises(CollisionError, match=r"poses must have shape \(batch, 2, 4, 4\), got .* and "):
         layer(torch.zeros(shape), torch.zeros(shape))
-    with pytest.raises(ValueError, match=r"got \(3, 2, 4, 4\) and \(1, 2, 4, 4\)"):
+    with pytest.raises(CollisionError, match=r"got \(3, 2, 4, 4\) and \(1, 2, 4, 4\)"):
         layer(torch.zeros(3, 2, 4, 4), torch.zeros(1, 2, 4, 4))

@@ -327,7 +327,7 @@ def test_single_precision_poses_give_single_precision_results() -> None:
 
 def test_wrong_shapes_are_refused() -> None:
     pairs = Pairs((rounded(0),), (rounded(1),))
-    with pytest.raises(ValueError, match=r"poses must have shape \(batch, 1, 4, 4\)"):
+    with pytest.raises(CollisionError, match=r"poses must have shape \(batch, 1, 4, 4\)"):
         WitnessLayer(pairs, Distance())(torch.eye(4)[None], torch.eye(4)[None])
 
 
