@@ -9,7 +9,9 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
 from command_line import PROGRAM, interruptible, subprocess_environment
 from running_processes import PATIENCE_S, nothing_left, running_in_session, soon
 
@@ -30,8 +32,8 @@ def start(tmp_path: Path) -> Iterator[Starter]:
     (temporary := tmp_path / "temporary").mkdir()
 
     def start(program: str, *arguments: str | Path) -> subprocess.Popen[str]:
-        # Their processes import `endless_job`.
-        paths = [subprocess_environment()["PYTHONPATH"], str(Path(__file__).parent)]
+        # Their processes import `endless_job`, and what a test puts into the folder `instead`.
+        paths = [str(tmp_path / "instead"), subprocess_environment()["PYTHONPATH"], str(Path(__file__).parent)]
         started.append(
             subprocess.Popen(
                 [sys.executable, "-c", program, *map(str, arguments)],
@@ -52,10 +54,31 @@ def start(tmp_path: Path) -> Iterator[Starter]:
         process.communicate()
 
 
-def decomposes(process: subprocess.Popen[str]) -> bool:
-    """Whether a process of its session cuts a mesh into pieces, or the command has ended."""
-    assert process.poll() is None, process.communicate()
-    return any("geometry.decomposition" in command for command in running_in_session(process).values())
+ENDLESS_COACD = """
+import re
+from pathlib import Path
+set_log_level = Mesh = lambda *arguments: None
+def run_coacd(mesh, **options):
+    Path("cutting").touch()
+    re.match("(a+)+$", "a" * 60 + "b")
+"""
+"""A CoACD in compiled code that never ends, and lets no other thread of Python run."""
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> tuple[str | Path, ...]:
+    """Options: the example grasps on a ring, which never ends to be cut into pieces."""
+    (tmp_path / "instead").mkdir()
+    (tmp_path / "instead" / "coacd.py").write_text(ENDLESS_COACD)
+    trimesh.creation.torus(0.04, 0.012).export(tmp_path / "ring.obj")
+    with np.load(resource_dir("robots") / "allegro" / "example_rounded_box.npz") as example:
+        np.savez(tmp_path / "ring.npz", **{**example, "object": np.array(["ring"] * len(example["object"]))})
+    return (tmp_path / "ring.npz", "--hand", "allegro", "--objects", tmp_path)
+
+
+def begun(process: subprocess.Popen[str], *files: str) -> bool:
+    """Wait until these files are there, or a command has ended."""
+    return soon(lambda: all(Path(file).exists() for file in files) or process.poll() is not None)
 
 
 def ended(process: subprocess.Popen[str], number: signal.Signals) -> str:
@@ -70,21 +93,23 @@ def ended(process: subprocess.Popen[str], number: signal.Signals) -> str:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
-def test_in_the_midst_of_a_decomposition(tmp_path: Path, start: Starter, number: signal.Signals):
+def test_in_the_midst_of_a_decomposition(
+    tmp_path: Path, start: Starter, ring: tuple[str | Path, ...], number: signal.Signals
+):
     """CoACD once went on alone after SIGTERM, and when the command was killed."""
-    process = start(PROGRAM, "run")
-    assert soon(lambda: decomposes(process))
+    process = start(PROGRAM, "run", "--grasps", *ring)
+    assert begun(process, "cutting")
     ended(process, number)
-    assert list(Path().iterdir()) == []
+    assert [path.name for path in Path().iterdir()] == ["cutting"]
     if number != signal.SIGKILL:
         assert list((tmp_path / "temporary").iterdir()) == []
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_in_the_midst_of_a_batch(start: Starter, number: signal.Signals):
+def test_in_the_midst_of_a_batch(start: Starter, ring: tuple[str | Path, ...], number: signal.Signals):
     """What its workers have started ends, too."""
-    process = start(PROGRAM, "batch", resource_dir("robots") / "allegro", "--workers", "1", "--out", "out")
-    assert soon(lambda: decomposes(process))
+    process = start(PROGRAM, "batch", *ring, "--workers", "1", "--out", "out")
+    assert begun(process, "cutting")
     ended(process, number)
 
 
@@ -105,7 +130,7 @@ Batch.step = endless
 def test_in_the_midst_of_a_simulation(start: Starter, number: signal.Signals):
     """An interruption once waited for the end of what C++ had been told to simulate."""
     process = start(ENDLESS_SIMULATION, "run", "--object", "rounded_box", "--geometry-only", "--validate")
-    assert soon(lambda: Path("simulating").exists() or process.poll() is not None)
+    assert begun(process, "simulating")
     ended(process, number)
     assert {path.name for path in Path().iterdir()} == {"simulating"}
 
@@ -125,7 +150,7 @@ if __name__ == "__main__":
 def test_in_the_midst_of_the_jobs_of_a_benchmark(start: Starter, number: signal.Signals):
     """Workers once waited for ever for a parent that was killed."""
     process = start(BENCH)
-    assert soon(lambda: (Path("0").exists() and Path("1").exists()) or process.poll() is not None)
+    assert begun(process, "0", "1")
     process.send_signal(number)
     out, error = process.communicate(timeout=PATIENCE_S)
     assert nothing_left(process), running_in_session(process)
