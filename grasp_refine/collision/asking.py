@@ -15,6 +15,10 @@ Where an answer does not hold, b is moved along u until the gap is a quarter of 
 best. If u is right, so is the closest pair of points there: the move adds to g(u) what it is long, and less to all
 other gaps. If not, the normal there is a better direction. It is followed until the gap grows no more; then again
 from nearer, because a small turn moves points less there.
+
+What is settled so is the largest gap that was found, which is no proof: of gaps from 1e-12 to 1e-9 of the larger
+piece, about 1 % come back as contact, and up to 10 % for slivers and nearly equal vertices; a few of the latter are off
+by up to 2e-8. Larger gaps are gaps.
 """
 
 import math
