@@ -18,6 +18,7 @@ from grasp_refine.hand import Hand, load_hand
 from grasp_refine.hand_source import list_hands
 from grasp_refine.objects import Object, load_object
 from grasp_refine.problem import Group, Problem
+from grasp_refine.report.recorded_objects import check_objects
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import pose_from_transform, transform_from_pose
 
@@ -163,7 +164,9 @@ def _with_grasps(upload: Upload, scene: Scene, tell: Callable[[str], None], chec
             new = _aimed(Scene(hand, obj, T, q[at], table=scene.table), grasps, at)
             groups.append((name, float(scale), new, grasps.select(at), at))
     problem = _problem(upload, hand, groups, tuple(notes))
-    return replace(problem, files=tuple(dict.fromkeys((upload.source, *read.files))))
+    others = (_said(note, upload) for note in check_objects(read.files, problem.groups, other=True))
+    files = tuple(dict.fromkeys((upload.source, *read.files)))
+    return replace(problem, files=files, notes=(*problem.notes, *others))
 
 
 def _hand_of(grasps: GraspSet, present: Hand, upload: Upload, tell: Callable[[str], None]) -> Hand:

@@ -29,6 +29,7 @@ from grasp_refine.report.outcome import Outcome
 from grasp_refine.report.profile import profile_table
 from grasp_refine.report.progress import Reporter
 from grasp_refine.report.proof import Proof, proof_lines
+from grasp_refine.report.recorded_objects import object_entries
 from grasp_refine.report.results import fingerprint, result_paths, save_results
 from grasp_refine.report.screen import screen
 from grasp_refine.report.table import grasp_table
@@ -136,7 +137,9 @@ class Run:
         first, path = next(iter(paths.items()))
         if len(paths) > 1:
             screen().print(f"showing {first}; refine-grasp view {self.output.out} shows all", soft_wrap=True)
-        inputs = replace(self.inputs, grasps=path, index=(), targets=Inputs.targets, scale=1.0, format=None)
+        # The result's scale takes the mesh to metres.
+        other = ("index", "targets", "scale", "unit", "format", "other_object")
+        inputs = replace(self.inputs, grasps=path, **{name: getattr(Inputs, name) for name in other})
         # Not to fail now because some port is taken.
         return View(inputs=inputs, settings=self.settings, serving=Serving(port=0)).execute()
 
@@ -182,7 +185,9 @@ class Run:
         for name, path in paths.items():
             rows = np.flatnonzero(outcome.object == name)
             trials = None if proof is None else (proof.before.select(rows), proof.after.select(rows))
-            save_results(path, problem.hand, links, outcome.select(rows), provenance, trials)
+            groups = [group for group in problem.groups if group.object == name]
+            of_object = provenance | {"objects": object_entries(groups)}
+            save_results(path, problem.hand, links, outcome.select(rows), of_object, trials)
 
 
 def _aimed(problem: Problem, config: Config) -> bool:

@@ -31,6 +31,7 @@ from grasp_refine.objects import Object, load_object
 from grasp_refine.plane import Plane
 from grasp_refine.problem import Group, Problem
 from grasp_refine.rebase import rebased
+from grasp_refine.report.recorded_objects import check_objects
 from grasp_refine.report.results import fingerprint, recorded_urdf
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import transform_from_pose
@@ -75,6 +76,8 @@ class Sources:
     split into its bodies, or cut. inf: hulls only."""
     threshold: float = Decomposition.threshold
     """Largest concavity, 0.01 to 1, of the pieces that CoACD cuts a concave object into; lower is finer."""
+    other_object: Annotated[bool, arg(help_behavior_hint="")] = False
+    """Take results that were refined on another object, or on the same one in another size."""
 
     def load_from(self, path: Path, seed: int, say: Callable[[str], None]) -> Problem:
         """The grasps of a file, with the targets that it gives; `say` hears when a decomposition starts and ends.
@@ -109,6 +112,7 @@ class Sources:
                 scene = _aimed(Scene(hand, obj, T, q[rows[at]], table=self._table()), targets, rows[at])
                 metres = self._metres(scale)
                 groups.append(Group(name, metres, scene, grasps.select(rows[at]), rows[at], index[at], place[at]))
+        notes += check_objects(read.files, groups, other=self.other_object)
         return Problem(hand, self._files(path, read), tuple(groups), tuple(dict.fromkeys(notes)))
 
     def check_numbers(self) -> None:

@@ -62,7 +62,7 @@ def save_results(
         limits_violated                     (N,)       joint values beyond their limits
         moved_palm_m, _palm_rad, _joints_rad (N,)      how far base link and joints were moved, metres and radians
         wall_s, cpu_s                       (N,)       share of the time of the refinement, seconds
-        provenance                          ()         JSON: versions, seed, config, source, index and row
+        provenance                          ()         JSON: versions, seed, config, source, hand, objects, index, row
 
     and where grasps were simulated, of the direction that was worst for each, before and after
 
@@ -166,19 +166,30 @@ def fingerprint(path: Path) -> dict[str, str]:
     return {"path": str(path), "sha256": _sha256(path.read_bytes())}
 
 
+def read_provenance(path: Path) -> dict[str, Any]:
+    """Provenance of the grasps in a result file; empty: it is another grasp file.
+
+    Raises:
+        GraspFileError: it is damaged.
+    """
+    if path.suffix != ".npz":
+        return {}
+    text = str(load_npz(path, only=("provenance",)).entries.get("provenance", ""))
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
 def recorded_urdf(path: Path) -> str | None:
     """sha256 of the URDF that the grasps in a result file were refined with; None: it is another grasp file.
 
     Raises:
         GraspFileError: it is damaged.
     """
-    if path.suffix != ".npz":
-        return None
-    text = str(load_npz(path, only=("provenance",)).entries.get("provenance", ""))
-    try:
-        found = json.loads(text)["urdf"]["sha256"]
-    except (ValueError, LookupError, TypeError, RecursionError):
-        return None
+    urdf = read_provenance(path).get("urdf")
+    found = urdf.get("sha256") if isinstance(urdf, dict) else None
     return found if isinstance(found, str) else None
 
 
