@@ -131,17 +131,17 @@ def test_hands_and_doctor_need_no_torch_to_start():
 
 
 def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixture[str]):
-    assert main([*QUICK, "--out", "results", "--json", "deep/report.json"]) == 0
+    assert main([*QUICK, "--out", "results/deep", "--json", "results/deep/report.json"]) == 0
     assert {str(path) for path in Path().rglob("*") if path.is_file()} == {
-        "results/allegro_rounded_box.npz",
-        "deep/report.json",
+        "results/deep/allegro_rounded_box.npz",
+        "results/deep/report.json",
     }
     captured = capsys.readouterr()
     assert captured.err.splitlines() == ["refining 4 grasps with allegro, at most 6 starts"]
     assert "allegro on rounded_box: 4 grasps" in captured.out
     assert max(map(len, captured.out.splitlines())) <= 80
 
-    document = json.loads(Path("deep/report.json").read_text())
+    document = json.loads(Path("results/deep/report.json").read_text())
     assert list(document) == [
         "schema", "command", "versions", "engine", "config", "seed", "totals", "profile", "grasps"
     ]  # fmt: skip
@@ -165,7 +165,7 @@ def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixt
         assert 0 <= grasp["self_penetration_m"]["after"] < 1e-5
         assert set(grasp["moved"]) == {"palm_m", "palm_rad", "joints_rad"}
 
-    before, after = load_grasps(EXAMPLE), load_grasps("results/allegro_rounded_box.npz")
+    before, after = load_grasps(EXAMPLE), load_grasps("results/deep/allegro_rounded_box.npz")
     assert len(after) == 4
     # A refined grasp gets a pregrasp and a squeeze of its own.
     assert after.pregrasp is not None and after.squeeze is not None
@@ -173,7 +173,7 @@ def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixt
     assert after.targets is None
     moved = np.linalg.norm(after.hand_pose[:, :3] - before.hand_pose[:, :3], axis=1)
     np.testing.assert_allclose(moved, [grasp["moved"]["palm_m"] for grasp in document["grasps"]], atol=1e-12)
-    with np.load("results/allegro_rounded_box.npz") as arrays:
+    with np.load("results/deep/allegro_rounded_box.npz") as arrays:
         assert set(arrays["contact_link"]) >= {contact.link for contact in load_hand("allegro").contacts}
         # A link that is too far away is no part of a grasp.
         length = np.linalg.norm(arrays["contact_normal"], axis=-1)

@@ -108,7 +108,7 @@ def _plain(entries: list[dict]) -> list[dict]:
 def test_each_object_and_size_of_a_folder_is_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
     box = load_grasps(ALLEGRO / "example_rounded_box.npz")
-    two = box.with_(scale=np.where(np.arange(len(box)) % 2, 1.1, 1.0))
+    two = replace(box, scale=np.where(np.arange(len(box)) % 2, 1.1, 1.0))
     save_npz("two.npz", two.arrays())
     for grasps, index in (("two.npz", ("0", "1")), (str(ALLEGRO / "example_bottle.npz"), ("0",))):
         assert main(["run", "--geometry-only", "--grasps", grasps, "--index", *index, "--out", "out"]) == 0

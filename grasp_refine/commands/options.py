@@ -9,13 +9,18 @@ import sys
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from math import isfinite
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import tyro
 
 from grasp_refine.errors import GraspRefineError
 
 Command = TypeVar("Command")
+
+Overwrite = Annotated[
+    bool, tyro.conf.arg(help="Replace files that exist; without it they are kept.", help_behavior_hint="")
+]
+"""The option `--overwrite` of commands that write files."""
 
 LARGEST_SEED = 2**32 - 1
 

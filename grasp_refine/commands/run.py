@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,8 +13,11 @@ import numpy as np
 import torch
 from tyro.conf import DisallowNone, arg
 
+from grasp_refine.collision.engine import chosen
+from grasp_refine.commands.digests import Digests
 from grasp_refine.commands.ending import NOTHING_USABLE
 from grasp_refine.commands.inputs import NEAREST, Inputs
+from grasp_refine.commands.options import Overwrite
 from grasp_refine.commands.proving import Proving
 from grasp_refine.commands.refining import proved, refined
 from grasp_refine.commands.settings import Settings
@@ -30,7 +33,7 @@ from grasp_refine.report.profile import profile_table
 from grasp_refine.report.progress import Reporter
 from grasp_refine.report.proof import Proof, proof_lines
 from grasp_refine.report.recorded_objects import object_entries
-from grasp_refine.report.results import fingerprint, result_paths, save_results
+from grasp_refine.report.results import fingerprint, is_same_refinement, result_paths, save_results
 from grasp_refine.report.screen import screen
 from grasp_refine.report.table import grasp_table
 from grasp_refine.report.writing import check_no_input, check_writable, save_json
@@ -49,6 +52,7 @@ class Output:
     """Folder for the refined grasps, <hand>_<object>.npz."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write what was measured of each grasp to this file, in SI units."""
+    overwrite: Overwrite = False
     verbose: bool = False
     """List all grasps, also when there are more than 40."""
     profile: bool = False
@@ -80,15 +84,21 @@ class Run:
         protocol = self.proof.protocol()
         if self.inputs.table is None and config.weights.table != Weights.table:
             raise GraspRefineError("--weights.table needs a --table")
+        described = {
+            "inputs": settings(self.inputs),
+            "refine": settings(config),
+            "proof": settings(self.proof),
+            "protocol": settings(protocol),
+        }
         # The tensors of a batch of grasps are small.
         torch.set_num_threads(1)
         watch = Stopwatch() if self.output.profile else None
         with watch or nullcontext(), Reporter(screen(stderr=True)) as reporter:
-            if self.output.json is not None:
-                check_writable(self.output.json)
+            check_writable(self.output.json, overwrite=self.output.overwrite, inside=self.output.out)
             problem = self.inputs.load(config.seed, reporter.say, reporter.wait)
             self._check_used(problem, config)
-            paths = self._paths(problem)
+            provenance = {name: self._provenance(problem, name, described) for name in _objects(problem)}
+            paths = self._paths(problem, provenance)
             for note in problem.notes:
                 reporter.say(f"note: {note}")
             held = config.holds and not _aimed(problem, config)
@@ -102,14 +112,8 @@ class Run:
             outcome = Outcome.join(parts).select(problem.order)
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
         profile = None if watch is None else watch.profile
-        described = {
-            "inputs": settings(self.inputs),
-            "refine": settings(config),
-            "proof": settings(self.proof),
-            "protocol": settings(protocol),
-        }
         if outcome.usable.any():
-            self._save(problem, outcome, paths, {"seed": config.seed, "config": described}, proof)
+            self._save(problem, outcome, paths, provenance, proof)
         if self.output.json is not None:
             save_json(
                 self.output.json,
@@ -158,14 +162,46 @@ class Run:
         if _aimed(problem, config):
             self.settings.check_aimed()
 
-    def _paths(self, problem: Problem) -> dict[str, Path]:
-        """Object name -> result file; nothing that is written takes the place of an input."""
-        names = tuple(dict.fromkeys(group.object for group in problem.groups))
-        paths = result_paths(self.output.out, problem.hand.name, names)
-        for path in paths.values():
-            check_writable(path)
-        for path in [*paths.values(), *([self.output.json] if self.output.json else [])]:
+    def _provenance(self, problem: Problem, name: str, described: dict[str, Any]) -> dict[str, Any]:
+        """Where the result of an object comes from; its stamp is that of the same grasps, refined in the same way."""
+        groups = [group for group in problem.groups if group.object == name]
+        objects, digests = object_entries(groups), Digests()
+        _, hand = digests.hand(self.inputs.hand or groups[0].grasps.hand, self.inputs, lambda line: None)
+        source: dict[str, Any] = digests.file(problem.files[0])
+        stamp = digests.stamp(
+            self.inputs,
+            refine=described["refine"],
+            engine=chosen("auto"),
+            source=problem.sampled or source["sha256"],
+            hand=hand,
+            objects=objects,
+            rows=[group.rows for group in groups],
+        )
+        return {
+            "versions": versions(),
+            "seed": described["refine"]["seed"],
+            "config": described,
+            # Which grasps were drawn depends on the hand, the object and the seed.
+            "source": {"sampled": problem.sampled, "hand": source} if problem.sampled else source,
+            "urdf": fingerprint(problem.hand.urdf),
+            "objects": objects,
+            "stamp": stamp,
+        }
+
+    def _paths(self, problem: Problem, provenance: Mapping[str, dict[str, Any]]) -> dict[str, Path]:
+        """Object name -> result file; what is written takes the place of no input, and of the same result only.
+
+        Raises:
+            GraspRefineError: it would.
+        """
+        out = self.output
+        paths = result_paths(out.out, problem.hand.name, tuple(provenance))
+        for path in filter(None, (*paths.values(), out.json)):
             check_no_input(path, problem.files, "the results would overwrite an input; give another --out or --json")
+        for name, path in paths.items():
+            again = is_same_refinement(path, provenance[name])
+            check_writable(path, overwrite=out.overwrite or again, inside=out.out)
+        check_writable(*paths.values(), out.json, overwrite=True, inside=out.out)
         return paths
 
     def _save(
@@ -173,21 +209,19 @@ class Run:
         problem: Problem,
         outcome: Outcome,
         paths: dict[str, Path],
-        provenance: dict[str, object],
+        provenance: Mapping[str, dict[str, Any]],
         proof: Proof | None,
     ) -> None:
-        source: dict[str, Any] = fingerprint(problem.files[0])
-        # Which grasps were drawn depends on the hand, the object and the seed.
-        source = {"sampled": problem.sampled, "hand": source} if problem.sampled else source
-        hand = fingerprint(problem.hand.urdf)
-        provenance = {"versions": versions(), **provenance, "source": source, "urdf": hand}
         links = problem.groups[0].scene.links
         for name, path in paths.items():
             rows = np.flatnonzero(outcome.object == name)
             trials = None if proof is None else (proof.before.select(rows), proof.after.select(rows))
-            groups = [group for group in problem.groups if group.object == name]
-            of_object = provenance | {"objects": object_entries(groups)}
-            save_results(path, problem.hand, links, outcome.select(rows), of_object, trials)
+            save_results(path, problem.hand, links, outcome.select(rows), provenance[name], trials)
+
+
+def _objects(problem: Problem) -> tuple[str, ...]:
+    """Names of all objects, in their order."""
+    return tuple(dict.fromkeys(group.object for group in problem.groups))
 
 
 def _aimed(problem: Problem, config: Config) -> bool:

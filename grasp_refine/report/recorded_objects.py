@@ -96,7 +96,7 @@ def _digests(obj: Object) -> dict[str, str]:
     return {"mesh": surface_digest(obj.mesh), "pieces": pieces_digest(obj.body.pieces)}
 
 
-def _millimetres(size: Sequence[float]) -> str:
+def _millimetres(size: Iterable[float]) -> str:
     return "{:.3g} x {:.3g} x {:.3g} mm".format(*(1e3 * side for side in size))
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.errors import GraspFileError
 from grasp_refine.formats.folders import UNUSUAL
 from grasp_refine.grasps import OTHER_STAGES, GraspSet, Stage, Targets, save_npz
 from grasp_refine.hand import Hand
@@ -191,6 +192,20 @@ def recorded_urdf(path: Path) -> str | None:
     urdf = read_provenance(path).get("urdf")
     found = urdf.get("sha256") if isinstance(urdf, dict) else None
     return found if isinstance(found, str) else None
+
+
+def is_same_refinement(path: Path, provenance: Mapping[str, Any]) -> bool:
+    """Whether a file holds what will be written with a provenance: the same grasps, refined in the same way.
+
+    Only what simulation says of them may be added; it differs where the protocol does.
+    """
+    try:
+        found = read_provenance(path) if path.is_file() else {}
+        if found.get("stamp") != provenance["stamp"]:
+            return False
+        return found["config"]["protocol"] in (None, json.loads(dumps(provenance["config"]["protocol"])))
+    except (GraspFileError, LookupError, TypeError):
+        return False
 
 
 def _sha256(content: bytes) -> str:
