@@ -197,7 +197,7 @@ def test_a_result_can_be_refined_further_but_not_overwritten(capfd: pytest.Captu
     assert len(load_grasps(result).targets.links) == 4
     capfd.readouterr()
     assert "would overwrite an input" in refused(capfd, *QUICK, "--grasps", result)
-    elsewhere = ("--grasps", result, "--out", "again", "--json", result)
+    elsewhere = ("--grasps", result, "--out", "again", "--json", result, "--overwrite")
     assert "would overwrite an input" in refused(capfd, *QUICK, *elsewhere)
     assert main([*QUICK, "--grasps", result, "--out", "again", "--json", "again.json"]) == 0
     first, again = load_grasps(result), load_grasps("again/allegro_rounded_box.npz")
@@ -208,7 +208,8 @@ def test_a_result_can_be_refined_further_but_not_overwritten(capfd: pytest.Captu
 def test_the_same_seed_gives_the_same_numbers():
     def numbers(*options: str) -> list:
         drawn = ("--solver", "descent", "--targets", "nearest")
-        assert main([*QUICK, *drawn, "--index", "0", "2", "--json", "report.json", *options]) == 0
+        again = ("--json", "report.json", "--overwrite")
+        assert main([*QUICK, *drawn, "--index", "0", "2", *again, *options]) == 0
         grasps = json.loads(Path("report.json").read_text())["grasps"]
         return [{key: grasp[key] for key in grasp if not key.endswith("_s")} for grasp in grasps]
 
@@ -283,7 +284,7 @@ def test_the_methods_are_those_that_were_asked_for():
 
 def test_geometry_alone_moves_less_and_may_slip(capsys: pytest.CaptureFixture[str]):
     def refined(*options: str) -> dict:
-        assert main([*QUICK, "--index", "2", *options, "--json", "report.json"]) == 0
+        assert main([*QUICK, "--index", "2", *options, "--json", "report.json", "--overwrite"]) == 0
         return json.loads(Path("report.json").read_text())
 
     both, alone = refined(), refined("--geometry-only")
@@ -563,7 +564,7 @@ def test_an_unknown_hand_is_bad_input(capfd: pytest.CaptureFixture[str]):
 
 
 def test_the_doctor_finds_a_working_installation(capsys: pytest.CaptureFixture[str]):
-    assert main(["doctor", "--json", "doctor.json"]) == 0
+    assert main(["doctor", "--json", "doctor.json", "--overwrite"]) == 0
     out = capsys.readouterr().out
     assert "everything that is needed is here" in out and "cpu" in out and "allegro" in out
     document = json.loads(Path("doctor.json").read_text())
@@ -582,7 +583,7 @@ def test_the_doctor_says_which_engine_answers_queries(
 
     def told(environment: str) -> tuple[str, dict]:
         monkeypatch.setenv("GRASP_REFINE_ENGINE", environment)
-        assert main(["doctor", "--json", "doctor.json"]) == 0
+        assert main(["doctor", "--json", "doctor.json", "--overwrite"]) == 0
         (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("engine:"))
         return line.removeprefix("engine:").strip(), json.loads(Path("doctor.json").read_text())["engine"]
 

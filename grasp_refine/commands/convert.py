@@ -72,11 +72,11 @@ class Convert:
             GraspRefineError: an input that cannot be used; then nothing is written.
         """
         began = time.perf_counter()
-        check_no_input(self.output, (self.source,), "is the input; give another name")
+        outputs = [path for path in (self.output, self.json) if path is not None]
+        for path in outputs:
+            check_no_input(path, (self.source,), "is the input; give another name")
         # Whether OUT is to be a folder is known once the grasps are.
         check_writable(self.json, None if self.output.is_dir() else self.output, overwrite=self.overwrite)
-        if self.json is not None:
-            check_no_input(self.json, (self.source,), "is to be read as grasps")
         said, console = screen(stderr=True), screen()
         hand = None if self.hand is None else load_hand(self.hand, urdf=self.urdf, candidates=CANDIDATES)
         with Progress(console=said, transient=True, disable=not said.is_terminal) as bar:
@@ -87,7 +87,8 @@ class Convert:
                 hand=hand,
                 tell=lambda done, total: bar.update(task, completed=done, total=total),
             )
-            check_no_input(self.output, read.files, "is one of the files of the input; give another name")
+            for path in outputs:
+                check_no_input(path, read.files, "is one of the files of the input; give another name")
             known = np.flatnonzero(read.grasps.finite)
             if not len(known):
                 raise GraspRefineError(
