@@ -22,8 +22,12 @@ GRID_M = 1e-9
 """Coordinates are compared in steps of this many metres: far below any mesh, far above rounding."""
 
 
+ALIKE = 1e-5
+"""Share of the diagonal by which bounds, centroid, area and volume of a mesh may differ once it was exported anew."""
+
+
 def object_entries(groups: Iterable[Group]) -> list[dict[str, Any]]:
-    """Entries for provenance, by name and scale: sha256 of mesh and convex pieces in metres, and extents.
+    """Entries for provenance, by name and scale: sha256 of mesh and convex pieces in metres, and measures.
 
     Hashes depend on the geometry that was used, not on paths, units or the order of vertices.
     """
@@ -32,7 +36,7 @@ def object_entries(groups: Iterable[Group]) -> list[dict[str, Any]]:
             "name": group.object,
             "scale": float(group.scale),
             **_digests(group.scene.object),
-            "size_m": group.scene.object.mesh.extents,
+            "measures_m": _measures(group.scene.object.mesh),
         }
         for group in groups
     ]
@@ -73,22 +77,26 @@ def check_objects(files: Iterable[Path], groups: Iterable[Group], *, other: bool
         for entry in entries if isinstance(entries, list) else ():
             try:
                 key, recorded = (entry["name"], entry["scale"]), {name: entry[name] for name in ("mesh", "pieces")}
-                size, known = _millimetres(entry["size_m"]), key in present
+                measures, known = np.array(entry["measures_m"], dtype=np.float64).reshape(11), key in present
             except (LookupError, TypeError, ValueError, ArithmeticError):
                 continue
             if not known or recorded == digests[key]:
                 continue
             made = f"{file}: its grasps of '{entry['name']}' were refined on"
+            now = present[key]
             if recorded["mesh"] == digests[key]["mesh"]:
                 notes.append(f"{made} other convex pieces of the same mesh")
                 continue
-            now = f"{present[key].name} of {_millimetres(present[key].mesh.extents)}"
+            if np.allclose(measures, _measures(now.mesh), rtol=0.0, atol=ALIKE * now.body.diagonal):
+                notes.append(f"{made} a mesh that differs from that of {now.name} no more than by rounding")
+                continue
+            made += f" another mesh, of {_size(measures)}, than that of {now.name}, of {_size(_measures(now.mesh))}"
             if not other:
                 raise GraspFileError(
-                    f"{made} a mesh of {size}, which {now} is not: give that one with --object or --objects, in its "
-                    "size, or --other-object if this one is meant"
+                    f"{made}: give that one with --object or --objects, in its size, or --other-object if this one is "
+                    "meant"
                 )
-            notes.append(f"{made} a mesh of {size}, which {now} is not")
+            notes.append(made)
     return tuple(dict.fromkeys(notes))
 
 
@@ -96,8 +104,13 @@ def _digests(obj: Object) -> dict[str, str]:
     return {"mesh": surface_digest(obj.mesh), "pieces": pieces_digest(obj.body.pieces)}
 
 
-def _millimetres(size: Iterable[float]) -> str:
-    return "{:.3g} x {:.3g} x {:.3g} mm".format(*(1e3 * side for side in size))
+def _measures(mesh: trimesh.Trimesh) -> np.ndarray:
+    """Lengths (11,) in metres by which meshes are told apart: bounds, centroid, roots of area and of volume."""
+    return np.concatenate([mesh.bounds.ravel(), mesh.centroid, [np.sqrt(mesh.area), np.cbrt(mesh.volume)]])
+
+
+def _size(measures: np.ndarray) -> str:
+    return "{:.3g} x {:.3g} x {:.3g} mm".format(*(1e3 * (measures[3:6] - measures[:3])))
 
 
 def _on_grid(metres: np.ndarray) -> np.ndarray:
