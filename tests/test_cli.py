@@ -205,6 +205,29 @@ def test_a_result_can_be_refined_further_but_not_overwritten(capfd: pytest.Captu
     np.testing.assert_array_equal(first.targets.point_object, again.targets.point_object)
 
 
+def test_a_result_is_replaced_by_the_same_refinement_only(capfd: pytest.CaptureFixture[str]):
+    """A run with --geometry-only replaced the result of a full one, and nothing was said."""
+    quick = (*QUICK, "--index", "0", "--starts", "1")
+    result = Path("grasp-refine-results/allegro_rounded_box.npz")
+    for _ in range(2):
+        assert main([*quick]) == 0
+    before = result.read_bytes()
+    for other in (("--seed", "1"), ("--starts", "2"), ("--index", "1"), ("--json", "no/report.json")):
+        capfd.readouterr()
+        said = refused(capfd, *quick, *other)
+        assert "--overwrite" in said if "--json" not in other else "no folder no" in said
+    capfd.readouterr()
+    assert "--overwrite" in refused(capfd, *QUICK, "--index", "0", "--geometry-only")
+    assert result.read_bytes() == before
+    # What simulation says may be added, and is not lost.
+    assert main([*quick, "--validate"]) == 0
+    capfd.readouterr()
+    for other in ((), ("--validate", "--setting", "strict")):
+        assert f"{result}: exists already" in refused(capfd, *quick, *other)
+    assert main([*QUICK, "--index", "0", "--geometry-only", "--overwrite"]) == 0
+    assert "simulation_after" not in np.load(result).files
+
+
 def test_the_same_seed_gives_the_same_numbers():
     def numbers(*options: str) -> list:
         drawn = ("--solver", "descent", "--targets", "nearest")

@@ -209,6 +209,7 @@ def test_what_is_there_is_kept(file: Path, capfd: pytest.CaptureFixture[str]):
     assert len(load_grasps("one.npz")) == 2
     # A folder may hold more than what would replace it.
     assert main(["convert", str(file), "folder", "--to", "bodex"]) == 0
+    capfd.readouterr()
     assert "is there already" in refused(capfd, "convert", file, "folder", "--to", "bodex", "--overwrite")
 
 
