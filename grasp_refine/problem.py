@@ -55,6 +55,31 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
+class UncutGroup:
+    """N grasps on one object at one scale, before the object is cut; the fields are those of `Group`."""
+
+    object: str
+    """As `Group.object`."""
+    scale: float
+    """As `Group.scale`."""
+    uncut: UncutObject
+    """The object."""
+    file_scale: float
+    """Scale of the grasps in their file."""
+    rows: np.ndarray
+    """As `Group.rows`; of grasps to be sampled, none."""
+    index: np.ndarray
+    """As `Group.index`."""
+    place: np.ndarray
+    """As `Group.place`."""
+
+    @property
+    def key(self) -> tuple[str, float]:
+        """Name and scale of the object as the grasp file says them."""
+        return self.object, self.file_scale
+
+
+@dataclass(frozen=True, eq=False)
 class Draft:
     """All grasps that were asked for, when everything is read and checked and no object is cut yet."""
 
@@ -66,10 +91,12 @@ class Draft:
     """Name of each grasp's object, in the order in which they were asked for; of grasps to be sampled, one."""
     aimed: bool
     """Whether links have targets."""
-    objects: tuple[UncutObject, ...]
-    """The objects at each scale."""
+    groups: tuple[UncutGroup, ...]
+    """The grasps, by object and scale."""
     finish: Callable[[Sequence[Object]], Problem]
-    """Gives the problem, once these objects are cut."""
+    """Gives the problem, once the objects of the groups are cut."""
+    sampled: str = ""
+    """As `Problem.sampled`."""
 
 
 @dataclass(frozen=True, eq=False)

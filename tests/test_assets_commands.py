@@ -208,7 +208,7 @@ def test_verify_finds_what_is_damaged(mirror: Path, capsys: pytest.CaptureFixtur
     content = (barrett / "barrett.urdf").read_bytes()
     (barrett / "barrett.urdf").write_bytes(content.replace(b"0", b"1", 1))
     (asset_folder(read_manifest("grasps")["leap_cube"], "mirror") / "cube.urdf").unlink()
-    assert main(["assets", "verify", "--json", "verify.json"]) == 1
+    assert main(["assets", "verify", "--json", "verify.json", "--overwrite"]) == 1
     out = capsys.readouterr().out
     assert f"hands/barrett: of 8 files 1 damaged: barrett.urdf (from mirror, {barrett})" in out
     assert "refine-grasp assets fetch hands/barrett fetches them again" in out

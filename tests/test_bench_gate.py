@@ -75,7 +75,7 @@ def test_a_new_baseline_is_what_the_next_run_is_compared_with(
     [
         ("--gate --baseline nobody.json", "nobody.json: is no baseline (FileNotFoundError: "),
         ("--gate --update a.json --baseline b.json", "--update compares with nothing: leave out --baseline"),
-        ("--gate --update a.json --json a.json", "--update and --json are both a.json: one would replace the other"),
+        ("--gate --update a.json --json a.json", "a.json: is to be written twice"),
         ("--gate --json .", ".: is a folder, a file is to be written there"),
         ("--gate --update .", ".: is a folder, a file is to be written there"),
         ("--gate --preset smoke", "unrecognized"),

@@ -180,7 +180,7 @@ def test_sets_of_the_assets_are_found_by_name(shared_assets: Path):
         ("--targets mine.npz", "--targets: the benchmark makes its own targets"),
         ("--object teapot", "no example grasps of hand 'allegro' on 'teapot'"),
         ("--hand nobody", "no hand is called 'nobody'"),
-        ("--json same --html same", "--json and --html are both same: one would replace the other"),
+        ("--json same --html same", "same: is to be written twice"),
         ("--json .", ".: is a folder, a file is to be written there"),
         ("--html .", ".: is a folder, a file is to be written there"),
     ],

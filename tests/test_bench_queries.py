@@ -121,7 +121,7 @@ def test_options_say_what_is_measured_and_on_what_skips_are_shown():
         ("--preset skips --count 0", "--count must be at least 1, got 0"),
         ("--preset skips --no-skips", "--preset skips --no-skips: nothing is left to measure"),
         ("--preset skips --objects teapot", "no example grasps of hand 'allegro' on 'teapot'"),
-        ("--json same --html same", "--json and --html are both same: one would replace the other"),
+        ("--json same --html same", "same: is to be written twice"),
     ],
 )
 def test_bad_options_are_refused(options: str, complaint: str, capfd: pytest.CaptureFixture[str]):

@@ -169,7 +169,7 @@ def test_the_full_run_asks_all_there_is_more_than_a_million_times():
         ("--queries 0", "--queries must be at least 1, got 0"),
         ("--differentiated 0", "--differentiated must be at least 1, got 0"),
         ("--workers 0", "--workers must be at least 1, got 0"),
-        ("--json same --html same", "--json and --html are both same: one would replace the other"),
+        ("--json same --html same", "same: is to be written twice"),
     ],
 )
 def test_bad_options_are_refused(options: str, complaint: str, capfd: pytest.CaptureFixture[str]):

@@ -127,17 +127,17 @@ def test_hands_and_doctor_need_no_torch_to_start():
 
 
 def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixture[str]):
-    assert main([*QUICK, "--out", "results", "--json", "deep/report.json"]) == 0
+    assert main([*QUICK, "--out", "results/deep", "--json", "results/deep/report.json"]) == 0
     assert {str(path) for path in Path().rglob("*") if path.is_file()} == {
-        "results/allegro_rounded_box.npz",
-        "deep/report.json",
+        "results/deep/allegro_rounded_box.npz",
+        "results/deep/report.json",
     }
     captured = capsys.readouterr()
     assert captured.err.splitlines() == ["refining 4 grasps with allegro, at most 6 starts"]
     assert "allegro on rounded_box: 4 grasps" in captured.out
     assert max(map(len, captured.out.splitlines())) <= 80
 
-    document = json.loads(Path("deep/report.json").read_text())
+    document = json.loads(Path("results/deep/report.json").read_text())
     assert list(document) == [
         "schema", "command", "versions", "engine", "config", "seed", "totals", "profile", "grasps"
     ]  # fmt: skip
@@ -161,7 +161,7 @@ def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixt
         assert 0 <= grasp["self_penetration_m"]["after"] < 1e-5
         assert set(grasp["moved"]) == {"palm_m", "palm_rad", "joints_rad"}
 
-    before, after = load_grasps(EXAMPLE), load_grasps("results/allegro_rounded_box.npz")
+    before, after = load_grasps(EXAMPLE), load_grasps("results/deep/allegro_rounded_box.npz")
     assert len(after) == 4
     # A refined grasp gets a pregrasp and a squeeze of its own.
     assert after.pregrasp is not None and after.squeeze is not None
@@ -169,7 +169,7 @@ def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixt
     assert after.targets is None
     moved = np.linalg.norm(after.hand_pose[:, :3] - before.hand_pose[:, :3], axis=1)
     np.testing.assert_allclose(moved, [grasp["moved"]["palm_m"] for grasp in document["grasps"]], atol=1e-12)
-    with np.load("results/allegro_rounded_box.npz") as arrays:
+    with np.load("results/deep/allegro_rounded_box.npz") as arrays:
         assert set(arrays["contact_link"]) >= {contact.link for contact in load_hand("allegro").contacts}
         # A link that is too far away is no part of a grasp.
         length = np.linalg.norm(arrays["contact_normal"], axis=-1)
@@ -193,7 +193,7 @@ def test_a_result_can_be_refined_further_but_not_overwritten(capfd: pytest.Captu
     assert len(load_grasps(result).targets.links) == 4
     capfd.readouterr()
     assert "would overwrite an input" in refused(capfd, *QUICK, "--grasps", result)
-    elsewhere = ("--grasps", result, "--out", "again", "--json", result)
+    elsewhere = ("--grasps", result, "--out", "again", "--json", result, "--overwrite")
     assert "would overwrite an input" in refused(capfd, *QUICK, *elsewhere)
     assert main([*QUICK, "--grasps", result, "--out", "again", "--json", "again.json"]) == 0
     first, again = load_grasps(result), load_grasps("again/allegro_rounded_box.npz")
@@ -201,10 +201,34 @@ def test_a_result_can_be_refined_further_but_not_overwritten(capfd: pytest.Captu
     np.testing.assert_array_equal(first.targets.point_object, again.targets.point_object)
 
 
+def test_a_result_is_replaced_by_the_same_refinement_only(capfd: pytest.CaptureFixture[str]):
+    """A run with --geometry-only replaced the result of a full one, and nothing was said."""
+    quick = (*QUICK, "--index", "0", "--starts", "1")
+    result = Path("grasp-refine-results/allegro_rounded_box.npz")
+    for _ in range(2):
+        assert main([*quick]) == 0
+    before = result.read_bytes()
+    for other in (("--seed", "1"), ("--starts", "2"), ("--index", "1"), ("--json", "no/report.json")):
+        capfd.readouterr()
+        said = refused(capfd, *quick, *other)
+        assert "--overwrite" in said if "--json" not in other else "no folder no" in said
+    capfd.readouterr()
+    assert "--overwrite" in refused(capfd, *QUICK, "--index", "0", "--geometry-only")
+    assert result.read_bytes() == before
+    # What simulation says may be added, and is not lost.
+    assert main([*quick, "--validate"]) == 0
+    capfd.readouterr()
+    for other in ((), ("--validate", "--setting", "strict")):
+        assert f"{result}: exists already" in refused(capfd, *quick, *other)
+    assert main([*QUICK, "--index", "0", "--geometry-only", "--overwrite"]) == 0
+    assert "simulation_after" not in np.load(result).files
+
+
 def test_the_same_seed_gives_the_same_numbers():
     def numbers(*options: str) -> list:
         drawn = ("--solver", "descent", "--targets", "nearest")
-        assert main([*QUICK, *drawn, "--index", "0", "2", "--json", "report.json", *options]) == 0
+        again = ("--json", "report.json", "--overwrite")
+        assert main([*QUICK, *drawn, "--index", "0", "2", *again, *options]) == 0
         grasps = json.loads(Path("report.json").read_text())["grasps"]
         return [{key: grasp[key] for key in grasp if not key.endswith("_s")} for grasp in grasps]
 
@@ -279,7 +303,7 @@ def test_the_methods_are_those_that_were_asked_for():
 
 def test_geometry_alone_moves_less_and_may_slip(capsys: pytest.CaptureFixture[str]):
     def refined(*options: str) -> dict:
-        assert main([*QUICK, "--index", "2", *options, "--json", "report.json"]) == 0
+        assert main([*QUICK, "--index", "2", *options, "--json", "report.json", "--overwrite"]) == 0
         return json.loads(Path("report.json").read_text())
 
     both, alone = refined(), refined("--geometry-only")
@@ -571,7 +595,7 @@ def test_an_unknown_hand_is_bad_input(capfd: pytest.CaptureFixture[str]):
 
 
 def test_the_doctor_finds_a_working_installation(capsys: pytest.CaptureFixture[str]):
-    assert main(["doctor", "--json", "doctor.json"]) == 0
+    assert main(["doctor", "--json", "doctor.json", "--overwrite"]) == 0
     out = capsys.readouterr().out
     assert "everything that is needed is here" in out and "cpu" in out and "allegro" in out
     document = json.loads(Path("doctor.json").read_text())
@@ -592,7 +616,7 @@ def test_the_doctor_says_which_engine_answers_queries(
 
     def told(environment: str) -> tuple[str, dict]:
         monkeypatch.setenv("GRASP_REFINE_ENGINE", environment)
-        assert main(["doctor", "--json", "doctor.json"]) == 0
+        assert main(["doctor", "--json", "doctor.json", "--overwrite"]) == 0
         (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("engine:"))
         return line.removeprefix("engine:").strip(), json.loads(Path("doctor.json").read_text())["engine"]
 

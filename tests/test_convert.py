@@ -98,7 +98,7 @@ def test_a_single_grasp_may_be_a_single_file(file: Path):
     save_npz(Path("one.npz"), load_grasps(file).select([1]).arrays())
     assert main(["convert", "one.npz", "one.npy", "--to", "dexgraspbench"]) == 0
     assert load_content(Path("one.npy"))["obj_scale"] == 0.5
-    assert main(["convert", "one.npz", "one.npy", "--to", "bodex"]) == 0
+    assert main(["convert", "one.npz", "one.npy", "--to", "bodex", "--overwrite"]) == 0
     assert load_content(Path("one.npy"))["robot_pose"].shape == (1, 1, 3, 23)
 
 
@@ -125,7 +125,7 @@ def test_an_output_that_reads_otherwise_is_not_kept(
     Path("old.npz").write_text("old")
     for output, to in (("bench", "dexgraspbench"), ("old.npz", "ours")):
         before = sorted(Path().rglob("*"))
-        assert main(["convert", "grasps.npz", output, "--to", to, "--json", "x.json"]) == 1
+        assert main(["convert", "grasps.npz", output, "--to", to, "--json", "x.json", "--overwrite"]) == 1
         out, error = capsys.readouterr()
         assert out == ""
         assert error.startswith(f"{output}: not written: read again, the fingertips of grasp ")
@@ -174,11 +174,11 @@ def test_bad_input(file: Path, capfd: pytest.CaptureFixture[str]):
     assert refused(capfd, "convert", file, "x.npy", "--to", "bodex") == (
         "x.npy: format bodex makes 2 files: give the name of a new folder"
     )
-    assert refused(capfd, "convert", file, "x", "--to", "bodex", "--json", file).startswith(
-        f"{file}: is to be read or written as grasps"
-    )
-    assert refused(capfd, "convert", file, "x.npz", "--to", "ours", "--json", "x.npz") == (
-        "x.npz: is OUT, too; give --json another name"
+    for overwrite in ((), ("--overwrite",)):
+        said = refused(capfd, "convert", file, "x", "--to", "bodex", "--json", file, *overwrite)
+        assert said.startswith(f"{file}: is the input")
+    assert "x.npz: is to be written twice" in refused(
+        capfd, "convert", file, "x.npz", "--to", "ours", "--json", "x.npz"
     )
     assert refused(capfd, "convert", file, "x", "--to", "bodex", "--format", "bodex") == (
         f"{file}: is no file of the format bodex: it is an .npz file"
@@ -193,6 +193,33 @@ def test_bad_input(file: Path, capfd: pytest.CaptureFixture[str]):
     save_npz(Path("odd.npz"), load_grasps(file).arrays() | {"joint_names": np.array([f"j{i}" for i in range(16)])})
     message = refused(capfd, "convert", "odd.npz", "x.npz", "--to", "ours")
     assert message.startswith("the grasps are for another hand ('allegro'): hand 'allegro' has no joint j0, j1")
+
+
+def test_what_is_there_is_kept(file: Path, capfd: pytest.CaptureFixture[str]):
+    """A file of two grasps was replaced by one of a single grasp, and nothing was said."""
+    save_npz(Path("one.npz"), load_grasps(file).select([0]).arrays())
+    before = Path("one.npz").read_bytes()
+    for output in (("one.npz",), ("new.npz", "--json", "one.npz")):
+        said = refused(capfd, "convert", file, *output, "--to", "ours")
+        assert said.startswith("one.npz: exists already") and "--overwrite" in said
+    assert Path("one.npz").read_bytes() == before
+    assert "no folder deep" in refused(capfd, "convert", file, "deep/new.npz", "--to", "ours")
+    assert "no folder deep" in refused(capfd, "convert", file, "deep/new", "--to", "bodex")
+    assert main(["convert", str(file), "one.npz", "--to", "ours", "--overwrite"]) == 0
+    assert len(load_grasps("one.npz")) == 2
+    # A folder may hold more than what would replace it.
+    assert main(["convert", str(file), "folder", "--to", "bodex"]) == 0
+    capfd.readouterr()
+    assert "is there already" in refused(capfd, "convert", file, "folder", "--to", "bodex", "--overwrite")
+
+
+def test_no_two_objects_share_a_file(file: Path):
+    grasps = load_grasps(file).select([0, 0, 0, 0])
+    names = {"object": np.array(["a/b", "a_b", "a b", "a b"]), "scale": np.array([0.061, 0.061, 0.061, 0.064])}
+    save_npz(Path("alike.npz"), grasps.arrays() | names)
+    for to in ("dexgraspbench", "dexonomy", "bodex"):
+        assert main(["convert", "alike.npz", to, "--to", to]) == 0
+        assert len(list(Path(to).rglob("*.npy"))) == 4
 
 
 class Call:

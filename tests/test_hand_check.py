@@ -118,10 +118,17 @@ def test_every_key_is_explained(tmp_path: Path) -> None:
 # where it is written
 
 
-def test_it_is_written_beside_the_urdf_once(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_check_alone_writes_nothing(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = pincers(workplace)
-    assert main(["hands", "--check", str(path), "--json", "check.json"]) == 0
-    out = " ".join(capsys.readouterr().out.split())
+    assert main(["hands", "--check", str(path)]) == 0
+    assert "--write" in capsys.readouterr().out
+    assert [file.name for file in workplace.iterdir()] == ["pincers.urdf"]
+
+
+def test_it_is_written_beside_the_urdf_once(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = pincers(workplace)
+    assert main(["hands", "--check", "--write", str(path), "--json", "check.json"]) == 0
+    out = " ".join(capfd.readouterr().out.split())
     assert f"wrote {workplace}/hand.toml: edit it; it is read when you name its folder, or this URDF, as" in out
     written = (workplace / "hand.toml").read_bytes()
     assert load_hand(path, candidates=16).name == "pincers"
@@ -130,36 +137,36 @@ def test_it_is_written_beside_the_urdf_once(workplace: Path, capsys: pytest.Capt
     assert hand["check"]["pairs"]["neighbours"] == 2 and hand["check"]["refused"] == ""
     # The second time it is used, and stays.
     assert main(["hands", "--check", str(path)]) == 0
-    out = " ".join(capsys.readouterr().out.split())
-    assert "hand.toml was used, and nothing is written" in out and "left: hand.toml says so" in out
+    out = " ".join(capfd.readouterr().out.split())
+    assert "hand.toml was used" in out and "left: hand.toml says so" in out
+    assert "hand.toml: exists already" in refused(capfd, "hands", "--check", path, "--write")
     assert (workplace / "hand.toml").read_bytes() == written
+    (workplace / "hand.toml").write_text('name = "tongs"')
+    assert main(["hands", "--check", str(path), "--write", "--overwrite"]) == 0
+    assert "tongs" in (workplace / "hand.toml").read_text() != 'name = "tongs"'
     assert sorted(file.name for file in workplace.iterdir()) == ["check.json", "hand.toml", "pincers.urdf"]
 
 
-def test_a_hand_toml_of_another_urdf_is_left_alone(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_hand_toml_of_another_urdf_is_left_alone(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = pincers(workplace)
     (workplace / "other.urdf").write_text(path.read_text())
     (workplace / "hand.toml").write_text('urdf = "other.urdf"')
-    assert main(["hands", str(path), "--check"]) == 0
-    assert "hand.toml is of another URDF; name a place with --write" in " ".join(capsys.readouterr().out.split())
+    assert "--overwrite" in refused(capfd, "hands", path, "--check", "--write")
     assert (workplace / "hand.toml").read_text() == 'urdf = "other.urdf"'
-    assert main(["hands", str(path), "--check", "--write", "new/hand.toml"]) == 0
-    same(load_hand(path, candidates=16), load_hand(workplace / "new", candidates=16))
-    Path("folder").mkdir()
-    assert main(["hands", str(path), "--check", "--write", "folder"]) == 0
-    assert (workplace / "folder/hand.toml").is_file()
+    for folder in ("new", "there"):
+        (workplace / "there").mkdir(exist_ok=True)
+        assert main(["hands", str(path), "--check", "--write", "--out", folder]) == 0
+        same(load_hand(path, candidates=16), load_hand(workplace / folder, candidates=16))
 
 
-def test_a_folder_that_cannot_be_written_to_is_told(workplace: Path, monkeypatch, capsys) -> None:
+def test_a_folder_that_cannot_be_written_to_is_told(workplace: Path, monkeypatch, capfd) -> None:
     path = pincers(workplace)
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    assert main(["hands", "--check", str(path)]) == 0, "the check itself was done"
-    out = " ".join(capsys.readouterr().out.split())
-    assert "no hand.toml is written:" in out and "(No space left on device); name a place with --write" in out
+    assert "(No space left on device)" in refused(capfd, "hands", "--check", "--write", path)
     assert [file.name for file in workplace.iterdir()] == ["pincers.urdf"], "nothing is left behind"
 
 
@@ -167,14 +174,10 @@ def test_places_that_cannot_be_are_refused(workplace: Path, capfd: pytest.Captur
     path = pincers(workplace)
     (workplace / "there").mkdir()
     (workplace / "there/hand.toml").touch()
-    for place in ("there", "there/hand.toml"):
-        message = "--write there/hand.toml: exists already and is not overwritten; name another folder"
-        assert refused(capfd, "hands", "--check", path, "--write", place) == message
-    message = "--write my.toml: is no folder that exists, and a file must be called hand.toml, so that its folder is a "
-    message += "hand: my.toml/hand.toml"
-    assert refused(capfd, "hands", "--check", path, "--write", "my.toml") == message
-    assert refused(capfd, "hands", path, "--write", "there2/hand.toml") == "--write goes with --check"
-    assert "is no folder" in refused(capfd, "hands", "--check", path, "--write", "pincers.urdf/hand.toml")
+    assert "there/hand.toml: exists" in refused(capfd, "hands", "--check", path, "--write", "--out", "there")
+    assert "is no folder" in refused(capfd, "hands", "--check", path, "--write", "--out", "pincers.urdf")
+    for options in (("--write",), ("--write", "--out", "there2"), ("--check", "--out", "there2")):
+        assert "--write goes with --check" in refused(capfd, "hands", path, *options)
     expected = "--base-link and --check without a hand, by its name or URDF: refine-grasp hands HAND --base-link"
     assert refused(capfd, "hands", "--check", "--base-link", "palm") == expected
 

@@ -12,7 +12,7 @@ from grasp_refine.assets import resource_dir
 from grasp_refine.commands.recording import Recording
 from grasp_refine.commands.sources import Sources
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.problem import Group
+from grasp_refine.problem import Group, Problem
 from grasp_refine.replay.replay import load_replay
 from grasp_refine.validation.protocol import FORCE_CLOSURE, TABLETOP
 from grasp_refine.validation.simulation import simulate
@@ -20,6 +20,7 @@ from grasp_refine.validation.world import World, build_world
 
 EXAMPLE = resource_dir("robots") / "allegro" / "example_rounded_box.npz"
 MOTION = around(4.0, count=2)
+FILES = (Path("grasps.npz"),)
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +33,11 @@ def group() -> Group:
     """Two grasps on a ball, as far as names go."""
     (found,) = Sources(index=(2, 3)).load_from(EXAMPLE, 0, lambda text: None).groups
     return replace(found, object="ball")
+
+
+@pytest.fixture(scope="module")
+def problems(group: Group) -> list[Problem]:
+    return [Problem(replace(group.scene.hand, name="gripper"), FILES, (group,), ())]
 
 
 def recorded(recording: Recording, group: Group, world: World, folder: Path) -> list[str]:
@@ -124,8 +130,8 @@ def test_a_trial_that_cannot_start_is_said(world: World, group: Group, tmp_path:
     assert line == "ball 2: nothing to record, the trial could not start"
 
 
-def test_a_place_that_cannot_be_written_is_found_out_before_the_work(tmp_path: Path) -> None:
-    Recording(tmp_path / "new" / "folder").check(FORCE_CLOSURE, 1)
+def test_a_place_that_cannot_be_written_is_found_out_before_the_work(problems: list[Problem], tmp_path: Path) -> None:
+    Recording(tmp_path / "new" / "folder").check(FORCE_CLOSURE, FILES, problems, overwrite=False)
     assert not names(tmp_path)
     (tmp_path / "file").write_text("")
     for folder, complaint in (
@@ -134,15 +140,27 @@ def test_a_place_that_cannot_be_written_is_found_out_before_the_work(tmp_path: P
         (tmp_path / ("x" * 300), "cannot be written"),
     ):
         with pytest.raises(GraspRefineError, match=complaint):
-            Recording(folder).check(FORCE_CLOSURE, 1)
+            Recording(folder).check(FORCE_CLOSURE, FILES, problems, overwrite=False)
 
 
-def test_only_directions_that_there_are_can_be_recorded() -> None:
-    Recording(Path("replays"), direction="lift").check(TABLETOP, 1)
+@pytest.mark.parametrize("suffix", [".npz", ".xml", ".gif"])
+def test_replays_that_exist_are_kept(problems: list[Problem], tmp_path: Path, suffix: str) -> None:
+    there = tmp_path / f"gripper_ball_3_-y{suffix}"
+    there.write_text("kept")
+    for direction in ("-y", None):
+        recording = Recording(tmp_path, direction=direction, film=suffix == ".gif")
+        with pytest.raises(GraspRefineError, match=f"{there.name}: exists already"):
+            recording.check(FORCE_CLOSURE, FILES, problems, overwrite=False)
+        replace(recording, film=False).check(FORCE_CLOSURE, FILES, problems, overwrite=True)
+    Recording(tmp_path, direction="+y").check(FORCE_CLOSURE, FILES, problems, overwrite=False)
+
+
+def test_only_directions_that_there_are_can_be_recorded(problems: list[Problem]) -> None:
+    Recording(Path("replays"), direction="lift").check(TABLETOP, FILES, problems, overwrite=False)
     with pytest.raises(GraspRefineError, match=r"--direction \+x: there are lift"):
-        Recording(Path("replays"), direction="+x").check(TABLETOP, 1)
+        Recording(Path("replays"), direction="+x").check(TABLETOP, FILES, problems, overwrite=False)
     with pytest.raises(GraspRefineError, match=r"--direction lift: there are \+x, -x, \+y, -y, \+z, -z"):
-        Recording(Path("replays"), direction="lift").check(FORCE_CLOSURE, 1)
+        Recording(Path("replays"), direction="lift").check(FORCE_CLOSURE, FILES, problems, overwrite=False)
 
 
 def test_a_lift_is_recorded_from_the_pregrasp_to_the_top(group: Group, tmp_path: Path) -> None:

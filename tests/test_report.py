@@ -377,13 +377,34 @@ def test_json_goes_through_links_and_pipes(tmp_path: Path):
 
 
 def test_unwritable_places_are_found_out_before_the_work(tmp_path: Path):
-    check_writable(tmp_path / "new" / "folder" / "file.json")
+    file, deep = tmp_path / "file", tmp_path / "new" / "folder" / "file.json"
+    check_writable(file, None, overwrite=False)
+    for inside in (tmp_path / "new", tmp_path / "new" / "folder"):
+        check_writable(file, deep, overwrite=False, inside=inside)
     assert list(tmp_path.iterdir()) == []
+    with pytest.raises(GraspRefineError, match=f"no folder {deep.parent}"):
+        check_writable(deep, overwrite=True, inside=tmp_path / "other")
     with pytest.raises(GraspRefineError, match="is a folder"):
-        check_writable(tmp_path)
-    (tmp_path / "file").write_text("")
+        check_writable(tmp_path, overwrite=True)
+    file.write_text("")
     with pytest.raises(GraspRefineError, match="is no folder"):
-        check_writable(tmp_path / "file" / "other")
+        check_writable(file / "other", overwrite=True)
+    with pytest.raises(GraspRefineError, match="file: is to be written twice"):
+        check_writable(file, tmp_path / "new" / ".." / "file", overwrite=True, inside=tmp_path)
+
+
+def test_files_that_exist_are_kept_unless_asked(tmp_path: Path):
+    file, link, pipe = tmp_path / "file", tmp_path / "link", tmp_path / "pipe"
+    file.write_text("kept")
+    link.symlink_to(file)
+    os.mkfifo(pipe)
+    for path in (file, link):
+        with pytest.raises(GraspRefineError, match=f"{path}: exists already.*--overwrite"):
+            check_writable(path, overwrite=False)
+        check_writable(path, overwrite=True)
+    for device in (pipe, Path("/dev/stdout"), Path("/dev/null")):
+        check_writable(device, overwrite=False)
+    check_writable(Path("/dev/null"), Path("/dev/null"), overwrite=False)
 
 
 # Names, progress and versions

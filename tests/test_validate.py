@@ -27,7 +27,7 @@ SHADOW = {
 
 def validate(*arguments: str | Path) -> dict[str, Any]:
     """The document of a command line that works."""
-    assert main(["validate", *map(str, arguments), "--json", "report.json"]) == 0
+    assert main(["validate", *map(str, arguments), "--json", "report.json", "--overwrite"]) == 0
     return json.loads(Path("report.json").read_text())
 
 

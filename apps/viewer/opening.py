@@ -19,6 +19,7 @@ from grasp_refine.hand import Hand, load_hand
 from grasp_refine.hand_source import list_hands
 from grasp_refine.objects import Object, load_object
 from grasp_refine.problem import Group, Problem
+from grasp_refine.report.recorded_objects import check_objects
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import pose_from_transform, transform_from_pose
 
@@ -165,7 +166,10 @@ def _with_grasps(upload: Upload, scene: Scene, tell: Callable[[str], None], chec
             groups.append((name, float(scale), new, grasps.select(at), at))
     doubts = convention_notes([group[2] for group in groups])
     problem = _problem(upload, hand, groups, (*notes, *doubts))
-    return replace(problem, files=tuple(dict.fromkeys((upload.source, *read.files))))
+    present = {(name, scale): new.object for name, scale, new, *_ in groups}
+    others = (_said(note, upload) for note in check_objects(read.files, present, other=True))
+    files = tuple(dict.fromkeys((upload.source, *read.files)))
+    return replace(problem, files=files, notes=(*problem.notes, *others))
 
 
 def _hand_of(grasps: GraspSet, present: Hand, upload: Upload, tell: Callable[[str], None]) -> Hand:

@@ -18,6 +18,7 @@ from grasp_refine.asset_library.licence import check_accepted
 from grasp_refine.asset_library.manifest import Asset
 from grasp_refine.asset_library.names import choose_asset
 from grasp_refine.asset_library.origin import Origin, Upstream, chosen_origin, wanted
+from grasp_refine.commands.options import Overwrite
 from grasp_refine.errors import AssetError
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA, check_writable, save_json
@@ -34,6 +35,7 @@ class AssetsFetch:
     """You have read the licence and may use what is fetched; for licences that restrict use or are not clear."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write what was fetched, and where it lies, to this file."""
+    overwrite: Overwrite = False
 
     def execute(self) -> int:
         """Do it; returns the exit code.
@@ -41,8 +43,7 @@ class AssetsFetch:
         Raises:
             AssetError: no such asset, a licence that is not accepted, or one that cannot be fetched.
         """
-        if self.json is not None:
-            check_writable(self.json)
+        check_writable(self.json, overwrite=self.overwrite)
         if not self.names:
             raise AssetError("assets fetch needs a NAME; `refine-grasp assets list` shows them")
         assets = list(dict.fromkeys(choose_asset(name) for name in self.names))

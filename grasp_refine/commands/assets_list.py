@@ -16,6 +16,7 @@ from grasp_refine.asset_library.cache import seems_here
 from grasp_refine.asset_library.manifest import KINDS, Asset
 from grasp_refine.asset_library.names import all_assets
 from grasp_refine.asset_library.origin import VARIABLE, Mirror, Origin, chosen_origin, shown, total_bytes
+from grasp_refine.commands.options import Overwrite
 from grasp_refine.errors import AssetError
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.report.screen import screen
@@ -41,6 +42,7 @@ class AssetsList:
     """hands, objects or grasps; or a part of their names."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write what is known about them to this file."""
+    overwrite: Overwrite = False
 
     def execute(self) -> int:
         """Do it; returns the exit code.
@@ -48,8 +50,7 @@ class AssetsList:
         Raises:
             AssetError: nothing fits, or a manifest cannot be used.
         """
-        if self.json is not None:
-            check_writable(self.json)
+        check_writable(self.json, overwrite=self.overwrite)
         assets, origin = _chosen(self.which), chosen_origin()
         if self.json is not None:
             facts = [asset_facts(asset, origin) for asset in assets]

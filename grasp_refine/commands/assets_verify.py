@@ -13,6 +13,7 @@ from tyro.conf import DisallowNone, Positional, arg
 from grasp_refine.asset_library.names import all_assets, choose_asset
 from grasp_refine.asset_library.verifying import Verdict, verify
 from grasp_refine.commands.ending import NOTHING_USABLE
+from grasp_refine.commands.options import Overwrite
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA, check_writable, save_json
@@ -32,6 +33,7 @@ class AssetsVerify:
     """Which assets; ones that are not here count as failures then."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write what was found to this file."""
+    overwrite: Overwrite = False
 
     def execute(self) -> int:
         """Do it; returns the exit code.
@@ -39,8 +41,7 @@ class AssetsVerify:
         Raises:
             AssetError: no such asset.
         """
-        if self.json is not None:
-            check_writable(self.json)
+        check_writable(self.json, overwrite=self.overwrite)
         assets = list(dict.fromkeys(choose_asset(name) for name in self.names)) if self.names else all_assets()
         verdicts = list(verify(assets))
         here = {verdict.asset.full_name for verdict in verdicts}

@@ -54,8 +54,8 @@ class Outputs:
         Raises:
             GraspRefineError: it cannot, or would.
         """
-        for path in (*self.files, plan.shards[0].path):
-            check_writable(path)
+        # The same command goes on where it stopped, and writes them again.
+        check_writable(*self.files, plan.shards[0].path, overwrite=True, inside=self.out)
         inputs = {identity for path in plan.files if (identity := _identity(path)) is not None}
         for path in (*self.files, *(shard.path for shard in plan.shards)):
             if _identity(path) in inputs:

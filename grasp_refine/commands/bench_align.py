@@ -20,7 +20,7 @@ from grasp_refine.apps.bench.align.study import Outcome, Study, run_study
 from grasp_refine.apps.bench.align.table import bench_table
 from grasp_refine.apps.bench.align.variants import MethodName, NeighborhoodName, SolverName, Variant, WitnessName
 from grasp_refine.commands.benchmark import check_asked, run_benchmark
-from grasp_refine.commands.options import check_device, check_numbers, flag
+from grasp_refine.commands.options import Overwrite, check_device, check_numbers, flag
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.witness.slip import Coupling
 
@@ -121,6 +121,7 @@ class BenchAlign:
     """Write one task as an .npz that `refine-grasp view` opens: both bodies, their targets, and where each method
     moved them, iterate by iterate. It is the first task of the first pair that can surely be solved, run once more and
     alone by each method, at its largest budget; another --seed, --kinds or --classes gives another task."""
+    overwrite: Overwrite = False
 
     def execute(self) -> int:
         """Do it; returns the exit code.
@@ -139,12 +140,12 @@ class BenchAlign:
 
         return run_benchmark(
             "bench align",
-            replace(self, json=None, html=None, save=None),
+            replace(self, json=None, html=None, overwrite=False, save=None),
             self,
             run,
             lambda outcome: [bench_table(outcome.rows, title)],
             lambda document, outcome: page(document, outcome.failures),
-            also=() if self.save is None else (("--save", self.save),),
+            also=() if self.save is None else (self.save,),
         )
 
     def study(self) -> Study:

@@ -17,6 +17,7 @@ from grasp_refine.apps.bench.gate.table import gate_table
 from grasp_refine.apps.bench.machine import machine
 from grasp_refine.assets import resource_dir
 from grasp_refine.collision.engine import chosen
+from grasp_refine.commands.options import Overwrite
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA, check_writable, save_json
@@ -44,6 +45,7 @@ class BenchGate:
     to is kept."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write all ratios to this file."""
+    overwrite: Overwrite = False
 
     def execute(self) -> int:
         """Do it; returns the exit code.
@@ -95,11 +97,9 @@ class BenchGate:
         """
         if self.update is not None and self.baseline is not None:
             raise GraspRefineError("--update compares with nothing: leave out --baseline")
-        for path in (self.update, self.json):
-            if path is not None:
-                check_writable(path)
-        if self.update is not None and self.json is not None and self.update.absolute() == self.json.absolute():
-            raise GraspRefineError(f"--update and --json are both {self.json}: one would replace the other")
+        # An update keeps what a baseline has of other engines.
+        check_writable(self.update, self.json, overwrite=True)
+        check_writable(self.json, overwrite=self.overwrite)
 
 
 class _Bar:

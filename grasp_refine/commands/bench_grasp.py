@@ -23,7 +23,7 @@ from grasp_refine.apps.bench.grasp.variants import DerivativeName, SolverName, V
 from grasp_refine.assets import resource_dir
 from grasp_refine.commands.benchmark import check_asked, run_benchmark
 from grasp_refine.commands.inputs import AUTO, EXAMPLE_HAND, SAMPLE, Inputs
-from grasp_refine.commands.options import check_numbers
+from grasp_refine.commands.options import Overwrite, check_numbers
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand import list_hands, needs_urdf
@@ -98,6 +98,7 @@ class Options:
     """Write all rows to this file, in SI units but for times, which are in ms."""
     html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write a report with a picture of error over time to this file."""
+    overwrite: Overwrite = False
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ class BenchGrasp:
 
         return run_benchmark(
             "bench grasp",
-            replace(self, options=replace(self.options, json=None, html=None)),
+            replace(self, options=replace(self.options, json=None, html=None, overwrite=False)),
             self.options,
             run,
             lambda outcome: [part for table in bench_tables(outcome.rows) for part in (table, "")],

@@ -21,7 +21,7 @@ from grasp_refine.apps.bench.hold.study import Outcome, Study, run_study
 from grasp_refine.apps.bench.hold.table import bench_tables
 from grasp_refine.commands.benchmark import check_asked, run_benchmark
 from grasp_refine.commands.inputs import AUTO, Inputs
-from grasp_refine.commands.options import check_numbers
+from grasp_refine.commands.options import Overwrite, check_numbers
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.problem import Problem
@@ -59,6 +59,7 @@ class Options:
     """Write all rows to this file, in SI units but for times, which are in ms."""
     html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write a report with a picture of success over time to this file."""
+    overwrite: Overwrite = False
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ class BenchHold:
 
         return run_benchmark(
             "bench hold",
-            replace(self, options=replace(options, json=None, html=None)),
+            replace(self, options=replace(options, json=None, html=None, overwrite=False)),
             options,
             run,
             lambda outcome: [part for table in bench_tables(outcome.rows, settings) for part in (table, "")],

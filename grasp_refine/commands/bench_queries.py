@@ -30,7 +30,7 @@ from grasp_refine.apps.bench.queries.table import bench_tables
 from grasp_refine.collision.engine import chosen, engines
 from grasp_refine.commands.benchmark import check_asked, run_benchmark
 from grasp_refine.commands.inputs import Inputs
-from grasp_refine.commands.options import check_numbers
+from grasp_refine.commands.options import Overwrite, check_numbers
 from grasp_refine.config import Config
 from grasp_refine.errors import GraspRefineError
 
@@ -90,6 +90,7 @@ class BenchQueries:
     """Write all rows to this file, in SI units but for times of queries, which are in us."""
     html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write a report with charts to this file."""
+    overwrite: Overwrite = False
 
     def execute(self) -> int:
         """Do it; returns the exit code.
@@ -107,7 +108,7 @@ class BenchQueries:
 
         return run_benchmark(
             "bench queries",
-            replace(self, json=None, html=None),
+            replace(self, json=None, html=None, overwrite=False),
             self,
             run,
             lambda outcome: [part for table in bench_tables(outcome.rows) for part in (table, "")],

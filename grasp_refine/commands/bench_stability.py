@@ -20,7 +20,7 @@ from grasp_refine.apps.bench.stability.table import bench_tables
 from grasp_refine.apps.bench.stability.task import Task
 from grasp_refine.collision.engine import chosen, engines
 from grasp_refine.commands.benchmark import check_asked, run_benchmark
-from grasp_refine.commands.options import check_numbers
+from grasp_refine.commands.options import Overwrite, check_numbers
 from grasp_refine.errors import GraspRefineError
 
 PresetName = Literal["full", "quick", "smoke"]
@@ -86,6 +86,7 @@ class BenchStability:
     """Write all rows to this file, in SI units."""
     html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write a report with heat maps to this file."""
+    overwrite: Overwrite = False
 
     def execute(self) -> int:
         """Do it; returns the exit code.
@@ -102,7 +103,7 @@ class BenchStability:
 
         code = run_benchmark(
             "bench stability",
-            replace(self, json=None, html=None),
+            replace(self, json=None, html=None, overwrite=False),
             self,
             run,
             lambda outcome: [

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import Field, fields
-from itertools import combinations
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
@@ -51,6 +50,11 @@ class Options(Protocol):
         """Where the report goes."""
         ...
 
+    @property
+    def overwrite(self) -> bool:
+        """Whether files that exist may be replaced."""
+        ...
+
 
 @runtime_checkable
 class Outcome(Protocol):
@@ -94,7 +98,7 @@ def run_benchmark(
     run: Callable[[Console, Callable[[float, str], None]], Found],
     tables: Callable[[Found], Iterable[RenderableType]],
     page: Callable[[dict[str, Any], Found], str],
-    also: Sequence[tuple[str, Path]] = (),
+    also: Sequence[Path] = (),
 ) -> int:
     """Run a study, write and show what came out; returns the exit code.
 
@@ -105,19 +109,14 @@ def run_benchmark(
         run: Does the study; gets the console of the progress bar, and what takes the share of the work that is done.
         tables: What is printed of the results.
         page: The HTML report of the JSON document and the results.
-        also: Further files, each with its option, that `run` writes.
+        also: Further files that `run` writes.
 
     Raises:
         GraspRefineError: files that cannot be written, or what `run` raises.
     """
     wall, cpu = time.perf_counter(), cpu_seconds()
-    asked_for = [("--json", options.json), ("--html", options.html), *also]
-    files = {option: path for option, path in asked_for if path is not None}
-    for path in files.values():
-        check_writable(path)
-    for (one, path), (other, same) in combinations(files.items(), 2):
-        if path.absolute() == same.absolute():
-            raise GraspRefineError(f"{one} and {other} are both {path}: one would replace the other")
+    files = [path for path in (options.json, options.html, *also) if path is not None]
+    check_writable(*files, overwrite=options.overwrite)
     with progress_bar(screen(stderr=True)) as bar:
         task = bar.add_task("loading", total=1.0)
 
@@ -152,6 +151,6 @@ def run_benchmark(
         save_text(options.html, page(document, outcome))
     for table in tables(outcome):
         console.print(table)
-    wrote = f"; wrote {', '.join(map(str, files.values()))}" if files else ""
+    wrote = f"; wrote {', '.join(map(str, files))}" if files else ""
     console.print(f"{document['wall_s']:.1f} s, {document['cpu_s']:.1f} s of CPU{wrote}", soft_wrap=True, markup=False)
     return 0

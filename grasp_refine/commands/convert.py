@@ -16,6 +16,7 @@ from rich.progress import Progress
 from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE
+from grasp_refine.commands.options import Overwrite
 from grasp_refine.convention_check import joint_notes, position_notes
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.formats.agreement import fingertip_distances
@@ -45,8 +46,8 @@ class Convert:
     dexgraspnet: folders with one .npy file per object. leap_cache: one .npy file of the LEAP hand with a cube.
 
     What was written is read again before it takes its place: fingertips must be where they were to 1e-6 m, which shows
-    that nothing was lost on the way. A file that exists is replaced, a folder is not. Pickles are read without running
-    them. Grasps that are not finite are left out, and counted.
+    that nothing was lost on the way. A folder is never replaced. Pickles are read without running them. Grasps that are
+    not finite are left out, and counted.
     """
 
     source: Annotated[Positional[Path], arg(metavar="IN")]
@@ -64,6 +65,7 @@ class Convert:
     """The hand's URDF, where it comes without one."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write what was done to this file."""
+    overwrite: Overwrite = False
 
     def execute(self) -> int:
         """Do it; returns the exit code.
@@ -72,12 +74,11 @@ class Convert:
             GraspRefineError: an input that cannot be used; then nothing is written.
         """
         began = time.perf_counter()
-        if self.json is not None:
-            if self.json.absolute() == self.output.absolute():
-                raise GraspRefineError(f"{self.json}: is OUT, too; give --json another name")
-            check_writable(self.json)
-            check_no_input(self.json, (self.source, self.output), "is to be read or written as grasps")
-        check_no_input(self.output, (self.source,), "is the input; give another name")
+        outputs = [path for path in (self.output, self.json) if path is not None]
+        for path in outputs:
+            check_no_input(path, (self.source,), "is the input; give another name")
+        # Whether OUT is to be a folder is known once the grasps are.
+        check_writable(self.json, None if self.output.is_dir() else self.output, overwrite=self.overwrite)
         said, console = screen(stderr=True), screen()
         hand = None if self.hand is None else load_hand(self.hand, urdf=self.urdf, candidates=CANDIDATES)
         with Progress(console=said, transient=True, disable=not said.is_terminal) as bar:
@@ -88,7 +89,8 @@ class Convert:
                 hand=hand,
                 tell=lambda done, total: bar.update(task, completed=done, total=total),
             )
-            check_no_input(self.output, read.files, "is one of the files of the input; give another name")
+            for path in outputs:
+                check_no_input(path, read.files, "is one of the files of the input; give another name")
             known = np.flatnonzero(read.grasps.finite)
             if not len(known):
                 raise GraspRefineError(

@@ -24,6 +24,9 @@ LAYOUT = 1
 PATHS = ("hand", "urdf", "mjcf", "object", "object_name", "objects", "grasps", "targets", "index")
 """Inputs whose contents count, not what they are called."""
 
+NO_MATTER = ("other_object",)
+"""Inputs that say only whether a command is taken."""
+
 _NAMED = re.compile(r"""(?:filename|file)\s*=\s*["']([^"']+)["']""")
 """How URDF and MJCF files name meshes."""
 
@@ -69,7 +72,7 @@ class Digests:
 
     def stamp(self, inputs: Inputs, **depends: Any) -> str:
         """Hash of the inputs' settings, the targets, this version, and all that it `depends` on besides."""
-        told = {name: value for name, value in settings(inputs).items() if name not in PATHS}
+        told = {name: value for name, value in settings(inputs).items() if name not in (*PATHS, *NO_MATTER)}
         targets = inputs.targets
         if targets not in (AUTO, NEAREST):
             targets = self.file(Path(targets))["sha256"]

@@ -20,6 +20,7 @@ from grasp_refine.asset_library.names import all_assets
 from grasp_refine.asset_library.origin import VARIABLE, chosen_origin, shown
 from grasp_refine.collision.engine import VARIABLE as ENGINE
 from grasp_refine.collision.engine import chosen, why_not_native
+from grasp_refine.commands.options import Overwrite
 from grasp_refine.errors import AssetError, CollisionError, GraspRefineError
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hand import list_hands
@@ -41,11 +42,11 @@ class Doctor:
 
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write what was found to this file."""
+    overwrite: Overwrite = False
 
     def execute(self) -> int:
         """Do it; returns the exit code: 0 also when what is optional lacks."""
-        if self.json is not None:
-            check_writable(self.json)
+        check_writable(self.json, overwrite=self.overwrite)
         found = examine()
         if self.json is not None:
             save_json(self.json, {"schema": SCHEMA, "command": "doctor", "versions": versions(), **found})

@@ -10,7 +10,7 @@ from rich.console import Console
 from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE
-from grasp_refine.commands.options import check_hull_limit
+from grasp_refine.commands.options import Overwrite, check_hull_limit
 from grasp_refine.description.link_geometry import HULL_LIMIT
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand import Hand, list_hands, load_hand, needs_urdf
@@ -48,13 +48,16 @@ class Hands:
     hull_limit: float = HULL_LIMIT
     """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it, as for `run`."""
     check: Annotated[bool, arg(help_behavior_hint="")] = False
-    """Say what was understood and why, what looks wrong, and write a hand.toml to start from beside the URDF."""
-    write: Annotated[
-        DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: beside the URDF)")
-    ] = None
-    """With --check: the hand.toml to write, or a folder for it; what exists is never overwritten."""
+    """Say what was understood and why, and what looks wrong."""
+    write: Annotated[bool, arg(help_behavior_hint="")] = False
+    """With --check: write a hand.toml to start from, beside the URDF."""
+    out: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: that of the URDF)")] = (
+        None
+    )
+    """With --write: the folder of the hand.toml."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write what is known about the hands to this file."""
+    overwrite: Overwrite = False
 
     def execute(self) -> int:
         """Do it; returns the exit code.
@@ -62,14 +65,12 @@ class Hands:
         Raises:
             GraspRefineError: no such hand, one that cannot be read, or files that cannot be written.
         """
-        if self.json is not None:
-            check_writable(self.json)
+        check_writable(self.json, overwrite=self.overwrite, inside=self.out)
         check_hull_limit(self.hull_limit)
         if self.hand is None:
             return self._list()
-        place = None if self.write is None else _checked_place(self.write)
-        if place is not None and not self.check:
-            raise GraspRefineError("--write goes with --check")
+        if (self.write and not self.check) or (self.out is not None and not self.write):
+            raise GraspRefineError("--write goes with --check, and --out with both")
         hand = load_hand(
             self.hand,
             base_link=self.base_link,
@@ -79,11 +80,12 @@ class Hands:
             hull_limit=self.hull_limit,
             progress=lambda line: screen(stderr=True).print(line, markup=False, style="dim", soft_wrap=True),
         )
-        return self._check(hand, place) if self.check else self._show(hand)
+        return self._check(hand) if self.check else self._show(hand)
 
     def _list(self) -> int:
-        given = {"--urdf": self.urdf, "--mjcf": self.mjcf, "--base-link": self.base_link, "--write": self.write}
-        asked = [option for option, value in given.items() if value is not None] + ["--check"] * self.check
+        given = {"--urdf": self.urdf, "--mjcf": self.mjcf, "--base-link": self.base_link, "--out": self.out}
+        asked = [option for option, value in given.items() if value is not None]
+        asked += ["--check"] * self.check + ["--write"] * self.write
         if asked:
             raise GraspRefineError(f"{' and '.join(asked)} {ASK_FOR_ONE} {asked[0]}")
         waiting = [name for name in list_hands() if needs_urdf(name)]
@@ -102,7 +104,7 @@ class Hands:
             )
         console.print(
             "refine-grasp hands HAND shows the joints, links and contact links of one; a URDF file will do.\n"
-            "refine-grasp hands --check my_hand.urdf says what looks wrong in yours, and writes a hand.toml."
+            "refine-grasp hands --check my_hand.urdf says what looks wrong in yours; --write writes a hand.toml."
         )
         return 0
 
@@ -123,64 +125,33 @@ class Hands:
         _show_examples(hand, console)
         return 0
 
-    def _check(self, hand: Hand, place: Path | None) -> int:
+    def _check(self, hand: Hand) -> int:
         from grasp_refine.report.hand_check import check_hand
+        from grasp_refine.report.hand_toml_text import hand_toml_text
 
+        written = (self.out or hand.urdf.parent) / HAND_TOML if self.write else None
+        check_writable(written, overwrite=self.overwrite, inside=self.out)
         found = check_hand(hand)
-        written, told = _write_toml(hand, place)
+        if written is not None:
+            save_text(written, hand_toml_text(hand, written.parent))
         self._save([hand_facts(hand) | {"check": found.document(), "written": written}])
         console = screen()
         show_hand(hand, console)
         _show_check(hand, found, console)
         _show_examples(hand, console)
+        if written is not None:
+            used = "its folder, or this URDF," if written.parent == hand.urdf.parent else "its folder"
+            told = f"wrote {written}: edit it; it is read when you name {used} as the hand"
+        elif hand.toml is not None:
+            told = f"{hand.toml} was used"
+        else:
+            told = f"no {HAND_TOML} says what the URDF does not; --write writes one to start from"
         console.print(f"\n{told}", markup=False, soft_wrap=True)
         return NOTHING_USABLE if found.refused else 0
 
     def _save(self, facts: list[dict[str, Any]]) -> None:
         if self.json is not None:
             save_json(self.json, {"schema": SCHEMA, "command": "hands", "versions": versions(), "hands": facts})
-
-
-def _checked_place(path: Path) -> Path:
-    """The hand.toml that --write names.
-
-    Raises:
-        GraspRefineError: it exists, has another name, or cannot be written.
-    """
-    place = path / HAND_TOML if path.is_dir() else path
-    if place.name != HAND_TOML:
-        raise GraspRefineError(
-            f"--write {path}: is no folder that exists, and a file must be called {HAND_TOML}, so that its folder is a "
-            f"hand: {path / HAND_TOML}"
-        )
-    if place.exists() or place.is_symlink():
-        raise GraspRefineError(f"--write {place}: exists already and is not overwritten; name another folder")
-    check_writable(place)
-    return place
-
-
-def _write_toml(hand: Hand, place: Path | None) -> tuple[Path | None, str]:
-    """The hand.toml that was written, if any, and what to tell of it.
-
-    Raises:
-        GraspRefineError: the place that was named cannot be written.
-    """
-    from grasp_refine.report.hand_toml_text import hand_toml_text
-
-    beside = hand.urdf.parent / HAND_TOML
-    if place is None and hand.toml is not None:
-        return None, f"{hand.toml} was used, and nothing is written; --write FOLDER/{HAND_TOML} writes all of it anew"
-    if place is None and (beside.exists() or beside.is_symlink()):
-        return None, f"nothing is written: {beside} is of another URDF; name a place with --write FOLDER/{HAND_TOML}"
-    target = place or beside
-    try:
-        save_text(target, hand_toml_text(hand, target.parent))
-    except GraspRefineError as error:
-        if place is not None:
-            raise
-        return None, f"no {HAND_TOML} is written: {error}; name a place with --write FOLDER/{HAND_TOML}"
-    used = "its folder, or this URDF," if place is None else "its folder"
-    return target, f"wrote {target}: edit it; it is read when you name {used} as the hand"
 
 
 def _show_check(hand: Hand, found: HandCheck, console: Console) -> None:

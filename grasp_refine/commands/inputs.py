@@ -20,7 +20,7 @@ from grasp_refine.formats.reading import Reading
 from grasp_refine.grasps import GraspSet, Targets, choose_rows, load_grasps
 from grasp_refine.hand import Hand, list_hands, load_hand, needs_urdf
 from grasp_refine.objects import Object
-from grasp_refine.problem import Draft, Group, Problem
+from grasp_refine.problem import Draft, Group, Problem, UncutGroup
 from grasp_refine.scene import Scene
 from grasp_refine.se3 import transform_from_pose
 from grasp_refine.stopwatch import stage
@@ -112,7 +112,9 @@ class Inputs(Sources):
         def finish(objects: Sequence[Object]) -> Problem:
             return self._sampled(hand, objects[0], scale, count, (seed, draw) if draw else seed, wait)
 
-        return Draft(hand, (hand.urdf,), (uncut.name,), False, (uncut,), finish)
+        none = np.zeros(0, dtype=np.int64)
+        group = UncutGroup(uncut.name, self._metres(scale), uncut, self._metres(scale), none, none, none)
+        return Draft(hand, (hand.urdf,), (uncut.name,), False, (group,), finish, f"{SAMPLE}{count}")
 
     def _sampled(
         self,

@@ -9,8 +9,8 @@ from typing import Any
 
 from grasp_refine.commands.options import flag
 
-WRITTEN = ("json", "html")
-"""Options that name a file that is written."""
+WRITTEN = ("json", "html", "overwrite")
+"""Options about files that are written."""
 
 POSITIONAL = ("jobs",)
 """Options without a name on the command line."""

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from math import isfinite
-from typing import Any, TypeVar, get_type_hints
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
@@ -17,6 +17,11 @@ from tyro.constructors import PrimitiveConstructorSpec
 from grasp_refine.errors import GraspRefineError
 
 Command = TypeVar("Command")
+
+Overwrite = Annotated[
+    bool, tyro.conf.arg(help="Replace files that exist; without it they are kept.", help_behavior_hint="")
+]
+"""The option `--overwrite` of commands that write files."""
 
 LARGEST_SEED = 2**32 - 1
 

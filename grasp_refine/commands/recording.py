@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +13,7 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.formats.folders import UNUSUAL, told_apart
-from grasp_refine.problem import Group
+from grasp_refine.problem import Draft, Group, UncutGroup
 from grasp_refine.replay.export import export_xml
 from grasp_refine.replay.record import record
 from grasp_refine.replay.replay import Replay, save_replay
@@ -40,8 +41,16 @@ class Recording:
     film: bool = False
     """Beside each replay, a short film (.gif); needs an offscreen OpenGL, MUJOCO_GL=egl or osmesa."""
 
-    def check(self, protocol: Protocol | None, count: int) -> None:
+    def check(
+        self, protocol: Protocol | None, files: Sequence[Path], drafts: Sequence[Draft], *, overwrite: bool
+    ) -> None:
         """Nothing, when it can be recorded what is asked for.
+
+        Args:
+            protocol: How grasps are simulated; None: not at all.
+            files: The grasp files.
+            drafts: The grasps of each.
+            overwrite: Whether files that exist may be replaced.
 
         Raises:
             GraspRefineError: it cannot.
@@ -55,9 +64,18 @@ class Recording:
         names = protocol.directions or LIFT
         if self.direction is not None and self.direction not in names:
             raise GraspRefineError(f"--direction {self.direction}: there are {', '.join(names)}")
+        count = sum(len(draft.names) for draft in drafts)
         if count > MOST:
             raise GraspRefineError(f"--replays records at most {MOST} grasps, here are {count}: choose with --index")
-        check_writable(self.replays / "replay.npz")
+        # Which direction is the worst is known in the end.
+        directions = names if self.direction is None else (self.direction,)
+        for folder, draft in zip(self.folders(files), drafts, strict=True):
+            for group, direction in product(draft.groups, directions):
+                for number in group.index:
+                    path = _path(folder, draft.hand.name, group, number, direction)
+                    suffixes = (".npz", ".xml", *([".gif"] if self.film else []))
+                    written = (path.with_suffix(suffix) for suffix in suffixes)
+                    check_writable(*written, overwrite=overwrite, inside=self.replays)
         if self.film:
             from grasp_refine.replay.render import check_renderer
 
@@ -87,14 +105,12 @@ class Recording:
         """
         for i, number in enumerate(group.index):
             direction = self.direction or trials.directions[trials.worst[i]]
-            # An object in another size is another object to who looks at it.
-            thing = group.object if group.scale == 1 else f"{group.object}_x{group.scale:g}"
             name = f"{group.object} {number}"
             replay = record(world, motion.select(np.array([i])), direction, name=name, hand=hand)
             if replay is None:
                 yield f"{name}: nothing to record, the trial could not start"
                 continue
-            path = folder / f"{UNUSUAL.sub('_', f'{hand}_{thing}_{number}_{direction}')}.npz"
+            path = _path(folder, hand, group, number, direction)
             yield f"{name}: {direction} {replay.reason}, {self._save(replay, world, path)}"
 
     def _save(self, replay: Replay, world: World, path: Path) -> str:
@@ -118,3 +134,10 @@ class Recording:
             except GraspRefineError as error:
                 said += f"; no film: {error}"
         return said
+
+
+def _path(folder: Path, hand: str, group: Group | UncutGroup, number: int, direction: str) -> Path:
+    """The replay of a grasp; those of one call differ in grasp, object, size or folder."""
+    # An object in another size is another object to who looks at it.
+    thing = group.object if group.scale == 1 else f"{group.object}_x{group.scale:g}"
+    return folder / f"{UNUSUAL.sub('_', f'{hand}_{thing}_{number}_{direction}')}.npz"

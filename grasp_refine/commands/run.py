@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,8 +13,11 @@ import numpy as np
 import torch
 from tyro.conf import DisallowNone, arg
 
+from grasp_refine.collision.engine import chosen
+from grasp_refine.commands.digests import Digests
 from grasp_refine.commands.ending import NOTHING_USABLE
 from grasp_refine.commands.inputs import NEAREST, Inputs
+from grasp_refine.commands.options import Overwrite
 from grasp_refine.commands.proving import Proving
 from grasp_refine.commands.refining import proved, refined
 from grasp_refine.commands.settings import Settings
@@ -23,13 +26,14 @@ from grasp_refine.errors import GraspRefineError
 from grasp_refine.hand_object import HandObject
 from grasp_refine.holding import most_iterations
 from grasp_refine.losses import Weights
-from grasp_refine.problem import Draft, Problem
+from grasp_refine.problem import Draft, Problem, UncutGroup
 from grasp_refine.report.document import run_document, settings
 from grasp_refine.report.outcome import Outcome
 from grasp_refine.report.profile import profile_table
 from grasp_refine.report.progress import Reporter
 from grasp_refine.report.proof import Proof, proof_lines
-from grasp_refine.report.results import fingerprint, result_paths, save_results
+from grasp_refine.report.recorded_objects import object_entries, pieces_digest, surface_digest
+from grasp_refine.report.results import fingerprint, is_same_refinement, result_paths, save_results
 from grasp_refine.report.screen import screen
 from grasp_refine.report.table import grasp_table
 from grasp_refine.report.verdict import should_hold
@@ -50,6 +54,7 @@ class Output:
     """Folder for the refined grasps, <hand>_<object>.npz."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write what was measured of each grasp to this file, in SI units."""
+    overwrite: Overwrite = False
     verbose: bool = False
     """List all grasps, also when there are more than 40."""
     profile: bool = False
@@ -81,15 +86,21 @@ class Run:
         protocol = self.proof.protocol()
         if self.inputs.table is None and config.weights.table != Weights.table:
             raise GraspRefineError("--weights.table needs a --table")
+        described = {
+            "inputs": settings(self.inputs),
+            "refine": settings(config),
+            "proof": settings(self.proof),
+            "protocol": settings(protocol),
+        }
         # The tensors of a batch of grasps are small.
         torch.set_num_threads(1)
         watch = Stopwatch() if self.output.profile else None
         with watch or nullcontext(), Reporter(screen(stderr=True)) as reporter:
-            if self.output.json is not None:
-                check_writable(self.output.json)
+            check_writable(self.output.json, overwrite=self.output.overwrite, inside=self.output.out)
             draft = self.inputs.draft(config.seed, reporter.say, reporter.wait)
             self._check_used(draft, config)
-            paths = self._paths(draft)
+            stamps = self._stamps(draft, described["refine"])
+            paths = self._paths(draft, stamps, protocol)
             problem = self.inputs.cut(draft, config.seed, reporter.say)
             for note in problem.notes:
                 reporter.say(f"note: {note}")
@@ -104,14 +115,8 @@ class Run:
             outcome = Outcome.join(parts).select(problem.order)
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
         profile = None if watch is None else watch.profile
-        described = {
-            "inputs": settings(self.inputs),
-            "refine": settings(config),
-            "proof": settings(self.proof),
-            "protocol": settings(protocol),
-        }
         if outcome.usable.any():
-            self._save(problem, outcome, paths, {"seed": config.seed, "config": described}, proof)
+            self._save(problem, outcome, paths, stamps, described, proof)
         if self.output.json is not None:
             save_json(
                 self.output.json,
@@ -142,7 +147,9 @@ class Run:
         first, path = next(iter(paths.items()))
         if len(paths) > 1:
             screen().print(f"showing {first}; refine-grasp view {self.output.out} shows all", soft_wrap=True)
-        inputs = replace(self.inputs, grasps=path, index=(), targets=Inputs.targets, scale=1.0, format=None)
+        # The result's scale takes the mesh to metres.
+        other = ("index", "targets", "scale", "unit", "format", "other_object")
+        inputs = replace(self.inputs, grasps=path, **{name: getattr(Inputs, name) for name in other})
         # Not to fail now because some port is taken.
         return View(inputs=inputs, settings=self.settings, serving=Serving(port=0)).execute()
 
@@ -161,13 +168,41 @@ class Run:
         if _aimed(draft, config):
             self.settings.check_aimed()
 
-    def _paths(self, draft: Draft) -> dict[str, Path]:
-        """Object name -> result file; nothing that is written takes the place of an input."""
-        paths = result_paths(self.output.out, draft.hand.name, tuple(dict.fromkeys(draft.names)))
-        for path in paths.values():
-            check_writable(path)
-        for path in [*paths.values(), *([self.output.json] if self.output.json else [])]:
+    def _stamps(self, draft: Draft, refine: Any) -> dict[str, str]:
+        """Object name -> hash of all that its refined grasps depend on, where they are not simulated."""
+        digests = Digests()
+        _, hand = digests.hand(self.inputs.hand or draft.hand.name, self.inputs, lambda line: None)
+        source = draft.sampled or digests.file(draft.files[0])["sha256"]
+
+        def stamp(groups: Iterable[UncutGroup]) -> str:
+            return digests.stamp(
+                self.inputs,
+                refine=refine,
+                engine=chosen("auto"),
+                source=source,
+                hand=hand,
+                objects=[(group.key, surface_digest(group.uncut.mesh)) for group in groups],
+                pieces=[pieces_digest(group.uncut.pieces) for group in groups],
+                rows=[group.rows for group in groups],
+            )
+
+        names = dict.fromkeys(group.object for group in draft.groups)
+        return {name: stamp([group for group in draft.groups if group.object == name]) for name in names}
+
+    def _paths(self, draft: Draft, stamps: Mapping[str, str], protocol: Protocol | None) -> dict[str, Path]:
+        """Object name -> result file, which takes the place of no input, and of the same result only.
+
+        Raises:
+            GraspRefineError: it would.
+        """
+        out = self.output
+        paths = result_paths(out.out, draft.hand.name, tuple(stamps))
+        for path in filter(None, (*paths.values(), out.json)):
             check_no_input(path, draft.files, "the results would overwrite an input; give another --out or --json")
+        for name, path in paths.items():
+            again = is_same_refinement(path, stamps[name], settings(protocol))
+            check_writable(path, overwrite=out.overwrite or again, inside=out.out)
+        check_writable(*paths.values(), out.json, overwrite=True, inside=out.out)
         return paths
 
     def _save(
@@ -175,19 +210,26 @@ class Run:
         problem: Problem,
         outcome: Outcome,
         paths: dict[str, Path],
-        provenance: dict[str, object],
+        stamps: Mapping[str, str],
+        described: Mapping[str, Any],
         proof: Proof | None,
     ) -> None:
         source: dict[str, Any] = fingerprint(problem.files[0])
-        # Which grasps were drawn depends on the hand, the object and the seed.
-        source = {"sampled": problem.sampled, "hand": source} if problem.sampled else source
-        hand = fingerprint(problem.hand.urdf)
-        provenance = {"versions": versions(), **provenance, "source": source, "urdf": hand}
+        provenance = {
+            "versions": versions(),
+            "seed": described["refine"]["seed"],
+            "config": described,
+            # Which grasps were drawn depends on the hand, the object and the seed.
+            "source": {"sampled": problem.sampled, "hand": source} if problem.sampled else source,
+            "urdf": fingerprint(problem.hand.urdf),
+        }
         links = problem.groups[0].scene.links
         for name, path in paths.items():
             rows = np.flatnonzero(outcome.object == name)
             trials = None if proof is None else (proof.before.select(rows), proof.after.select(rows))
-            save_results(path, problem.hand, links, outcome.select(rows), provenance, trials)
+            objects = object_entries(group for group in problem.groups if group.object == name)
+            of_object = provenance | {"objects": objects, "stamp": stamps[name]}
+            save_results(path, problem.hand, links, outcome.select(rows), of_object, trials)
 
 
 def _aimed(draft: Draft, config: Config) -> bool:

@@ -28,6 +28,7 @@ from grasp_refine.names import is_folder
 from grasp_refine.problem import Problem
 from grasp_refine.report.document import settings
 from grasp_refine.report.outcome import Outcome
+from grasp_refine.report.recorded_objects import object_entries
 from grasp_refine.report.results import fingerprint, save_results
 from grasp_refine.report.verdict import advice, should_hold
 from grasp_refine.stopwatch import Stopwatch
@@ -121,6 +122,7 @@ class ShardWork:
             "config": self.described | {"inputs": settings(task.inputs)},
             "source": task.source,
             "urdf": fingerprint(problem.hand.urdf),
+            "objects": object_entries(problem.groups),
             "batch": {"stamp": shard.stamp, "job": task.job, "look": _look(task.inputs)},
             "advice": advice(outcome, self.config),
         }
@@ -225,9 +227,9 @@ def _check_unchanged(task: Task, inputs: KeptInputs, path: Path, say: Callable[[
 
 
 def _look(inputs: Inputs) -> list[str]:
-    """The options that `refine-grasp view` needs to show the result."""
-    other = {name: getattr(Inputs, name) for name in ("grasps", "targets", "scale", "format", "object_name", "index")}
-    return list(words(replace(inputs, **other)))
+    """The options that `refine-grasp view` needs to show the result, whose scale takes the mesh to metres."""
+    other = ("grasps", "targets", "scale", "unit", "format", "object_name", "index", "other_object")
+    return list(words(replace(inputs, **{name: getattr(Inputs, name) for name in other})))
 
 
 def _world(kept: Kept, hand: Any, obj: Any, protocol: Protocol, table: Any) -> Any:

@@ -30,8 +30,9 @@ from grasp_refine.hand_source import check_known
 from grasp_refine.names import exists
 from grasp_refine.objects import Object, UncutObject, cut_objects, read_object
 from grasp_refine.plane import Plane
-from grasp_refine.problem import Draft, Group, Problem
+from grasp_refine.problem import Draft, Group, Problem, UncutGroup
 from grasp_refine.rebase import rebased
+from grasp_refine.report.recorded_objects import check_objects
 from grasp_refine.report.results import fingerprint, recorded_urdf
 from grasp_refine.scene import Scene, links_of
 from grasp_refine.se3 import transform_from_pose
@@ -77,6 +78,8 @@ class Sources:
     split into its bodies, or cut. inf: hulls only."""
     threshold: float = Decomposition.threshold
     """Largest concavity, 0.01 to 1, of the pieces that CoACD cuts a concave object into; lower is finer."""
+    other_object: Annotated[bool, arg(help_behavior_hint="")] = False
+    """Take results that were refined on another object, or on the same one in another size."""
 
     def load_from(self, path: Path, seed: int, say: Callable[[str], None]) -> Problem:
         """The grasps of a file, with the targets that it gives; `say` hears when a decomposition starts and ends.
@@ -106,36 +109,40 @@ class Sources:
         hand, grasps, resting = self._hand(grasps, path, say)
         q, notes = match_joints(grasps, hand)
         notes = (*read.notes, *hand.notes, *resting, *notes, *_other_urdf(path, hand, chosen=bool(self.hand)))
-        uncut, parts, count = [], [], 0
+        groups: list[UncutGroup] = []
+        count = 0
         for name, rows in chosen.items():
             index = np.asarray(self.index) if self.index else np.arange(len(rows))
             place, count = np.arange(count, count + len(rows)), count + len(rows)
             scales = grasps.scale[rows] * self.scale
             for scale in np.unique(scales):
                 at = np.flatnonzero(scales == scale)
-                uncut.append(self.read_object(sources[name], float(scale)))
-                notes += tuple(f"{name}: {note}" for note in uncut[-1].notes)
-                aim = _aim(hand, targets, rows[at])
-                parts.append((name, self._metres(scale), aim, rows[at], index[at], place[at]))
-        files, table, told = self._files(path, read), self._table(), tuple(dict.fromkeys(notes))
+                uncut = self.read_object(sources[name], float(scale))
+                notes += tuple(f"{name}: {note}" for note in uncut.notes)
+                file_scale = float(grasps.scale[rows[at[0]]])
+                groups.append(UncutGroup(name, self._metres(scale), uncut, file_scale, rows[at], index[at], place[at]))
+        aims = [_aim(hand, targets, group.rows) for group in groups]
+        notes += check_objects(read.files, {group.key: group.uncut for group in groups}, other=self.other_object)
+        files, table = self._files(path, read), self._table()
 
         def finish(objects: Sequence[Object]) -> Problem:
-            groups = []
-            for (name, metres, aim, rows, index, place), obj in zip(parts, objects, strict=True):
-                some = grasps.select(rows)
-                scene = Scene(hand, obj, transform_from_pose(some.hand_pose), q[rows], *aim, table=table)
-                groups.append(Group(name, metres, scene, some, rows, index, place))
-            doubts = convention_notes([group.scene for group in groups])
-            notes = tuple(dict.fromkeys((*told, *doubts)))
-            return Problem(hand, files, tuple(groups), notes, convention_notes=doubts)
+            found = []
+            for group, obj, aim in zip(groups, objects, aims, strict=True):
+                some = grasps.select(group.rows)
+                scene = Scene(hand, obj, transform_from_pose(some.hand_pose), q[group.rows], *aim, table=table)
+                found.append(Group(group.object, group.scale, scene, some, group.rows, group.index, group.place))
+            cut = {group.key: obj for group, obj in zip(groups, objects, strict=True)}
+            doubts = convention_notes([group.scene for group in found])
+            told = dict.fromkeys((*notes, *check_objects(read.files, cut, other=True), *doubts))
+            return Problem(hand, files, tuple(found), tuple(told), convention_notes=doubts)
 
         names_of_grasps = tuple(name for name, rows in chosen.items() for _ in rows)
-        return Draft(hand, files, names_of_grasps, targets is not None, tuple(uncut), finish)
+        return Draft(hand, files, names_of_grasps, targets is not None, tuple(groups), finish)
 
     @stage("loading")
     def cut(self, draft: Draft, seed: int, say: Callable[[str], None]) -> Problem:
         """The second half of `load_from`: the objects are cut into convex pieces, several at a time."""
-        return draft.finish(self._cut(draft.objects, seed, say))
+        return draft.finish(self._cut([group.uncut for group in draft.groups], seed, say))
 
     def check_numbers(self) -> None:
         """Refuse a scale, a table or a hull limit that can mean nothing.

@@ -14,7 +14,7 @@ from rich.markup import escape
 from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.commands.ending import NOTHING_USABLE
-from grasp_refine.commands.options import check_numbers, flag
+from grasp_refine.commands.options import Overwrite, check_numbers, flag
 from grasp_refine.commands.recording import Recording
 from grasp_refine.commands.simulating import Robustness, Simulation
 from grasp_refine.commands.sources import Sources
@@ -48,6 +48,7 @@ class Told:
     """Write everything that was found of each grasp to this file, in SI units."""
     rows: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write one row per grasp to this .csv or .parquet file."""
+    overwrite: Overwrite = False
     verbose: bool = False
     """List all grasps, also when there are more than 40."""
 
@@ -85,7 +86,7 @@ class Validate:
             drafts = [self.sources.draft_from(path, reporter.say) for path in files]
             if self.told.compare is not None:
                 _check_comparable(*drafts)
-            self.recording.check(protocol, sum(len(draft.names) for draft in drafts))
+            self.recording.check(protocol, files, drafts, overwrite=self.told.overwrite)
             problems = [self.sources.cut(draft, self.robustness.seed, reporter.say) for draft in drafts]
             for note in dict.fromkeys(note for problem in problems for note in problem.notes):
                 reporter.say(f"note: {note}")
@@ -158,10 +159,9 @@ class Validate:
             for option in ("noise_offset", "noise_degrees"):
                 if getattr(self.robustness, option) != getattr(Robustness, option):
                     raise GraspRefineError(f"{flag(option)} needs --noise N")
-        for path in (self.told.json, self.told.rows):
-            if path is not None:
-                check_writable(path)
-                check_no_input(path, files, "would overwrite an input; give another name")
+        for path in filter(None, (self.told.json, self.told.rows)):
+            check_no_input(path, files, "would overwrite an input; give another name")
+        check_writable(self.told.json, self.told.rows, overwrite=self.told.overwrite, inside=self.recording.replays)
         if self.told.rows is not None:
             check_table(self.told.rows)
 

@@ -17,6 +17,7 @@ import numpy as np
 from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.commands.inputs import Inputs
+from grasp_refine.commands.options import Overwrite
 from grasp_refine.commands.settings import Settings
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.formats.listing import OURS
@@ -58,6 +59,7 @@ class Serving:
     """Open the page in a browser, where there is a screen."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write to this file, once the page is there, where it is."""
+    overwrite: Overwrite = False
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,7 @@ class View:
             raise GraspRefineError("the viewer needs viser: pip install 'grasp-refine[viewer]'")
         from grasp_refine.apps.viewer.page import address, close_server, open_server
 
-        if self.serving.json is not None:
-            check_writable(self.serving.json)
+        check_writable(self.serving.json, overwrite=self.serving.overwrite)
         # First, so that a browser can load the page while the rest is being loaded.
         server = open_server(self.serving.host, self.serving.port)
         try:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.brief import labels
+from grasp_refine.errors import GraspFileError
 from grasp_refine.formats.folders import UNUSUAL
 from grasp_refine.grasps import OTHER_STAGES, GraspSet, Stage, Targets, save_npz
 from grasp_refine.hand import Hand
@@ -63,7 +64,7 @@ def save_results(
         limits_violated                     (N,)       joint values beyond their limits
         moved_palm_m, _palm_rad, _joints_rad (N,)      how far base link and joints were moved, metres and radians
         wall_s, cpu_s                       (N,)       share of the time of the refinement, seconds
-        provenance                          ()         JSON: versions, seed, config, source, index and row
+        provenance                          ()         JSON: versions, seed, config, source, hand, objects, index, row
 
     and where grasps were simulated, of the direction that was worst for each, before and after
 
@@ -167,20 +168,48 @@ def fingerprint(path: Path) -> dict[str, str]:
     return {"path": str(path), "sha256": _sha256(path.read_bytes())}
 
 
+def read_provenance(path: Path) -> dict[str, Any]:
+    """Provenance of the grasps in a result file; empty: it is another grasp file.
+
+    Raises:
+        GraspFileError: it is damaged.
+    """
+    if path.suffix != ".npz":
+        return {}
+    text = str(load_npz(path, only=("provenance",)).entries.get("provenance", ""))
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
 def recorded_urdf(path: Path) -> str | None:
     """sha256 of the URDF that the grasps in a result file were refined with; None: it is another grasp file.
 
     Raises:
         GraspFileError: it is damaged.
     """
-    if path.suffix != ".npz":
-        return None
-    text = str(load_npz(path, only=("provenance",)).entries.get("provenance", ""))
-    try:
-        found = json.loads(text)["urdf"]["sha256"]
-    except (ValueError, LookupError, TypeError, RecursionError):
-        return None
+    urdf = read_provenance(path).get("urdf")
+    found = urdf.get("sha256") if isinstance(urdf, dict) else None
     return found if isinstance(found, str) else None
+
+
+def is_same_refinement(path: Path, stamp: str, protocol: Any) -> bool:
+    """Whether a file holds what will be written: the same grasps, refined in the same way.
+
+    Only what simulation says of them may be added; it differs where the protocol does.
+
+    Args:
+        path: The file.
+        stamp: Hash of all that the refined grasps depend on.
+        protocol: Settings of the simulation; None: there is none.
+    """
+    try:
+        found = read_provenance(path) if path.is_file() else {}
+        return found.get("stamp") == stamp and found["config"]["protocol"] in (None, json.loads(dumps(protocol)))
+    except (GraspFileError, LookupError, TypeError):
+        return False
 
 
 def _sha256(content: bytes) -> str:

@@ -20,11 +20,42 @@ SCHEMA = 1
 """Version of the layout of all documents."""
 
 
-def check_writable(path: Path) -> None:
-    """Nothing, when a file can be made at `path`; found out before the work, not after it, and nothing is left there.
+def check_writable(*paths: Path | None, overwrite: bool, inside: Path | None = None) -> None:
+    """Nothing, when files can be made at `paths`; found out before the work, not after it, and nothing is left there.
+
+    Args:
+        paths: The files; None is passed over.
+        overwrite: Whether files that exist may be replaced.
+        inside: A folder that the command makes itself; other folders have to exist.
 
     Raises:
-        GraspRefineError: `path` is a folder, or lies where nothing can be written.
+        GraspRefineError: one is a folder, exists, is named twice, or lies where nothing can be written.
+    """
+    named: set[str] = set()
+    for path in filter(None, paths):
+        _check_place(path)
+        if _is_device(path):
+            continue
+        if not overwrite and path.is_file():
+            raise GraspRefineError(f"{path}: exists already; give another name or folder, or --overwrite to replace it")
+        made = inside is not None and path.absolute().is_relative_to(inside.absolute())
+        if not path.parent.exists() and not made:
+            raise GraspRefineError(f"{path}: cannot be written, there is no folder {path.parent}")
+        if os.path.abspath(path) in named:
+            raise GraspRefineError(f"{path}: is to be written twice, and one would replace the other")
+        named.add(os.path.abspath(path))
+
+
+def _is_device(path: Path) -> bool:
+    """Whether a file is written to and never replaced, such as /dev/stdout, also where that is sent to a file."""
+    return path.absolute().parts[1:2] in (("dev",), ("proc",))
+
+
+def _check_place(path: Path) -> None:
+    """Nothing, when a file can be made or replaced at `path`.
+
+    Raises:
+        GraspRefineError: it cannot.
     """
     try:
         if path.is_dir():
