@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[1] / PACKAGE
 ORDER = (
     "errors",
     "names",
+    "counts",
     "toml_file",
     "versions",
     "cores",

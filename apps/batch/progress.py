@@ -15,6 +15,8 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
+from grasp_refine.counts import count_text, whole
+
 from . import words
 from .shard import Done, Failed, Shard
 
@@ -71,9 +73,9 @@ class Progress:
         if self.console.is_terminal:
             self._live.start()
         elif self._shards:
-            before = f", {words.whole(self._skipped)} were done before" if self._skipped else ""
+            before = f", {whole(self._skipped)} were done before" if self._skipped else ""
             now = words.grasps(self._total - self._skipped)
-            shards, workers = words.count(len(self._shards), "shard"), words.count(self._workers, "worker")
+            shards, workers = count_text(len(self._shards), "shard"), count_text(self._workers, "worker")
             self.say(f"refining {now} in {shards} with {workers}{before}")
         return self
 
@@ -159,7 +161,7 @@ class Progress:
 
     def _facts(self) -> list[str]:
         """What is told of the whole, the most important first."""
-        facts = [f"{words.whole(self._skipped + self._done)}/{words.grasps(self._total)}"]
+        facts = [f"{whole(self._skipped + self._done)}/{words.grasps(self._total)}"]
         if self.speed > 0:
             facts.append(words.rate(self.speed))
         if self.remaining_s is not None and self._open:
@@ -168,7 +170,7 @@ class Progress:
             said = "held" if self._simulated else "good"
             facts.append(f"{words.share(self._good, self._counted)} {said}")
         if self._failed:
-            facts.append(f"{words.count(self._failed, 'shard')} failed")
+            facts.append(f"{count_text(self._failed, 'shard')} failed")
         return facts
 
     def _shown(self) -> RenderableType:
