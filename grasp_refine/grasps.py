@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from grasp_refine.counts import count_text
 from grasp_refine.description.mimics import followed
 from grasp_refine.errors import GraspFileError
 from grasp_refine.npz import NpzFile, load_npz, save_npz
@@ -300,7 +301,7 @@ def choose_rows(
     if outside:
         raise GraspFileError(
             f"grasp index {', '.join(map(str, outside))} is out of range: "
-            f"'{object_name}' has {len(rows)} grasps, 0 to {len(rows) - 1}"
+            f"'{object_name}' has {count_text(len(rows), 'grasp')}, 0 to {len(rows) - 1}"
         )
     return rows[np.asarray(index, dtype=int)]
 

@@ -108,6 +108,8 @@ def load_object(
     convex = len(pieces) == 1
     if not pieces:
         mesh, notes = watertight(mesh, name, holes)
+        # An object's notes are told after its name.
+        notes = tuple(note.removeprefix(f"{name}: ") for note in notes)
         convex = is_convex(mesh)
         folder = default_cache() if cache == "user" else cache
         pieces = convex_pieces(mesh, decomposition, cache=folder, progress=progress, name=name)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
+from grasp_refine.counts import count_text
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry.decomposition import Decomposition, decompose
@@ -225,7 +226,7 @@ def convex_pieces(
         if not parts:
             raise MeshError(f"{name}: CoACD found no solid piece in it ({dropped} flat ones)")
         flat = f", {dropped} flat ones dropped" if dropped else ""
-        report(f"{name}: {len(parts)} convex pieces in {time.perf_counter() - start:.1f} s{flat}")
+        report(f"{name}: {count_text(len(parts), 'convex piece')} in {time.perf_counter() - start:.1f} s{flat}")
         try:
             if entry:
                 disk.save(entry, parts)

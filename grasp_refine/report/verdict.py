@@ -73,9 +73,10 @@ def advice(outcome: Outcome, config: Config) -> list[str]:
 
 def estimate_line(good: int, before: int | None, count: int) -> Text:
     """How many of so many grasps have a quality of `HOLDS` or more, now and, if known, before; nothing is simulated."""
-    said, color = f"{whole(good)} of {whole(count)}", "green" if good == count else "yellow"
-    earlier = "" if before is None else f", {whole(before)} of {whole(count)} before; --validate simulates"
-    return Text.assemble(f"quality {BAR} (an estimate, not simulated): ", (said, color), earlier)
+    color = "green" if good == count else "yellow"
+    said = f"{'' if before is None else f'{whole(before)} → '}{whole(good)} of {whole(count)}"
+    hint = "" if before is None else "; --validate simulates"
+    return Text.assemble(f"quality {BAR} (an estimate): ", (said, color), hint)
 
 
 def held_line(setting: str, held: tuple[int, int], gained: int, lost: int, count: int) -> Text:
@@ -117,8 +118,7 @@ class Agreement:
             which = "which" if self.good == 1 else f"{whole(failed)} of which" if failed else "all of which"
             said += f", {which} {'did not hold' if failed else 'held'}"
         if self.others == 1:
-            said += f"; the other {'held all the same' if self.others_held else 'did not hold'}"
+            said += f"; the other {'held' if self.others_held else 'did not hold'}"
         elif self.others:
-            which = f"{whole(self.others_held)} of the {whole(self.others)} others"
-            said += f"; {which} held{' all the same' if self.others_held else ''}"
+            said += f"; {whole(self.others_held)} of the {whole(self.others)} others held"
         return Text(said)
