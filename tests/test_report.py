@@ -144,6 +144,15 @@ def test_the_table_speaks_millimetres_and_degrees():
     ]
 
 
+def test_a_measure_that_fell_nowhere_is_not_called_less():
+    outcome = made_up(3)
+    worse = replace(outcome, penetration=outcome.penetration[:, ::-1].copy())
+    (line,) = [line for line in text(worse) if line.startswith("penetration") and "mean" in line]
+    assert "rose in 3 of 3" in line and "fell" not in line
+    mixed = replace(outcome, penetration=np.array([[2e-3, 1e-3], [1e-3, 2e-3], [1e-3, 1e-3]]))
+    assert any(line.startswith("penetration fell in 1 and rose in 1 of 3 grasps") for line in text(mixed))
+
+
 def test_what_the_verdict_is_depends_on_what_was_wanted():
     """Where grasps should hold it is by quality; elsewhere it is how the refinement ended, and quality is told."""
     outcome = with_status(with_quality(made_up(3), g1=0.9), g1=Status.STALLED, g2=Status.STALLED)
