@@ -29,11 +29,6 @@ def brief(record: Any) -> str:
     return f"{type(record).__name__}({', '.join(parts)})"
 
 
-def counted(count: int, thing: str) -> str:
-    """A number and what there are so many of: "1 grasp", "4 grasps"."""
-    return f"{count} {thing}{'' if count == 1 else 's'}"
-
-
 def tallied(labels: Iterable[str]) -> str:
     """How often each label comes, the most frequent first: "3 converged, 1 stalled"."""
     names, counts = np.unique(list(labels), return_counts=True)

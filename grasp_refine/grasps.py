@@ -30,7 +30,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from grasp_refine.arguments import as_numbers, check_kind, check_shape, shown
-from grasp_refine.brief import brief, counted
+from grasp_refine.brief import brief
+from grasp_refine.counts import count_text
 from grasp_refine.description.mimics import followed
 from grasp_refine.errors import GraspFileError, GraspRefineError
 from grasp_refine.hand import Hand
@@ -120,10 +121,10 @@ class GraspSet:
 
     def __repr__(self) -> str:
         names = np.unique(self.object)
-        on = str(names[0]) if len(names) == 1 else counted(len(names), "object")
+        on = str(names[0]) if len(names) == 1 else count_text(len(names), "object")
         with_parts = [name for name in ("targets", *OTHER_STAGES) if getattr(self, name) is not None]
         more = f", with {', '.join(with_parts)}" if with_parts else ""
-        return f"GraspSet({counted(len(self), 'grasp')} of {self.hand} on {on}{more})"
+        return f"GraspSet({count_text(len(self), 'grasp')} of {self.hand} on {on}{more})"
 
     def __post_init__(self) -> None:
         """Check that all parts are of N grasps and n joints.
@@ -354,7 +355,7 @@ def choose_rows(
     if outside:
         raise GraspFileError(
             f"grasp index {', '.join(map(str, outside))} is out of range: "
-            f"'{object_name}' has {len(rows)} grasps, 0 to {len(rows) - 1}"
+            f"'{object_name}' has {count_text(len(rows), 'grasp')}, 0 to {len(rows) - 1}"
         )
     return rows[np.asarray(index, dtype=int)]
 

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.arguments import check_kind
-from grasp_refine.brief import brief, counted
+from grasp_refine.brief import brief
+from grasp_refine.counts import count_text
 from grasp_refine.description.base_link import guess_base
 from grasp_refine.description.defaults import Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
 from grasp_refine.description.hand_toml import Contact, Coupled
@@ -112,7 +113,7 @@ class Hand:
 
     def __repr__(self) -> str:
         parts = (len(self.joint_names), "joint"), (len(self.links), "link"), (len(self.contacts), "contact point")
-        return f"Hand({self.name}: {', '.join(counted(*part) for part in parts)})"
+        return f"Hand({self.name}: {', '.join(count_text(*part) for part in parts)})"
 
     @cached_property
     def links_by_name(self) -> dict[str, Link]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from grasp_refine.arguments import check_kind, is_number, shown
-from grasp_refine.brief import counted
+from grasp_refine.counts import count_text
 from grasp_refine.errors import AssetError, MeshError
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
@@ -46,7 +46,7 @@ class Object:
 
     def __repr__(self) -> str:
         size = " x ".join(f"{side * 1e3:.3g}" for side in self.mesh.extents)
-        return f"Object({self.name}: {size} mm, {counted(len(self.body.pieces), 'convex piece')})"
+        return f"Object({self.name}: {size} mm, {count_text(len(self.body.pieces), 'convex piece')})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +152,8 @@ def read_object(
     convex = len(pieces) == 1
     if not pieces:
         mesh, notes = watertight(mesh, name, holes)
+        # An object's notes are told after its name.
+        notes = tuple(note.removeprefix(f"{name}: ") for note in notes)
         convex = is_convex(mesh)
     return UncutObject(name, mesh, tuple(pieces), convex, notes)
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from grasp_refine.arguments import check_kind
 from grasp_refine.batch import choose, take
-from grasp_refine.brief import counted, labels, spread, tallied
+from grasp_refine.brief import labels, spread, tallied
 from grasp_refine.config import Config
+from grasp_refine.counts import count_text
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.glimpse import Watch, watched
 from grasp_refine.goal import Goal, goal_of
@@ -57,7 +58,7 @@ class Refinement:
 
     def __repr__(self) -> str:
         ended = tallied(self.labels)
-        return f"Refinement({counted(len(self.q), 'grasp')}: {ended}; loss now {spread(self.loss[:, 1])} m^2)"
+        return f"Refinement({count_text(len(self.q), 'grasp')}: {ended}; loss now {spread(self.loss[:, 1])} m^2)"
 
     @property
     def labels(self) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from grasp_refine.arguments import as_numbers, check_kind, shape_error
-from grasp_refine.brief import counted
+from grasp_refine.counts import count_text
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.grasps import unit_poses, without_zero_quaternions
 from grasp_refine.hand import Hand
@@ -51,7 +51,7 @@ class Scene:
     def __repr__(self) -> str:
         given = [name for name in (*TARGETS, "table") if getattr(self, name) is not None]
         more = f", with {', '.join(given)}" if given else ""
-        return f"Scene({self.hand.name} on {self.object.name}: {counted(len(self.q), 'grasp')}{more})"
+        return f"Scene({self.hand.name} on {self.object.name}: {count_text(len(self.q), 'grasp')}{more})"
 
     def __post_init__(self) -> None:
         """Check what is given, once for all that is done with the scene.

@@ -86,7 +86,7 @@ def _sleep(how: str, first: bool, beat: Beat) -> None:
 def _beat(how: str, first: bool, beat: Beat) -> None:
     until = time.monotonic() + float(how)
     while time.monotonic() < until:
-        beat("still there", 0.5)
+        beat("still there", 0.5, 3)
         time.sleep(0.01)
 
 

@@ -16,6 +16,7 @@ ORDER = (
     "arguments",
     "brief",
     "names",
+    "counts",
     "toml_file",
     "versions",
     "cores",

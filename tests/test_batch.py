@@ -144,7 +144,7 @@ def test_what_is_complete_is_skipped(copy: Path, sources: Path, capsys: pytest.C
     assert batch(sources, "--out", copy, "--shard-size", 3, *QUICK) == 0
     assert {path: path.stat().st_mtime_ns for path in copy.rglob("*.npz")} == before
     assert (copy / "index.csv").read_bytes() == first
-    assert "4 of 4 shards are complete and skipped" in capsys.readouterr().err
+    assert "4 of 4 shards complete and skipped" in capsys.readouterr().err
 
 
 def test_what_is_missing_or_damaged_is_made_anew_and_comes_out_the_same(
@@ -156,7 +156,7 @@ def test_what_is_missing_or_damaged_is_made_anew_and_comes_out_the_same(
     damaged.write_bytes(content[:1000] + b"\0" * 100 + content[1100:])
     assert batch(sources, "--out", copy, "--shard-size", 3, *QUICK) == 0
     error = " ".join(capsys.readouterr().err.split())
-    assert "2 of 4 shards are complete and skipped" in error
+    assert "2 of 4 shards complete and skipped" in error
     assert "allegro_bottle_00001.npz cannot be read and is made anew" in error
     assert_same(copy, whole)
 
@@ -166,7 +166,7 @@ def test_other_settings_and_other_inputs_are_made_anew(
 ):
     other = ("--geometry-only", "--iterations", "5", "--index", "csv", "--workers", "1", "--no-report")
     assert batch(sources / "example_bottle.npz", "--out", copy, "--shard-size", 3, *other) == 0
-    assert "2 are of other inputs, settings or versions and are made anew" in " ".join(capsys.readouterr().err.split())
+    assert "of other inputs, settings or versions, and made anew: 2" in " ".join(capsys.readouterr().err.split())
     assert all(int(row["iterations"]) <= 5 for row in index(copy))
 
 
@@ -253,11 +253,11 @@ def test_results_are_no_grasps_of_the_next_run(
     (folder / "below").mkdir()
     monkeypatch.chdir(folder / "below")
     assert batch("..", "--out", "../below/../out", "--shard-size", 3, *QUICK) == 0
-    assert "4 of 4 shards are complete and skipped" in capsys.readouterr().err
+    assert "4 of 4 shards complete and skipped" in capsys.readouterr().err
     copy.rename(folder / "older")
     monkeypatch.chdir(folder)
     assert batch(".", "--out", "older2", "--shard", "4/4", "--shard-size", 3, *QUICK) == 0
-    assert "4 files are results of a batch and no grasps to refine" in " ".join(capsys.readouterr().err.split())
+    assert "results of a batch: 4 files" in " ".join(capsys.readouterr().err.split())
 
 
 def test_simulation_and_where_the_time_goes_are_part_of_the_results(
@@ -379,7 +379,7 @@ def test_interrupted_it_says_how_to_go_on_and_leaves_nothing_running(
     (os.killpg if signal_ == signal.SIGINT else os.kill)(process.pid, signal_)
     out, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
-    assert " of 8 shards are complete; the same command goes on from there" in " ".join(error.split())
+    assert " of 8 shards complete; the same command goes on from there" in " ".join(error.split())
     assert error.rstrip().endswith("refine-grasp: interrupted")
     assert "Traceback" not in error
     assert nothing_left(process)

@@ -175,7 +175,7 @@ def test_holes_are_closed_as_asked(tmp_path: Path, cache: Path):
     ):
         load_object(tmp_path / "pot.stl", candidates=64, cache=cache)
     volume = trimesh.creation.cylinder(0.03, 0.1, sections=24).volume
-    for holes, words in (("cap", "pot: a flat hole, up to 84.9 mm across"), ("hull", "pot: not watertight, 24 edges")):
+    for holes, words in (("cap", "a flat hole, up to 84.9 mm across"), ("hull", "not watertight, 24 edges")):
         thing = load_object(tmp_path / "pot.stl", holes=holes, candidates=64, cache=cache)
         assert thing.notes[-1].startswith(words)
         assert thing.mesh.is_volume and thing.mesh.volume == pytest.approx(volume)

@@ -16,7 +16,8 @@ from grasp_refine.commands.inputs import Inputs
 from grasp_refine.commands.job_list import read_jobs
 from grasp_refine.grasps import OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
 from grasp_refine.hand import HAND_TOML, load_hand
-from grasp_refine.report.verdict import HOLDS
+from grasp_refine.report.verdict import HOLDS, should_hold
+from grasp_refine.validation.metrics import metrics
 
 BENCHES = ("bench align", "bench queries", "bench stability", "bench grasp", "bench hold", "bench --gate")
 
@@ -26,6 +27,8 @@ def test_the_example_in_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     names = run_python("refine(scene")
     before, after = names["result"].loss.T
     assert (after < 1e-2 * before).all()
+    quality = metrics(names["hand"], names["mug"], names["result"].T_world_root, names["result"].q).quality
+    assert should_hold(quality).all(), "the quality that it asks for is reached"
     refined = load_grasps(tmp_path / "refined.npz")
     assert len(refined) == len(names["grasps"]) and refined.joint_names == names["hand"].joint_names
     # And what follows it.

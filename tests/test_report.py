@@ -23,10 +23,11 @@ from grasp_refine.refine import Config, Scene, refine
 from grasp_refine.report.document import run_document, settings
 from grasp_refine.report.outcome import Outcome, compare
 from grasp_refine.report.progress import Reporter
+from grasp_refine.report.proof import Proof
 from grasp_refine.report.results import result_paths
 from grasp_refine.report.screen import screen
 from grasp_refine.report.table import grasp_table
-from grasp_refine.report.verdict import BAR, HOLDS, foretold_line, should_hold, status_advice
+from grasp_refine.report.verdict import BAR, HOLDS, Agreement, should_hold, status_advice
 from grasp_refine.report.writing import check_writable, dumps, save_json
 from grasp_refine.solvers.descent import Descent
 from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -34,6 +35,8 @@ from grasp_refine.solvers.status import Status
 from grasp_refine.targets import Touching
 from grasp_refine.validation.metrics import metrics
 from grasp_refine.validation.motion import closing
+from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.versions import Requirement, requirements, versions
 
 
@@ -108,9 +111,16 @@ def aimed(outcome: Outcome) -> Outcome:
 GEOMETRY = Config(weights=Weights(wrench=0.0))
 
 
-def text(outcome: Outcome, config: Config | None = None, *, width: int = 80, verbose: bool = False) -> list[str]:
+def text(
+    outcome: Outcome,
+    config: Config | None = None,
+    proof: Proof | None = None,
+    *,
+    width: int = 80,
+    verbose: bool = False,
+) -> list[str]:
     stream = io.StringIO()
-    table = grasp_table(outcome, "claw", config or Config(), verbose=verbose)
+    table = grasp_table(outcome, "claw", config or Config(), proof, verbose=verbose)
     Console(file=stream, width=width, emoji=False).print(table)
     return stream.getvalue().splitlines()
 
@@ -126,14 +136,23 @@ def test_the_table_speaks_millimetres_and_degrees():
     (median,) = [line for line in lines if line.startswith("median")]
     assert " ".join(median.split()) == "median 10.00 → 1.00 2.00 → 0.10 4.0 5.0 6.0 0.400 → 0.970"
     assert lines[-7:] == [
-        f"3 of 3 grasps should hold (quality {BAR}), 0 as they came",
+        f"quality {BAR} (an estimate): 0 → 3 of 3; --validate simulates",
         "3 of 3 grasps converged",
-        "less wrench residual in 3 of 3 with any; mean 0.200 → 0.050",
-        "less contact error in 2 of 2 with any; mean 10.000 → 1.000 mm",
-        "less penetration in 3 of 3 with any; mean 2.000 → 0.100 mm",
-        "less self-penetration in 3 of 3 with any; mean 1.000 → 0.000 mm",
+        "wrench residual fell in 3 of 3 grasps with any; mean 0.200 → 0.050",
+        "contact error fell in 2 of 2 grasps with any; mean 10.000 → 1.000 mm",
+        "penetration fell in 3 of 3 grasps with any; mean 2.000 → 0.100 mm",
+        "self-penetration fell in 3 of 3 grasps with any; mean 1.000 → 0.000 mm",
         "a grasp took 2 / 2 starts, 123 / 123 iterations, 0.25 s / 0.25 s (median / most)",
     ]
+
+
+def test_a_measure_that_fell_nowhere_is_not_called_less():
+    outcome = made_up(3)
+    worse = replace(outcome, penetration=outcome.penetration[:, ::-1].copy())
+    (line,) = [line for line in text(worse) if line.startswith("penetration") and "mean" in line]
+    assert "rose in 3 of 3" in line and "fell" not in line
+    mixed = replace(outcome, penetration=np.array([[2e-3, 1e-3], [1e-3, 2e-3], [1e-3, 1e-3]]))
+    assert any(line.startswith("penetration fell in 1 and rose in 1 of 3 grasps") for line in text(mixed))
 
 
 def test_what_the_verdict_is_depends_on_what_was_wanted():
@@ -149,7 +168,7 @@ def test_what_the_verdict_is_depends_on_what_was_wanted():
     }
     assert last["holds"] == ["should hold", "may slip", "should hold"]
     assert last["geometry"] == last["targets"] == ["0.970 converged", "0.900 stalled", "0.970 stalled"]
-    assert f"2 of 3 grasps should hold (quality {BAR}), 0 as they came" in text(aimed(outcome))
+    assert any(line.startswith(f"quality {BAR}") and "0 → 2 of 3" in line for line in text(aimed(outcome)))
     assert "a grasp took 123 / 123 iterations, 0.25 s / 0.25 s (median / most)" in text(aimed(outcome))
 
 
@@ -183,12 +202,56 @@ def test_a_quality_that_is_not_known_is_not_good():
     assert good.tolist() == [False, False, True, True, False]
 
 
-def test_what_quality_foretold_is_compared_with_what_held():
-    quality, held = np.array([1.0, 1.0, 0.5, np.nan]), np.array([True, False, True, False])
-    assert foretold_line(quality, held).plain == (
-        f"2 of 4 should hold by their quality ({BAR}): 1 of these did, and 1 of the 2 others"
+def test_quality_is_told_against_simulation():
+    good, held = np.array([True, True, False, False, False]), np.array([True, False, True, True, False])
+    agreement = Agreement.of(good, held)
+    assert agreement == Agreement(good=2, good_held=1, others=3, others_held=2)
+    assert agreement + Agreement.of(good[:2], held[:2]) == Agreement(4, 2, 3, 2)
+    assert "2 of 5, 1 of which did not hold; 2 of the 3 others held" in agreement.line().plain
+    assert Agreement.of(good[2:], held[2:]).line().plain.endswith(": 0 of 3; 2 of the 3 others held")
+    assert Agreement.of(good[:1], held[:1]).line().plain.endswith(": 1 of 1, which held")
+    assert Agreement.of(good[1:3], held[1:3]).line().plain.endswith("did not hold; the other held")
+
+
+def simulated(*pairs: tuple[bool, bool]) -> Proof:
+    """What simulation says of grasps that held or not, before and after."""
+
+    def trials(held: list[bool]) -> Trials:
+        reason = np.where(held, Reason.HELD, Reason.MOVED)[:, None]
+        one, many = np.zeros((len(held), 1)), np.zeros((len(held), 1, 2), dtype=bool)
+        return Trials(
+            directions=("+z",), links=("palm", "tip"), reason=reason, time_s=one, displacement_m=one, angle_rad=one,
+            peak_m=one, peak_rad=one, contacts=many, closing_m=one[:, 0], closing_rad=one[:, 0],
+            penetration_m=one[:, 0], contacts_grasp=many[:, 0], contacts_squeeze=many[:, 0],
+        )  # fmt: skip
+
+    before, after = (trials(list(side)) for side in zip(*pairs, strict=True))
+    return Proof(Protocol(), before, {"pregrasp": "own", "squeeze": "own"}, after)
+
+
+def test_where_grasps_were_simulated_this_is_told_first_and_before_as_well_as_after():
+    outcome = with_quality(made_up(4), g3=0.5)
+    proof = simulated((True, True), (False, True), (True, False), (False, False))
+    lines = text(outcome, proof=proof, width=120)
+    rows = [line for line in lines if "→" in line and line.split()[0] in "0123"]
+    assert [line.split()[-3:] for line in rows] == [
+        ["yes", "→", "yes"], ["no", "→", "yes"], ["yes", "→", "no"], ["no", "→", "no"]
+    ]  # fmt: skip
+    verdict = lines[lines.index("", 3) + 1 :]
+    assert verdict[0] == "held in simulation (force-closure): 2 → 2 of 4; gained 1, lost 1"
+    assert verdict[2].startswith("before") and verdict[2].endswith(": 0 of 4; 2 of the 4 others held")
+    assert verdict[3].startswith("after") and verdict[3].endswith(
+        "3 of 4, 1 of which did not hold; the other did not hold"
     )
-    assert foretold_line(quality[:2], held[:2]).plain.endswith("1 of these did")
+    assert verdict[4].startswith("1 did not hold") and "(3)" in verdict[4], "more starts help where quality is low"
+    assert max(map(len, text(outcome, proof=proof))) <= 80
+
+
+def test_the_worst_of_many_are_those_that_did_not_hold():
+    outcome = with_quality(made_up(41), g5=0.5)
+    lines = text(outcome, proof=simulated(*((True, i != 30) for i in range(41))))
+    shown = [line.split()[0] for line in lines if "→" in line and line.split()[0].isdigit()]
+    assert shown[:2] == ["30", "5"]
 
 
 @pytest.mark.parametrize("width", [80, 100])
@@ -221,17 +284,21 @@ def test_of_many_grasps_the_worst_are_listed():
     outcome = with_quality(outcome, **{f"g{i}": 0.5 + 0.01 * i for i in range(10, 25)})
     assert listed(outcome, Config()) == ["7", *(str(i) for i in range(10, 19))]
     assert "41 grasps, the worst 10 (--verbose: all)" in text(outcome)[0]
-    shown = [line for line in text(outcome, verbose=True) if "→" in line and "less" not in line]
+    shown = [
+        line for line in text(outcome, verbose=True) if "→" in line and "fell" not in line and "estimate)" not in line
+    ]
     assert len(shown) == 41 + 2
-    assert len([line for line in text(made_up(40)) if "→" in line and "less" not in line]) == 40 + 2
+    assert (
+        len([line for line in text(made_up(40)) if "→" in line and "fell" not in line and "estimate)" not in line])
+        == 40 + 2
+    )
 
 
 def test_each_object_has_its_table_and_all_have_one():
     lines = text(made_up(5, ("mug", "[bold]can")))
-    titles = [line.strip() for line in lines if "grasps" in line]
+    titles = [line.strip() for line in lines if "grasps" in line and "with any" not in line]
     assert titles == [
-        "claw on mug: 3 grasps", "claw on [bold]can: 2 grasps", "all 2 objects: 5 grasps",
-        f"5 of 5 grasps should hold (quality {BAR}), 0 as they came", "5 of 5 grasps converged",
+        "claw on mug: 3 grasps", "claw on [bold]can: 2 grasps", "all 2 objects: 5 grasps", "5 of 5 grasps converged"
     ]  # fmt: skip
 
 

@@ -44,7 +44,7 @@ def test_sampled_grasps_are_a_problem_like_any_other(gripper: str):
     assert problem.closing() == {"pregrasp": "own", "squeeze": "own"}
     assert problem.sampled == "sample:4"
     (note,) = [note for note in problem.notes if "sampled" in note]
-    assert note.startswith("4 grasps were sampled in ") and note.endswith(" s")
+    assert note.startswith("sampled 4 grasps in ") and note.endswith(" s")
 
 
 def test_what_takes_a_while_is_told_after_what_was_asked_is_known_to_be_sound(gripper: str):
@@ -75,7 +75,7 @@ def test_it_is_noted_where_fewer_are_found(gripper: str, monkeypatch: pytest.Mon
     monkeypatch.setattr(grasp_sampling, "TRIES", 1)
     monkeypatch.setattr(grasp_sampling, "AT_LEAST", 256)
     problem = load(gripper, grasps=Path("sample:256"))
-    assert f"only {len(problem)} of 256 grasps of 'gripper' on '{BOX}' were found" in problem.notes
+    assert f"found only {len(problem)} of 256 grasps of 'gripper' on '{BOX}'" in problem.notes
 
 
 @pytest.mark.parametrize("number", ["0", "x", "", "1.5", "²"])

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from grasp_refine.apps.batch.record import State, state_of
-from grasp_refine.apps.batch.shard import Done, Shard
+from grasp_refine.apps.batch.shard import Done, Shard, Sign
 
 from grasp_refine.assets import resource_dir
 from grasp_refine.commands.inputs import Inputs
@@ -29,7 +29,7 @@ def planned(folder: Path, source: object, batch: str = "a batch", **defaults: ob
 
 
 def worked(shard: Shard, protocol: str | None = None) -> Done:
-    return ShardWork(QUICK, None if protocol is None else SETTINGS[protocol], {})(shard, lambda what, share: None)
+    return ShardWork(QUICK, None if protocol is None else SETTINGS[protocol], {})(shard, lambda *sign: None)
 
 
 def content(path: Path) -> dict[str, bytes]:
@@ -56,12 +56,15 @@ def test_a_shard_comes_out_the_same_whatever_came_before(grasps: Path, tmp_path:
 
 def test_signs_of_life_say_how_far_it_is(grasps: Path, tmp_path: Path):
     (shard, _) = planned(tmp_path / "out", grasps).shards
-    heard: list[tuple[str, float]] = []
-    ShardWork(QUICK, SETTINGS["force-closure"], {})(shard, lambda what, share: heard.append((what, share)))
-    shares = [share for _, share in heard]
-    assert shares == sorted(shares)
-    assert (shares[0], shares[-1]) == (0.0, 1.0)
-    assert {"refining", "simulating, before", "simulating, after", "writing"} <= {what for what, _ in heard}
+    heard: list[Sign] = []
+    work = ShardWork(QUICK, SETTINGS["force-closure"], {})
+    work(shard, lambda what, share, refined=0: heard.append((what, share, refined)))
+    for values in zip(*(sign[1:] for sign in heard), strict=True):
+        assert list(values) == sorted(values)
+    assert (heard[0][1:], heard[-1]) == ((0.0, 0), ("writing", 1.0, 2))
+    refined = {what: refined for what, _, refined in heard}
+    assert refined["simulating, before"] == refined["simulating, after"] == 2
+    assert refined["refining"] > 0, "grasps count as soon as they are refined, not when the shard ends"
 
 
 def test_each_table_is_simulated_by_itself(grasps: Path, tmp_path: Path):

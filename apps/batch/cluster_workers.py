@@ -20,7 +20,7 @@ from .attempt import message_of, traceback_of
 from .dispatch import News
 from .on_cluster import BEAT_S, Seen, attempt_there, seen
 from .schedule import Schedule
-from .shard import Done, Failed, Reason, Shard, Work
+from .shard import Done, Failed, Reason, Shard, Sign, Work
 
 LOOK_S = 1.0
 """Who has come and who has gone is looked at this often."""
@@ -45,7 +45,7 @@ class _Run:
     future: Future
     heard_s: float
     """When there was last a sign of life."""
-    doing: tuple[str, float] | None = None
+    doing: Sign | None = None
     """What it said."""
 
 
@@ -73,7 +73,7 @@ class ClusterWorkers:
         """Worker -> the group of its last shard."""
         self._faults: dict[str, str] = {}
         """Worker -> why it is not fit; empty if it is."""
-        self._inbox: SimpleQueue[tuple[int, Future | tuple[str, float]]] = SimpleQueue()
+        self._inbox: SimpleQueue[tuple[int, Future | Sign]] = SimpleQueue()
         self._topic = f"grasp-refine-{uuid4().hex}"
         client.subscribe_topic(self._topic, self._put_sign)
         self._clock_s = 0.0
@@ -158,12 +158,12 @@ class ClusterWorkers:
         # What was said may be followed by some that was not sent, or not listened to yet.
         return self._clock_s - run.heard_s > self._patience_s + BEAT_S + LOOK_S
 
-    def _put_sign(self, event: tuple[float, tuple[int, str, float]]) -> None:
-        """Take in what a worker said: its clock, and number of the shard, what it does, and the share done."""
-        _, (number, what, share) = event
-        self._inbox.put((number, (what, share)))
+    def _put_sign(self, event: tuple[float, tuple[int, str, float, int]]) -> None:
+        """Take in what a worker said: its clock, and the number of the shard with what a `Sign` holds."""
+        _, (number, what, share, refined) = event
+        self._inbox.put((number, (what, share, refined)))
 
-    def _understood(self, number: int, said: Future | tuple[str, float]) -> list[News]:
+    def _understood(self, number: int, said: Future | Sign) -> list[News]:
         """What a message means; nothing if it is about an earlier try."""
         run = self._runs.get(number)
         if run is None:

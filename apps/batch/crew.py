@@ -17,7 +17,7 @@ from grasp_refine.errors import GraspRefineError
 
 from .dispatch import News
 from .schedule import Schedule
-from .shard import Failed, Shard, Work
+from .shard import Failed, Shard, Sign, Work
 from .worker import BEAT_S, WHERE, Ready, work_on_shards
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -154,7 +154,7 @@ class _Worker:
         """What it works on."""
         self.group: str | None = None
         """The group of its last shard."""
-        self._doing: tuple[str, float] | None = None
+        self._doing: Sign | None = None
         self._heard_s = clock_s
         self._over = False
 
@@ -239,7 +239,7 @@ class _Worker:
         """What it was doing when last heard of."""
         if self._doing is None:
             return "" if self.ready else " while it started"
-        what, share = self._doing
+        what, share, _ = self._doing
         return f" at {share:.0%} of the shard: {what}"
 
 

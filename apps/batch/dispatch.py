@@ -8,10 +8,10 @@ from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 from .schedule import Schedule
-from .shard import Done, Failed, Shard
+from .shard import Done, Failed, Shard, Sign
 
-News = tuple[Shard, tuple[str, float] | Done | Failed]
-"""What was heard about a shard: a sign of life (what is being done, the share that is done), or what came of it."""
+News = tuple[Shard, Sign | Done | Failed]
+"""What was heard about a shard: a sign of life, or what came of it."""
 
 
 @runtime_checkable
@@ -33,7 +33,7 @@ class Workers(Protocol):
 
 
 def dispatch(
-    schedule: Schedule, workers: Workers, tries: int, beat: Callable[[int, str, float], None]
+    schedule: Schedule, workers: Workers, tries: int, beat: Callable[[int, str, float, int], None]
 ) -> Iterator[Done | Failed]:
     """What comes of each shard, in the order in which they end.
 
@@ -41,7 +41,7 @@ def dispatch(
         schedule: The shards.
         workers: Those who work on them.
         tries: How often a shard is tried whose worker crashes or hangs; one whose work raises is tried once.
-        beat: Gets the number of a shard, what is being done and the share that is done.
+        beat: Gets the number of a shard, and what a `Sign` of it holds.
     """
     lost: Counter[int] = Counter()
     ended: list[Done | Failed] = []

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from . import words
+from grasp_refine.counts import count_text
 
 
 def failed_text(failed: Sequence[Mapping[str, Any]]) -> str:
     """How many shards failed, and how many jobs did not come as far as to have any."""
     shards = sum(one["shard"] is not None for one in failed)
     counts = (shards, "shard"), (len(failed) - shards, "job")
-    return " and ".join(words.count(number, word) for number, word in counts if number)
+    return " and ".join(count_text(number, word) for number, word in counts if number)
 
 
 def left_over(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> int:

@@ -49,22 +49,22 @@ def seen(probe: Path) -> Seen:
 
 
 def attempt_there(work: bytes, shard: Shard, topic: str) -> Done | Failed:
-    """What comes of a shard; signs of life (number, what, share) are events of `topic`.
+    """What comes of a shard; signs of life, each after the shard's number, are events of `topic`.
 
     The worker keeps the unpickled `Work` for the other shards of this topic, with all that it has loaded.
     """
     worker = distributed.get_worker()
     heard = -BEAT_S
 
-    def tell(what: str, share: float) -> None:
-        worker.log_event(topic, [shard.number, what, float(share)])
+    def tell(what: str, share: float, refined: int = 0) -> None:
+        worker.log_event(topic, [shard.number, what, float(share), int(refined)])
 
-    def beat(what: str, share: float) -> None:
+    def beat(what: str, share: float, refined: int = 0) -> None:
         nonlocal heard
         now = time.monotonic()
         if now - heard >= BEAT_S:
             heard = now
-            tell(what, share)
+            tell(what, share, refined)
 
     tell("beginning", 0.0)
     kept: tuple[str, Any] = getattr(worker, _KEPT, ("", None))

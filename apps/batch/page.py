@@ -10,6 +10,7 @@ from pathlib import PurePath
 from typing import Any
 from urllib.parse import quote
 
+from grasp_refine.counts import count_text, whole
 from grasp_refine.report.verdict import BAR
 from grasp_refine.solvers.status import Status
 
@@ -48,6 +49,8 @@ def page(document: Mapping[str, Any], statistics: Statistics, pictures: Sequence
         title=words.grasps(statistics.all.count),
         subtitle=_subtitle(document, statistics),
         tiles=_tiles(totals, statistics, failed),
+        agreement=[statistics.all.agreement_before.line("Before, "), statistics.all.agreement_after.line("After, ")],
+        bar=BAR,
         notes=list(_notes(totals, failed)),
         simulated=statistics.held is not None,
         panels=[panel for panel in panels if panel["svg"]],
@@ -59,11 +62,11 @@ def page(document: Mapping[str, Any], statistics: Statistics, pictures: Sequence
         pairs=rows,
         cases=[_case(picture) for picture in pictures],
         reasons=[
-            (name, words.whole(count), words.share(count, statistics.all.simulated))
+            (name, whole(count), words.share(count, statistics.all.simulated))
             for name, count in _most(statistics.reasons)
         ],
         statuses=[
-            (name, words.whole(count), words.share(count, statistics.all.count), ADVICE.get(name, ""))
+            (name, whole(count), words.share(count, statistics.all.count), ADVICE.get(name, ""))
             for name, count in _most(statistics.statuses)
         ],
         failures=kinds[:MOST_KINDS],
@@ -86,8 +89,8 @@ def _subtitle(document: Mapping[str, Any], statistics: Statistics) -> str:
     hands, objects = ({pair[at] for pair in statistics.pairs} for at in (0, 1))
     more = " or more" if statistics.rest.count else ""
     parts = [
-        f"{words.count(len(hands), 'hand')} and {words.count(len(objects), 'object')}{more}" if hands else "",
-        words.count(len(document["jobs"]), "job") if document.get("jobs") else "",
+        f"{count_text(len(hands), 'hand')} and {count_text(len(objects), 'object')}{more}" if hands else "",
+        count_text(len(document["jobs"]), "job") if document.get("jobs") else "",
         f"seed {document['seed']}" if document.get("seed") is not None else "",
     ]
     return ", ".join(filter(None, parts))
@@ -100,18 +103,18 @@ def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[A
     def change(before: int, after: int, of: int, said: str) -> dict[str, str]:
         tone = "good" if after > before else "bad" if after < before else ""
         numbers = f"{words.share(before, of).removesuffix(' %')} → {words.share(after, of)}"
-        return {"number": numbers, "words": f"{said}: {words.whole(before)} → {words.whole(after)}", "tone": tone}
+        return {"number": numbers, "words": f"{said}: {whole(before)} → {whole(after)}", "tone": tone}
 
     tiles = [
         {
-            "number": words.whole(its.usable),
+            "number": whole(its.usable),
             "words": "grasps refined" if its.usable == its.count else f"of {words.grasps(its.count)} were refined",
             "tone": "",
         },
-        change(its.good_before, its.good_after, its.count, f"should hold (quality {BAR})"),
+        change(its.good_before, its.good_after, its.count, f"quality {BAR} (an estimate)"),
     ]
     if statistics.held is not None:
-        tiles.append(change(*statistics.held, its.simulated, "hold in simulation"))
+        tiles.insert(0, change(*statistics.held, its.simulated, "held in simulation"))
     if failed:
         number, said = failed_text(failed).split(" ", 1)
         tiles.append({"number": number, "words": f"{said} failed", "tone": "bad"})
@@ -133,7 +136,7 @@ def _notes(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> It
     left = left_over(totals, failed)
     if left:
         yield (
-            f"This is a part of the batch: {words.whole(left)} of {words.count(totals['shards'], 'shard')} to be done "
+            f"This is a part of the batch: {whole(left)} of {count_text(totals['shards'], 'shard')} to be done "
             "yet. The same command goes on from here."
         )
 
@@ -143,8 +146,8 @@ def _row(hand: str, name: str, tally: Tally) -> dict[str, Any]:
     return {
         "hand": hand,
         "object": name,
-        "count": words.whole(tally.count),
-        "unusable": words.whole(tally.count - tally.usable) if tally.count > tally.usable else words.NONE,
+        "count": whole(tally.count),
+        "unusable": whole(tally.count - tally.usable) if tally.count > tally.usable else words.NONE,
         "converged": words.share(tally.converged, tally.count),
         "good": [words.share(good, tally.count) for good in (tally.good_before, tally.good_after)],
         "held": [words.share(held, of) for held in (tally.held_before, tally.held_after)],
@@ -214,8 +217,8 @@ def _costs(totals: Mapping[str, Any], statistics: Statistics) -> Iterator[tuple[
         ("throughput", "grasps_per_s", words.rate),
         ("CPU time per grasp", "cpu_s_per_grasp", words.duration),
         ("largest process", "peak_bytes", words.mebibytes),
-        ("shards", "shards", words.whole),
-        ("done in this run", "done", words.whole),
+        ("shards", "shards", whole),
+        ("done in this run", "done", whole),
     )
     for name, key, say in told:
         if totals.get(key) is not None:
@@ -243,7 +246,7 @@ def _stages(profile: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, 
             f"{spent['cpu_s']:.2f}",
             f"{100 * spent['cpu_s'] / total:.1f} %" if total else words.NONE,
             f"{spent['wall_s']:.2f}",
-            words.whole(int(spent["calls"])),
+            whole(int(spent["calls"])),
         )
         for name, spent in ranked
         if spent["cpu_s"] or spent["calls"]
@@ -257,7 +260,7 @@ def _jobs(jobs: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     names = list(dict.fromkeys(name for job in jobs for name in job))
     more = "" if len(jobs) <= MOST_JOBS else f", the first {MOST_JOBS}"
     return {
-        "count": f"{words.count(len(jobs), 'job')}{more}",
+        "count": f"{count_text(len(jobs), 'job')}{more}",
         "names": names,
         "rows": [[_cell(job.get(name)) for name in names] for job in jobs[:MOST_JOBS]],
     }

@@ -17,7 +17,7 @@ def run_local(
     workers: int,
     patience_s: float,
     tries: int = 2,
-    beat: Callable[[int, str, float], None],
+    beat: Callable[[int, str, float, int], None],
 ) -> Generator[Done | Failed, None, None]:
     """What comes of each shard, in the order in which they end.
 
@@ -32,7 +32,7 @@ def run_local(
         patience_s: A worker without a sign of life for so long (s) hangs, and is killed. Only time in which this
             process was there to hear one counts. Starting takes patience, too.
         tries: How often a shard is tried whose worker crashes or hangs; one whose work raises is tried once.
-        beat: Gets the number of a shard, what its worker is doing and the share that is done.
+        beat: Gets the number of a shard, and what a `Sign` of it holds.
 
     Raises:
         GraspRefineError: Workers cannot be started.

@@ -15,8 +15,10 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
+from grasp_refine.counts import count_text, whole
+
 from . import words
-from .shard import Done, Failed, Shard
+from .shard import Done, Failed, Shard, Sign
 
 EVERY = 30.0
 """Seconds between two lines where there is no terminal."""
@@ -57,7 +59,7 @@ class Progress:
         self._total = sum(shard.size for shard in shards) + skipped
         self._skipped, self._workers, self._simulated, self._clock = skipped, workers, simulated, clock
         self._done = self._counted = self._good = self._failed = self._lost = 0
-        self._active: dict[int, tuple[str, float]] = {}
+        self._active: dict[int, Sign] = {}
         self._begun = self._told = clock()
         self._past: deque[tuple[float, float]] = deque([(self._begun, 0.0)])
         self._waiting = "starting the workers" if shards else ""
@@ -71,9 +73,9 @@ class Progress:
         if self.console.is_terminal:
             self._live.start()
         elif self._shards:
-            before = f", {words.whole(self._skipped)} were done before" if self._skipped else ""
+            before = f", {whole(self._skipped)} were done before" if self._skipped else ""
             now = words.grasps(self._total - self._skipped)
-            shards, workers = words.count(len(self._shards), "shard"), words.count(self._workers, "worker")
+            shards, workers = count_text(len(self._shards), "shard"), count_text(self._workers, "worker")
             self.say(f"refining {now} in {shards} with {workers}{before}")
         return self
 
@@ -93,12 +95,12 @@ class Progress:
         self._active.clear()
         self._waiting = what
 
-    def beat(self, number: int, what: str, share: float) -> None:
-        """Hear what is being done for a shard, and how much of it is."""
+    def beat(self, number: int, what: str, share: float, refined: int = 0) -> None:
+        """Hear what is being done for a shard, how much of it is done, and how many of its grasps are refined."""
         # A sign of life may come later than the end.
         if number in self._open:
             self._waiting = ""
-            self._active[number] = (what, min(max(share, 0.0), 1.0))
+            self._active[number] = (what, min(max(share, 0.0), 1.0), refined)
             self._note()
 
     def done(self, done: Done) -> None:
@@ -130,7 +132,9 @@ class Progress:
 
     @property
     def speed(self) -> float:
-        """Grasps per second in the last minutes; 0: not known yet."""
+        """Grasps per second in the last minutes; 0: not known before some are refined."""
+        if not self._refined:
+            return 0.0
         now = self._clock()
         (before, at_first), grasps = self._past[0], self._running
         return (grasps - at_first) / (now - before) if now - before >= FIRST else 0.0
@@ -144,7 +148,12 @@ class Progress:
     @property
     def _running(self) -> float:
         """Grasps done now, with the shares of those at work."""
-        return self._done + sum(self._shards[number].size * share for number, (_, share) in self._active.items())
+        return self._done + sum(self._shards[number].size * share for number, (_, share, _) in self._active.items())
+
+    @property
+    def _refined(self) -> int:
+        """Grasps refined now, in shards that are complete and in those at work."""
+        return self._done + sum(refined for _, _, refined in self._active.values())
 
     def _note(self) -> None:
         """Remember how far it is and, where there is no terminal, say so now and then."""
@@ -159,7 +168,7 @@ class Progress:
 
     def _facts(self) -> list[str]:
         """What is told of the whole, the most important first."""
-        facts = [f"{words.whole(self._skipped + self._done)}/{words.grasps(self._total)}"]
+        facts = [f"{whole(self._skipped + self._refined)}/{words.grasps(self._total)} refined"]
         if self.speed > 0:
             facts.append(words.rate(self.speed))
         if self.remaining_s is not None and self._open:
@@ -168,7 +177,7 @@ class Progress:
             said = "held" if self._simulated else "good"
             facts.append(f"{words.share(self._good, self._counted)} {said}")
         if self._failed:
-            facts.append(f"{words.count(self._failed, 'shard')} failed")
+            facts.append(f"{count_text(self._failed, 'shard')} failed")
         return facts
 
     def _shown(self) -> RenderableType:
@@ -183,7 +192,7 @@ class Progress:
             self._spinner.update(text=Text(self._waiting, "dim", no_wrap=True, overflow="ellipsis"))
             lines.append(self._spinner)
         active = sorted(self._active.items())
-        for number, (what, share) in active[:LISTED]:
+        for number, (what, share, _) in active[:LISTED]:
             line = Table.grid(padding=(0, 1), expand=True)
             line.add_column(width=5, justify="right")
             line.add_column(ratio=1, no_wrap=True, overflow="ellipsis")

@@ -5,10 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
-Beat = Callable[[str, float], None]
-"""A sign of life while a shard is worked on: what is being done, and the share (0 to 1) of the shard that is done."""
+Sign = tuple[str, float, int]
+"""A sign of life while a shard is worked on: what is being done, the share (0 to 1) of the shard that is done, and how
+many of its grasps are refined."""
+
+
+@runtime_checkable
+class Beat(Protocol):
+    """Takes a sign of life."""
+
+    def __call__(self, what: str, share: float, refined: int = 0) -> None:
+        """Tell what a `Sign` holds."""
+        ...
+
 
 Reason = Literal["error", "crashed", "hung"]
 """Why a shard failed: its work raised, or its worker ended, or gave no sign of life."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.report.verdict import Agreement
 from grasp_refine.solvers.status import UNUSABLE as NEVER_REFINED
 from grasp_refine.solvers.status import Status
 
@@ -44,6 +45,12 @@ MEASURES: Mapping[str, Bins] = {
 }
 """Column -> bins in which its values are counted; twenty to a power of ten, so that quantiles are known to 6 %."""
 
+SUMS = (
+    *("count", "usable", "converged", "good_before", "good_after"),
+    *("simulated", "held_before", "held_after", "gained", "lost", "agreement_before", "agreement_after"),
+)
+"""Fields of a tally that are added up as they are."""
+
 
 @dataclass(eq=False)
 class Tally:
@@ -56,15 +63,23 @@ class Tally:
     converged: int = 0
     """How many converged."""
     good_before: int = 0
-    """How many should have held as they came, by their quality."""
+    """How many had a quality of `HOLDS` or more before."""
     good_after: int = 0
-    """How many should hold now."""
+    """How many have it now."""
     simulated: int = 0
     """How many were simulated."""
     held_before: int = 0
-    """How many of these held as they came."""
+    """How many of these held before."""
     held_after: int = 0
     """How many of these hold now."""
+    gained: int = 0
+    """How many hold now that did not before."""
+    lost: int = 0
+    """How many held before and do not now."""
+    agreement_before: Agreement = Agreement()
+    """Quality and simulation of those that were simulated, before."""
+    agreement_after: Agreement = Agreement()
+    """The same, now."""
     quality: tuple[float, float] = (0.0, 0.0)
     """Sums of the quality before and after, of those that have one."""
     rated: tuple[int, int] = (0, 0)
@@ -75,6 +90,8 @@ class Tally:
     def add(self, rows: Rows) -> None:
         """Count grasps."""
         before, after = (rows[f"quality_{when}"] for when in ("before", "after"))
+        known = np.isfinite(rows["held_after"])
+        held_before, held_after = (rows[f"held_{when}"][known] > 0 for when in ("before", "after"))
         self.more(
             Tally(
                 count=len(rows),
@@ -82,9 +99,13 @@ class Tally:
                 converged=int((rows["status"] == Status.CONVERGED.label).sum()),
                 good_before=int(rows["good_before"].sum()),
                 good_after=int(rows["good_after"].sum()),
-                simulated=int(np.isfinite(rows["held_after"]).sum()),
-                held_before=int(np.nansum(rows["held_before"])),
-                held_after=int(np.nansum(rows["held_after"])),
+                simulated=int(known.sum()),
+                held_before=int(held_before.sum()),
+                held_after=int(held_after.sum()),
+                gained=int((held_after & ~held_before).sum()),
+                lost=int((held_before & ~held_after).sum()),
+                agreement_before=Agreement.of(rows["good_before"][known] > 0, held_before),
+                agreement_after=Agreement.of(rows["good_after"][known] > 0, held_after),
                 quality=(float(np.nansum(before)), float(np.nansum(after))),
                 rated=(int(np.isfinite(before).sum()), int(np.isfinite(after).sum())),
                 deepest=float(np.nanmax(rows["penetration_after_m"], initial=0.0)),
@@ -93,9 +114,8 @@ class Tally:
 
     def more(self, other: Tally) -> None:
         """Count those of another tally, too."""
-        for name in ("count", "usable", "converged", "good_before", "good_after", "simulated", "held_before"):
+        for name in SUMS:
             setattr(self, name, getattr(self, name) + getattr(other, name))
-        self.held_after += other.held_after
         self.quality = self.quality[0] + other.quality[0], self.quality[1] + other.quality[1]
         self.rated = self.rated[0] + other.rated[0], self.rated[1] + other.rated[1]
         self.deepest = max(self.deepest, other.deepest)

@@ -11,8 +11,9 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from grasp_refine.counts import count_text, whole
 from grasp_refine.report.table import plain_table
-from grasp_refine.report.verdict import BAR
+from grasp_refine.report.verdict import HOLDS, estimate_line, held_line
 
 from . import words
 from .failed import failed_text, left_over
@@ -31,7 +32,7 @@ def batch_table(document: Mapping[str, Any], statistics: Statistics) -> Renderab
     """
     parts: list[RenderableType] = []
     if statistics.all.count:
-        parts += [_table(statistics), "", *_verdict(statistics)]
+        parts += [_table(statistics), "", *verdict_lines(document, statistics), *_unusable(statistics)]
     parts += _failures(document.get("failed", []))
     parts += _account(document.get("totals", {}), document.get("failed", []))
     return Group(*parts)
@@ -47,7 +48,7 @@ def _table(statistics: Statistics) -> Table:
     # Where there is no room, names go on in a second line, numbers never.
     table.add_column("\nobject" if hands == 1 else "\nhand, object", overflow="fold")
     middle = "held\n%" if simulated else "con-\nverged"
-    for head in ("\ngrasps", middle, "should hold\n%", "quality\nmean", "deepest\nmm"):
+    for head in ("\ngrasps", middle, f"quality ≥\n{HOLDS:.3f}, %", "quality\nmean", "deepest\nmm"):
         table.add_column(head, justify="right", no_wrap=True)
     for (hand, name), tally in pairs:
         table.add_row(escape(name if hands == 1 else f"{hand}, {name}"), *_cells(tally, simulated))
@@ -64,8 +65,8 @@ def _table(statistics: Statistics) -> Table:
 def _cells(tally: Tally, simulated: bool) -> list[RenderableType]:
     held = _change(tally.held_before, tally.held_after, tally.simulated)
     return [
-        words.whole(tally.count),
-        held if simulated else words.whole(tally.converged),
+        whole(tally.count),
+        held if simulated else whole(tally.converged),
         _change(tally.good_before, tally.good_after, tally.count),
         " → ".join("-" if isnan(value) else f"{value:.3f}" for value in tally.mean_quality),
         f"{1e3 * tally.deepest:.2f}",
@@ -81,29 +82,31 @@ def _change(before: int, after: int, of: int) -> Text:
     return Text.assemble(f"{shown[0]:>4} → ", (f"{shown[1]:>4}", color))
 
 
-def _verdict(statistics: Statistics) -> Iterator[Text]:
+def verdict_lines(document: Mapping[str, Any], statistics: Statistics) -> list[Text]:
+    """How many grasps held in simulation before and after, or what their quality lets expect."""
     its = statistics.all
-    good = Text.assemble(
-        (f"{words.whole(its.good_after)} of {words.grasps(its.count)} should hold", _color(its.good_after, its.count)),
-        f" (quality {BAR}), {words.whole(its.good_before)} as they came",
-    )
-    yield good
-    if statistics.held is not None:
-        before, after = statistics.held
-        yield Text.assemble(
-            (f"{words.whole(after)} of {words.whole(its.simulated)} hold in simulation", _color(after, its.simulated)),
-            f", {words.whole(before)} as they came",
-        )
-        for name, count in sorted(statistics.reasons.items(), key=lambda entry: (-entry[1], entry[0])):
-            yield Text.assemble("  ", (f"{words.whole(count)} {name}", "red"))
+    if not its.simulated:
+        return [estimate_line(its.good_after, its.good_before, its.count)]
+    setting = ((document.get("config") or {}).get("protocol") or {}).get("name") or ""
+    return [
+        held_line(setting, (its.held_before, its.held_after), its.gained, its.lost, its.simulated),
+        *(
+            Text.assemble("  ", (f"{whole(count)} {name}", "red"))
+            for name, count in sorted(statistics.reasons.items(), key=lambda entry: (-entry[1], entry[0]))
+        ),
+        its.agreement_before.line("before, "),
+        its.agreement_after.line("after, "),
+    ]
+
+
+def _unusable(statistics: Statistics) -> Iterator[Text]:
+    """How many grasps were not refined, and why."""
+    its = statistics.all
     if its.usable < its.count:
         unusable = ((name, statistics.statuses[name]) for name in sorted(statistics.statuses) if name in UNUSABLE)
-        said = ", ".join(f"{words.whole(count)} {name}" for name, count in unusable)
-        yield Text.assemble((f"{words.whole(its.count - its.usable)} were not refined", "yellow"), f": {said}")
-
-
-def _color(part: int, of: int) -> str:
-    return "green" if part >= 0.95 * of else "yellow"
+        said = ", ".join(f"{whole(count)} {name}" for name, count in unusable)
+        left = its.count - its.usable
+        yield Text.assemble((f"{whole(left)} {'was' if left == 1 else 'were'} not refined", "yellow"), f": {said}")
 
 
 def _failures(failed: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
@@ -115,14 +118,14 @@ def _failures(failed: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
         tries = f", {one['tries']} times" if one.get("tries", 1) > 1 else ""
         yield Text.assemble("  ", (str(one["name"]), "bold"), f": {one['reason']}{tries}: {one['message']}")
     if len(failed) > FAILURES:
-        yield Text(f"  and {words.whole(len(failed) - FAILURES)} more, in the JSON summary and the report")
+        yield Text(f"  and {whole(len(failed) - FAILURES)} more, in the JSON summary and the report")
 
 
 def _account(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
     """What it took, and what is left."""
     left = left_over(totals, failed)
     if left:
-        yield Text(f"{words.whole(left)} of {words.count(totals['shards'], 'shard')} to be done yet", "yellow")
+        yield Text(f"{whole(left)} of {count_text(totals['shards'], 'shard')} to be done yet", "yellow")
     said = []
     if totals.get("grasps_per_s"):
         said.append(words.rate(totals["grasps_per_s"]))

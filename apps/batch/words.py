@@ -4,25 +4,15 @@ from __future__ import annotations
 
 from math import isfinite
 
+from grasp_refine.counts import count_text, whole
+
 NONE = "–"
 """Stands for what there is none of."""
-THIN = "\u202f"
-"""The space between thousands, at which no line breaks."""
-
-
-def whole(count: int) -> str:
-    """A count, such as 12 345."""
-    return f"{count:,}".replace(",", THIN)
-
-
-def count(number: int, word: str) -> str:
-    """So many of a thing."""
-    return f"{whole(number)} {word}{'' if number == 1 else 's'}"
 
 
 def grasps(number: int) -> str:
     """So many grasps."""
-    return count(number, "grasp")
+    return count_text(number, "grasp")
 
 
 def share(part: int, of: int) -> str:

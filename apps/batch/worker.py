@@ -18,7 +18,7 @@ from typing import NoReturn
 from grasp_refine.interruption import end_with
 
 from .attempt import attempt
-from .shard import Done, Failed, Shard, Work
+from .shard import Done, Failed, Shard, Sign, Work
 
 BEAT_S = 0.2
 """Signs of life of a worker are at least this far apart; those between are not sent."""
@@ -35,7 +35,7 @@ def work_on_shards(connection: Connection, work: bytes, log: Connection, parent:
     """Work on each shard that comes in, until told to end by SIGTERM or until nobody is at the other end.
 
     Args:
-        connection: Shards come in; out go Ready, signs of life (what, share), and what came of each shard.
+        connection: Shards come in; out go Ready, signs of life, and what came of each shard.
         work: The pickled `Work`.
         log: An open file, handed over as if it were a connection. Takes both output streams and, at a crash, where it
             happens.
@@ -110,14 +110,14 @@ class _Voice:
         """A shard begins: its first sign of life is sent."""
         self._heard = -BEAT_S
 
-    def say(self, message: Ready | tuple[str, float] | Done | Failed) -> None:
+    def say(self, message: Ready | Sign | Done | Failed) -> None:
         """Send it, however long that takes."""
         with self._lock:
             self._connection.send(message)
 
-    def beat(self, what: str, share: float) -> None:
+    def beat(self, what: str, share: float, refined: int = 0) -> None:
         """Give a sign of life, unless the last one was just now or the parent has no time to hear any."""
         now = time.monotonic()
         if now - self._heard >= BEAT_S and self._writable.poll(0):
             self._heard = now
-            self.say((what, float(share)))
+            self.say((what, float(share), int(refined)))

@@ -115,7 +115,8 @@ def _with_object(
         hand_pose=pose_from_transform(new.T_world_root),
         q=new.q,
     )
-    return _problem(upload, hand, [(obj.name, scale, new, grasps, np.arange(1))], obj.notes, sampled=True)
+    notes = tuple(f"{obj.name}: {note}" for note in obj.notes)
+    return _problem(upload, hand, [(obj.name, scale, new, grasps, np.arange(1))], notes, sampled=True)
 
 
 def _with_hand(upload: Upload, scene: Scene, tell: Callable[[str], None], check: Callable[[], None]) -> Problem:

@@ -17,6 +17,7 @@ from grasp_refine.asset_library.manifest import KINDS, Asset
 from grasp_refine.asset_library.names import all_assets
 from grasp_refine.asset_library.origin import VARIABLE, Mirror, Origin, chosen_origin, shown, total_bytes
 from grasp_refine.commands.options import Overwrite
+from grasp_refine.counts import count_text
 from grasp_refine.errors import AssetError
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.report.screen import screen
@@ -109,7 +110,7 @@ def _show(assets: list[Asset], origin: Origin, console: Console) -> None:
         f"the mirror {shown(origin.base)}" if isinstance(origin, Mirror) else f"their sources (a mirror: {VARIABLE})"
     )
     for line in (
-        f"{len(assets)} assets, fetched from {place} into {default_cache('assets')}",
+        f"{count_text(len(assets), 'asset')}, fetched from {place} into {default_cache('assets')}",
         "refine-grasp assets fetch NAME fetches one, shows its licence and what to cite; "
         "all but open ones need --accept-license",
     ):

@@ -14,6 +14,7 @@ from grasp_refine.asset_library.names import all_assets, choose_asset
 from grasp_refine.asset_library.verifying import Verdict, verify
 from grasp_refine.commands.ending import NOTHING_USABLE
 from grasp_refine.commands.options import Overwrite
+from grasp_refine.counts import count_text
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.report.screen import screen
 from grasp_refine.report.writing import SCHEMA, check_writable, save_json
@@ -81,7 +82,8 @@ def _show(verdicts: list[Verdict], absent: list[str], console: Console) -> None:
             continue
         faults = [f"{len(verdict.damaged)} damaged: {_some(verdict.damaged)}"] if verdict.damaged else []
         faults += [f"{len(verdict.missing)} missing: {_some(verdict.missing)}"] if verdict.missing else []
-        say(f"{name}: of {verdict.files} files {'; '.join(faults)} (from {verdict.layout}, {verdict.folder})")
+        of = count_text(verdict.files, "file")
+        say(f"{name}: of {of} {'; '.join(faults)} (from {verdict.layout}, {verdict.folder})")
         say(f"  refine-grasp assets fetch {name} fetches them again")
     for name in absent:
         say(f"{name}: is not here: refine-grasp assets fetch {name}")
@@ -91,7 +93,7 @@ def _show(verdicts: list[Verdict], absent: list[str], console: Console) -> None:
         say(f"nothing was fetched yet into {default_cache('assets')}")
     else:
         others = "".join(f", {counts[state]} {state}" for state in ("incomplete", "damaged") if counts[state])
-        say(f"whole: {counts['whole']} ({files} files){others}; in {default_cache('assets')}")
+        say(f"whole: {counts['whole']} ({count_text(files, 'file')}){others}; in {default_cache('assets')}")
 
 
 def _some(names: tuple[str, ...]) -> str:

@@ -35,6 +35,7 @@ from grasp_refine.commands.shard_work import ShardWork, unusable_objects
 from grasp_refine.commands.sharding import Sharding
 from grasp_refine.config import Config
 from grasp_refine.cores import usable_cores
+from grasp_refine.counts import count_text
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.report.document import settings
 from grasp_refine.report.profile import profile_entry, profile_table
@@ -202,10 +203,11 @@ class Batch:
         if not plan.shards and not plan.refused:
             raise GraspRefineError(f"{', '.join(self.jobs)}: no jobs in it but results of a batch")
         if not plan.shards:
-            more = f" (and {len(plan.refused) - 1} more jobs)" if len(plan.refused) > 1 else ""
+            more = f" (and {count_text(len(plan.refused) - 1, 'more job')})" if len(plan.refused) > 1 else ""
             raise GraspRefineError(f"no job can be done: {plan.refused[0].job}: {plan.refused[0].message}{more}")
         if plan.results:
-            progress.say(f"{plan.results} files are results of a batch and no grasps to refine; named, they would be")
+            files = count_text(plan.results, "file")
+            progress.say(f"no grasps to refine but results of a batch: {files}; named, they would be refined")
         for refused in plan.refused:
             progress.say(f"{refused.job} cannot be done: {refused.message}")
         lists = (Path(source) for source in self.jobs if not source.startswith(SAMPLE))
@@ -250,7 +252,7 @@ class Batch:
                     for result in results:
                         session.take(result, by_number[result.number], progress)
             except KeyboardInterrupt:
-                there = f"{len(session.complete)} of {session.asked} shards are complete"
+                there = f"{len(session.complete)} of {count_text(session.asked, 'shard')} complete"
                 goes_on = "without --again, the command" if self.sharding.again else "the same command"
                 progress.say(f"{there}; {goes_on} goes on from there")
                 raise
@@ -264,11 +266,11 @@ def _tell_states(shards: Sequence[Shard], states: Mapping[int, State], progress:
     """Say what there is already, and what of it is made anew."""
     count = Counter(states.values())
     if count[State.COMPLETE]:
-        progress.say(f"{count[State.COMPLETE]} of {len(shards)} shards are complete and skipped")
+        progress.say(f"{count[State.COMPLETE]} of {count_text(len(shards), 'shard')} complete and skipped")
     if count[State.CHANGED]:
-        progress.say(f"{count[State.CHANGED]} are of other inputs, settings or versions and are made anew")
+        progress.say(f"of other inputs, settings or versions, and made anew: {count[State.CHANGED]}")
     damaged = [shard.path for shard in shards if states[shard.number] is State.DAMAGED]
     for path in damaged[:MOST_NAMED]:
         progress.say(f"{path} cannot be read and is made anew")
     if len(damaged) > MOST_NAMED:
-        progress.say(f"and so are {len(damaged) - MOST_NAMED} others")
+        progress.say(f"and so for {count_text(len(damaged) - MOST_NAMED, 'other')}")

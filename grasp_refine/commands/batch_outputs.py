@@ -127,7 +127,7 @@ def _remove_index(path: Path) -> None:
 def _shown(shards: Mapping[int, Shard], kept: Kept, seed: int, case: Case) -> tuple[Hand, Object]:
     """Hand and object of one of the worst cases."""
     shard = shards[case.shard]
-    problem = kept.get("problem", case.shard, lambda: problem_of(shard.task, seed, kept, lambda what, share: None))
+    problem = kept.get("problem", case.shard, lambda: problem_of(shard.task, seed, kept, lambda *sign: None))
     for group in problem.groups:
         if group.scale == case.scale:
             return problem.hand, group.scene.object

@@ -21,6 +21,7 @@ from grasp_refine.asset_library.origin import VARIABLE, chosen_origin, shown
 from grasp_refine.collision.engine import VARIABLE as ENGINE
 from grasp_refine.collision.engine import chosen, why_not_native
 from grasp_refine.commands.options import Overwrite
+from grasp_refine.counts import count_text
 from grasp_refine.errors import AssetError, CollisionError, GraspRefineError
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hand import list_hands
@@ -197,7 +198,7 @@ def _lines(found: dict[str, Any]) -> list[str]:
     lines = [
         f"devices: {', '.join(devices) or 'none'}" + ("" if found["gpu"] else "; no GPU, none is needed"),
         f"engine:  {_engine_text(found['engine'])}",
-        f"cache:   {cache['folder']}, {cache['entries']} decompositions, {cache['bytes'] / 1e6:.1f} MB",
+        f"cache:   {cache['folder']}, {count_text(cache['entries'], 'decomposition')}, {cache['bytes'] / 1e6:.1f} MB",
         f"assets:  {assets['folder']}, {assets['here']} of {assets['known']} are here"
         + (f"; mirror: {assets['mirror']}" if assets["mirror"] and not assets["fault"] else "")
         + (f"; {assets['fault']}" if assets["fault"] else ""),

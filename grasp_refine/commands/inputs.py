@@ -15,6 +15,7 @@ from grasp_refine.assets import resource_dir
 from grasp_refine.commands.object_source import check_object, chosen_object
 from grasp_refine.commands.options import flag
 from grasp_refine.commands.sources import Sources
+from grasp_refine.counts import count_text
 from grasp_refine.errors import GraspFileError, GraspRefineError
 from grasp_refine.formats.reading import Reading
 from grasp_refine.grasps import GraspSet, Targets, choose_rows, load_grasps
@@ -133,9 +134,9 @@ class Inputs(Sources):
         wait(f"sampling grasps of {hand.name} on {obj.name}")
         grasps = sample_grasps(hand, obj, count, seed=seed, table=table)
         notes = [*hand.notes, *(f"{obj.name}: {note}" for note in obj.notes)]
-        notes.append(f"{len(grasps)} grasps were sampled in {time.perf_counter() - began:.1f} s")
+        notes.append(f"sampled {count_text(len(grasps), 'grasp')} in {time.perf_counter() - began:.1f} s")
         if len(grasps) < count:
-            notes.append(f"only {len(grasps)} of {count} grasps of '{hand.name}' on '{obj.name}' were found")
+            notes.append(f"found only {len(grasps)} of {count_text(count, 'grasp')} of '{hand.name}' on '{obj.name}'")
         grasps = replace(grasps, scale=np.full(len(grasps), self._metres(scale)))
         rows = choose_rows(grasps, object_name=None, index=self.index or None)
         grasps = grasps.select(rows)

@@ -31,7 +31,7 @@ from grasp_refine.report.document import run_document, settings
 from grasp_refine.report.outcome import Outcome
 from grasp_refine.report.profile import profile_table
 from grasp_refine.report.progress import Reporter
-from grasp_refine.report.proof import Proof, proof_lines
+from grasp_refine.report.proof import Proof
 from grasp_refine.report.recorded_objects import object_entries, pieces_digest, surface_digest
 from grasp_refine.report.results import fingerprint, is_same_refinement, result_paths, save_results
 from grasp_refine.report.screen import screen
@@ -123,10 +123,7 @@ class Run:
                 run_document(outcome, config, proof, config=described, wall_s=wall, cpu_s=cpu, profile=profile),
             )
         console = screen()
-        console.print(grasp_table(outcome, problem.hand.name, config, verbose=self.output.verbose))
-        if proof is not None:
-            for line in proof_lines(proof, outcome.quality[:, 1]):
-                console.print(line)
+        console.print(grasp_table(outcome, problem.hand.name, config, proof, verbose=self.output.verbose))
         if not should_hold(outcome.quality[:, 1]).all():
             for note in problem.convention_notes:
                 console.print(f"mend the file first: {note}", soft_wrap=True, markup=False)

@@ -94,7 +94,7 @@ class ShardWork:
         if task.sampled is None:
             # The rows of the whole file, of which the problem has only some.
             outcome = replace(outcome, row=task.rows[outcome.row], index=task.index[outcome.index])
-        beat("writing", 1.0)
+        beat("writing", 1.0, len(outcome))
         self._save(shard, problem, outcome, proof)
         good = should_hold(outcome.quality[:, 0]), should_hold(outcome.quality[:, 1])
         return Done(
@@ -147,6 +147,8 @@ class _Share:
     """Grasps of the present group."""
     share: float = 0.0
     """What was told last."""
+    refined: int = 0
+    """How many grasps were refined at most when it was told."""
 
     def group(self, count: int) -> None:
         """The next group begins."""
@@ -156,16 +158,17 @@ class _Share:
         """As the `progress` of `refine`."""
         # Most grasps finish late: those that run count by how far they are.
         done = finished + (self.count - finished) * min(iteration / self.most, 1.0)
-        self._tell("refining", 0.5 * done if self.proves else done)
+        self._tell("refining", 0.5 * done if self.proves else done, finished)
 
     def proving(self, what: str, done: float) -> None:
         """As the `tell` of `proved`."""
-        self._tell(what, 0.75 * self.count)
+        self._tell(what, 0.75 * self.count, self.count)
 
-    def _tell(self, what: str, done: float) -> None:
+    def _tell(self, what: str, done: float, finished: int) -> None:
         # Another start may take up grasps that were finished.
         self.share = max(self.share, (self.before + done) / max(self.total, 1))
-        self.beat(what, self.share)
+        self.refined = max(self.refined, self.before + finished)
+        self.beat(what, self.share, self.refined)
 
 
 def problem_of(task: Task, seed: int, kept: Kept, beat: Beat) -> Problem:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from grasp_refine.arguments import as_numbers, check_kind, shown
-from grasp_refine.brief import counted
+from grasp_refine.counts import count_text
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.geometry.sampling import Candidates, sample
@@ -28,7 +28,7 @@ class Body:
 
     def __repr__(self) -> str:
         parts = (len(self.pieces), "convex piece"), (len(self.candidates.points), "surface point")
-        return f"Body({self.name}: {', '.join(counted(*part) for part in parts)})"
+        return f"Body({self.name}: {', '.join(count_text(*part) for part in parts)})"
 
     @cached_property
     def centers(self) -> np.ndarray:

@@ -18,6 +18,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from grasp_refine.brief import brief
 from grasp_refine.cores import usable_cores
+from grasp_refine.counts import count_text
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry.decomposition import Decomposition, decompose
@@ -244,7 +245,7 @@ def cut_meshes(
             raise MeshError(f"{unit.name}: CoACD found no solid piece in it ({dropped} flat ones)")
         flat = f", {dropped} flat ones dropped" if dropped else ""
         of_all = f"; {done} of {len(waiting)} objects are cut" if len(waiting) > 1 else ""
-        report(f"{unit.name}: {len(solid)} convex pieces in {seconds:.1f} s{flat}{of_all}")
+        report(f"{unit.name}: {count_text(len(solid), 'convex piece')} in {seconds:.1f} s{flat}{of_all}")
         try:
             if cache:
                 disk.save(cache / unit.entry, solid)

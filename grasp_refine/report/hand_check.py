@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from grasp_refine.chain import Chain
+from grasp_refine.counts import count_text
 from grasp_refine.description.urdf import joints_fixed_and_mimicking, links_with_visuals
 from grasp_refine.hand import Hand, Joint
 from grasp_refine.se3 import transform_points
@@ -82,7 +83,8 @@ def simulation_notes(hand: Hand) -> tuple[str, ...]:
     if hand.mjcf is None:
         return urdf_model(hand).notes
     model = mjcf_model(hand, hand.mjcf)
-    matched = f"{hand.mjcf.name} moves like the URDF: {len(model.joints)} joints matched by name and place"
+    joints = count_text(len(model.joints), "joint")
+    matched = f"{hand.mjcf.name} moves like the URDF: {joints} matched by name and place"
     return (matched, *model.notes)
 
 

@@ -9,6 +9,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from grasp_refine.counts import count_text
+
 
 class Reporter:
     """Tells on a console how far a refinement of several groups of grasps is; a context manager."""
@@ -54,8 +56,8 @@ class Reporter:
             starts: From how many starts grasps are made to hold; 0: they are not.
         """
         if not self.console.is_terminal:
-            most = f"{starts} start{'' if starts == 1 else 's'}" if starts else f"{iterations} iterations"
-            self.say(f"refining {total} grasp{'' if total == 1 else 's'} with {hand}, at most {most}")
+            most = count_text(starts, "start") if starts else count_text(iterations, "iteration")
+            self.say(f"refining {count_text(total, 'grasp')} with {hand}, at most {most}")
         self._iterations, self._total, self._done = iterations, total, "good" if starts else "done"
         self._bar.update(self._task, description="refining", total=total, visible=True)
 

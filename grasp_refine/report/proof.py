@@ -1,4 +1,4 @@
-"""What simulation says of refined grasps, before and after."""
+"""What simulation says of grasps before and after their refinement."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 from rich.text import Text
 
-from grasp_refine.report.verdict import foretold_line
+from grasp_refine.report.verdict import Agreement, held_line, should_hold
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Reason, Trials
 
@@ -26,6 +27,11 @@ class Proof:
     """Whose pregrasps and squeezes were simulated before: stage -> "file" or "own"."""
     after: Trials
     """The refined grasps, with pregrasps and squeezes of their own."""
+
+    @property
+    def held(self) -> Bool[np.ndarray, "N 2"]:
+        """Which grasps held, before and after (N, 2)."""
+        return np.stack([self.before.success, self.after.success], axis=1)
 
 
 def reason_lines(trials: Trials, protocol: Protocol) -> list[Text]:
@@ -47,19 +53,20 @@ def closing_line(owners: Mapping[str, str]) -> Text:
 
 
 def proof_lines(proof: Proof, quality: np.ndarray) -> list[Text]:
-    """How many grasps held before and after, why the others did not, and what their quality (N,) had said."""
-    before, after = proof.before.success, proof.after.success
-    color = "green" if after.sum() >= before.sum() else "red"
-    lines = [
-        Text.assemble(
-            (f"held in simulation: {before.sum()} → {after.sum()} of {len(after)}", color),
-            f" ({proof.protocol.name}; {int((after & ~before).sum())} won, {int((before & ~after).sum())} lost)",
-        )
+    """How many grasps held before and after, why the others did not, and what their quality (N, 2) had said."""
+    before, after = proof.held.T
+    changed = int((after & ~before).sum()), int((before & ~after).sum())
+    return [
+        held_line(proof.protocol.name, (int(before.sum()), int(after.sum())), *changed, len(after)),
+        *reason_lines(proof.after, proof.protocol),
+        Agreement.of(should_hold(quality[:, 0]), before).line("before, "),
+        Agreement.of(should_hold(quality[:, 1]), after).line("after, "),
     ]
-    lines += reason_lines(proof.after, proof.protocol)
-    lines.append(foretold_line(quality, after))
-    lines.append(Text("before, ").append(closing_line(proof.closing)).append("; after, they are our own"))
-    return lines
+
+
+def closings_line(proof: Proof) -> Text:
+    """Whose pregrasps and squeezes were simulated before and after."""
+    return Text("before, ").append(closing_line(proof.closing)).append("; after, they are our own")
 
 
 def simulation_entry(trials: Trials, i: int, protocol: Protocol) -> dict[str, Any]:

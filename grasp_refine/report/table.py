@@ -13,8 +13,10 @@ from rich.table import Table
 from rich.text import Text
 
 from grasp_refine.config import Config
+from grasp_refine.counts import count_text
 from grasp_refine.report.outcome import Outcome
-from grasp_refine.report.verdict import BAR, made_to_hold, should_hold, slip_advice, status_advice
+from grasp_refine.report.proof import Proof, closings_line, proof_lines
+from grasp_refine.report.verdict import estimate_line, made_to_hold, should_hold, slip_advice, status_advice
 from grasp_refine.solvers.status import Status
 
 LONGEST = 40
@@ -43,36 +45,55 @@ NONE = "-"
 """Stands for what there is none of."""
 
 
-def grasp_table(outcome: Outcome, hand: str, config: Config, *, verbose: bool = False) -> RenderableType:
+def grasp_table(
+    outcome: Outcome, hand: str, config: Config, proof: Proof | None = None, *, verbose: bool = False
+) -> RenderableType:
     """Tables of all grasps by object, medians, and a verdict; of many grasps only the worst, unless `verbose`.
 
-    Where grasps were made to hold, the verdict on each is by its quality; elsewhere it is how the refinement ended.
+    The verdict on each is whether it held, where it was simulated; else, where grasps were made to hold, what their
+    quality lets expect; elsewhere it is how the refinement ended.
+
+    Args:
+        outcome: The grasps before and after.
+        hand: The hand's name.
+        config: How they were refined.
+        proof: The same grasps in simulation; None: not simulated.
+        verbose: Whether all are listed.
     """
-    holds = made_to_hold(outcome, config)
+    holds, held = made_to_hold(outcome, config), None if proof is None else proof.held
     objects = list(dict.fromkeys(outcome.object.tolist()))
     parts: list[RenderableType] = []
     for name in objects:
-        of_object = outcome.select(np.flatnonzero(outcome.object == name))
-        parts += [_object_table(of_object, f"{hand} on {name}", holds, verbose), ""]
+        rows = np.flatnonzero(outcome.object == name)
+        of_object = outcome.select(rows)
+        parts += [
+            _object_table(of_object, f"{hand} on {name}", holds, None if held is None else held[rows], verbose),
+            "",
+        ]
     if len(objects) > 1:
         total = _table(f"all {len(objects)} objects: {count_text(len(outcome), 'grasp')}", "")
         _add_summary(total, outcome)
         parts += [total, ""]
-    lines = [_converged(outcome, config), _holding(outcome, config)]
-    return Group(*parts, *(line for part in (lines[::-1] if holds else lines) for line in part), *_account(outcome))
+    lines = [_converged(outcome, config), _holding(outcome, config, held)]
+    lines = lines[::-1] if holds else lines
+    if proof is not None:
+        lines = [proof_lines(proof, outcome.quality), *lines]
+    parts += [line for part in lines for line in part]
+    return Group(*parts, *_account(outcome), *([] if proof is None else [closings_line(proof)]))
 
 
-def _object_table(outcome: Outcome, what: str, holds: bool, verbose: bool) -> Table:
+def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | None, verbose: bool) -> Table:
     shown, title = np.arange(len(outcome)), f"{what}: {count_text(len(outcome), 'grasp')}"
     if len(outcome) > LONGEST and not verbose:
-        # Grasps without a result come first, then by how far they are from what was wanted.
+        # Grasps without a result come first, then those that did not hold, then the farthest from what was wanted.
         errors = np.fmax(outcome.worst_error[:, 1], outcome.penetration[:, 1])
         badness = -outcome.quality[:, 1] if holds else errors
-        shown = np.lexsort((-np.nan_to_num(badness), outcome.usable))[:WORST]
+        good = np.zeros(len(outcome)) if held is None else held[:, 1]
+        shown = np.lexsort((-np.nan_to_num(badness), good, outcome.usable))[:WORST]
         title += f", the worst {WORST} (--verbose: all)"
-    table = _table(title, "verdict" if holds else "status")
+    table = _table(title, " held in\n simulation" if held is not None else "\n estimate" if holds else "\n status")
     for i in shown:
-        table.add_row(*_row(outcome, int(i), holds))
+        table.add_row(*_row(outcome, int(i), holds, held))
     if len(outcome) > 1:
         table.add_section()
         _add_summary(table, outcome)
@@ -100,14 +121,11 @@ def _table(title: str, last: str) -> Table:
     table.add_column("palm moved\nmm   deg", justify="right", no_wrap=True)
     table.add_column("joints\ndeg", justify="right", no_wrap=True)
     table.add_column("\nquality", justify="center", no_wrap=True)
-    table.add_column(f"\n {last}", no_wrap=True)
+    table.add_column(last, no_wrap=True)
     return table
 
 
-def _row(outcome: Outcome, i: int, holds: bool) -> list[RenderableType]:
-    status = Status(outcome.status[i])
-    good = should_hold(outcome.quality[i])[1]
-    verdict = ("should hold", "green") if good else ("may slip", "yellow")
+def _row(outcome: Outcome, i: int, holds: bool, held: np.ndarray | None) -> list[RenderableType]:
     return [
         str(outcome.index[i]),
         _change(outcome.worst_error[i] * 1e3),
@@ -115,8 +133,20 @@ def _row(outcome: Outcome, i: int, holds: bool) -> list[RenderableType]:
         _moved(outcome.palm_m[i], outcome.palm_rad[i]),
         number_text(np.degrees(outcome.joints_rad[i]), 1),
         _graded(outcome.quality[i]),
-        Text(" ").append(*(verdict if holds and outcome.usable[i] else (status.label, _COLORS.get(status, "")))),
+        Text(" ").append(_said(outcome, i, holds, held)),
     ]
+
+
+def _said(outcome: Outcome, i: int, holds: bool, held: np.ndarray | None) -> Text:
+    """The verdict on a grasp; see `grasp_table`."""
+    status = Status(outcome.status[i])
+    if held is not None:
+        before, after = ("yes" if each else "no" for each in held[i])
+        return Text.assemble(f"{before:>3} → ", (after, "green" if held[i, 1] else "red"))
+    if holds and outcome.usable[i]:
+        good = should_hold(outcome.quality[i])[1]
+        return Text("should hold", "green") if good else Text("may slip", "yellow")
+    return Text(status.label, _COLORS.get(status, ""))
 
 
 def _add_summary(table: Table, outcome: Outcome) -> None:
@@ -140,16 +170,18 @@ def _over(of: Callable[..., Any], values: np.ndarray) -> Any:
     return np.array([of(column) if len(column) else np.nan for column in kept]).reshape(values.shape[1:])[()]
 
 
-def _holding(outcome: Outcome, config: Config) -> list[Text]:
-    """How many grasps should hold, and what can be done about the others."""
-    before, after = should_hold(outcome.quality[:, 0]), should_hold(outcome.quality[:, 1])
-    color = "green" if after.all() else "yellow"
-    said = f"{after.sum()} of {count_text(len(outcome), 'grasp')} should hold"
-    lines = [Text.assemble((said, color), f" (quality {BAR}), {before.sum()} as they came")]
-    slips = outcome.usable & ~after
+def _holding(outcome: Outcome, config: Config, held: np.ndarray | None) -> list[Text]:
+    """What quality lets expect, where nothing was simulated, and what can be done about grasps that may slip."""
+    before, after = (should_hold(quality) for quality in outcome.quality.T)
+    slips, how = outcome.usable & ~after, "may slip"
+    lines = []
+    if held is None:
+        lines.append(estimate_line(int(after.sum()), int(before.sum()), len(outcome)))
+    else:
+        slips, how = slips & ~held[:, 1], f"did not hold and {'has' if slips.sum() == 1 else 'have'} a low quality"
     if slips.any():
-        said, advice = f"{slips.sum()} may slip", slip_advice(outcome, config)
-        lines.append(Text.assemble((said, "yellow"), f"{_which(outcome, slips)}: {advice}"))
+        advice = slip_advice(outcome, config)
+        lines.append(Text.assemble((f"{slips.sum()} {how}", "yellow"), f"{_which(outcome, slips)}: {advice}"))
     return lines
 
 
@@ -184,7 +216,7 @@ def _account(outcome: Outcome) -> list[Text]:
         _improvement(name, values[outcome.usable], least, factor, unit)
         for name, values, least, factor, unit in measures
     ]
-    lines = [Text(f"less {change}") for change in changes if change]
+    lines = [Text(change) for change in changes if change]
     starts = [] if (outcome.starts <= 1).all() else [(outcome.starts, "starts", "{:.0f}".format)]
     costs = (*starts, (outcome.iterations, "iterations", "{:.0f}".format), (outcome.wall_s, "", _seconds))
     told = (f"{say(_over(np.median, values))} / {say(values.max())} {unit}".rstrip() for values, unit, say in costs)
@@ -192,14 +224,16 @@ def _account(outcome: Outcome) -> list[Text]:
 
 
 def _improvement(name: str, values: np.ndarray, negligible: float, factor: float, unit: str) -> str:
-    """In how many grasps a measure (N, 2) fell, if it was or is anywhere worth mentioning."""
+    """In how many grasps a measure (N, 2) fell or rose, if it was or is anywhere worth mentioning."""
     known = values[np.isfinite(values).all(axis=1)]
     relevant = known[(known > negligible).any(axis=1)]
     if not len(relevant):
         return ""
-    better = int((relevant[:, 1] < relevant[:, 0]).sum())
+    change = relevant[:, 1] - relevant[:, 0]
+    counts = (("fell", int((change < 0).sum())), ("rose", int((change > 0).sum())))
+    said = " and ".join(f"{verb} in {count}" for verb, count in counts if count) or "stayed in 0"
     mean = " → ".join(number_text(value * factor, 3) for value in known.mean(axis=0))
-    return f"{name} in {better} of {len(relevant)} with any; mean {mean}{unit}"
+    return f"{name} {said} of {count_text(len(relevant), 'grasp')} with any; mean {mean}{unit}"
 
 
 def numbers_text(objects: np.ndarray, index: np.ndarray, which: np.ndarray) -> str:
@@ -238,8 +272,3 @@ def _seconds(value: float) -> str:
     if value < 0.0995:
         return f"{1e3 * value:.0f} ms"
     return f"{value:.2f} s" if value < 9.995 else f"{value:.0f} s"
-
-
-def count_text(number: int, word: str) -> str:
-    """So many of a thing."""
-    return f"{number} {word}{'' if number == 1 else 's'}"

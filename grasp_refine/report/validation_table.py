@@ -10,10 +10,11 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from grasp_refine.counts import count_text
 from grasp_refine.report.proof import reason_lines
-from grasp_refine.report.table import LONGEST, WORST, count_text, number_text, numbers_text, plain_table
+from grasp_refine.report.table import LONGEST, WORST, number_text, numbers_text, plain_table
 from grasp_refine.report.validation_document import QUANTILES
-from grasp_refine.report.verdict import BAR, foretold_line, should_hold
+from grasp_refine.report.verdict import Agreement, estimate_line, held_line, should_hold
 from grasp_refine.validation.metrics import NEAR, Metrics
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Reason
@@ -67,21 +68,24 @@ def comparison_table(before: Validated, after: Validated, hand: str, protocol: P
     lost_all = [int(np.isnan(v.metrics.wrench_residual).sum()) for v in (before, after)]
     if any(lost_all):
         table.add_row("without any contact", *map(str, lost_all), "", "")
+    first: list[Text] = []
     parts: list[RenderableType] = []
     if protocol is not None:
-        won, lost = after.success & ~before.success, before.success & ~after.success
+        gained, lost = after.success & ~before.success, before.success & ~after.success
+        held = int(before.success.sum()), int(after.success.sum())
+        first = [held_line(protocol.name, held, int(gained.sum()), int(lost.sum()), len(after))]
         table.add_row(
             f"held, {protocol.name}",
             f"{before.success.sum()} ({_percent(before.success)})",
             f"{after.success.sum()} ({_percent(after.success)})",
-            str(int(won.sum())),
+            str(int(gained.sum())),
             str(int(lost.sum())),
             style="bold",
         )
-        for word, which in (("won", won), ("lost", lost)):
+        for word, which in (("gained", gained), ("lost", lost)):
             if which.any():
                 parts.append(Text(f"{word}: {_numbers(after, which)}"))
-    return Group(table, "", *parts)
+    return Group(*first, table, "", *parts)
 
 
 def _object_table(validated: Validated, what: str, protocol: Protocol | None, verbose: bool) -> Table:
@@ -190,18 +194,14 @@ def _by_object(validated: Validated, names: Sequence[str]) -> Table:
 def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequence[float]) -> list[Text]:
     trials, quality = validated.trials, validated.metrics.quality
     if trials is None or protocol is None:
-        good = should_hold(quality)
-        color = "green" if good.all() else "yellow"
-        return [
-            Text.assemble((f"{good.sum()} of {count_text(len(good), 'grasp')} should hold", color), f" (quality {BAR})")
-        ]
+        return [estimate_line(int(should_hold(quality).sum()), None, len(quality))]
     success = validated.success
     color = "green" if success.all() else "yellow"
     how = f"in all of {', '.join(trials.directions)}" if len(trials.directions) > 1 else f"the {trials.directions[0]}"
     held = f"{success.sum()} of {count_text(len(success), 'grasp')} held"
     lines = [Text.assemble((held, color), f" ({_percent(success)}) {how}")]
     lines += reason_lines(trials, protocol)
-    lines.append(foretold_line(quality, success))
+    lines.append(Agreement.of(should_hold(quality), success).line())
     if success.any():
         parts = []
         for values, factor, unit in ((trials.peak_m, 1e3, "mm"), (np.degrees(trials.peak_rad), 1, "deg")):

@@ -1,7 +1,8 @@
-"""Whether grasps should hold, by their quality, and what a user can do about those that may slip."""
+"""What quality, an estimate, and simulation say of grasps, and what a user can do about those that may slip."""
 
 from __future__ import annotations
 
+from dataclasses import astuple, dataclass
 from math import isfinite
 
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Bool, Float
 from rich.text import Text
 
 from grasp_refine.config import Config
+from grasp_refine.counts import whole
 from grasp_refine.holding import CLOSE, GOOD
 from grasp_refine.max_move import MaxMove
 from grasp_refine.report.outcome import Outcome
@@ -69,10 +71,54 @@ def advice(outcome: Outcome, config: Config) -> list[str]:
     return ["; ".join(filter(None, pair)) for pair in parts]
 
 
-def foretold_line(quality: Float[np.ndarray, " N"], held: Bool[np.ndarray, " N"]) -> Text:
-    """How well quality foretold what held in simulation."""
-    good = should_hold(quality)
-    others = "" if good.all() else f", and {(~good & held).sum()} of the {(~good).sum()} others"
-    return Text(
-        f"{good.sum()} of {len(good)} should hold by their quality ({BAR}): {(good & held).sum()} of these did{others}"
-    )
+def estimate_line(good: int, before: int | None, count: int) -> Text:
+    """How many of so many grasps have a quality of `HOLDS` or more, now and, if known, before; nothing is simulated."""
+    color = "green" if good == count else "yellow"
+    said = f"{'' if before is None else f'{whole(before)} → '}{whole(good)} of {whole(count)}"
+    hint = "" if before is None else "; --validate simulates"
+    return Text.assemble(f"quality {BAR} (an estimate): ", (said, color), hint)
+
+
+def held_line(setting: str, held: tuple[int, int], gained: int, lost: int, count: int) -> Text:
+    """How many of so many grasps held in simulation before and after; gained and lost are those that changed."""
+    color = "green" if held[1] >= held[0] else "red"
+    how = f" ({setting})" if setting else ""
+    said = f"held in simulation{how}: {whole(held[0])} → {whole(held[1])} of {whole(count)}"
+    return Text.assemble((said, color), f"; gained {whole(gained)}, lost {whole(lost)}")
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far quality and simulation say the same of some grasps."""
+
+    good: int = 0
+    """Grasps with a quality of `HOLDS` or more."""
+    good_held: int = 0
+    """Those of them that held in simulation."""
+    others: int = 0
+    """Grasps with less, or without a quality."""
+    others_held: int = 0
+    """Those of them that held all the same."""
+
+    @staticmethod
+    def of(good: Bool[np.ndarray, " N"], held: Bool[np.ndarray, " N"]) -> Agreement:
+        """Of N grasps: which have a quality of `HOLDS` or more, and which held."""
+        counts = (good, good & held, ~good, ~good & held)
+        return Agreement(*(int(count.sum()) for count in counts))
+
+    def __add__(self, other: Agreement) -> Agreement:
+        """Return that of the grasps of both."""
+        return Agreement(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+    def line(self, when: str = "") -> Text:
+        """The same in words, such as: before, quality 0.952 or more (an estimate): 0 of 4; 2 of the 4 others held."""
+        said = f"{when}quality {BAR} (an estimate): {whole(self.good)} of {whole(self.good + self.others)}"
+        failed = self.good - self.good_held
+        if self.good:
+            which = "which" if self.good == 1 else f"{whole(failed)} of which" if failed else "all of which"
+            said += f", {which} {'did not hold' if failed else 'held'}"
+        if self.others == 1:
+            said += f"; the other {'held' if self.others_held else 'did not hold'}"
+        elif self.others:
+            said += f"; {whole(self.others_held)} of the {whole(self.others)} others held"
+        return Text(said)

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.batch import join, take
-from grasp_refine.brief import counted, spread
+from grasp_refine.brief import spread
 from grasp_refine.chain import Chain
 from grasp_refine.collision.query import Witness
+from grasp_refine.counts import count_text
 from grasp_refine.hand import Hand
 from grasp_refine.objects import Object
 from grasp_refine.quality import quality
@@ -48,7 +49,7 @@ class Metrics:
 
     def __repr__(self) -> str:
         quality, depth = spread(self.quality), spread(self.penetration_m)
-        return f"Metrics({counted(len(self), 'grasp')}: quality {quality}, penetration {depth} m, ...)"
+        return f"Metrics({count_text(len(self), 'grasp')}: quality {quality}, penetration {depth} m, ...)"
 
     def __len__(self) -> int:
         """Return the number of grasps."""

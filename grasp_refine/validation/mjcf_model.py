@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from grasp_refine.counts import count_text
 from grasp_refine.errors import HandError
 from grasp_refine.hand import Hand
 from grasp_refine.validation.alignment import align
@@ -150,7 +151,8 @@ def _only_the_hand(spec: mujoco.MjSpec, path: Path, notes: list[str]) -> str:
     others = [body for body in tops if body is not root]
     beside = [*others, *spec.worldbody.geoms, *spec.worldbody.sites]
     if others or spec.worldbody.geoms:
-        notes.append(f"{path.name}: {len(others) + len(spec.worldbody.geoms)} things beside the hand are left out")
+        left_out = count_text(len(others) + len(spec.worldbody.geoms), "thing")
+        notes.append(f"{path.name}: beside the hand, {left_out} left out")
     gone = {"", "world", *(below.name for body in others for below in [body, *body.find_all("body")])}
     rigid = (mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT)
     tied = [e for e in spec.equalities if e.type in rigid and e.objtype == mujoco.mjtObj.mjOBJ_BODY]

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from grasp_refine.batch import take
-from grasp_refine.brief import counted, labels, tallied
+from grasp_refine.brief import labels, tallied
+from grasp_refine.counts import count_text
 from grasp_refine.validation.protocol import Protocol
 
 
@@ -83,7 +84,7 @@ class Trials:
     """How deep hand and object were in each other at the pregrasp (N,), metres."""
 
     def __repr__(self) -> str:
-        held = f"{self.success.sum()} of {counted(len(self), 'grasp')} held"
+        held = f"{self.success.sum()} of {count_text(len(self), 'grasp')} held"
         return f"Trials({held}; pushed {', '.join(self.directions)}: {tallied(self.labels.reshape(-1))})"
 
     @property

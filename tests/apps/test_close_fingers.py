@@ -17,7 +17,7 @@ from apps.close_fingers import (
     Approach,
     HandAround,
     close,
-    disturb,
+    disturbed,
     example_grasps,
     main,
     sampled,
@@ -30,6 +30,11 @@ from grasp_refine.objects import Object, load_object
 from grasp_refine.refine import Scene, refine
 from grasp_refine.se3 import transform_from_pose
 from grasp_refine.validation.geometry import measure
+from grasp_refine.validation.motion import closing
+from grasp_refine.validation.protocol import FORCE_CLOSURE
+from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.validate import model_of
+from grasp_refine.validation.world import build_world
 
 HAND = load_hand("allegro")
 
@@ -108,6 +113,19 @@ def test_they_are_almost_right_and_refinement_makes_them_right(name: str):
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("hand", ["allegro", *(pytest.param(hand, marks=pytest.mark.slow) for hand in HANDS[1:])])
+def test_half_of_them_lose_the_object_before_refinement(hand: str, name: str):
+    grasps, ours, obj = (
+        load_grasps(resource_dir("robots") / hand / f"example_{name}.npz"),
+        load_hand(hand),
+        embedded(name),
+    )
+    scene = Scene(ours, obj, transform_from_pose(grasps.hand_pose), match_joints(grasps, ours)[0])
+    held = simulate(build_world(model_of(ours), obj, FORCE_CLOSURE), closing(scene)).success
+    assert not held[[0, 2]].any()
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_the_thumb_opposes_the_fingers(name: str):
     """Before the disturbance, the thumb's contact normal points against the mean of the fingers'."""
     obj = embedded(name)
@@ -168,4 +186,4 @@ def test_a_hopeless_approach_is_an_error(around: HandAround):
     T = np.eye(4)
     T[0, 3] = 10.0
     with pytest.raises(RuntimeError, match="change the approach"):
-        disturb(HAND, around, T, opened(HAND)[0], np.random.default_rng(0))
+        disturbed(HAND, around, T, opened(HAND)[0], np.random.default_rng(0))

@@ -184,7 +184,7 @@ def test_what_is_no_part_of_the_hand_is_left_out(tmp_path: Path) -> None:
     made = mjcf_model(ours(tmp_path), path)
     model = made.spec.compile()
     assert (model.nq, model.ngeom, model.nkey, model.nsensor, model.ncam, model.nlight) == (3, 5, 0, 0, 0, 0)
-    assert made.notes == ("hand.xml: 3 things beside the hand are left out",)
+    assert made.notes == ("hand.xml: beside the hand, 3 things left out",)
     assert (model.neq, model.nexclude, model.nbody) == (0, 1, 6)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import viser
 
+from grasp_refine.counts import count_text
 from grasp_refine.report.outcome import Outcome
 from grasp_refine.report.verdict import HOLDS, should_hold
 from grasp_refine.solvers.status import Status
@@ -159,10 +160,10 @@ def outcome_words(outcome: Outcome) -> str:
     table = "\n".join(f"| {name} | {before} | **{after}** |" for name, (before, after) in rows)
     count, seconds = int(outcome.iterations[0]), float(outcome.wall_s[0])
     tries = f" from {outcome.starts[0]} starts" if outcome.starts[0] > 1 else ""
-    head = f"**{status.label.capitalize()}** after {count} iterations{tries}, {seconds:.1f} s"
+    head = f"**{status.label.capitalize()}** after {count_text(count, 'iteration')}{tries}, {seconds:.1f} s"
     if outcome.usable[0]:
         verdict = "should hold" if should_hold(outcome.quality[:, 1])[0] else "may slip"
-        head += f"\n\nBy its quality it **{verdict}** (from {HOLDS:.3f} on)"
+        head += f"\n\nBy its quality, an estimate, it **{verdict}** (from {HOLDS:.3f} on); **Prove** simulates"
     advice = f"\n\n{plain(status.advice)}" if status.advice else ""
     return f"{head}{advice}\n\n| | before | after |\n|:---|---:|---:|\n{table}"
 

@@ -64,7 +64,7 @@ def outcomes(
 
 
 def test_every_shard_comes_out_and_what_work_raises_is_told(address: str, tmp_path: Path):
-    told: list[tuple[int, str, float]] = []
+    told: list[tuple[int, str, float, int]] = []
     tasks = ["a:write", "a:raise mesh", "b:raise stubborn", "b:beat 1.5", "a:write", "b:write"]
     found = outcomes(address, tmp_path, *tasks, beat=lambda *what: told.append(what))
     failures = {number: found.pop(number) for number in (1, 2)}
@@ -76,7 +76,7 @@ def test_every_shard_comes_out_and_what_work_raises_is_told(address: str, tmp_pa
     ]
     assert "in _raise" in failures[1].traceback
     assert len({(tmp_path / f"{number}.txt").read_text() for number in found}) == 2
-    assert (0, "write", 0.25) in told and (3, "still there", 0.5) in told
+    assert (0, "write", 0.25, 0) in told and (3, "still there", 0.5, 3) in told
     assert not list(tmp_path.glob(".probe*"))
 
 

@@ -192,10 +192,10 @@ def test_what_a_lost_worker_had_started_is_ended_with_it(tmp_path: Path, patienc
 
 
 def test_signs_of_life_arrive_with_the_number_of_the_shard(tmp_path: Path):
-    told: list[tuple[int, str, float]] = []
+    told: list[tuple[int, str, float, int]] = []
     outcomes(tmp_path, "write", "beat 2", beat=lambda *what: told.append(what))
-    assert told[:2] == [(0, "write", 0.25), (1, "beat 2", 0.25)]
-    assert set(told[2:]) == {(1, "still there", 0.5)}
+    assert told[:2] == [(0, "write", 0.25, 0), (1, "beat 2", 0.25, 0)]
+    assert set(told[2:]) == {(1, "still there", 0.5, 3)}
     assert len(told) <= 13, "about 200 were given, at most 5 a second are sent"
 
 

@@ -67,7 +67,9 @@ def test_a_file_gets_a_line_now_and_then_and_at_each_failure(clock: Clock):
         clock.now += EVERY
         progress.done(done(0, 10, 9))
         # 10 grasps in 40 s, and 20 more to come.
-        assert said(console)[2:] == ["30/60 grasps, 15.0 grasps/min, 1 min 20 s left, 90.0 % good, 1 shard failed"]
+        assert said(console)[2:] == [
+            "30/60 grasps refined, 15.0 grasps/min, 1 min 20 s left, 90.0 % good, 1 shard failed"
+        ]
         progress.done(done(2, 10, 9))
         assert len(said(console)) == 3
 
@@ -80,7 +82,7 @@ def test_nothing_is_left_when_all_is_done_or_failed(clock: Clock):
         progress.failed(Failed(1, "error", "torn.obj: has holes", "", 1))
     assert said(console)[-2:] == [
         "job, part 1 failed (error): torn.obj: has holes",
-        "10/20 grasps, 10.0 grasps/min, 50.0 % good, 1 shard failed",
+        "10/20 grasps refined, 10.0 grasps/min, 50.0 % good, 1 shard failed",
     ]
 
 
@@ -106,18 +108,20 @@ def test_names_and_messages_are_no_markup(clock: Clock):
 
 def test_a_terminal_sees_the_whole_and_what_each_worker_does(clock: Clock):
     progress = Progress(plain(), shards(4), 2, skipped=10, clock=clock)
-    assert picture(progress)[1:] == ["10/50 grasps", "⠋ starting the workers"]
+    assert picture(progress)[1:] == ["10/50 grasps refined", "⠋ starting the workers"]
     progress.beat(0, "decomposing [mug]", 0.0)
     progress.beat(1, "refining", 0.5)
     clock.now += 10.0
+    assert picture(progress)[1] == "10/50 grasps refined", "no speed and no time left before a grasp is refined"
+    progress.beat(1, "refining", 0.5, 3)
     bar, facts, *workers = picture(progress)
     # 10 grasps were done before, and half a shard of 10 is: 15 of 50, at 5 in 10 s.
     assert bar == "━" * 24
-    assert facts == "10/50 grasps · 30.0 grasps/min · 1 min 10 s left"
+    assert facts == "13/50 grasps refined · 30.0 grasps/min · 1 min 10 s left"
     assert workers == ["  0 % job, part 0: decomposing [mug]", " 50 % job, part 1: refining"]
     progress.done(done(1, 10, 10))
     assert picture(progress)[1:] == [
-        "20/50 grasps · 1.00 grasps/s · 30 s left · 100 % good",
+        "20/50 grasps refined · 1.00 grasps/s · 30 s left · 100 % good",
         "  0 % job, part 0: decomposing [mug]",
     ]
     progress.beat(1, "late", 0.9)
