@@ -4,6 +4,7 @@ Whatever a file, an argument or a mesh can get wrong is raised as a `GraspRefine
 prints its message in one line and exits with code 2. Anything else that escapes is a defect of ours.
 """
 
+import unicodedata
 from reprlib import Repr
 
 LONGEST = 4000
@@ -56,11 +57,11 @@ _TOLD.maxlevel = 3
 
 
 def visible(text: str) -> str:
-    """Return `text` as a terminal may be sent it: spaces for other white space, escapes for what cannot be seen."""
+    """Return `text` as a terminal may be sent it: spaces for tabs and wide spaces, escapes for what cannot be seen."""
     return text if text.isprintable() else "".join(map(_visible_character, text))
 
 
 def _visible_character(character: str) -> str:
     if character.isprintable():
         return character
-    return " " if character.isspace() else ascii(character)[1:-1]
+    return " " if character == "\t" or unicodedata.category(character) == "Zs" else ascii(character)[1:-1]

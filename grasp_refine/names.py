@@ -25,11 +25,6 @@ def is_sound(text: str) -> bool:
     return text.isprintable() or not any(unicodedata.category(letter) in UNSOUND or letter in BIDI for letter in text)
 
 
-def escaped(text: str) -> str:
-    """The text with what `is_sound` refuses written as Python does, so that it can be shown."""
-    return "".join(letter if is_sound(letter) else letter.encode("unicode_escape").decode() for letter in text)
-
-
 def are_sound(texts: np.ndarray) -> bool:
     """The same of an array of texts, whose codes need not be those of letters at all."""
     if not texts.itemsize or not texts.size:

@@ -19,11 +19,11 @@ from grasp_refine.commands.job_list import Job
 from grasp_refine.commands.kept import Kept, KeptInputs
 from grasp_refine.commands.object_source import ObjectSource, chosen_object
 from grasp_refine.commands.sources import on_disk
-from grasp_refine.errors import GraspRefineError
+from grasp_refine.errors import GraspRefineError, visible
 from grasp_refine.formats.folders import object_folder
 from grasp_refine.grasps import choose_rows
 from grasp_refine.hand_source import check_known
-from grasp_refine.names import escaped, is_sound
+from grasp_refine.names import is_sound
 
 READ = ("grasps", "hand", "urdf", "mjcf", "object", "objects", "targets")
 """Inputs that may be files or folders."""
@@ -116,7 +116,7 @@ class Planner:
         shards: list[Shard] = []
         refused: list[Refused] = []
         for number, job in enumerate(jobs):
-            progress(number, escaped(job.name))
+            progress(number, visible(job.name))
             inputs = KeptInputs.of(job.inputs, kept)
             try:
                 if not is_sound(job.name):
@@ -126,7 +126,7 @@ class Planner:
                     continue
                 shards += list(self._shards(job, inputs, digests, say))
             except GraspRefineError as error:
-                refused.append(Refused(escaped(job.name), " ".join(str(error).split())))
+                refused.append(Refused(visible(job.name), " ".join(str(error).split())))
         # What shares a hand and an object is done together; else jobs stay in order.
         first: dict[str, int] = {}
         for place, shard in enumerate(shards):
