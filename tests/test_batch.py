@@ -294,7 +294,7 @@ def test_sampled_grasps_are_a_job(tmp_path: Path):
     [
         ((), "name what is to be refined: grasp files, a folder, a pattern, sample:N, or a job list"),
         (("none.npz",), "no job can be done: none: none.npz: no such grasp file"),
-        (("sample:4",), "no job can be done: sample_4: --grasps sample:4 needs to know of what"),
+        (("sample:4",), "no job can be done: sample_4: --grasps sample:4 needs a hand and an object"),
         (("x.npz", "--shard", "0/3"), "--shard 0/3: must be I/N, part I of N from 1/N to N/N"),
         (("x.npz", "--shard", "3"), "--shard 3: must be I/N"),
         (("x.npz", "--shard", "4/3"), "--shard 4/3: must be I/N"),

@@ -14,7 +14,7 @@ from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from grasp_refine.commands.inputs import SAMPLE, Inputs
-from grasp_refine.errors import GraspRefineError, told
+from grasp_refine.errors import GraspRefineError, told, visible
 from grasp_refine.formats.folders import natural, told_apart
 from grasp_refine.formats.reading import SUFFIXES
 from grasp_refine.names import at_home, exists, is_folder, is_sound
@@ -132,7 +132,9 @@ def _listed(path: Path, defaults: Inputs, together: bool) -> Iterator[Job]:
         if not isinstance(name, str):
             raise GraspRefineError(f"{where}: name must be text, got {told(name)}")
         if not is_sound(name):
-            raise GraspRefineError(f"{where}: '{name}' cannot be the name of a job: it holds control characters")
+            raise GraspRefineError(
+                f"{where}: '{visible(name)}' cannot be the name of a job: it holds control characters"
+            )
         inputs = replace(defaults, **_values(row, path, where))
         if inputs.grasps is None:
             raise GraspRefineError(f'{where}: says no grasps = "FILE" (or a folder, a pattern, or sample:N)')
