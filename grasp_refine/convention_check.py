@@ -128,7 +128,8 @@ def joint_notes(hand: Hand, q: Float[np.ndarray, "N n"]) -> tuple[str, ...]:
 
 def position_notes(pose: Poses) -> tuple[str, ...]:
     """Say that positions are in another unit than metres, where no hand is so far away; poses without an object."""
-    away = np.linalg.norm(pose[np.isfinite(pose).all(axis=1), :3], axis=1)
+    # The largest coordinate, whose square need not be a number.
+    away = np.abs(pose[np.isfinite(pose).all(axis=1), :3]).max(axis=1)
     if not len(away) or np.median(away) <= LARGEST_POSITION_M:
         return ()
     return (

@@ -213,7 +213,7 @@ def test_verify_finds_what_is_damaged(mirror: Path, capsys: pytest.CaptureFixtur
     assert f"hands/barrett: of 8 files 1 damaged: barrett.urdf (from mirror, {barrett})" in out
     assert "refine-grasp assets fetch hands/barrett fetches them again" in out
     assert "grasps/leap_cube: of 2 files 1 missing: cube.urdf" in out
-    assert "whole: 1 (1 files), 1 incomplete, 1 damaged; in " in out
+    assert "whole: 1 (1 file), 1 incomplete, 1 damaged; in " in out
     found = {fact["name"]: fact for fact in json.loads(Path("verify.json").read_text())["assets"]}
     assert found["barrett"]["damaged"] == ["barrett.urdf"] and found["leap_cube"]["missing"] == ["cube.urdf"]
     assert main(["assets", "verify", "banana"]) == 0

@@ -49,6 +49,7 @@ def meshes(tmp_path: Path) -> Path:
 
 def document(*arguments: str | Path) -> dict[str, Any]:
     """What a run writes as JSON."""
+    Path("bench.json").unlink(missing_ok=True)
     assert main([*map(str, arguments), "--json", "bench.json"]) == 0
     return json.loads(Path("bench.json").read_text())
 
@@ -184,6 +185,7 @@ def test_a_report_is_one_file_that_names_what_was_compared(capfd: pytest.Capture
     for module in ("matplotlib", "jinja2", "PIL"):
         pytest.importorskip(module, reason="the report needs it")
     arguments = [*TINY, "--methods", "distance", "contact-kinematics", "--html", "reports/bench.html"]
+    Path("reports").mkdir()
     assert main(arguments) == 0
     assert "wrote reports/bench.html" in " ".join(capfd.readouterr().out.split())
     assert [str(path) for path in Path().rglob("*") if path.is_file()] == ["reports/bench.html"]
@@ -193,6 +195,7 @@ def test_a_report_is_one_file_that_names_what_was_compared(capfd: pytest.Capture
 
 
 def test_a_task_is_saved_as_each_method_went_through_it(capfd: pytest.CaptureFixture[str]):
+    Path("tasks").mkdir()
     arguments = [*TINY, "--methods", "distance", "rigid", "--margins", "0.002", "--save", "tasks/one.npz"]
     found = document(*arguments)
     assert "wrote bench.json, tasks/one.npz" in " ".join(capfd.readouterr().out.split())

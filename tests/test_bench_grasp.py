@@ -32,6 +32,7 @@ def threads() -> Iterator[None]:
 
 def document(*arguments: str | Path) -> dict[str, Any]:
     """What a run writes as JSON."""
+    Path("bench.json").unlink(missing_ok=True)
     assert main([*map(str, arguments), "--json", "bench.json"]) == 0
     return json.loads(Path("bench.json").read_text())
 

@@ -73,7 +73,7 @@ def test_smoke_tells_what_holds_and_reports_in_one_file(capfd: pytest.CaptureFix
 def test_grasps_with_stages_are_tried_with_both_and_again_the_same():
     asked, found = ["bench", "hold", *gripper_grasps(), "--starts", "3"], []
     for threads in "12":
-        assert main([*asked, "--threads", threads, "--json", "hold.json"]) == 0
+        assert main([*asked, "--threads", threads, "--json", "hold.json", "--overwrite"]) == 0
         found.append(json.loads(Path("hold.json").read_text())["rows"])
     for first, again in zip(*found, strict=True):
         assert numbers(first) == numbers(again)

@@ -107,7 +107,7 @@ def test_a_cell_is_asked_again_by_its_command(measure: str):
     assert len(rows) >= 2
     for row in rows:
         _, *command = shlex.split(again(row, 3))
-        main([*command, "--json", "one.json"])
+        main([*command, "--json", "one.json", "--overwrite"])
         (one,) = json.loads(Path("one.json").read_text())["rows"]
         # MuJoCo is asked once, with what is asked first.
         same = [name for name in row if not name.startswith("mujoco")]

@@ -115,7 +115,7 @@ def test_a_first_run_of_what_comes_with_the_program_cuts_nothing(
 
 @pytest.mark.parametrize("scale", [1.0, 0.37, 12.5])
 def test_the_bowl_of_any_scale_comes_with_the_program(scale: float, tmp_path: Path, decomposed: list[int]):
-    bowl = load_object("bowl", scale=scale, cache=tmp_path)
+    bowl = load_object("bowl", scale=scale, unit="m", cache=tmp_path)
     assert len(bowl.body.pieces) > 10 and decomposed == [] and not list(tmp_path.iterdir())
     np.testing.assert_allclose(bowl.body.diagonal, np.linalg.norm(bowl.mesh.extents), rtol=0.05)
 

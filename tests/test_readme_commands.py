@@ -152,7 +152,7 @@ def test_recipes_run(number: int, newcomer: Path, capfd: pytest.CaptureFixture[s
 
 # what commands print
 
-PRINTED = ("$ refine-grasp run\n", "$ refine-grasp validate")
+PRINTED = ("$ refine-grasp run\n", "$ refine-grasp validate", "held in simulation (force-closure): ")
 """What tells apart the blocks of text; a test compares each."""
 
 
@@ -207,3 +207,12 @@ def test_the_validation_that_is_shown_has_these_rows(
     told, held = (int(re.search(r"^(\d) of 4 grasps held", text, re.MULTILINE)[1]) for text in (shown, printed))
     assert told == 1 and held <= 2
     assert printed.split("\n")[0].split() == shown.split("\n")[0].split()
+
+
+def test_what_simulation_says_of_a_run_is_what_is_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    (block,) = (block for block in blocks("text") if PRINTED[2] in block)
+    assert main(["run", "--validate"]) == 0
+    assert " ".join(block.split()) in " ".join(capfd.readouterr().out.split())

@@ -12,7 +12,7 @@ from grasp_refine.assets import resource_dir
 from grasp_refine.commands.recording import Recording
 from grasp_refine.commands.sources import Sources
 from grasp_refine.errors import GraspRefineError
-from grasp_refine.problem import Group, Problem
+from grasp_refine.problem import Draft, Group
 from grasp_refine.replay.replay import load_replay
 from grasp_refine.validation.protocol import FORCE_CLOSURE, TABLETOP
 from grasp_refine.validation.simulation import simulate
@@ -36,8 +36,10 @@ def group() -> Group:
 
 
 @pytest.fixture(scope="module")
-def problems(group: Group) -> list[Problem]:
-    return [Problem(replace(group.scene.hand, name="gripper"), FILES, (group,), ())]
+def drafts(group: Group) -> list[Draft]:
+    draft = Sources(index=(2, 3)).draft_from(EXAMPLE, lambda text: None)
+    groups = tuple(replace(group, object="ball") for group in draft.groups)
+    return [replace(draft, hand=replace(draft.hand, name="gripper"), groups=groups)]
 
 
 def recorded(recording: Recording, group: Group, world: World, folder: Path) -> list[str]:
@@ -130,8 +132,8 @@ def test_a_trial_that_cannot_start_is_said(world: World, group: Group, tmp_path:
     assert line == "ball 2: nothing to record, the trial could not start"
 
 
-def test_a_place_that_cannot_be_written_is_found_out_before_the_work(problems: list[Problem], tmp_path: Path) -> None:
-    Recording(tmp_path / "new" / "folder").check(FORCE_CLOSURE, FILES, problems, overwrite=False)
+def test_a_place_that_cannot_be_written_is_found_out_before_the_work(drafts: list[Draft], tmp_path: Path) -> None:
+    Recording(tmp_path / "new" / "folder").check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
     assert not names(tmp_path)
     (tmp_path / "file").write_text("")
     for folder, complaint in (
@@ -140,27 +142,27 @@ def test_a_place_that_cannot_be_written_is_found_out_before_the_work(problems: l
         (tmp_path / ("x" * 300), "cannot be written"),
     ):
         with pytest.raises(GraspRefineError, match=complaint):
-            Recording(folder).check(FORCE_CLOSURE, FILES, problems, overwrite=False)
+            Recording(folder).check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".xml", ".gif"])
-def test_replays_that_exist_are_kept(problems: list[Problem], tmp_path: Path, suffix: str) -> None:
+def test_replays_that_exist_are_kept(drafts: list[Draft], tmp_path: Path, suffix: str) -> None:
     there = tmp_path / f"gripper_ball_3_-y{suffix}"
     there.write_text("kept")
     for direction in ("-y", None):
         recording = Recording(tmp_path, direction=direction, film=suffix == ".gif")
         with pytest.raises(GraspRefineError, match=f"{there.name}: exists already"):
-            recording.check(FORCE_CLOSURE, FILES, problems, overwrite=False)
-        replace(recording, film=False).check(FORCE_CLOSURE, FILES, problems, overwrite=True)
-    Recording(tmp_path, direction="+y").check(FORCE_CLOSURE, FILES, problems, overwrite=False)
+            recording.check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
+        replace(recording, film=False).check(FORCE_CLOSURE, FILES, drafts, overwrite=True)
+    Recording(tmp_path, direction="+y").check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
 
 
-def test_only_directions_that_there_are_can_be_recorded(problems: list[Problem]) -> None:
-    Recording(Path("replays"), direction="lift").check(TABLETOP, FILES, problems, overwrite=False)
+def test_only_directions_that_there_are_can_be_recorded(drafts: list[Draft]) -> None:
+    Recording(Path("replays"), direction="lift").check(TABLETOP, FILES, drafts, overwrite=False)
     with pytest.raises(GraspRefineError, match=r"--direction \+x: there are lift"):
-        Recording(Path("replays"), direction="+x").check(TABLETOP, FILES, problems, overwrite=False)
+        Recording(Path("replays"), direction="+x").check(TABLETOP, FILES, drafts, overwrite=False)
     with pytest.raises(GraspRefineError, match=r"--direction lift: there are \+x, -x, \+y, -y, \+z, -z"):
-        Recording(Path("replays"), direction="lift").check(FORCE_CLOSURE, FILES, problems, overwrite=False)
+        Recording(Path("replays"), direction="lift").check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
 
 
 def test_a_lift_is_recorded_from_the_pregrasp_to_the_top(group: Group, tmp_path: Path) -> None:

@@ -281,7 +281,7 @@ def test_run_tells_where_its_time_went(capfd: pytest.CaptureFixture[str]):
     assert main([*quick, "--validate"]) == 0
     assert "where the time went" not in capfd.readouterr().out
     assert json.loads(Path("run.json").read_text())["profile"] is None
-    assert main([*quick, "--profile", "--validate"]) == 0
+    assert main([*quick, "--profile", "--validate", "--overwrite"]) == 0
     out = capfd.readouterr().out
     assert "where the time went" in out and "  simulating " in out
     document = json.loads(Path("run.json").read_text())

@@ -253,7 +253,7 @@ def test_arrays_for_other_items_are_refused(both: tuple[Pairs, Pairs]) -> None:
     T_a, T_b = scattered(2, 0.06)
     last = query(both[0], T_a, T_b)
     for arguments in ((T_a[:1], T_b, None), (T_a, T_b[:1], None), (T_a, T_b, last.rows(slice(1)))):
-        with pytest.raises(ValueError, match="are for other items, or of other shapes"):
+        with pytest.raises(CollisionError, match="shape"):
             query(both[0], *arguments[:2], previous=arguments[2])
     for pair in ([0, len(both[0])], [-1, 0], [0]):
         with pytest.raises(ValueError, match="are for other items, or of other shapes"):
