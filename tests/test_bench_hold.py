@@ -64,7 +64,7 @@ def test_smoke_tells_what_holds_and_reports_in_one_file(capfd: pytest.CaptureFix
     for row in found["rows"]:
         assert row["grasps"] == 2 and 0 <= row["success_force_closure"] <= 1 and "success_strict" not in row
         assert sum(row["reasons_force_closure"].values()) == round(2 * (1 - row["success_force_closure"]))
-    assert all(row["cpu_ms_mean"] > 0 and row["contact_gap_median_m"] < 1e-4 for row in found["rows"][1:])
+    assert all(row["cpu_ms_mean"] > 0 and row["contact_gap_median_m"] < 1e-3 for row in found["rows"][1:])
     text = Path("hold.html").read_text(encoding="utf-8")
     assert "<svg" in text and not re.search(r"""(?:src|href)=["']https?:""", text)
     assert {path.name for path in Path().iterdir()} == {"hold.json", "hold.html"}

@@ -260,7 +260,7 @@ def test_targets_that_exclude_each_other_end_as_stalled_not_for_want_of_iteratio
     aimed: Scene, iterations: int, restarts: int
 ) -> None:
     """All links are to touch at the place of the first; new starts use up the iterations, and nothing falls."""
-    one = rows(aimed, [0])
+    one = rows(aimed, [1])
     place = np.where(np.isnan(one.target_object), np.nan, one.target_object[:, :1])
     assert (np.isfinite(place[..., 0]).sum(axis=1) >= 2).all()
     config = Config(solver=LevenbergMarquardt(iterations=iterations, restarts=restarts))

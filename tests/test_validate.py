@@ -117,17 +117,17 @@ def test_the_same_as_parquet(workplace: Path) -> None:
 
 def test_further_trials_are_told(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
     document = validate(
-        EXAMPLE, "--index", "1", "--noise", "2", "--frictions", "0.05", "0.9", "--without-squeeze"
+        EXAMPLE, "--index", "1", "--noise", "2", "--frictions", "0.02", "0.9", "--without-squeeze"
     )  # fmt: skip
     after = document["grasps"][0]["simulation"]["after"]
     assert after["noise_score"] in (0.0, 0.5, 1.0)
-    assert after["by_friction"] == {"0.05": False, "0.9": True}
-    assert document["totals"]["by_friction"] == {"0.05": 0, "0.9": 1}
+    assert after["by_friction"] == {"0.02": False, "0.9": True}
+    assert document["totals"]["by_friction"] == {"0.02": 0, "0.9": 1}
     # A grasp that only touches does not press.
     assert after["without_squeeze"] is False and after["flags"]["by_squeeze"] is True
     out = capfd.readouterr().out
     assert "held only by the squeeze (fails without): 1" in " ".join(out.split())
-    assert "held by friction: 0.05: 0.0 %, 0.9: 100.0 %" in out
+    assert "held by friction: 0.02: 0.0 %, 0.9: 100.0 %" in out
 
 
 def test_the_same_seed_gives_the_same_document(workplace: Path) -> None:
@@ -187,12 +187,12 @@ def test_replays_are_recorded(workplace: Path, capfd: pytest.CaptureFixture[str]
 
     from grasp_refine.replay.replay import load_replay
 
-    document = validate(EXAMPLE, "--index", "0", "--replays", "replays", "--direction", "+z")
-    replay = load_replay("replays/allegro_rounded_box_0_+z.npz")
+    document = validate(EXAMPLE, "--index", "1", "--replays", "replays", "--direction", "+z")
+    replay = load_replay("replays/allegro_rounded_box_1_+z.npz")
     (entry,) = [e for e in document["grasps"][0]["simulation"]["after"]["directions"] if e["direction"] == "+z"]
     assert replay.reason == entry["reason"]
     assert replay.displacement()[0][-1] == pytest.approx(entry["displacement_m"], abs=1e-12)
-    model = mujoco.MjModel.from_xml_path("replays/allegro_rounded_box_0_+z.xml")
+    model = mujoco.MjModel.from_xml_path("replays/allegro_rounded_box_1_+z.xml")
     assert model.nkey > 3
 
 
