@@ -48,8 +48,10 @@ _STEPS = (1.0, 8.0, 64.0, 512.0)
 """How far that way is followed: to its end, and beyond, because slivers have many such steps to go."""
 _NOTHING = 1e-12
 """The length of a vector that has no direction."""
+_FINE_EPA = 1e-10
+"""EPA's tolerance where the climb starts anew: 1e-8 is coarse to a piece that is far smaller than the unit."""
 _UNIT = 1e-6
-"""How far the square of a normal may be from 1: coal's is zero where the axes of capsules meet."""
+"""How far the square of a normal may be from 1."""
 _ASIDE = 0.25
 """How far from the best direction so far others are tried."""
 _AXES = np.array([sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)])
@@ -150,6 +152,7 @@ class Asker:
         """Prepare the requests."""
         self._tolerances = tolerances
         self._tight = _request(tolerances.gjk, tolerances.epa)
+        self._fine = _request(tolerances.gjk, _FINE_EPA)
         self._loose = _request(tolerances.retry, tolerances.retry)
         self._result, self._T = coal.DistanceResult(), coal.Transform3s()
         self.point = self.normal = np.zeros(3)
@@ -180,8 +183,11 @@ class Asker:
 
     def _is_proven(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, d: float) -> bool:
         """Whether the gap along coal's normal is d."""
-        n = self.normal
-        return bool(abs(d - pair.gap_quickly(R, t, n)) <= _SURE and abs(n @ n - 1.0) <= _UNIT)
+        return bool(abs(d - pair.gap_quickly(R, t, self.normal)) <= _SURE and self._has_normal())
+
+    def _has_normal(self) -> bool:
+        """Whether coal's normal has length 1; it is zero where the axes of capsules meet."""
+        return bool(abs(_square(self.normal) - 1.0) <= _UNIT)
 
     def _ask(self, pair: PiecePair, t: np.ndarray, request: coal.DistanceRequest, guess: np.ndarray) -> float:
         """Coal's answer for body b at t (3,), as it is."""
@@ -203,6 +209,10 @@ class Asker:
             # Elsewhere there may be a larger gap.
             return bool(best.closed and (abs(d - best.gap) <= close or (math.isnan(d) and best.gap > 0.0)))
 
+        if d <= _TOUCHING and not sure():
+            self._ask(pair, t, self._fine, _NO_GUESS)
+            if self._has_normal():
+                starts.insert(1, self.normal)
         for k in range(1, len(starts) + len(_AXES)):
             if sure():
                 break
@@ -218,7 +228,7 @@ class Asker:
     def _starts(self, pair: PiecePair, R: np.ndarray, t: np.ndarray) -> list[np.ndarray]:
         """Directions to begin with: coal's normal, across two capsules, the line between the centres, and the axes."""
         across, m = pair.across(R), pair.between(R, t)
-        starts = [self.normal] if abs(_square(self.normal) - 1.0) <= _UNIT else []
+        starts = [self.normal] if self._has_normal() else []
         starts += [_normalized(u) for u in (across, m) if _square(u) > _NOTHING**2]
         return [*starts, *_AXES]
 
