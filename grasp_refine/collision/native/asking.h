@@ -20,7 +20,7 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr double kWild = 1e300;  // A distance beyond this, either way, is no answer.
 
 // As in asking.py, in units of the pieces.
-constexpr double kSure = 1e-10, kTouching = 4e-9, kNothing = 1e-12, kUnit = 1e-6, kAside = 0.25;
+constexpr double kSure = 1e-10, kTouching = 4e-9, kNothing = 1e-12, kUnit = 1e-6, kAside = 0.25, kFineEpa = 1e-10;
 constexpr double kApart[] = {0.25, 1.0 / 16384}, kSteps[] = {1, 8, 64, 512};
 constexpr int kRounds = 32, kEpaIterations = 256;
 
@@ -94,6 +94,7 @@ class Asker {
   void set(const Tolerances& tolerances) {
     tolerances_ = tolerances;
     prepare(tight_, tolerances.gjk, tolerances.epa);
+    prepare(fine_, tolerances.gjk, kFineEpa);
     prepare(loose_, tolerances.retry, tolerances.retry);
   }
 
@@ -154,13 +155,20 @@ class Asker {
   // The largest gap that is found, where that is not what coal says, d (NaN: nothing).
   double settled(const PiecePair& pair, const Transform3s& T, double d) {
     const double close = 0.5 * tolerances_.gjk * (1 + std::abs(d));
-    Vec3s starts[9];
-    const int count = begin(pair, T, starts);
+    Vec3s starts[10];
+    int count = begin(pair, T, starts);
     Climbed best = climb(pair, T, starts[0]);
     // Elsewhere there may be a larger gap.
     const auto sure = [&] {
       return best.closed && (std::abs(d - best.gap) <= close || (std::isnan(d) && best.gap > 0));
     };
+    if (d <= kTouching && !sure()) {
+      ask(pair, T, fine_, no_guess());
+      if (has_normal()) {
+        std::copy_backward(starts + 1, starts + count, starts + count + 1);
+        starts[1] = normal, ++count;
+      }
+    }
     for (int k = 1; k < count + 6 && !sure(); ++k) {
       const Vec3s u = k < count ? starts[k] : Vec3s(normalized(best.normal + kAside * axis(k - count)));
       const Climbed found = climb(pair, T, u);
@@ -218,7 +226,7 @@ class Asker {
   }
 
   coal::GJKSolver solver_;
-  coal::DistanceRequest tight_, loose_;
+  coal::DistanceRequest tight_, fine_, loose_;
   coal::DistanceResult result_;
   Tolerances tolerances_{};
 };
