@@ -52,7 +52,7 @@ def gripper(kp: float = KP) -> HandModel:
 
 
 def ball(radius: float = RADIUS) -> Object:
-    return load_object(f"sphere:{radius}", candidates=16)
+    return load_object(f"sphere:{radius}", unit="m", candidates=16)
 
 
 def two_balls() -> Object:
