@@ -26,7 +26,7 @@ from grasp_refine.errors import GraspRefineError
 HERE = Seen((("grasp-refine", "1.0"), ("Python", "3.11"), ("distributed", "2026.8.0")), True, True)
 
 
-def ignore(number: int, what: str, share: float) -> None:
+def ignore(number: int, what: str, share: float, refined: int) -> None:
     pass
 
 

@@ -23,7 +23,7 @@ from shard_works import Slow, Tally, Unknown, Unloadable, done, some_shards, tal
 from grasp_refine.errors import GraspRefineError
 
 
-def ignore(number: int, what: str, share: float) -> None:
+def ignore(number: int, what: str, share: float, refined: int) -> None:
     pass
 
 
