@@ -49,7 +49,8 @@ class Shown:
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
-    return example()
+    """The first example grasp that holds with the usual friction."""
+    return example(index=(1,))
 
 
 @pytest.fixture
@@ -63,7 +64,7 @@ def test_a_grasp_that_fails_is_tested_and_its_failure_is_watched(shown: Shown, m
     assert "Not tested yet" in shown.widget("result").content and not shown.widget("watch").visible
     shown.page.change(shown.widget("friction"), 0.15)
     shown.proved()
-    assert "Does not hold: the object was lost in 1 of 6 directions (+z)" in shown.widget("result").content
+    assert "Does not hold: the object was lost in 2 of 6 directions (-y, +z)" in shown.widget("result").content
     assert "friction 0.15" in shown.widget("notes").content
     assert shown.widget("watch").options == ("+x", "-x", "+y", "-y", "+z", "-z")
     # While it was simulated, it said how far it was.
