@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
-from running_processes import PATIENCE_S
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Locator, Page
@@ -35,7 +34,7 @@ NOISE = ("Unable to preventDefault inside passive event listener",)
 DETAIL = 0.2
 """Pixels drawn per pixel of the window, along each axis: without a graphics card a scene takes a second at 1."""
 
-SECONDS = PATIENCE_S
+SECONDS = 120.0
 """How long a helper waits for what it was asked for before the test fails."""
 
 POSE = """name => {

@@ -49,7 +49,7 @@ def page(viewer: Viewer, open_page: Callable[..., ViserPage]) -> ViserPage:
     page.wait_for_text("contact error")
     if page.button("Reset").is_enabled():
         page.click("Reset")
-    page.wait_for_text("contact error 14.44 mm")
+    page.wait_for_text("contact error 1.94 mm")
     return page
 
 
@@ -73,7 +73,7 @@ def test_hand_and_object_are_seen(viewer: Viewer, page: ViserPage):
 def test_a_click_refines_the_grasp_and_the_plotted_contact_error_falls(page: ViserPage):
     came = page.pose(FINGERTIP)
     errors = refine(page)
-    assert errors[0] == pytest.approx(14.44, abs=0.01)
+    assert errors[0] == pytest.approx(1.94, abs=0.01)
     assert errors[-1] < 0.1 and np.nanmin(errors) < 0.01
     assert (np.diff(np.fmin.accumulate(errors)) <= 0).all()
     assert heading(page).startswith("contact error 0.00 mm")
@@ -91,7 +91,7 @@ def test_the_timeline_moves_the_hand(page: ViserPage):
     page.drag_slider("Iteration", 0.98, 0.5, 0.0)
     until(lambda: page.value("Iteration") == "0", "the first iteration")
     until(lambda: np.allclose(page.pose(FINGERTIP), came, atol=1e-6), "the hand as it came")
-    until(lambda: heading(page).startswith("contact error 14.44 mm"), "its numbers")
+    until(lambda: heading(page).startswith("contact error 1.94 mm"), "its numbers")
     until(lambda: marked(page) == 0, "the line in the chart")
 
     page.enter("Iteration", 5)
@@ -122,7 +122,7 @@ def test_fifty_clicks_on_start_and_stop_leave_a_page_that_refines(page: ViserPag
         (start, stop)[k % 2].dispatch_event("click")
     until(lambda: page.button("Start").is_enabled(), "nothing is being refined")
     page.click("Reset")
-    until(lambda: heading(page).startswith("contact error 14.44 mm"), "the grasp as it came")
+    until(lambda: heading(page).startswith("contact error 1.94 mm"), "the grasp as it came")
     assert refine(page)[-1] < 0.1
 
 

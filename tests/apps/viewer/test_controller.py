@@ -24,6 +24,9 @@ from grasp_refine.problem import Problem
 from grasp_refine.refine import refine
 from grasp_refine.se3 import exp_so3, inverse, transform, transform_points
 
+SLIPPING = 1
+"""The first example grasp that holds with the usual friction: with little, the object turns in the hand."""
+
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
@@ -63,10 +66,13 @@ def test_a_refinement_ends_where_the_command_line_ends(viewer: Controller) -> No
     assert trace is not None and len(trace) > 20 and len(trace.label) == len(trace)
     assert same(trace.pose(len(trace) - 1), state.pose)
     np.testing.assert_array_equal(trace.pose(0).T_object_root, state.initial.T_object_root)
-    assert trace.contact_error[0] > 5e-3 and trace.contact_error[-1] < 1e-5
+    assert trace.contact_error[0] > 1e-3 and trace.contact_error[-1] < 1e-5
     assert trace.penetration[0] > 1e-3 and trace.penetration[-1] < 1e-5
     assert state.outcome is not None and state.outcome.quality[0, 1] > 0.95 > state.outcome.quality[0, 0]
-    assert trace.contact_error[0] == pytest.approx(state.outcome.worst_error[0, 0], abs=1e-9)
+    # Of the links that should touch then, which are not all that touch in the end.
+    before, after = state.outcome.contact_error[0]
+    assert trace.contact_error[0] == pytest.approx(before[trace.touching[0]].max(), abs=1e-9)
+    assert trace.contact_error[-1] == pytest.approx(after[trace.touching[-1]].max(), abs=1e-9)
     # It was seen while it ran.
     seen = [state for state in states if state.job is not None and state.job.kind == "refine" and state.trace]
     assert len({len(state.trace) for state in seen}) > 3
@@ -198,7 +204,7 @@ def test_a_target_set_by_clicks_is_reached(viewer: Controller) -> None:
     near = {target.link: target for target in viewer.state.targets}
     viewer.clear_targets()
     assert viewer.state.targets == ()
-    link = next(iter(near))
+    link = "link_7.0_tip"  # in the middle of the wall
     viewer.set_picking(True)
     viewer.pick_object(near[link].point_object)
     assert "click a link of the hand first" in viewer.state.notice.text
@@ -240,6 +246,7 @@ def test_targets_are_moved_replaced_deleted_and_brought_back(viewer: Controller)
 
 
 def test_a_proof_says_what_held_and_its_motion_can_be_watched(viewer: Controller) -> None:
+    viewer.show(SLIPPING)
     viewer.prove("force-closure", 0.15)
     settled(viewer)
     proof = viewer.state.proof
@@ -293,6 +300,7 @@ def test_a_mark_that_cannot_be_written_is_told_and_kept(tmp_path: Path, problem:
 
 
 def test_a_simulation_is_only_looked_at(viewer: Controller) -> None:
+    viewer.show(SLIPPING)
     first = viewer.state.pose
     viewer.prove("force-closure", 0.15)
     settled(viewer)

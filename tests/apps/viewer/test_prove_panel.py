@@ -49,7 +49,8 @@ class Shown:
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
-    return example()
+    """The first example grasp that holds with the usual friction."""
+    return example(index=(1,))
 
 
 @pytest.fixture
@@ -63,7 +64,7 @@ def test_a_grasp_that_fails_is_tested_and_its_failure_is_watched(shown: Shown, m
     assert "Not tested yet" in shown.widget("result").content and not shown.widget("watch").visible
     shown.page.change(shown.widget("friction"), 0.15)
     shown.proved()
-    assert "Does not hold: the object was lost in 1 of 6 directions (+z)" in shown.widget("result").content
+    assert "Does not hold: the object was lost in 2 of 6 directions (-y, +z)" in shown.widget("result").content
     assert "friction 0.15" in shown.widget("notes").content
     assert shown.widget("watch").options == ("+x", "-x", "+y", "-y", "+z", "-z")
     # While it was simulated, it said how far it was.
@@ -75,11 +76,12 @@ def test_a_grasp_that_fails_is_tested_and_its_failure_is_watched(shown: Shown, m
     shown.watched("+z")
     motion = shown.controller.state.motion
     assert motion is not None and motion.direction == "+z" and motion.reason == "turned"
-    assert shown.widget("slider").max == pytest.approx(2.8)
+    # It is watched until the object fell far enough.
+    assert shown.widget("slider").max == pytest.approx(motion.seconds) and 0.8 < motion.seconds < 2.8
     # It plays at once, in real time, and ends by itself.
     until(lambda: shown.controller.state.motion_frame == len(motion) - 1)
-    until(lambda: shown.widget("play").label == PLAY and shown.widget("slider").value == pytest.approx(2.8))
-    assert "pushed along +z, 2.00 s" in shown.widget("line").content and "lost" in shown.widget("line").content
+    until(lambda: shown.widget("play").label == PLAY and shown.widget("slider").value == pytest.approx(motion.seconds))
+    assert f"pushed along +z, {motion.seconds - 0.8:.2f} s" in shown.widget("line").content and "lost" in shown.widget("line").content
     seconds = shown.page.told(shown.widget("slider"))
     assert seconds == sorted(seconds) and len(seconds) > 2
 

@@ -240,7 +240,8 @@ def test_a_grasp_that_cannot_start_is_told_and_cannot_be_watched(
 ) -> None:
     pose = as_it_came(scene)
     inside = Pose(pose.T_object_root.copy(), pose.q)
-    inside.T_object_root[0, 3] += 0.06
+    towards = np.array([0.0, 0.0, 0.05]) - pose.T_object_root[:3, 3]  # the middle of the mug
+    inside.T_object_root[:3, 3] += 0.08 * towards / np.linalg.norm(towards)
     proved = prove(prover, scene, inside, FORCE_CLOSURE, prepared=prepared)
     assert proved.before_push == Reason.PENETRATES and not proved.watchable
     assert proved.verdict.startswith("Does not hold: hand and object overlap by ")
