@@ -27,7 +27,6 @@ EXAMPLE = "1"
 """The first example grasp that holds before it is refined."""
 FRICTION = "0.15"
 """So little that this grasp loses the object in two directions."""
-
 SLIPPING = "1.0"
 """Second of the replay at which the object is turning in the hand."""
 
@@ -57,8 +56,8 @@ def take(page: Page) -> None:
     page.get_by_text("Does not hold", exact=False).wait_for()
     page.get_by_text("+z", exact=True).last.click()
     page.get_by_text("it is lost", exact=False).first.wait_for(timeout=60_000)
-    # The object is still seen: a little later it flies away.
     page.wait_for_timeout(4000)
+    # At the end of the replay the object is out of sight.
     seconds = page.locator("xpath=//label[normalize-space(.)='Seconds']/following::input[@type='text'][1]").last
     seconds.fill(SLIPPING)
     seconds.blur()
