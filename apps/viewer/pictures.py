@@ -23,8 +23,12 @@ WIDTH, HEIGHT = 1400, 900
 """Pixels of the window."""
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 """Chromium draws without a graphics card."""
+EXAMPLE = "1"
+"""The first example grasp that holds before it is refined."""
 FRICTION = "0.15"
-"""So little that the example as it came is lost in one direction."""
+"""So little that this grasp loses the object in two directions."""
+SLIPPING = "1.0"
+"""Second of the replay at which the object is turning in the hand."""
 
 
 def save(page: Page, name: str) -> None:
@@ -45,7 +49,7 @@ def take(page: Page) -> None:
     page.get_by_text("Converged", exact=True).wait_for()
     save(page, "overview.png")
     page.get_by_role("button", name="Reset").first.click()
-    page.get_by_text("Prove", exact=True).click()
+    page.get_by_role("tab", name="Prove").click()
     page.locator("xpath=//label[normalize-space(.)='Friction']/following::input[1]").fill(FRICTION)
     page.wait_for_timeout(500)
     page.get_by_role("button", name="Test in MuJoCo").click()
@@ -53,6 +57,11 @@ def take(page: Page) -> None:
     page.get_by_text("+z", exact=True).last.click()
     page.get_by_text("it is lost", exact=False).first.wait_for(timeout=60_000)
     page.wait_for_timeout(4000)
+    # At the end of the replay the object is out of sight.
+    seconds = page.locator("xpath=//label[normalize-space(.)='Seconds']/following::input[@type='text'][1]").last
+    seconds.fill(SLIPPING)
+    seconds.blur()
+    page.mouse.move(10, 10)  # away from the button, whose hint would be seen
     save(page, "replay.png")
 
 
@@ -60,7 +69,7 @@ def main() -> None:
     """Write both pictures."""
     from playwright.sync_api import sync_playwright
 
-    command = [sys.executable, "-m", "grasp_refine.cli", "view", "--port", "0", "--no-open"]
+    command = [sys.executable, "-m", "grasp_refine.cli", "view", "--index", EXAMPLE, "--port", "0", "--no-open"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as viewer, sync_playwright() as playwright:
         try:
             assert viewer.stdout is not None

@@ -81,7 +81,8 @@ def test_a_grasp_that_fails_is_tested_and_its_failure_is_watched(shown: Shown, m
     # It plays at once, in real time, and ends by itself.
     until(lambda: shown.controller.state.motion_frame == len(motion) - 1)
     until(lambda: shown.widget("play").label == PLAY and shown.widget("slider").value == pytest.approx(motion.seconds))
-    assert f"pushed along +z, {motion.seconds - 0.8:.2f} s" in shown.widget("line").content and "lost" in shown.widget("line").content
+    line = shown.widget("line").content
+    assert f"pushed along +z, {motion.seconds - 0.8:.2f} s" in line and "lost" in line
     seconds = shown.page.told(shown.widget("slider"))
     assert seconds == sorted(seconds) and len(seconds) > 2
 
