@@ -52,7 +52,8 @@ def check_fields(settings: Any) -> None:
     Raises:
         GraspRefineError: names the class and the field.
     """
-    for name, kind in _kinds(type(settings)):
+    settings_class: type = type(settings)
+    for name, kind in _kinds(settings_class):
         value = getattr(settings, name)
         if isinstance(value, list) and get_origin(kind) is tuple:
             value = tuple(value)

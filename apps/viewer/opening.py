@@ -167,8 +167,8 @@ def _with_grasps(upload: Upload, scene: Scene, tell: Callable[[str], None], chec
             groups.append((name, float(scale), new, grasps.select(at), at))
     doubts = convention_notes([group[2] for group in groups])
     problem = _problem(upload, hand, groups, (*notes, *doubts))
-    present = {(name, scale): new.object for name, scale, new, *_ in groups}
-    others = (_said(note, upload) for note in check_objects(read.files, present, other=True))
+    objects = {(name, scale): new.object for name, scale, new, *_ in groups}
+    others = (_said(note, upload) for note in check_objects(read.files, objects, other=True))
     files = tuple(dict.fromkeys((upload.source, *read.files)))
     return replace(problem, files=files, notes=(*problem.notes, *others))
 

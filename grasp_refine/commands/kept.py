@@ -98,7 +98,8 @@ class KeptInputs(Inputs):
 
     def _cut(self, objects: Sequence[UncutObject], seed: int, say: Callable[[str], None]) -> Sequence[Object]:
         cut = super()._cut
-        return [
-            self.kept.get("object", (uncut, self.threshold, seed), lambda uncut=uncut: cut([uncut], seed, say)[0])
-            for uncut in objects
-        ]
+
+        def one(uncut: UncutObject) -> Object:
+            return self.kept.get("object", (uncut, self.threshold, seed), lambda: cut([uncut], seed, say)[0])
+
+        return [one(uncut) for uncut in objects]

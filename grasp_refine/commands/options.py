@@ -111,10 +111,10 @@ def _grasps_hint(complaint: str, command: type[Any]) -> str:
     return "" if word.startswith("-") or not _has_option(command, "grasps") else f"; perhaps --grasps {word}"
 
 
-def _has_option(command: type[Any], name: str) -> bool:
+def _has_option(command: Any, name: str) -> bool:
     """Whether a dataclass of options, or one inside it, has a field of this name."""
     types = get_type_hints(command)
-    return name in types or any(is_dataclass(kind) and _has_option(kind, name) for kind in types.values())
+    return name in types or any(_has_option(kind, name) for kind in types.values() if is_dataclass(kind))
 
 
 def flag(name: str, prefix: str = "--") -> str:

@@ -24,7 +24,9 @@ class Analytical:
     coupling: Coupling = "coupled"
     """Solve both slips together, or hold the other witness point fixed."""
 
-    __post_init__ = check_fields
+    def __post_init__(self) -> None:
+        """Refuse settings of other kinds."""
+        check_fields(self)
 
     def slip(self, scene: WitnessScene) -> Slip:
         """Slip matrices (batch, pair, 3, 3) of both bodies, world frame."""

@@ -44,7 +44,9 @@ class ContactKinematics:
     seed: int = 0
     """Seed of the random choice of samples."""
 
-    __post_init__ = check_fields
+    def __post_init__(self) -> None:
+        """Refuse settings of other kinds."""
+        check_fields(self)
 
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None

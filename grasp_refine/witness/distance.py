@@ -30,7 +30,9 @@ class Distance:
     seed: int = 0
     """Seed of the random choice of samples."""
 
-    __post_init__ = check_fields
+    def __post_init__(self) -> None:
+        """Refuse settings of other kinds."""
+        check_fields(self)
 
     def slip(self, scene: WitnessScene) -> Slip:
         """Slip matrices (batch, pair, 3, 3) of both bodies, world frame."""

@@ -35,7 +35,9 @@ class EquivalentTransport:
     both: bool = False
     """The body called resting moves too, with the same step sizes, and gets the gradient of the other in turn."""
 
-    __post_init__ = check_fields
+    def __post_init__(self) -> None:
+        """Refuse settings of other kinds."""
+        check_fields(self)
 
     def __call__(self, T_world_moving: Tensor, T_world_resting: Tensor) -> tuple[Tensor, Tensor]:
         """The same poses (..., 4, 4), whose gradients will be transported in the backward pass."""
