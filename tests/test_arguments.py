@@ -134,8 +134,6 @@ REFUSED = {
     "query(pairs, T_a[0], T_b[0])": "(batch, 1, 4, 4)",
     "query(pairs, np.tile(T_a, (2, 1, 1, 1)), T_b)": "(2, 1, 4, 4)",
     "query(pairs, T_a, T_b, cutoff=[1.0, 2.0])": "cutoff",
-    "query(pairs, T_a, np.diag([2.0, 2.0, 2.0, 1.0])[None, None])": "T_world_b[0, 0]",
-    "query(pairs, T_a, T_b * [[[[1.0], [1.0], [-1.0], [1.0]]]])": "T_world_b[0, 0]",
     "layer(t_a[0], t_b[0])": "(batch, 1, 4, 4)",
     "layer(t_a.tile(2, 1, 1, 1), t_b)": "(2, 1, 4, 4)",
     "layer(t_a, t_b, torch.zeros(3))": "target_a",
