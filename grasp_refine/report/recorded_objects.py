@@ -72,7 +72,6 @@ def check_objects(
         GraspFileError: the surface of an object is another one, as that of the same mesh at another scale is, and
             that is not meant.
     """
-    digests = {key: _digests(obj) for key, obj in present.items()}
     notes = []
     for file in files:
         entries = read_provenance(file).get("objects")
@@ -82,11 +81,11 @@ def check_objects(
                 measures, known = np.array(entry["measures_m"], dtype=np.float64).reshape(11), key in present
             except (LookupError, TypeError, ValueError, ArithmeticError):
                 continue
-            if not known or recorded | digests[key] == recorded:
+            if not known or recorded | (digests := _digests(present[key])) == recorded:
                 continue
             made = f"{file}: its grasps of '{entry['name']}' were refined on"
             now = present[key]
-            if recorded["mesh"] == digests[key]["mesh"]:
+            if recorded["mesh"] == digests["mesh"]:
                 notes.append(f"{made} other convex pieces of the same mesh")
                 continue
             if np.allclose(
