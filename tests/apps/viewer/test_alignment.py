@@ -131,7 +131,9 @@ def test_one_can_go_to_what_the_method_gave_back(shown: AlignmentPage, visitor: 
 def test_a_run_is_played_to_its_end_and_again(shown: AlignmentPage, visitor: Page, task: AlignmentTask):
     visitor.change(shown.method, shown.method.options[RIGID])
     drawn(shown, method=RIGID)
-    visitor.change(shown.slider, 19)
+    # Ten iterations are played for 4 s, so that a busy machine sees it play.
+    visitor.change(shown.slider, 10)
+    drawn(shown, iteration=10)
     visitor.change(shown.play, True)
     drawn(shown, playing=True)
     assert shown.play.label == "Stop"
@@ -176,8 +178,9 @@ def test_what_is_seen_beside_the_bodies_can_be_chosen(shown: AlignmentPage, visi
 
 def test_the_chart_shows_the_errors(shown: AlignmentPage, visitor: Page, task: AlignmentTask):
     visitor.change(shown.method, shown.method.options[DISTANCE])
+    drawn(shown, method=DISTANCE)
     visitor.change(shown.slider, 30)
-    drawn(shown, method=DISTANCE, iteration=30)
+    drawn(shown, iteration=30)
     until(lambda: shown._charted is shown._drawn)
     x, *lines, each, here, solved = shown.plot.data
     run = task.trajectories[DISTANCE]
