@@ -21,8 +21,9 @@ def subprocess_environment() -> dict[str, str]:
 
 
 def interruptible() -> None:
-    """For `preexec_fn`: tests that run in the background of a script inherit that interrupts are ignored."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    """For `preexec_fn`: tests that run in the background of a script, or under nohup, inherit ignored signals."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 def call(*arguments: str) -> subprocess.CompletedProcess[str]:
