@@ -1,19 +1,29 @@
-"""What tests ask of a refusal: its type, that it is one line, and the values and choices that it names; not its prose."""
+"""Assertions on refusals: their type, that they are one line, and the values and choices that they name."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from types import TracebackType
 
 import pytest
 
 
-@contextmanager
-def refused(kind: type[BaseException], *named: object) -> Iterator[pytest.ExceptionInfo[BaseException]]:
+class refused:  # noqa: N801 - read as a statement: with refused(GraspFileError, "apple.obj"): ...
     """Expect an error of one line that names each of `named`: files, options, numbers, joints, choices."""
-    with pytest.raises(kind) as caught:
-        yield caught
-    assert_names(str(caught.value), *named)
+
+    def __init__(self, kind: type[BaseException], *named: object) -> None:
+        self._raises, self._named = pytest.raises(kind), named
+
+    def __enter__(self) -> pytest.ExceptionInfo[BaseException]:
+        self._caught = self._raises.__enter__()
+        return self._caught
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool:
+        held = bool(self._raises.__exit__(kind, error, trace))
+        if held:
+            assert_names(str(self._caught.value), *self._named)
+        return held
 
 
 def assert_names(message: str, *named: object) -> None:
