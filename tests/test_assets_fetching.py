@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from asset_server import CONTENTS, MIDDLE, Server, made_asset, made_tree, serving
 from command_line import subprocess_environment
+from refusals import assert_names, refused
 from running_processes import PATIENCE_S
 
 from grasp_refine.asset_library.cache import asset_folder, inside, is_whole
@@ -51,6 +52,15 @@ def claw(tmp_path: Path) -> Asset:
 
 def fetch(asset: Asset, server: Server, **options: object) -> Path:
     return fetch_asset(asset, Mirror(server.address), pause=0.01, **options)
+
+
+def refusal(asset: Asset, server: Server) -> str:
+    """The message of a fetch that fails; an error that is kept would hold its connection until garbage is collected."""
+    try:
+        fetch(asset, server)
+    except AssetError as error:
+        return str(error)
+    pytest.fail("it was fetched")
 
 
 def files_in(folder: Path) -> dict[str, bytes]:
@@ -137,25 +147,24 @@ def test_another_manifest_has_another_folder(claw: Asset, tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("fault", "attempts", "message"),
+    ("fault", "attempts", "named"),
     [
-        ("wrong", ATTEMPTS, r"is not the file that the manifest means, its sha256 is not [0-9a-f]{64}; nothing"),
-        ("cut", ATTEMPTS, r"the connection to 127.0.0.1:\d+ broke off \(tried 3 times\); files that were whole are"),
-        ("long", 1, r"has more than the 320000 bytes it may have; nothing was kept"),
-        ("short", ATTEMPTS, r"is not the file that the manifest means"),
-        ("endless", 1, r"has more than the 320000 bytes it may have; nothing was kept"),
-        (404, 1, r"127.0.0.1:\d+ answered 404 Not Found for http://127.0.0.1:\d+/claw/meshes/tip.obj; nothing"),
-        (503, ATTEMPTS, r"127.0.0.1:\d+ answered 503 .*; try again later, or name a mirror, GRASP_REFINE_ASSETS="),
-        ("to file:///etc/passwd", 1, r"leads to where nothing is fetched from, only http and https are"),
-        ("to ftp://127.0.0.1/x", 1, r"leads to where nothing is fetched from, only http and https are"),
+        ("wrong", ATTEMPTS, ("sha256", hashlib.sha256(CONTENTS["meshes/tip.obj"]).hexdigest())),
+        ("cut", ATTEMPTS, ("127.0.0.1:", f"{ATTEMPTS} times")),
+        ("long", 1, ("320000 bytes",)),
+        ("short", ATTEMPTS, ("sha256",)),
+        ("endless", 1, ("320000 bytes",)),
+        (404, 1, ("404 Not Found", "http://127.0.0.1:", "/claw/meshes/tip.obj")),
+        (503, ATTEMPTS, ("127.0.0.1:", "503", "GRASP_REFINE_ASSETS=")),
+        ("to file:///etc/passwd", 1, ("http ", "https ")),
+        ("to ftp://127.0.0.1/x", 1, ("http ", "https ")),
     ],
 )  # fmt: skip
 def test_a_file_that_fails_leaves_nothing_of_itself(
-    claw: Asset, server: Server, cache: Path, fault: str | int, attempts: int, message: str
+    claw: Asset, server: Server, cache: Path, fault: str | int, attempts: int, named: tuple[str, ...]
 ):
     server.faults[MIDDLE] = fault
-    with pytest.raises(AssetError, match=f"^hands/claw, meshes/tip.obj: .*{message}"):
-        fetch(claw, server)
+    assert_names(refusal(claw, server), "hands/claw", "meshes/tip.obj", *named)
     assert server.asked[MIDDLE] == attempts
     # Those that were whole stay.
     folder = asset_folder(claw, "mirror")
@@ -205,21 +214,19 @@ def test_a_process_that_is_killed_leaves_nothing_that_counts(
 
 def test_a_first_file_that_fails_leaves_no_folder(claw: Asset, server: Server, cache: Path):
     server.faults["/claw/claw.urdf"] = "wrong"
-    with pytest.raises(AssetError, match="is not the file that the manifest means"):
-        fetch(claw, server)
+    assert_names(refusal(claw, server), "hands/claw", "claw.urdf", "sha256")
     assert not cache.exists()
 
 
 def test_nobody_answers(claw: Asset, cache: Path):
     with socket.socket() as waiting:
         waiting.bind(("127.0.0.1", 0))  # bound, but it does not listen
-        base = f"http://user:secret@127.0.0.1:{waiting.getsockname()[1]}"
-        message = (
-            rf"^hands/claw, claw.urdf: 127.0.0.1:\d+ cannot be reached \(Connection refused; tried {ATTEMPTS} times\); "
-            r"check the connection, or name a mirror, GRASP_REFINE_ASSETS=FOLDER or GRASP_REFINE_ASSETS=https://...$"
-        )
-        with pytest.raises(AssetError, match=message):
-            fetch_asset(claw, Mirror(base), pause=0.01)
+        address = f"127.0.0.1:{waiting.getsockname()[1]}"
+        named = ("hands/claw", "claw.urdf", address, "Connection refused", f"{ATTEMPTS} times")
+        ways_out = ("GRASP_REFINE_ASSETS=FOLDER", "GRASP_REFINE_ASSETS=https://...")
+        with refused(AssetError, *named, *ways_out) as caught:
+            fetch_asset(claw, Mirror(f"http://user:secret@{address}"), pause=0.01)
+        assert "secret" not in str(caught.value)
     assert not cache.exists()
 
 
@@ -235,13 +242,13 @@ def test_a_login_in_an_address_is_never_shown(claw: Asset, server: Server):
 def test_a_folder_with_another_file_or_without_one_is_refused(claw: Asset, tmp_path: Path, cache: Path):
     mirror = made_tree(tmp_path / "mirror")
     (mirror / "claw/claw.urdf").write_bytes(b"y" * len(CONTENTS["claw.urdf"]))
-    with pytest.raises(AssetError, match="mirror/claw/claw.urdf is not the file that the manifest means"):
+    with refused(AssetError, "mirror/claw/claw.urdf", "sha256"):
         fetch_asset(claw, Mirror(mirror))
     (mirror / "claw/claw.urdf").write_bytes(b"y" * 200_000)
-    with pytest.raises(AssetError, match="has more than the 21 bytes it may have"):
+    with refused(AssetError, "claw.urdf", "21 bytes"):
         fetch_asset(claw, Mirror(mirror))
     (mirror / "claw/claw.urdf").unlink()
-    with pytest.raises(AssetError, match=r"^hands/claw, claw.urdf: .*claw.urdf cannot be read \(no such file\)$"):
+    with refused(AssetError, "hands/claw", mirror / "claw/claw.urdf"):
         fetch_asset(claw, Mirror(mirror))
     assert not cache.exists()
 
@@ -249,7 +256,7 @@ def test_a_folder_with_another_file_or_without_one_is_refused(claw: Asset, tmp_p
 def test_a_cache_that_is_a_file_is_said(claw: Asset, server: Server, cache: Path):
     cache.parent.mkdir(parents=True)
     cache.write_text("")
-    with pytest.raises(AssetError, match=r"claw.urdf: cannot be written \(Not a directory\)"):
+    with refused(AssetError, "claw.urdf", "Not a directory"):
         fetch(claw, server)
 
 
@@ -258,14 +265,14 @@ def test_a_cache_that_is_a_file_is_said(claw: Asset, server: Server, cache: Path
 
 @pytest.mark.parametrize("place", ["../x", "/etc/passwd", "a/../../../x", "a\\..\\x", "", "../../../../../x"])
 def test_a_place_outside_of_the_cache_is_refused(claw: Asset, place: str):
-    with pytest.raises(AssetError, match="^'.*' does not stay in the cache of assets, "):
+    with refused(AssetError, f"'{place}'"):
         inside(asset_folder(claw, "mirror"), place)
 
 
 def test_a_place_that_no_file_can_have_is_refused(claw: Asset):
     folder = asset_folder(claw, "mirror")
     folder.mkdir(parents=True)
-    with pytest.raises(AssetError, match="^'9{3000}' cannot be the name of a file: File name too long$"):
+    with refused(AssetError, f"'{'9' * 3000}'", "File name too long"):
         inside(folder, "9" * 3000)
 
 
@@ -277,28 +284,27 @@ def test_nothing_is_written_or_read_through_a_link(claw: Asset, server: Server, 
     place = cache / link.replace("FOLDER", name)
     place.parent.mkdir(parents=True)
     place.symlink_to(outside / "tip.obj" if place.suffix else outside)
-    with pytest.raises(AssetError, match=rf"^{re.escape(str(place))}: is a link, nothing is read or written"):
+    with refused(AssetError, place, "link"):
         fetch(claw, server)
     assert not any(outside.iterdir())
     if place.is_relative_to(asset_folder(claw, "mirror")) or place.suffix:
         (verdict,) = verify([claw])
-        assert verdict.state == "damaged" and "is a link" in verdict.reason
+        assert verdict.state == "damaged" and "link" in verdict.reason
 
 
 def test_a_folder_in_the_way_is_refused(claw: Asset, server: Server):
     (asset_folder(claw, "mirror") / "claw.urdf").mkdir(parents=True)
-    with pytest.raises(AssetError, match="claw.urdf: is a folder where a file should be; remove it and fetch again"):
+    with refused(AssetError, asset_folder(claw, "mirror") / "claw.urdf"):
         fetch(claw, server)
 
 
 # Licences
 
 
-@pytest.mark.parametrize(("terms", "said"), [("non-commercial", "restricts use"), ("unclear", "is not clear")])
-def test_a_licence_that_restricts_is_accepted_first(tmp_path: Path, server: Server, terms: str, said: str, cache: Path):
+@pytest.mark.parametrize("terms", ["non-commercial", "unclear"])
+def test_a_licence_that_restricts_is_accepted_first(tmp_path: Path, server: Server, terms: str, cache: Path):
     claw = made_asset(tmp_path / "manifest", terms=terms, licence="some words")
-    message = rf"^hands/claw: its licence {said} \(some words\); .* assets fetch hands/claw --accept-license$"
-    with pytest.raises(AssetError, match=message):
+    with refused(AssetError, "some words", "assets fetch hands/claw --accept-license"):
         fetch(claw, server)
     assert not server.asked and not cache.exists()
     folder = fetch(claw, server, accept_license=True)
@@ -345,22 +351,22 @@ def test_files_of_an_installed_package_are_copied(packaged: Asset, tmp_path: Pat
     assert files_in(fetch_asset(packaged, Upstream())) == CONTENTS
     (tmp_path / "site/claw.urdf").write_text("other")
     (asset_folder(packaged, "upstream") / "claw.urdf").unlink()
-    with pytest.raises(AssetError, match="site/claw.urdf is not the file that the manifest means"):
+    with refused(AssetError, "site/claw.urdf", "sha256"):
         fetch_asset(packaged, Upstream())
 
 
 def test_a_package_of_another_version_or_none_says_how_to_install_it(packaged: Asset, tmp_path: Path):
     (tmp_path / "site/claws-1.2.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: claws\nVersion: 1.3\n")
-    with pytest.raises(AssetError, match=r"package claws==1.2, 1.3 is installed here: pip install --no-deps claws=="):
+    with refused(AssetError, "claws==1.2, 1.3", "pip install --no-deps claws=="):
         fetch_asset(packaged, Upstream())
     (tmp_path / "site/claws-1.2.dist-info/METADATA").unlink()
     (tmp_path / "site/claws-1.2.dist-info").rmdir()
-    with pytest.raises(AssetError, match=r"package claws, not installed here: pip install --no-deps claws==1.2"):
+    with refused(AssetError, "pip install --no-deps claws==1.2"):
         fetch_asset(packaged, Upstream())
 
 
 def test_what_upstream_has_in_another_form_needs_a_mirror():
-    with pytest.raises(AssetError, match=r"^hands/robotiq3f: upstream has its robotiq3f.urdf only as cfg/.*\.xacro"):
+    with refused(AssetError, "hands/robotiq3f", "robotiq3f.urdf", "cfg/", ".xacro"):
         fetch_asset(read_manifest("hands")["robotiq3f"], Upstream())
 
 
@@ -369,19 +375,19 @@ def test_what_upstream_has_in_another_form_needs_a_mirror():
 
 def test_locating_fetches_what_is_open(claw: Asset, server: Server, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setenv("GRASP_REFINE_ASSETS", server.address + "/")
-    with pytest.raises(AssetError, match="^hands/claw is not here: refine-grasp assets fetch hands/claw$"):
+    with refused(AssetError, "refine-grasp assets fetch hands/claw"):
         located(claw, fetch=False)
     path = located(claw)
     assert path == asset_folder(claw, "mirror") / "claw.urdf" and is_whole(claw, "mirror")
     assert located(claw, fetch=False) == path
     path.write_bytes(b"damaged")
-    with pytest.raises(AssetError, match="is not here"):
+    with refused(AssetError, "refine-grasp assets fetch hands/claw"):
         located(claw, fetch=False)
     assert located(claw).read_bytes() == CONTENTS["claw.urdf"]
     restricted = made_asset(tmp_path / "restricted", terms="non-commercial", licence="CC BY-NC 4.0")
     assert located(restricted) == path  # the same files are here: nothing is fetched
     path.unlink()
-    with pytest.raises(AssetError, match="refine-grasp assets fetch hands/claw --accept-license$"):
+    with refused(AssetError, "refine-grasp assets fetch hands/claw --accept-license"):
         located(restricted)
 
 
@@ -390,8 +396,7 @@ def test_locating_fetches_what_is_open(claw: Asset, server: Server, monkeypatch:
 )
 def test_a_mirror_is_a_folder_or_a_web_address(claw: Asset, monkeypatch: pytest.MonkeyPatch, named: str):
     monkeypatch.setenv("GRASP_REFINE_ASSETS", named)
-    message = rf"^GRASP_REFINE_ASSETS={re.escape(named)}: must be a folder that exists, or an address http://"
-    with pytest.raises(AssetError, match=message):
+    with refused(AssetError, f"GRASP_REFINE_ASSETS={named}", "http://"):
         located(claw)
 
 

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+from refusals import refused
 
 from grasp_refine.atomic import written_whole
 from grasp_refine.errors import GraspFileError, GraspRefineError
@@ -26,11 +27,11 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
 def test_what_cannot_be_written_is_an_error_of_the_kind_that_was_asked_for(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with (
-        pytest.raises(GraspRefineError, match="below.gif: cannot be written"),
+        refused(GraspRefineError, "below.gif"),
         written_whole(tmp_path / "file/below.gif"),
     ):
         pass
-    with pytest.raises(GraspFileError), written_whole(tmp_path / "file/below.npz", GraspFileError):
+    with refused(GraspFileError, "below.npz"), written_whole(tmp_path / "file/below.npz", GraspFileError):
         pass
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import PROGRAM, interruptible, refused, subprocess_environment
+from refusals import assert_names
 from running_processes import PATIENCE_S, children, nothing_left, running_in_session, soon
 
 from grasp_refine.assets import resource_dir
@@ -144,7 +145,7 @@ def test_what_is_complete_is_skipped(copy: Path, sources: Path, capsys: pytest.C
     assert batch(sources, "--out", copy, "--shard-size", 3, *QUICK) == 0
     assert {path: path.stat().st_mtime_ns for path in copy.rglob("*.npz")} == before
     assert (copy / "index.csv").read_bytes() == first
-    assert "4 of 4 shards complete and skipped" in capsys.readouterr().err
+    assert "4 of 4 shards" in capsys.readouterr().err
 
 
 def test_what_is_missing_or_damaged_is_made_anew_and_comes_out_the_same(
@@ -156,8 +157,8 @@ def test_what_is_missing_or_damaged_is_made_anew_and_comes_out_the_same(
     damaged.write_bytes(content[:1000] + b"\0" * 100 + content[1100:])
     assert batch(sources, "--out", copy, "--shard-size", 3, *QUICK) == 0
     error = " ".join(capsys.readouterr().err.split())
-    assert "2 of 4 shards complete and skipped" in error
-    assert "allegro_bottle_00001.npz cannot be read and is made anew" in error
+    assert "2 of 4 shards" in error
+    assert "allegro_bottle_00001.npz" in error and "allegro_bottle_00000.npz" not in error
     assert_same(copy, whole)
 
 
@@ -165,8 +166,10 @@ def test_other_settings_and_other_inputs_are_made_anew(
     copy: Path, sources: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     other = ("--geometry-only", "--iterations", "5", "--index", "csv", "--workers", "1", "--no-report")
+    before = {path: path.stat().st_mtime_ns for path in (copy / "example_bottle").glob("*.npz")}
     assert batch(sources / "example_bottle.npz", "--out", copy, "--shard-size", 3, *other) == 0
-    assert "of other inputs, settings or versions, and made anew: 2" in " ".join(capsys.readouterr().err.split())
+    assert len(before) == 2 and all(path.stat().st_mtime_ns != time for path, time in before.items())
+    assert " 2" in capsys.readouterr().err, "both shards are told of"
     assert all(int(row["iterations"]) <= 5 for row in index(copy))
 
 
@@ -179,7 +182,7 @@ def test_parts_of_a_batch_make_up_the_whole(
         command = ("--out", out, "--shard-size", 3, "--shard", part, "--json", tmp_path / "part.json")
         assert batch(sources, *command, *WITH_REPORT) == 0
         assert json.loads((tmp_path / "part.json").read_text())["totals"]["n"] == 4
-        assert "written by the same command without --shard" in " ".join(capsys.readouterr().out.split())
+        assert "--shard" in capsys.readouterr().out
     assert {path.name for path in out.iterdir()} == {"example_bottle", "example_rounded_box"}
     assert batch(sources, "--out", out, "--shard-size", 3, *QUICK) == 0
     assert (out / "index.csv").exists()
@@ -253,11 +256,11 @@ def test_results_are_no_grasps_of_the_next_run(
     (folder / "below").mkdir()
     monkeypatch.chdir(folder / "below")
     assert batch("..", "--out", "../below/../out", "--shard-size", 3, *QUICK) == 0
-    assert "4 of 4 shards complete and skipped" in capsys.readouterr().err
+    assert "4 of 4 shards" in capsys.readouterr().err
     copy.rename(folder / "older")
     monkeypatch.chdir(folder)
     assert batch(".", "--out", "older2", "--shard", "4/4", "--shard-size", 3, *QUICK) == 0
-    assert "results of a batch: 4 files" in " ".join(capsys.readouterr().err.split())
+    assert "4 files" in " ".join(capsys.readouterr().err.split())
 
 
 def test_simulation_and_where_the_time_goes_are_part_of_the_results(
@@ -290,52 +293,52 @@ def test_sampled_grasps_are_a_job(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "named"),
     [
-        ((), "name what is to be refined: grasp files, a folder, a pattern, sample:N, or a job list"),
-        (("none.npz",), "no job can be done: none: none.npz: no such grasp file"),
-        (("sample:4",), "no job can be done: sample_4: --grasps sample:4 needs a hand and an object"),
-        (("x.npz", "--shard", "0/3"), "--shard 0/3: must be I/N, part I of N from 1/N to N/N"),
-        (("x.npz", "--shard", "3"), "--shard 3: must be I/N"),
-        (("x.npz", "--shard", "4/3"), "--shard 4/3: must be I/N"),
-        (("x.npz", "--shard-size", "0"), "--shard-size must be at least 1, got 0"),
-        (("x.npz", "--workers", "0"), "--workers must be at least 1, got 0"),
-        (("x.npz", "--tries", "0"), "--tries must be at least 1, got 0"),
-        (("x.npz", "--patience", "1"), "--patience must be at least 5 seconds, got 1"),
-        (("x.npz", "--dask", "tcp://x:1", "--workers", "2"), "a cluster (--dask) has workers of its own"),
-        (("x.npz", "--setting", "strict"), "--setting and --friction are for --validate"),
-        (("x.npz", "--validate", "--friction", "0"), "--friction must be above 0, got 0"),
+        ((), ("sample:N",)),
+        (("none.npz",), ("none", "none.npz")),
+        (("sample:4",), ("sample_4", "--grasps", "sample:4", "hand", "object")),
+        (("x.npz", "--shard", "0/3"), ("--shard 0/3", "I/N", "1/N", "N/N")),
+        (("x.npz", "--shard", "3"), ("--shard 3", "I/N")),
+        (("x.npz", "--shard", "4/3"), ("--shard 4/3", "I/N")),
+        (("x.npz", "--shard-size", "0"), ("--shard-size", "1", "0")),
+        (("x.npz", "--workers", "0"), ("--workers", "1", "0")),
+        (("x.npz", "--tries", "0"), ("--tries", "1", "0")),
+        (("x.npz", "--patience", "1"), ("--patience", "5 s", "1")),
+        (("x.npz", "--dask", "tcp://x:1", "--workers", "2"), ("--dask",)),
+        (("x.npz", "--setting", "strict"), ("--setting", "--friction", "--validate")),
+        (("x.npz", "--validate", "--friction", "0"), ("--friction", "0")),
     ],
 )
 def test_bad_input_is_refused(
-    workplace: Path, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
+    workplace: Path, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...], named: tuple[str, ...]
 ):
-    assert said in refused(capfd, "batch", *arguments)
+    assert_names(refused(capfd, "batch", *arguments), *named)
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    ("arguments", "taken"),
     [
-        ("grasps.npz", "--out", "out", "--json", "grasps.npz"),
-        ("lists/index.csv", "--out", "lists", "--index", "csv"),
+        (("grasps.npz", "--out", "out", "--json", "grasps.npz"), "grasps.npz"),
+        (("lists/index.csv", "--out", "lists", "--index", "csv"), "lists/index.csv"),
     ],
     ids=["grasps", "list"],
 )
 def test_results_take_the_place_of_no_input(
-    workplace: Path, sources: Path, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...]
+    workplace: Path, sources: Path, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...], taken: str
 ):
     shutil.copy(sources / "example_bottle.npz", "grasps.npz")
     Path("lists").mkdir()
     Path("lists/index.csv").write_text("grasps\n../grasps.npz\n")
-    message = refused(capfd, "batch", *arguments)
-    assert "the results would overwrite an input" in message
+    content = Path(taken).read_bytes()
+    assert_names(refused(capfd, "batch", *arguments), taken, "--out", "--json")
+    assert Path(taken).read_bytes() == content
 
 
 def test_nothing_but_results_is_nothing_to_refine(whole: Path, workplace: Path, capfd: pytest.CaptureFixture[str]):
-    message = refused(capfd, "batch", whole / "example_bottle", "--out", "out")
-    assert "no jobs in it but results of a batch" in message
-    message = refused(capfd, "batch", whole / "example_bottle", "--out", whole)
-    assert "no jobs in it but the results in" in message
+    folder = whole / "example_bottle"
+    assert_names(refused(capfd, "batch", folder, "--out", "out"), folder, "results")
+    assert_names(refused(capfd, "batch", folder, "--out", whole), f"{folder}: ", f" {whole};", "--out")
 
 
 def test_an_index_of_somebody_else_stays(copy: Path, sources: Path):
@@ -379,8 +382,8 @@ def test_interrupted_it_says_how_to_go_on_and_leaves_nothing_running(
     (os.killpg if signal_ == signal.SIGINT else os.kill)(process.pid, signal_)
     out, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
-    assert " of 8 shards complete; the same command goes on from there" in " ".join(error.split())
-    assert error.rstrip().endswith("refine-grasp: interrupted")
+    assert " of 8 shards" in " ".join(error.split())
+    assert error.rstrip().splitlines()[-1].startswith("refine-grasp: ")
     assert "Traceback" not in error
     assert nothing_left(process)
     assert not list((tmp_path / "out").rglob(".*"))
@@ -398,7 +401,7 @@ def test_a_failure_that_cannot_be_noted_is_told_all_the_same(
     assert batch(sources, *command, "--json", copy / "full.json") == 1
     (failed,) = json.loads((copy / "full.json").read_text())["failed"]
     assert failed["path"] == str(path)
-    assert f"{path.name}.failed.json: cannot be written" in "".join(capsys.readouterr().err.split("\n"))
+    assert f"{path.name}.failed.json" in "".join(capsys.readouterr().err.split("\n"))
 
 
 @pytest.mark.slow
@@ -410,7 +413,7 @@ def test_a_full_disk_costs_only_what_cannot_be_written(copy: Path, whole: Path, 
     assert batch(sources, *command, "--json", copy / "full.json") == 1
     (failed,) = json.loads((copy / "full.json").read_text())["failed"]
     assert failed["path"] == str(path)
-    assert "cannot be written (No space left on device)" in failed["message"]
+    assert "No space left on device" in failed["message"]
     assert batch(sources, *command) == 0
     assert_same(copy, whole)
 

@@ -1,10 +1,12 @@
 """Hands: ours as they load, five others, mimic joints, subtrees, and hand.toml."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import assert_names, refused
 
 from grasp_refine.assets import resource_dir
 from grasp_refine.commands.hands import Hands
@@ -43,8 +45,7 @@ def test_a_link_without_geometry_says_which_links_have_some(tmp_path: Path):
     )
     hand = load_hand(path, candidates=16)
     assert hand.links_by_name["tip"].solid is hand.links_by_name["tip"].body
-    message = "link 'base' has no collision geometry; links that have: tip, thumb"
-    with pytest.raises(HandError, match=message):
+    with refused(HandError, "'base'", "tip, thumb"):
         _ = hand.links_by_name["base"].solid
 
 
@@ -151,17 +152,17 @@ def test_a_hand_without_a_urdf_asks_for_one(tmp_path: Path) -> None:
         hand = load_hand(source, urdf=str(path))
         assert (hand.name, hand.base_link, hand.urdf) == ("mine", "palm", path)
     for source in (path, path.parent):
-        with pytest.raises(HandError, match="goes with a hand that has a hand.toml, '.*' has none"):
+        with refused(HandError, f"'{source}'", "hand.toml"):
             load_hand(source, urdf=path)
-    with pytest.raises(HandError, match=r"none.urdf: cannot be read \(No such file"):
+    with refused(HandError, "none.urdf", "No such file"):
         load_hand(toml, urdf=tmp_path / "none.urdf")
 
 
 def test_an_mjcf_is_named_by_hand_toml_or_given(tmp_path: Path) -> None:
     path = finger(tmp_path, "collision = 'mjcf'\nmjcf_joints = { wrist = 'w' }")
-    with pytest.raises(HandError, match="collision = 'mjcf' needs mjcf = \"FILE\", or --mjcf FILE"):
+    with refused(HandError, "collision = 'mjcf'", 'mjcf = "FILE"', "--mjcf FILE"):
         load_hand(path)
-    with pytest.raises(HandError, match=r"none.xml: no such MJCF file"):
+    with refused(HandError, "none.xml"):
         load_hand(path, mjcf=tmp_path / "none.xml")
     (tmp_path / "hand.xml").touch()
     hand = load_hand(path, mjcf=tmp_path / "hand.xml")
@@ -175,18 +176,18 @@ def test_the_command_hands_shows_them_with_the_users_files(
     assert Hands(json=tmp_path / "all.json").execute() == 0
     out = capsys.readouterr().out
     (row,) = [line for line in out.splitlines() if line.startswith("barrett  ")]
-    assert "fetched when used" in row
+    assert row.split()[1:5] == ["-"] * 4 and row.split()[-1] == "-", "nothing is known before it is fetched"
     (facts,) = [hand for hand in json.loads((tmp_path / "all.json").read_text())["hands"] if hand["name"] == "barrett"]
     assert facts["urdf"] is None and "--urdf FILE" in facts["notes"][0]
     folder = shared_assets / "hands"
     urdf = folder / "shadow/shadow_right.urdf"
     assert Hands("shadow", urdf, folder / "shadow_mjcf/right_hand.xml").execute() == 0
-    assert "24 joints matched by name and place" in " ".join(capsys.readouterr().out.split())
+    assert "24 joints" in " ".join(capsys.readouterr().out.split())
     assert Hands("shadow", urdf).execute() == 0
-    assert "in simulation: inertia of fftip" in " ".join(capsys.readouterr().out.split())
-    with pytest.raises(HandError, match=r"right_hand.xml: joints WRJ2, .* are not found by name"):
+    assert re.search(r"\binertia\b.*\bfftip\b", capsys.readouterr().out)
+    with refused(HandError, "right_hand.xml", "WRJ2, "):
         Hands("shadow", urdf, folder / "leap_mjcf/right_hand.xml").execute()
-    with pytest.raises(GraspRefineError, match="^--urdf without a hand, by its name or URDF: refine-grasp"):
+    with refused(GraspRefineError, "--urdf", "refine-grasp"):
         Hands(urdf=urdf).execute()
 
 
@@ -199,7 +200,7 @@ def test_bare_urdfs_load_with_their_fingertips_guessed(name: str, shared_assets:
     assert hand.name == name and len(hand.joint_names) == JOINTS[name] - 2 * (name == "shadow")
     assert [contact.link for contact in hand.contacts] == FINGERTIPS[name]
     assert [contact.group for contact in hand.contacts] == FINGERS.get(name, FINGERTIPS[name])
-    assert any("contact links guessed" in note and FINGERTIPS[name][-1] in note for note in hand.notes)
+    assert hand.contacts_guessed and any(", ".join(FINGERTIPS[name]) in note for note in hand.notes)
     np.testing.assert_array_equal(hand.rest, (hand.lower + hand.upper) / 2)
     known = {hand.base_link}
     for j in hand.joints:
@@ -220,10 +221,7 @@ def test_facts_of_other_hands_agree_too(shared_assets: Path) -> None:
 def test_shadow_without_its_forearm_and_wrist(shared_assets: Path) -> None:
     whole = load_hand(shared_assets / "hands/shadow/shadow_right.urdf", base_link="world")
     hand = load_hand(shared_assets / "hands/shadow/shadow_right.urdf")
-    assert hand.notes[0] == (
-        "the hand begins at its palm, link 'palm': the joints above it do not move (WRJ2, WRJ1); "
-        "--base-link world moves them too"
-    )
+    assert_names(hand.notes[0], "'palm'", "WRJ2, WRJ1", "--base-link world")
     assert hand.base_link == hand.links[0].name == "palm" and hand.name == "shadow_right"
     assert hand.joint_names == tuple(n for n in whole.joint_names if not n.startswith("WR"))
     assert len(hand.joint_names) == 22
@@ -266,9 +264,7 @@ def test_chains_of_mimic_joints_are_resolved(tmp_path: Path) -> None:
     np.testing.assert_array_equal(offset, [1.25, 0.25, 0, 0])
     assert [j.lower for j in hand.joints if j.mimic] == [-1, -1, -np.inf]
     np.testing.assert_allclose((hand.lower, hand.upper, hand.rest), [[-0.125], [0.375], [0.125]], atol=1e-15)
-    assert hand.notes[-1] == (
-        "joint 'a' moves from -0.125 to 0.375 rad, its own limits are -1 to 2: beyond, c would leave its limits"
-    )
+    assert_names(hand.notes[-1], "'a'", "-0.125", "0.375 rad", "-1", "2", " c ")
 
 
 def test_mimic_joints_that_follow_each_other_are_refused(tmp_path: Path) -> None:
@@ -277,7 +273,7 @@ def test_mimic_joints_that_follow_each_other_are_refused(tmp_path: Path) -> None
         joint("1", "a", "b", inside=follows.format("2")),
         joint("2", "b", "c", inside=follows.format("1")),
     ]
-    with pytest.raises(HandError, match="joint '2' mimics '1', which makes a cycle: 1 -> 2 -> 1"):
+    with refused(HandError, "'2'", "'1'", "1 -> 2 -> 1"):
         load_hand(write(tmp_path, dict.fromkeys("abc", ""), *loop))
 
 
@@ -288,7 +284,7 @@ def test_continuous_joints_rest_at_zero_and_locked_ones_are_noted(tmp_path: Path
     locked = joint("2", "b", "c").replace('upper="2"', 'upper="-1"')
     hand = load_hand(write(tmp_path, dict.fromkeys("abc", ""), joint("1", "a", "b", "continuous"), locked))
     np.testing.assert_array_equal(hand.rest, [0, -1])
-    assert "joint '2' cannot move: its limits are equal" in hand.notes
+    assert any("'2'" in note and "limits" in note for note in hand.notes)
 
 
 def test_contact_links_are_the_last_solid_ones_that_move(tmp_path: Path) -> None:
@@ -309,7 +305,7 @@ def test_contact_links_are_the_last_solid_ones_that_move(tmp_path: Path) -> None
 
 def test_a_hand_without_solid_links_has_no_contacts_and_says_so(tmp_path: Path) -> None:
     hand = load_hand(write(tmp_path, dict.fromkeys("ab", ""), joint("1", "a", "b")))
-    assert hand.contacts == () and "none, no link with collision geometry moves" in hand.notes[0]
+    assert hand.contacts == () and "contact" in hand.notes[0]
 
 
 def test_bodies_and_masses_are_in_place(tmp_path: Path) -> None:
@@ -377,46 +373,31 @@ def test_what_hand_toml_says_of_links_above_the_base_is_left_out(tmp_path: Path)
     hand = load_hand(path, base_link="near")
     assert hand.joint_names == ("2",) and hand.rest == [0.5] and hand.coupled == ()
     assert hand.contacts == (Contact("tip", "tip"),)
-    assert hand.notes == ("contact link 'palm' is left out: it does not hang from the base link",)
+    (note,) = hand.notes
+    assert_names(note, "contact", "'palm'")
 
 
 @pytest.mark.parametrize(
-    ("toml", "message"),
+    ("toml", "named"),
     [
-        ("base_link = 'wrist'", r"hand.urdf: no link 'wrist'; its links: arm, palm, near, tip, frame"),
-        ("rest_pose = {x = 1}", r"\[rest_pose\]: no independent joint 'x'; valid: wrist, 1, 2"),
-        ("rest_pose = {end = 0}", r"\[rest_pose\]: no independent joint 'end'; valid: wrist, 1, 2"),
-        ("rest_pose = {wrist = 2.5}", r"\[rest_pose\]: wrist = 2.5 is outside its limits, -1 to 2"),
-        (
-            "contact = [{link = 'x'}]",
-            r"\[\[contact\]\]: no link with collision geometry 'x'; valid: palm, near, tip",
-        ),
-        ("contact = [{link = 'frame'}]", r"no link with collision geometry 'frame'; valid: palm, near, tip"),
-        (
-            "contact = [{link = 'tip'}, {link = 'tip'}]",
-            r"\[\[contact\]\]: link 'tip' comes twice with the same point",
-        ),
-        ("actuator = {kp = {x = 1}}", r"\[actuator\] kp: no independent joint 'x'; valid: wrist, 1, 2"),
-        (
-            "coupled = [{joints = ['1', 'x']}]",
-            r"\[\[coupled\]\]: no independent joint 'x'; valid: wrist, 1, 2",
-        ),
-        (
-            "coupled = [{joints = ['1', '2']}, {joints = ['2', 'wrist']}]",
-            r"\[\[coupled\]\]: joint '2' is in several groups",
-        ),
-        ("mjcf_joints = {x = 'y'}", r"\[mjcf_joints\]: no movable joint 'x'; valid: wrist, 1, 2"),
-        ("mjcf_joints = {'1' = 'y', '2' = 'y'}", r"\[mjcf_joints\]: 'y' comes twice"),
-        (
-            "kp = 5",
-            r"hand.toml: unknown key 'kp'; valid: name, urdf, base_link, mjcf, mjcf_joints, collision, rest_pose",
-        ),
+        ("base_link = 'wrist'", ("hand.urdf", "'wrist'", "arm, palm, near, tip, frame")),
+        ("rest_pose = {x = 1}", ("[rest_pose]", "'x'", "wrist, 1, 2")),
+        ("rest_pose = {end = 0}", ("[rest_pose]", "'end'", "wrist, 1, 2")),
+        ("rest_pose = {wrist = 2.5}", ("[rest_pose]", "wrist = 2.5", "-1 to 2")),
+        ("contact = [{link = 'x'}]", ("[[contact]]", "'x'", "palm, near, tip")),
+        ("contact = [{link = 'frame'}]", ("'frame'", "palm, near, tip")),
+        ("contact = [{link = 'tip'}, {link = 'tip'}]", ("[[contact]]", "'tip'")),
+        ("actuator = {kp = {x = 1}}", ("[actuator]", "kp", "'x'", "wrist, 1, 2")),
+        ("coupled = [{joints = ['1', 'x']}]", ("[[coupled]]", "'x'", "wrist, 1, 2")),
+        ("coupled = [{joints = ['1', '2']}, {joints = ['2', 'wrist']}]", ("[[coupled]]", "'2'")),
+        ("mjcf_joints = {x = 'y'}", ("[mjcf_joints]", "'x'", "wrist, 1, 2")),
+        ("mjcf_joints = {'1' = 'y', '2' = 'y'}", ("[mjcf_joints]", "'y'")),
+        ("kp = 5", ("hand.toml", "'kp'", "name, urdf, base_link, mjcf, mjcf_joints, collision, rest_pose")),
     ],
 )
-def test_hand_toml_that_names_nothing(tmp_path: Path, toml: str, message: str) -> None:
-    with pytest.raises(HandError, match=message) as caught:
+def test_hand_toml_that_names_nothing(tmp_path: Path, toml: str, named: tuple[str, ...]) -> None:
+    with refused(HandError, *named):
         load_hand(finger(tmp_path, toml))
-    assert "\n" not in str(caught.value)
 
 
 # --- where hands are found
@@ -437,35 +418,32 @@ def test_a_hand_is_a_name_a_folder_a_urdf_or_a_hand_toml(tmp_path: Path) -> None
 
 
 def test_unknown_hands_are_answered_with_those_there_are(tmp_path: Path) -> None:
-    with pytest.raises(AssetError, match="no hand is called 'alegro'; the hands here are allegro.*; or give a folder"):
+    with refused(AssetError, "'alegro'", "allegro"):
         load_hand("alegro")
-    with pytest.raises(HandError, match="none.urdf: no such file or folder; the hands here are allegro"):
+    with refused(HandError, "none.urdf", "allegro"):
         load_hand(tmp_path / "none.urdf")
-    with pytest.raises(HandError, match=r"one .urdf file is needed, or a hand.toml that names one; here: none"):
+    with refused(HandError, tmp_path, ".urdf", "hand.toml"):
         load_hand(tmp_path)
     for name in ("a.urdf", "b.urdf"):
         (tmp_path / name).touch()
-    with pytest.raises(HandError, match=r"one .urdf file is needed, .* here: a.urdf, b.urdf"):
+    with refused(HandError, tmp_path, "a.urdf, b.urdf"):
         load_hand(tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("link", "message"),
+    ("link", "named"),
     [
-        ('<inertial><mass value="-1"/></inertial>', "link 'a' has the mass -1 kg"),
-        (
-            '<collision><geometry><mesh filename="no.stl"/></geometry></collision>',
-            "link 'a': mesh 'no.stl' not found",
-        ),
+        ('<inertial><mass value="-1"/></inertial>', ("'a'", "-1 kg")),
+        ('<collision><geometry><mesh filename="no.stl"/></geometry></collision>', ("'a'", "'no.stl'")),
         (TIP + TIP.replace("0.01", "1"), None),
     ],
 )
-def test_links_that_cannot_be_built_are_named(tmp_path: Path, link: str, message: str | None) -> None:
+def test_links_that_cannot_be_built_are_named(tmp_path: Path, link: str, named: tuple[str, ...] | None) -> None:
     path = write(tmp_path, {"a": link})
-    if message is None:
+    if named is None:
         assert isinstance(load_hand(path), Hand), "a piece inside another is no mistake"
     else:
-        with pytest.raises(HandError, match=f"hand.urdf: {message}"):
+        with refused(HandError, "hand.urdf", *named):
             load_hand(path)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import tomllib
 from dataclasses import fields
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import refused
+from refusals import assert_names
 from spread_gripper import spread_gripper
 from underactuated import underactuated
 
@@ -68,8 +70,11 @@ def test_the_hand_is_read_again_as_it_was(make, tmp_path: Path) -> None:
     (tmp_path / "hand.toml").write_text(hand_toml_text(bare, tmp_path))
     again = load_hand(tmp_path, candidates=16)
     same(bare, again)
-    assert again.toml == tmp_path / "hand.toml" and again.base_why == "hand.toml says so"
-    assert not any("guessed" in note or "begins at" in note for note in again.notes)
+    assert again.toml == tmp_path / "hand.toml" and "hand.toml" in again.base_why
+    # What was guessed, and where the hand begins, is told no more.
+    links = ", ".join(contact.link for contact in bare.contacts)
+    assert any(links in note for note in bare.notes)
+    assert not any(links in note or "--base-link" in note for note in again.notes)
     assert bare.contacts_guessed and not again.contacts_guessed
     # What was read from a hand.toml is written anew, and read.
     (tmp_path / "hand.toml").write_text(hand_toml_text(again, tmp_path))
@@ -110,8 +115,8 @@ def test_numbers_of_single_joints_couplings_and_odd_names_survive(tmp_path: Path
 def test_every_key_is_explained(tmp_path: Path) -> None:
     text = hand_toml_text(load_hand(pincers(tmp_path), candidates=16), tmp_path)
     assert all(key in text for key in KEYS if key != "mjcf_joints")
-    assert all(word in text for word in ("point", "normal", "ratio", "metres, radians"))
-    assert 'left_j" = 0.0  # 0.0 deg, from -57.3 to 57.3' in text
+    assert all(word in text for word in ("point", "normal", "ratio"))
+    assert re.search(r'left_j" = 0\.0 +# .*-57\.3 .*\b57\.3', text), "in degrees"
     assert max(map(len, text.splitlines())) <= 120
 
 
@@ -129,17 +134,17 @@ def test_it_is_written_beside_the_urdf_once(workplace: Path, capfd: pytest.Captu
     path = pincers(workplace)
     assert main(["hands", "--check", "--write", str(path), "--json", "check.json"]) == 0
     out = " ".join(capfd.readouterr().out.split())
-    assert f"wrote {workplace}/hand.toml: edit it; it is read when you name its folder, or this URDF, as" in out
+    assert f"{workplace}/hand.toml" in out
     written = (workplace / "hand.toml").read_bytes()
     assert load_hand(path, candidates=16).name == "pincers"
     (hand,) = json.loads(Path("check.json").read_text())["hands"]
-    assert hand["written"] == str(workplace / "hand.toml") and hand["base_link_why"].startswith("it is the root, and 2")
+    assert hand["written"] == str(workplace / "hand.toml") and "2" in hand["base_link_why"]
     assert hand["check"]["pairs"]["neighbours"] == 2 and hand["check"]["refused"] == ""
     # The second time it is used, and stays.
     assert main(["hands", "--check", str(path)]) == 0
     out = " ".join(capfd.readouterr().out.split())
-    assert "hand.toml was used" in out and "left: hand.toml says so" in out
-    assert "hand.toml: exists already" in refused(capfd, "hands", "--check", path, "--write")
+    assert out.count("hand.toml") >= 2
+    assert_names(refused(capfd, "hands", "--check", path, "--write"), "hand.toml", "--overwrite")
     assert (workplace / "hand.toml").read_bytes() == written
     (workplace / "hand.toml").write_text('name = "tongs"')
     assert main(["hands", "--check", str(path), "--write", "--overwrite"]) == 0
@@ -166,7 +171,7 @@ def test_a_folder_that_cannot_be_written_to_is_told(workplace: Path, monkeypatch
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    assert "(No space left on device)" in refused(capfd, "hands", "--check", "--write", path)
+    assert_names(refused(capfd, "hands", "--check", "--write", path), "No space left on device")
     assert [file.name for file in workplace.iterdir()] == ["pincers.urdf"], "nothing is left behind"
 
 
@@ -174,12 +179,14 @@ def test_places_that_cannot_be_are_refused(workplace: Path, capfd: pytest.Captur
     path = pincers(workplace)
     (workplace / "there").mkdir()
     (workplace / "there/hand.toml").touch()
-    assert "there/hand.toml: exists" in refused(capfd, "hands", "--check", path, "--write", "--out", "there")
-    assert "is no folder" in refused(capfd, "hands", "--check", path, "--write", "--out", "pincers.urdf")
+    assert_names(
+        refused(capfd, "hands", "--check", path, "--write", "--out", "there"), "there/hand.toml", "--overwrite"
+    )
+    assert_names(refused(capfd, "hands", "--check", path, "--write", "--out", "pincers.urdf"), "pincers.urdf")
     for options in (("--write",), ("--write", "--out", "there2"), ("--check", "--out", "there2")):
-        assert "--write goes with --check" in refused(capfd, "hands", path, *options)
-    expected = "--base-link and --check without a hand, by its name or URDF: refine-grasp hands HAND --base-link"
-    assert refused(capfd, "hands", "--check", "--base-link", "palm") == expected
+        assert_names(refused(capfd, "hands", path, *options), "--write", "--check", "--out")
+    message = refused(capfd, "hands", "--check", "--base-link", "palm")
+    assert_names(message, "--base-link", "--check", "refine-grasp hands HAND --base-link")
 
 
 # what is said
@@ -193,16 +200,16 @@ def test_an_arm_a_chain_of_mimic_joints_and_their_limits_are_told(
     lines = capsys.readouterr().out.splitlines()
     out = " ".join(" ".join(lines).split())
     assert max(map(len, lines[1:-1])) <= 80, "but for the paths"
-    assert "6 joints and 6 that mimic, 13 links (12 with collision geometry)" in out
-    assert "1 x thumb_1 + 5.7, by way of thumb_2" in out
-    assert "joint 'little_1' moves from 0 to 1 rad, its own limits are 0 to 1.5" in out
-    assert "thumb_c, finger 'thumb': the last solid link of the branch that joint 'thumb_yaw' moves" in out
-    assert "joints 12, followers 6" in out
+    assert re.search(r"\b6 joints\b.*\b6\b.*\b13 links\b.*\b12\b", out)
+    assert re.search(r"1 x thumb_1 \+ 5\.7\b.* thumb_2\b", out)
+    assert re.search(r"'little_1' .*\b0 to 1 rad\b.*\b0 to 1\.5\b", out)
+    assert re.search(r"\bthumb_c\b.* 'thumb'.* 'thumb_yaw'", out)
+    assert "joints 12" in out
     arm = spread_gripper(workplace / "arm", arm=True)
     assert main(["hands", "--check", str(arm.urdf)]) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "link 'palm': it is the palm: 3 moving branches leave it, one chain leads to it" in out
-    assert "the joints above it do not move (lift, wrist); --base-link stand moves them too" in out
+    assert re.search(r"'palm': .*\b3 ", out)
+    assert re.search(r"\blift, wrist\b.* --base-link stand\b", out)
     assert main(["hands", str(arm.urdf), "--base-link", "stand"]) == 0
     assert "wrist continuous free free 0.0" in " ".join(capsys.readouterr().out.split())
 
@@ -212,53 +219,53 @@ def test_nothing_is_suspicious_about_a_hand_that_is_well(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "named"),
     [
-        ({"limit": '<limit lower="-1" upper="1"/>'}, "no effort limit for left_j, right_j: they push as hard as"),
-        ({"limit": '<limit lower="0" upper="90" effort="1"/>'}, "left_j, right_j can turn more than twice round: are"),
-        ({"size": 10.0}, "the hand is 20.1 m large: are the meshes millimetres?"),
+        ({"limit": '<limit lower="-1" upper="1"/>'}, ("left_j, right_j", "effort", "force_limit")),
+        ({"limit": '<limit lower="0" upper="90" effort="1"/>'}, ("left_j, right_j", "degrees", "radians")),
+        ({"size": 10.0}, ("20.1 m", "millimetres")),
         (
             {
                 "links": '<link name="cover"><visual><geometry><sphere radius="1"/></geometry></visual></link>',
                 "joints": '<joint name="c" type="fixed"><parent link="left"/><child link="cover"/></joint>',
             },
-            "cover can be seen but have no collision geometry: nothing keeps them out of the object",
+            ("cover", "collision"),
         ),
         (
             {
                 "links": '<link name="dial"/>',
-                "joints": '<joint name="d" type="continuous"><parent link="left"/><child link="dial"/></joint>',
+                "joints": '<joint name="dial_j" type="continuous"><parent link="left"/><child link="dial"/></joint>',
             },
-            "d turn without end and rest at 0",
+            ("dial_j", "0"),
         ),
         (
             {
                 "links": f'<link name="rod">{BALL}</link>',
-                "joints": '<joint name="s" type="prismatic"><parent link="left"/><child link="rod"/>'
+                "joints": '<joint name="rod_j" type="prismatic"><parent link="left"/><child link="rod"/>'
                 '<limit lower="0" upper="40" effort="1"/></joint>',
             },
-            "s can slide more than a metre: are the limits millimetres? They must be metres",
+            ("rod_j", "millimetres", "metres"),
         ),
         (
             {
                 "links": '<link name="lead"><inertial><mass value="99"/></inertial></link>',
                 "joints": '<joint name="l" type="fixed"><parent link="left"/><child link="lead"/></joint>',
             },
-            "the hand weighs 99 kg",
+            ("99 kg",),
         ),
         (
             {
                 "links": f'<link name="tip">{BALL}</link>',
-                "joints": '<joint name="t" type="fixed"><parent link="left"/><child link="tip"/>'
+                "joints": '<joint name="tip_j" type="fixed"><parent link="left"/><child link="tip"/>'
                 '<mimic joint="right_j"/></joint>',
             },
-            "t are fixed though they mimic a joint: they do not move",
+            ("tip_j", "mimic"),
         ),
     ],
 )
-def test_what_looks_wrong_is_told(tmp_path: Path, options: dict, message: str) -> None:
+def test_what_looks_wrong_is_told(tmp_path: Path, options: dict, named: tuple[str, ...]) -> None:
     found = suspicious(pincers(tmp_path, **options))
-    assert any(line.startswith(message) for line in found), found
+    assert any(all(one in line for one in named) for line in found), found
 
 
 def test_masses_that_are_made_up_for_the_simulation_are_told(tmp_path: Path) -> None:
@@ -266,26 +273,22 @@ def test_masses_that_are_made_up_for_the_simulation_are_told(tmp_path: Path) -> 
     zero = '<inertial><mass value="0.1"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
     path.write_text(path.read_text().replace('<link name="left">', f'<link name="left">{zero}'))
     found = check_hand(load_hand(path, candidates=16))
-    assert found.refused == "" and found.simulation[0].startswith("MuJoCo takes the hand: joints 2, followers 0,")
-    assert any(line.startswith("inertia of left follows from mass and geometry") for line in found.simulation)
-    assert any(
-        line.startswith("mass and inertia of palm, right are those of solid pieces") for line in found.simulation
-    )
+    assert found.refused == "" and re.findall(r"\d+", found.simulation[0]) == ["2", "0", "3", "2"]
+    assert any("inertia" in line and "left" in line for line in found.simulation)
+    assert any("mass" in line and "palm, right" in line for line in found.simulation)
 
 
 def test_tiny_idle_and_rigid_hands_are_told(tmp_path: Path) -> None:
     ball = BALL.replace("0.01", "0.001")
     (tmp_path / "a.urdf").write_text(f'<robot name="r"><link name="a">{ball}</link></robot>')
-    assert suspicious(tmp_path / "a.urdf") == [
-        "no joint moves: there is nothing to refine but the pose of the palm",
-        "the hand is only 2 mm large: is a mesh's scale wrong?",
-        "nothing that moves is solid: there is no link that could touch an object",
-    ]
+    found = suspicious(tmp_path / "a.urdf")
+    # It has no joint, is tiny, and has nothing to touch with.
+    assert len(found) == 3 and sum("2 mm" in line for line in found) == 1
     (tmp_path / "b.urdf").write_text(
-        f'<robot name="r"><link name="a">{BALL}</link><link name="b"/><joint name="j" type="revolute">'
+        f'<robot name="r"><link name="a">{BALL}</link><link name="b"/><joint name="idle_j" type="revolute">'
         f'<parent link="a"/><child link="b"/>{LIMIT}</joint></robot>'
     )
-    assert "j move nothing that is solid" in suspicious(tmp_path / "b.urdf")
+    assert any("idle_j" in line for line in suspicious(tmp_path / "b.urdf"))
 
 
 def test_links_that_overlap_at_rest_are_named(tmp_path: Path) -> None:
@@ -310,4 +313,4 @@ def test_what_mujoco_refuses_is_told(workplace: Path, monkeypatch, capsys: pytes
 
     monkeypatch.setattr(hand_check, "urdf_model", broken)
     assert main(["hands", "--check", str(pincers(workplace))]) == 1
-    assert "MuJoCo does not take the hand:" in capsys.readouterr().out
+    assert_names(" ".join(capsys.readouterr().out.split()), "MuJoCo", "nowhere")

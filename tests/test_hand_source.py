@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from refusals import assert_names, refused
 
 from grasp_refine.assets import resource_dir
 from grasp_refine.errors import AssetError, HandError
@@ -36,14 +37,15 @@ def test_the_urdf_of_a_hand_without_one_is_fetched(name: str, mirror: Path) -> N
     found, toml = hand_files(name, None, None, said.append)
     assert found == name and toml.path == resource_dir("robots") / name / HAND_TOML
     assert toml.urdf.read_bytes() == (mirror / f"hands/{name}/{name}.urdf").read_bytes()
-    assert len(said) == 1 and said[0].startswith(f"fetching hands/{name} (licence: BSD")
+    (line,) = said
+    assert_names(line, f"hands/{name}", "BSD")
     hand_files(name, None, None, silent)
 
 
 def test_an_asset_has_what_our_hand_toml_says_of_it(mirror: Path) -> None:
     said: list[str] = []
     hand = load_hand("hands/leap", candidates=16, progress=said.append)
-    assert said and said[0].startswith("fetching hands/leap (licence: MIT")
+    assert_names(said[0], "hands/leap", "MIT")
     # Grasps of it are not to be taken for those of ours, which has another shape.
     assert hand.name == "hands/leap" and hand.urdf.name == "leap_right.urdf"
     ours = load_hand("leap", candidates=16)
@@ -61,24 +63,23 @@ def test_a_path_wins_over_an_asset(mirror: Path, workplace: Path) -> None:
 def test_an_mjcf_may_be_an_asset(mirror: Path) -> None:
     toml = hand_files("shadow", None, Path("shadow_mjcf"), lambda line: None)[1]
     assert toml.mjcf.read_bytes() == (mirror / "hands/shadow_mjcf/right_hand.xml").read_bytes()
-    with pytest.raises(HandError, match="nothing.xml: no such MJCF file"):
+    with refused(HandError, "nothing.xml"):
         hand_files("shadow", None, Path("nothing.xml"), silent)
 
 
 def test_an_mjcf_alone_is_no_hand(mirror: Path) -> None:
-    with pytest.raises(
-        HandError, match="shadow_mjcf: is an MJCF, which goes with a hand: --hand NAME --mjcf shadow_mjcf"
-    ):
+    with refused(HandError, "shadow_mjcf", "--hand NAME --mjcf shadow_mjcf"):
         hand_files("shadow_mjcf", None, None, silent)
 
 
 def test_without_a_network_both_ways_out_are_named(workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GRASP_REFINE_ASSETS", "http://127.0.0.1:9")
-    with pytest.raises(AssetError, match="hand 'barrett' comes without a URDF: give yours with --urdf FILE, or: "):
+    with refused(AssetError, "'barrett'", "--urdf FILE", "GRASP_REFINE_ASSETS"):
         hand_files("barrett", None, None, lambda line: None)
 
 
 @pytest.mark.parametrize("name", ["a" * 300, "a/" * 3000 + "b.urdf", "~nobody-is-called-so/x"])
 def test_what_cannot_be_a_path_is_no_hand(workplace: Path, name: str) -> None:
-    with pytest.raises((AssetError, HandError), match="no hand is called 'aaa|no such file or folder|/a/a"):
+    with pytest.raises((AssetError, HandError)) as caught:
         hand_files(name, None, None, silent)
+    assert_names(str(caught.value), name[:20])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 import yourdfpy
+from refusals import refused
 from shapes_for_tests import convex_body
 from twists import gradient_along_twists
 
@@ -165,7 +166,7 @@ def test_a_subtree_is_posed_by_its_own_base(shadow: Hand) -> None:
 
 
 def test_unknown_links_are_refused_with_the_ones_that_exist(allegro: Hand) -> None:
-    with pytest.raises(HandError, match=r"hand allegro has no link knee; it has base_link, .*link_3\.0_tip"):
+    with refused(HandError, "allegro", "knee", "base_link, ", "link_3.0_tip"):
         Kinematics(allegro, ["base_link", "knee"])
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
+from refusals import assert_names, refused
 
 from grasp_refine.commands.object_source import check_object, chosen_object, is_known, named_object
 from grasp_refine.errors import AssetError, MeshError
@@ -32,12 +32,12 @@ def test_what_is_no_asset_is_left_to_load_object(name: str, workplace: Path) -> 
 @pytest.mark.parametrize(("name", "meant"), [("ycb/011_bananna", "ycb_011_banana"), ("mugg", "mug")])
 def test_an_unknown_object_is_refused_with_the_one_that_may_be_meant(workplace: Path, name: str, meant: str) -> None:
     for function in (lambda: chosen_object(name, silent), lambda: check_object(name)):
-        with pytest.raises(AssetError, match=f"'{name}'.* {meant}\\?.* mug, bottle"):
+        with refused(AssetError, f"'{name}'", f" {meant}?", " mug, bottle"):
             function()
 
 
 def test_a_mesh_file_that_is_not_there_is_refused_before_anything_is_loaded(workplace: Path) -> None:
-    with pytest.raises(MeshError, match="cup.obj"):
+    with refused(MeshError, "cup.obj"):
         check_object("cup.obj")
     Path("cup.obj").touch()
     check_object("cup.obj")
@@ -55,12 +55,13 @@ def test_an_asset_is_fetched_and_said_once(name: str, mirror: Path) -> None:
     chosen = chosen_object(name, said.append)
     assert chosen.asset is not None and chosen.asset.name == "ycb_011_banana" and chosen.asset.scale > 0
     assert Path(chosen.source).read_bytes() == (mirror / "objects/ycb_011_banana.obj").read_bytes()
-    assert len(said) == 1 and said[0].startswith("fetching objects/ycb_011_banana (licence: YCB")
+    (line,) = said
+    assert_names(line, "objects/ycb_011_banana", "YCB")
     assert chosen_object(name, silent) == chosen
 
 
 def test_a_licence_that_restricts_is_not_passed_over(mirror: Path) -> None:
-    with pytest.raises(AssetError, match="--accept-license"):
+    with refused(AssetError, "--accept-license"):
         chosen_object("acronym_mug_10f6e090", lambda line: None)
 
 
@@ -71,24 +72,21 @@ def test_a_grasp_file_names_embedded_objects_and_primitives() -> None:
 
 def test_a_grasp_file_names_assets_in_full_only(mirror: Path) -> None:
     assert named_object("ycb_011_banana", None, FILE, lambda line: None).asset is not None
-    message = (
-        "grasps.npz: its object '011_banana' is none of the embedded ones (mug, bottle, rounded_box, bowl); give its"
-    )
-    with pytest.raises(AssetError, match=re.escape(message)) as caught:
+    embedded = "mug, bottle, rounded_box, bowl"
+    with refused(AssetError, "grasps.npz", "'011_banana'", embedded, "--object ycb_011_banana"):
         named_object("011_banana", None, FILE, silent)
-    assert str(caught.value).endswith("; it may be the asset ycb_011_banana: --object ycb_011_banana")
 
 
 def test_a_grasp_file_never_names_a_path(workplace: Path) -> None:
     (workplace / "secret.obj").write_text("")
-    with pytest.raises(AssetError, match="its object 'secret.obj' is none of the embedded ones"):
+    with refused(AssetError, "grasps.npz", "'secret.obj'"):
         named_object("secret.obj", None, FILE, silent)
 
 
 def test_a_colon_makes_no_path_a_primitive(workplace: Path) -> None:
     (workplace / "x:y.obj").write_text("")
     for name in ("x:y.obj", "box:1,2,3.obj"):
-        with pytest.raises(AssetError, match=f"its object '{name}' is none of the embedded ones"):
+        with refused(AssetError, "grasps.npz", f"'{name}'"):
             named_object(name, None, FILE, silent)
 
 
@@ -97,7 +95,7 @@ def test_a_toml_file_names_meshes_beside_it(tmp_path: Path) -> None:
     listing.write_text('cup = "meshes/cup.obj"\npot = "mug"\n')
     assert named_object("cup", listing, FILE, silent).source == tmp_path / "meshes/cup.obj"
     assert named_object("pot", listing, FILE, silent).source == "mug"
-    with pytest.raises(AssetError, match="objects.toml: no object 'pan'; it names cup, pot"):
+    with refused(AssetError, "objects.toml", "'pan'", "cup, pot"):
         named_object("pan", listing, FILE, silent)
 
 
@@ -110,14 +108,14 @@ def test_what_needs_no_mesh_is_known() -> None:
 def test_a_toml_file_that_takes_too_much_is_refused(tmp_path: Path, text: str) -> None:
     listing = tmp_path / "objects.toml"
     listing.write_text(text)
-    with pytest.raises(AssetError, match="objects.toml: cannot be read as TOML lines"):
+    with refused(AssetError, "objects.toml", "TOML"):
         named_object("cup", listing, FILE, silent)
     listing.write_text(f"cup = 0x{'f' * 9000}")
-    with pytest.raises(AssetError, match="cup must be a path in quotes, got a whole number of thousands of digits"):
+    with refused(AssetError, "cup", "thousands of digits"):
         named_object("cup", listing, FILE, silent)
 
 
 def test_a_name_that_is_too_long_for_a_file_is_no_object(workplace: Path) -> None:
-    with pytest.raises(AssetError, match="no object 'aaa"):
+    with refused(AssetError, "'aaa"):
         chosen_object("a" * 300, silent)
     assert chosen_object("a" * 300 + ".obj", silent).source == "a" * 300 + ".obj"

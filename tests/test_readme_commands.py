@@ -15,9 +15,11 @@ from readme import TEXT, blocks, run_python
 from grasp_refine.assets import resource_dir
 from grasp_refine.cli import main
 from grasp_refine.commands import options
+from grasp_refine.errors import GraspRefineError
 from grasp_refine.grasps import load_grasps, match_joints
 from grasp_refine.hand import load_hand
 from grasp_refine.objects import load_object
+from grasp_refine.replay.render import check_renderer
 from grasp_refine.se3 import transform_from_pose
 
 
@@ -84,7 +86,7 @@ def test_a_command_line_with_an_unknown_option_would_be_seen(
 ):
     checked_options(monkeypatch)
     assert main(ours("refine-grasp run --hnad leap")) == 2
-    assert "unrecognized options" in capfd.readouterr().err
+    assert "--hnad" in capfd.readouterr().err
     assert ours("dask worker") is None
     (wrapped,) = commands_of('sbatch --wrap "refine-grasp batch sets/ --hand leap"')
     assert ours(wrapped) == ["batch", "sets/", "--hand", "leap"]
@@ -126,15 +128,23 @@ def test_the_dataset_of_ones_own_is_a_grasp_file(newcomer: Path):
     assert set(mine.joint_names) == set(given.joint_names)
 
 
+def can_draw() -> bool:
+    """Whether pictures can be drawn here without a screen."""
+    try:
+        check_renderer()
+    except GraspRefineError:
+        return False
+    return True
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [1, 2, 3, 5])
 def test_recipes_run(number: int, newcomer: Path, capfd: pytest.CaptureFixture[str]):
-    commands, said = recipe(number), ""
+    commands = recipe(number)
     assert len(commands) >= 2
     for words in commands:
         assert main(words) == 0, (words, capfd.readouterr().err)
         out = capfd.readouterr().out
-        said += out
         if words[0] == "run" and "my_grasps.npz" in words:
             assert "→ 2 of 2" in out, "the grasps were told as they are"
     made = {
@@ -146,13 +156,13 @@ def test_recipes_run(number: int, newcomer: Path, capfd: pytest.CaptureFixture[s
     for name in made[number]:
         assert (newcomer / name).exists(), name
     if number == 5:
-        film = set() if "no film" in said else {".gif"}  # where nothing can be drawn without a screen
+        film = {".gif"} if can_draw() else set()
         assert {path.suffix for path in (newcomer / "replays").iterdir()} == {".npz", ".xml"} | film
 
 
 # what commands print
 
-PRINTED = ("$ refine-grasp run\n", "$ refine-grasp validate", "held in simulation (force-closure): ")
+PRINTED = ("$ refine-grasp run\n", "$ refine-grasp validate", "(force-closure): ")
 """What tells apart the blocks of text; a test compares each."""
 
 
@@ -204,7 +214,7 @@ def test_the_validation_that_is_shown_has_these_rows(
     assert [len(part) for part in rows] == [4, 4]
     for wanted, found in zip(*rows, strict=True):
         assert all(is_close(*pair) for pair in zip(wanted[:6], found[:6], strict=True)), (wanted, found)
-    told, held = (int(re.search(r"^(\d) of 4 grasps held", text, re.MULTILINE)[1]) for text in (shown, printed))
+    told, held = (int(re.search(r"^(\d) of 4 ", text, re.MULTILINE)[1]) for text in (shown, printed))
     assert told == 1 and held <= 2
     assert printed.split("\n")[0].split() == shown.split("\n")[0].split()
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 
 from grasp_refine.errors import GraspFileError
 from grasp_refine.grasps import GraspSet, Stage, match_joints
@@ -88,5 +89,5 @@ def test_a_link_beside_the_hand_cannot_be_its_base(urdf: Path) -> None:
         np.eye(7)[[3]],
         np.full((1, len(hand.joint_names)), 0.2),
     )
-    with pytest.raises(GraspFileError, match="begin at link 'palm', from which link 'camera' does not hang, nor"):
+    with refused(GraspFileError, "'palm'", "'camera'"):
         rebased(grasps, "camera", lambda base: load_hand(urdf, base_link=base))

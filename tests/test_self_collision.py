@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from grasp_refine import self_collision
 from grasp_refine.errors import CollisionError, HandError
@@ -110,7 +111,7 @@ def test_more_pairs_than_are_looked_at_are_refused_before_anything_is_asked(
     monkeypatch.setattr(self_collision, "MOST_PAIRS", 9)
     # Four moving balls and the base with a ball fixed to it: 4 x 3 / 2 pairs of them, 2 x 4 with the base.
     parts = [slide("base", name, 0.0, 0.1) for name in "abcd"]
-    with pytest.raises(HandError, match="14 pairs .* 9 "):
+    with refused(HandError, "14 pairs", " 9 "):
         found(build(tmp_path, *parts, fixed("base", "more", 0.5)))
 
 
@@ -174,9 +175,11 @@ def test_a_hand_without_bodies_or_joints_has_no_pairs(tmp_path: Path) -> None:
     "setting", [{"uniform": 0}, {"extreme": -1}, {"seed": -1}, {"margin": -0.001}, {"margin": np.inf}, {"always": 1.1}]
 )
 def test_settings_out_of_range_are_refused(setting: dict[str, float]) -> None:
-    (name,) = setting
-    with pytest.raises(CollisionError, match=f"{name}=.*: .*{name}.* at least|{name}=.*: .*{name} must be between"):
+    ((name, value),) = setting.items()
+    # The settings as they are, and which of them may not be so.
+    with refused(CollisionError, f"{name}={value}") as caught:
         Sampling(**setting)
+    assert str(caught.value).count(name) >= 2
 
 
 # the cache
@@ -277,9 +280,9 @@ def test_penetration_of_what_is_not_finite_is_unknown_and_spoils_no_other(tmp_pa
 
 def test_penetration_of_links_that_are_not_there_or_not_solid(tmp_path: Path) -> None:
     hand = build(tmp_path, slide("base", "a", 0, 1, radius=None))
-    with pytest.raises(HandError, match="hand .* has no link b; it has a, base"):
+    with refused(HandError, " b;", "a, base"):
         self_penetration(hand, [("base", "b")], np.zeros((1, 1)))
-    with pytest.raises(HandError, match="link 'a' has no collision geometry"):
+    with refused(HandError, "'a'"):
         self_penetration(hand, [("base", "a")], np.zeros((1, 1)))
 
 

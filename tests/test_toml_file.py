@@ -7,6 +7,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+from refusals import refused
 
 from grasp_refine import toml_file
 from grasp_refine.toml_file import DEEPEST, read_toml
@@ -54,7 +55,7 @@ def test_dots_in_comments_and_texts_are_no_parts_of_a_key(tmp_path: Path, text: 
     ['a = """x"""', 'a = """x""""', 'a = """x"""""', "a = '''x''''", 'a = """"""', 'a = "\\\\"', "a = '#'", 'a = ""'],
 )
 def test_a_long_key_behind_a_text_is_found(tmp_path: Path, text: str):
-    with pytest.raises(ValueError, match="more than 64 parts"):
+    with refused(ValueError, "64 parts"):
         read_toml(put(tmp_path, "x = {" + text + ", b" + ".b" * DEEPEST + " = 1}"))
 
 
@@ -68,18 +69,18 @@ def test_texts_without_end_take_no_time(tmp_path: Path, text: str):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "named"),
     [
         ("x = ", "Invalid value"),
-        ("x = " + "[" * 5000, "nested too deep"),
-        ("x = " + "{a=" * 5000, "nested too deep"),
+        ("x = " + "[" * 5000, "nested"),
+        ("x = " + "{a=" * 5000, "nested"),
         ("x = " + "9" * 5000, "4300"),
-        ("x" + ".a" * DEEPEST + " = 1", "a key has more than 64 parts"),
-        ("[x" + " . 'a'" * DEEPEST + "]", "a key has more than 64 parts"),
+        ("x" + ".a" * DEEPEST + " = 1", "64 parts"),
+        ("[x" + " . 'a'" * DEEPEST + "]", "64 parts"),
     ],
 )
-def test_what_cannot_be_read_is_one_kind_of_error(tmp_path: Path, text: str, message: str):
-    with pytest.raises(ValueError, match=message):
+def test_what_cannot_be_read_is_one_kind_of_error(tmp_path: Path, text: str, named: str):
+    with refused(ValueError, named):
         read_toml(put(tmp_path, text))
 
 
@@ -87,14 +88,14 @@ def test_a_key_of_thousands_of_parts_takes_neither_time_nor_memory(tmp_path: Pat
     # Python's reader took 3 GB and 10 s for this line.
     path = put(tmp_path, "x" + ".a" * 30000 + " = 1")
     start = time.process_time()
-    with pytest.raises(ValueError, match="more than 64 parts"):
+    with refused(ValueError, "64 parts"):
         read_toml(path)
     assert time.process_time() - start < 2.0
 
 
 def test_a_file_that_is_too_large_or_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(toml_file, "LARGEST", 10)
-    with pytest.raises(ValueError, match="at most 0 are read"):
+    with refused(ValueError, "MiB", "0"):
         read_toml(put(tmp_path, "x = 1 # and more"))
     with pytest.raises(FileNotFoundError):
         read_toml(tmp_path / "none.toml")

@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.optimize import linprog
 from twists import random_poses
 
@@ -147,7 +148,7 @@ def test_nothing_is_below_a_cutoff_that_is_no_number() -> None:
 def test_poses_of_another_number_of_pairs_are_refused() -> None:
     """The compiled engine took the pairs over and over, whatever they were."""
     pairs, T = Pairs((cluster(0),) * 3, (cluster(1),) * 3), np.tile(np.eye(4), (4, 2, 1, 1))
-    with pytest.raises(CollisionError, match=r"shape \(batch, 3, 4, 4\), got \(4, 2, 4, 4\)"):
+    with refused(CollisionError, "(batch, 3, 4, 4)", "(4, 2, 4, 4)"):
         query(pairs, T, T)
 
 
@@ -330,7 +331,7 @@ def test_without_a_first_answer_the_other_pieces_are_asked_all_the_same(many_pie
 
 def test_pairs_need_two_sides_of_equal_length() -> None:
     body = single(sphere(0.01))
-    with pytest.raises(CollisionError, match="equally many bodies"):
+    with refused(CollisionError, "1 and 2"):
         Pairs((body,), (body, body))
 
 

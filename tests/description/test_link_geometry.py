@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from refusals import assert_names, refused
 
 from grasp_refine.description import mesh_files
 from grasp_refine.description.link_geometry import LinkMeshes, link_pieces
@@ -127,16 +128,15 @@ def test_bodies_apart_are_a_piece_each_whatever_the_file_and_scale(palm: Path, m
     assert sorted(side * piece.bounds.mean(axis=0)[0] for piece in found) == pytest.approx([0, 0.05], abs=1e-8)
     assert [volume(piece) for piece in found] == pytest.approx([8e-6] * 2, rel=1e-6)
     # The hull is farthest from both cubes in the middle between them.
-    assert notes == [
-        f"tip: the hull of {mesh.split(chr(34))[0]} stands out of it by up to 15.0 mm; instead, 2 convex pieces stand "
-        "out by less than 2.0 mm"
-    ]
+    (note,) = notes
+    assert_names(note, "tip", mesh.split(chr(34))[0], "15.0 mm", "2 convex", "2.0 mm")
 
 
 def test_a_hull_within_the_limit_stays_and_is_noted_if_it_stands_out_noticeably(palm: Path) -> None:
     (piece,), notes = cut(palm, '<mesh filename="../meshes/palm.obj"/>', limit=0.02)
     assert volume(piece) == pytest.approx(0.07 * 0.02 * 0.02)
-    assert notes == ["tip: the hull of palm.obj stands out of it by up to 15.0 mm, within the limit of 20.0 mm"]
+    (note,) = notes
+    assert_names(note, "tip", "palm.obj", "15.0 mm", "20.0 mm")
 
 
 def test_without_a_limit_hulls_are_not_even_measured(palm: Path) -> None:
@@ -152,10 +152,10 @@ def test_a_hand_says_it_and_takes_the_limit(palm: Path, tmp_path: Path, monkeypa
     joint = '<joint name="j" type="revolute"><parent link="palm"/><child link="tip"/>'
     joint += '<limit lower="0" upper="1" effort="1" velocity="1"/></joint>'
     path.write_text(f'<robot name="r"><link name="palm">{collision}</link><link name="tip">{tip}</link>{joint}</robot>')
-    for limit, count, said in [(5e-3, 2, "2 convex pieces"), (0.02, 1, "within the limit"), (np.inf, 1, None)]:
+    for limit, count, said in [(5e-3, 2, "2 convex"), (0.02, 1, "20.0 mm"), (np.inf, 1, None)]:
         hand = load_hand(path, hull_limit=limit)
         assert len(hand.links_by_name["palm"].body.pieces) == count
-        notes = [note for note in hand.notes if note.startswith("palm: the hull of palm.obj stands out")]
+        notes = [note for note in hand.notes if note.startswith("palm: ") and "palm.obj" in note]
         assert len(notes) == (said is not None)
         assert said is None or said in notes[0]
 
@@ -175,14 +175,14 @@ def test_a_mesh_of_several_links_is_cut_and_mentioned_once(palm: Path) -> None:
     assert len(left) == 2, "the repeated element counts once"
     assert [a is b for a, b in zip(left, right, strict=True)] == [True, True]
     (note,) = meshes.notes()
-    assert note.startswith("left, right: the hull of palm.obj ")
+    assert_names(note, "left, right", "palm.obj")
 
 
 @pytest.mark.parametrize(
     ("hand", "link", "pieces", "note"),
     [
-        ("barrett/barrett.urdf", "base_link", 2, r"base_link: the hull of base_link_cylinder.obj .* by up to 28.\d mm"),
-        ("shadow/shadow_right.urdf", "forearm", 3, r"forearm: the hull of forearm_E3M5.obj .* by up to [56].\d mm"),
+        ("barrett/barrett.urdf", "base_link", 2, r"base_link: .*base_link_cylinder.obj .* 28.\d mm"),
+        ("shadow/shadow_right.urdf", "forearm", 3, r"forearm: .*forearm_E3M5.obj .* [56].\d mm"),
         ("leap/leap_right.urdf", "fingertip", 1, None),
     ],
 )
@@ -228,35 +228,28 @@ def test_the_package_of_that_name_wins_over_a_folder_nearby(package: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("geometry", "message"),
+    ("geometry", "named"),
     [
-        ('<mesh filename="none.stl"/>', r"mesh 'none.stl' not found: tried .*/my_hand/urdf/none.stl$"),
-        (
-            '<mesh filename="package://p/none.stl"/>',
-            r"not found: tried p/none.stl and none.stl in .*/my_hand/urdf and",
-        ),
-        (
-            '<mesh filename="http://a.b/c.stl"/>',
-            r"mesh 'http://a.b/c.stl': only paths, file:// and package:// are read",
-        ),
-        ('<mesh filename="hand.urdf"/>', r"hand.urdf: .*'.urdf'.* .obj, .stl"),
-        ('<mesh filename="broken.dae"/>', r"broken.dae: cannot be read as a mesh"),
-        ('<mesh filename="../meshes/wedge.stl" scale="1 1 0"/>', r"wedge.stl x \[1. 1. 0.\]: flat"),
-        (f'<mesh filename="{"a" * 300}.stl"/>', r"mesh 'a+.stl' not found: tried"),
-        (f'<mesh filename="{"a/" * 1500}b.stl"/>', r"b.stl' not found: tried"),
-        ('<sphere radius="1e-300"/>', r"sphere: its radius is 1e-300 m, which no solid has"),
-        ('<mesh filename="../meshes/wedge.stl" scale="1e200 1e200 1e308"/>', r"1 of its 4 vertices are not finite"),
-        ('<box size="0 1 1"/>', r"box: side lengths must be positive and finite, got \[0.0, 1.0, 1.0\]"),
-        ('<box size="1 1 1e-9"/>', r"box: flat"),
-        ('<sphere radius="0"/>', r"sphere: radius must be positive"),
-        ('<cylinder radius="1" length="-1"/>', r"cylinder: radius and length must be positive"),
+        ('<mesh filename="none.stl"/>', ("'none.stl'", "/my_hand/urdf/none.stl")),
+        ('<mesh filename="package://p/none.stl"/>', ("p/none.stl", " none.stl", "/my_hand/urdf ")),
+        ('<mesh filename="http://a.b/c.stl"/>', ("'http://a.b/c.stl'", "file://", "package://")),
+        ('<mesh filename="hand.urdf"/>', ("'.urdf'", ".obj, .stl")),
+        ('<mesh filename="broken.dae"/>', ("broken.dae",)),
+        ('<mesh filename="../meshes/wedge.stl" scale="1 1 0"/>', ("wedge.stl", "[1. 1. 0.]", "flat")),
+        (f'<mesh filename="{"a" * 300}.stl"/>', ("a.stl'",)),
+        (f'<mesh filename="{"a/" * 1500}b.stl"/>', ("b.stl'",)),
+        ('<sphere radius="1e-300"/>', ("sphere", "1e-300 m")),
+        ('<mesh filename="../meshes/wedge.stl" scale="1e200 1e200 1e308"/>', ("1 of", "4 vertices", "finite")),
+        ('<box size="0 1 1"/>', ("box", "[0.0, 1.0, 1.0]")),
+        ('<box size="1 1 1e-9"/>', ("box", "flat")),
+        ('<sphere radius="0"/>', ("sphere", "radius", "0")),
+        ('<cylinder radius="1" length="-1"/>', ("cylinder", "radius", "length", "-1")),
     ],
 )
-def test_geometry_that_cannot_be_used_names_the_link(package: Path, geometry: str, message: str) -> None:
+def test_geometry_that_cannot_be_used_names_the_link(package: Path, geometry: str, named: tuple[str, ...]) -> None:
     (package / "urdf/broken.dae").write_text("broken")
-    with pytest.raises(HandError, match=f"hand.urdf: link 'tip': .*{message}") as caught:
+    with refused(HandError, "hand.urdf", "'tip'", *named):
         pieces(package, geometry)
-    assert "\n" not in str(caught.value)
 
 
 def test_both_sides_of_faces_are_one_surface(package: Path) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from grasp_refine.description.tree import Tree, read_tree
 from grasp_refine.errors import HandError
@@ -60,90 +61,68 @@ def test_a_subtree_leaves_out_what_is_above_and_beside_it_with_its_defects(tmp_p
     )
     links, joints = hand.below("b")
     assert [link.name for link in links] == ["b", "d"] and [j.name for j in joints] == ["3"]
-    with pytest.raises(HandError, match="no link 'z'; its links: a, b, c, d"):
+    with refused(HandError, "'z'", "a, b, c, d"):
         hand.below("z")
 
 
 @pytest.mark.parametrize(
-    ("links", "joints", "message"),
+    ("links", "joints", "named"),
     [
-        ("", [], "has no links"),
-        ("ab", [], "2 links have no parent, one is allowed: a, b"),
-        ("aab", [joint("1", "a", "b")], "several links have the name 'a'"),
-        ("abc", [joint("1", "a", "b"), joint("1", "b", "c")], "several joints have the name '1'"),
-        (
-            "ab",
-            [joint("1", "a", "z")],
-            "joint '1' has the child link 'z', which does not exist; its links: a, b",
-        ),
-        (
-            "ab",
-            [joint("1", "z", "b")],
-            "joint '1' has the parent link 'z', which does not exist; its links: a, b",
-        ),
-        (
-            "abc",
-            [joint("1", "a", "c"), joint("2", "b", "c")],
-            "link 'c' is the child of two joints, '1' and '2'",
-        ),
-        ("ab", [joint("1", "a", "b"), joint("2", "b", "a")], "links form a cycle: a -> b -> a"),
-        ("ab", [joint("1", "a", "a"), joint("2", "a", "b")], "links form a cycle: a -> a"),
-        (
-            "abcd",
-            [joint("1", "b", "c"), joint("2", "c", "d"), joint("3", "d", "b")],
-            "links form a cycle: b -> c -> d -> b",
-        ),
+        ("", [], ("links",)),
+        ("ab", [], ("2 links", "a, b")),
+        ("aab", [joint("1", "a", "b")], ("link", "'a'")),
+        ("abc", [joint("1", "a", "b"), joint("1", "b", "c")], ("joint", "'1'")),
+        ("ab", [joint("1", "a", "z")], ("'1'", "child", "'z'", "a, b")),
+        ("ab", [joint("1", "z", "b")], ("'1'", "parent", "'z'", "a, b")),
+        ("abc", [joint("1", "a", "c"), joint("2", "b", "c")], ("'c'", "'1'", "'2'")),
+        ("ab", [joint("1", "a", "b"), joint("2", "b", "a")], ("a -> b -> a",)),
+        ("ab", [joint("1", "a", "a"), joint("2", "a", "b")], ("a -> a",)),
+        ("abcd", [joint("1", "b", "c"), joint("2", "c", "d"), joint("3", "d", "b")], ("b -> c -> d -> b",)),
     ],
 )
-def test_links_that_form_no_tree(tmp_path: Path, links: str, joints: list[str], message: str) -> None:
-    with pytest.raises(HandError, match=f"hand.urdf: {message}$"):
+def test_links_that_form_no_tree(tmp_path: Path, links: str, joints: list[str], named: tuple[str, ...]) -> None:
+    with refused(HandError, "hand.urdf", *named):
         tree(tmp_path, links, *joints)
 
 
 @pytest.mark.parametrize(
-    ("kind", "inside", "message"),
+    ("kind", "inside", "named"),
     [
-        ("floating", "", "is floating, which is not supported; .* choose a base_link below it, such as 'b'"),
-        ("planar", "", "is planar, which is not supported; .* choose a base_link below it, such as 'b'"),
-        ("hinge", "", "has the type 'hinge'; valid: revolute, continuous, prismatic, fixed"),
-        (
-            "revolute",
-            "",
-            "is revolute and needs <limit> with lower and upper; without limits its type would be cont",
-        ),
-        ("revolute", '<limit upper="1"/>', "is revolute and needs <limit> with lower and upper"),
-        (
-            "prismatic",
-            '<limit lower="0" effort="1"/>',
-            "is prismatic and needs <limit> with lower and upper$",
-        ),
-        ("revolute", '<limit lower="1" upper="-1"/>', "has reversed limits: lower 1 is above upper -1"),
-        ("continuous", '<axis xyz="0 0 0"/>', r"has the axis \[0.0, 0.0, 0.0\], which is no direction"),
-        ("continuous", '<axis xyz="1e300 0 0"/>', r"has the axis \[1e\+300, 0.0, 0.0\], which is no direction"),
+        ("floating", "", ("floating", "base_link", "'b'")),
+        ("planar", "", ("planar", "base_link", "'b'")),
+        ("hinge", "", ("'hinge'", "revolute, continuous, prismatic, fixed")),
+        ("revolute", "", ("revolute", "<limit>", "lower", "upper", "continuous")),
+        ("revolute", '<limit upper="1"/>', ("revolute", "<limit>", "lower", "upper")),
+        ("prismatic", '<limit lower="0" effort="1"/>', ("prismatic", "<limit>", "lower", "upper")),
+        ("revolute", '<limit lower="1" upper="-1"/>', ("lower 1", "upper -1")),
+        ("continuous", '<axis xyz="0 0 0"/>', ("axis", "[0.0, 0.0, 0.0]")),
+        ("continuous", '<axis xyz="1e300 0 0"/>', ("axis", "[1e+300, 0.0, 0.0]")),
     ],
 )
-def test_joints_that_no_hand_can_have(tmp_path: Path, kind: str, inside: str, message: str) -> None:
+def test_joints_that_no_hand_can_have(tmp_path: Path, kind: str, inside: str, named: tuple[str, ...]) -> None:
     hand = tree(tmp_path, "ab", joint("1", "a", "b", kind, inside))
-    with pytest.raises(HandError, match=f"hand.urdf: joint '1' {message}"):
+    with refused(HandError, "hand.urdf", "'1'", *named) as caught:
         hand.below("a")
+    # No slide goes on for ever.
+    assert kind != "prismatic" or "continuous" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("follows", "base", "message"),
+    ("follows", "base", "named"),
     [
-        ({"2": "9"}, "a", "joint '2' mimics '9', which does not exist; its joints: 1, 2, 3, 4"),
-        ({"2": "2"}, "a", "joint '2' mimics '2', which makes a cycle: 2 -> 2"),
-        ({"2": "3", "3": "2"}, "a", "mimics '2', which makes a cycle: 2 -> 3 -> 2"),
-        ({"1": "2", "2": "3", "3": "2"}, "a", "mimics '2', which makes a cycle: 1 -> 2 -> 3 -> 2"),
-        ({"3": "1"}, "b", "joint '3' mimics '1', which is not below the base link 'b'"),
-        ({"2": "4"}, "a", "joint '2' mimics '4', which is fixed"),
+        ({"2": "9"}, "a", ("'2'", "'9'", "1, 2, 3, 4")),
+        ({"2": "2"}, "a", ("'2'", "2 -> 2")),
+        ({"2": "3", "3": "2"}, "a", ("'2'", "2 -> 3 -> 2")),
+        ({"1": "2", "2": "3", "3": "2"}, "a", ("'2'", "1 -> 2 -> 3 -> 2")),
+        ({"3": "1"}, "b", ("'3'", "'1'", "'b'")),
+        ({"2": "4"}, "a", ("'2'", "'4'", "fixed")),
     ],
 )
-def test_mimics_that_follow_nothing(tmp_path: Path, follows: dict[str, str], base: str, message: str) -> None:
+def test_mimics_that_follow_nothing(tmp_path: Path, follows: dict[str, str], base: str, named: tuple[str, ...]) -> None:
     def inside(name: str) -> str:
         return LIMIT + (f'<mimic joint="{follows[name]}"/>' if name in follows else "")
 
     chain = [joint(name, p, c, inside=inside(name)) for name, p, c in ("1ab", "2bc", "3cd")]
     hand = tree(tmp_path, "abcde", *chain, joint("4", "d", "e", "fixed"))
-    with pytest.raises(HandError, match=message):
+    with refused(HandError, *named):
         hand.below(base)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import assert_names, refused
 from running_processes import PATIENCE_S
 
 from grasp_refine.description.urdf import read_urdf
@@ -13,6 +14,7 @@ from grasp_refine.errors import HandError
 
 JOINT = '<joint name="a" type="revolute"><parent link="base"/><child link="tip"/>{}</joint>'
 COLLISION = "<collision>{}</collision>"
+SHAPES = "box, cylinder, sphere, mesh"
 
 
 def robot(joint: str = '<limit lower="0" upper="1"/>', link: str = "") -> str:
@@ -55,103 +57,80 @@ def test_roll_pitch_yaw_is_about_fixed_axes(tmp_path: Path) -> None:
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(HandError, match=r"none\.urdf: cannot be read \(No such file or directory\)"):
+    with refused(HandError, "none.urdf", "No such file or directory"):
         read_urdf(tmp_path / "none.urdf")
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "named"),
     [
-        ("", r"not XML"),
-        ("hand", r"not XML \(Start tag expected"),
-        ('<robot name="r"><link name="a">', r"not XML"),
-        (b"\xff\xfe\x00garbage", r"not XML"),
-        (b"<robot>\x00</robot>", r"not XML \(Invalid character: Char 0x0 out of allowed range"),
-        ('<mujoco model="r"/>', r"not a URDF, its outermost element is <mujoco> instead of <robot>"),
-        (
-            '<robot xmlns:xacro="http://ros.org/xacro"><xacro:finger/></robot>',
-            r"expand them first: xacro hand.urdf",
-        ),
-        ("<robot><link/></robot>", r"urdf: <link> has no 'name'"),
-        ('<robot><link name="a&#10;b"/></robot>', r"link 'a b': <link name=\"a b\"> holds letters that no name has"),
-        ('<robot><link name="\x9b2J"/></robot>', r"<link name=\"\\x9b2J\"> holds letters that no name has"),
-        (robot('<mimic joint="a&#10;b"/>'), r"<mimic joint=\"a b\"> holds letters that no name has"),
-        ('<robot><link name=""/></robot>', r"urdf: <link> has no 'name'"),
-        ('<robot><joint type="fixed"/></robot>', r"urdf: <joint> has no 'name'"),
-        ('<robot><joint name="a"/></robot>', r"joint 'a': <joint> has no 'type'"),
-        (
-            '<robot><joint name="a" type="fixed"><child link="x"/></joint></robot>',
-            r"joint 'a': <joint> has no <parent>",
-        ),
-        (
-            '<robot><joint name="a" type="fixed"><parent link="x"/></joint></robot>',
-            r"joint 'a': <joint> has no <child>",
-        ),
-        (
-            '<robot><joint name="a" type="fixed"><parent/><child/></joint></robot>',
-            r"joint 'a': <parent> has no 'link'",
-        ),
-        (robot('<axis xyz="0 0 x"/>'), r"joint 'a': <axis xyz=\"0 0 x\"> must be 3 finite numbers"),
-        (robot('<axis xyz="0 1"/>'), r"joint 'a': <axis xyz=\"0 1\"> must be 3 finite numbers"),
-        (robot('<origin xyz="0 nan 0"/>'), r"joint 'a': <origin xyz=\"0 nan 0\"> must be 3 finite numbers"),
-        (robot('<origin rpy="0 0 inf"/>'), r"joint 'a': <origin rpy=\"0 0 inf\"> must be 3 finite numbers"),
-        (
-            robot('<limit lower="-inf" upper="1"/>'),
-            r"joint 'a': <limit lower=\"-inf\"> must be a finite number",
-        ),
-        (robot('<limit lower="0" upper="${pi}"/>'), r"<limit upper=\"\$\{pi\}\"> must be a finite number"),
-        (robot('<mimic multiplier="1"/>'), r"joint 'a': <mimic> has no 'joint'"),
-        (robot('<mimic joint="b" offset="1 2"/>'), r"<mimic offset=\"1 2\"> must be a finite number"),
-        (
-            robot(link='<inertial><mass value="heavy"/></inertial>'),
-            r"link 'tip': <mass value=\"heavy\"> must be",
-        ),
+        ("", ("XML",)),
+        ("hand", ("XML", "Start tag expected")),
+        ('<robot name="r"><link name="a">', ("XML",)),
+        (b"\xff\xfe\x00garbage", ("XML",)),
+        (b"<robot>\x00</robot>", ("XML", "Invalid character: Char 0x0 out of allowed range")),
+        ('<mujoco model="r"/>', ("URDF", "<mujoco>", "<robot>")),
+        ('<robot xmlns:xacro="http://ros.org/xacro"><xacro:finger/></robot>', ("xacro hand.urdf",)),
+        ("<robot><link/></robot>", ("<link>", "'name'")),
+        ('<robot><link name="a&#10;b"/></robot>', ("'a b'", '<link name="a b">')),
+        ('<robot><link name="\x9b2J"/></robot>', ('<link name="\\x9b2J">',)),
+        (robot('<mimic joint="a&#10;b"/>'), ('<mimic joint="a b">',)),
+        ('<robot><link name=""/></robot>', ("<link>", "'name'")),
+        ('<robot><joint type="fixed"/></robot>', ("<joint>", "'name'")),
+        ('<robot><joint name="a"/></robot>', ("'a'", "<joint>", "'type'")),
+        ('<robot><joint name="a" type="fixed"><child link="x"/></joint></robot>', ("'a'", "<joint>", "<parent>")),
+        ('<robot><joint name="a" type="fixed"><parent link="x"/></joint></robot>', ("'a'", "<joint>", "<child>")),
+        ('<robot><joint name="a" type="fixed"><parent/><child/></joint></robot>', ("'a'", "<parent>", "'link'")),
+        (robot('<axis xyz="0 0 x"/>'), ("'a'", '<axis xyz="0 0 x">', "3")),
+        (robot('<axis xyz="0 1"/>'), ("'a'", '<axis xyz="0 1">', "3")),
+        (robot('<origin xyz="0 nan 0"/>'), ("'a'", '<origin xyz="0 nan 0">', "3")),
+        (robot('<origin rpy="0 0 inf"/>'), ("'a'", '<origin rpy="0 0 inf">', "3")),
+        (robot('<limit lower="-inf" upper="1"/>'), ("'a'", '<limit lower="-inf">')),
+        (robot('<limit lower="0" upper="${pi}"/>'), ('<limit upper="${pi}">',)),
+        (robot('<mimic multiplier="1"/>'), ("'a'", "<mimic>", "'joint'")),
+        (robot('<mimic joint="b" offset="1 2"/>'), ('<mimic offset="1 2">',)),
+        (robot(link='<inertial><mass value="heavy"/></inertial>'), ("'tip'", '<mass value="heavy">')),
         (
             robot(link='<inertial><mass value="1"/><inertia ixx="nan" iyy="1" izz="1"/></inertial>'),
-            r"link 'tip': <inertia ixx=\"nan\"> must be a finite number",
+            ("'tip'", '<inertia ixx="nan">'),
         ),
         (
             robot(link='<inertial><mass value="1"/><origin xyz="a b c"/></inertial>'),
-            r"link 'tip': <origin xyz=\"a b c\"> must be 3 finite numbers",
+            ("'tip'", '<origin xyz="a b c">', "3"),
         ),
         (
             robot(link='<inertial><mass value="1"/><inertia ixx="1" iyy="1"/></inertial>'),
-            r"link 'tip': <inertia> has no 'izz'",
+            ("'tip'", "<inertia>", "'izz'"),
         ),
-        (robot(link="<inertial><mass/></inertial>"), r"link 'tip': <mass> has no 'value'"),
-        (robot(link="<collision/>"), r"link 'tip': <collision> has no <geometry>"),
-        (
-            robot(link="<collision><geometry/></collision>"),
-            r"link 'tip': <geometry> holds nothing; it must hold one",
-        ),
+        (robot(link="<inertial><mass/></inertial>"), ("'tip'", "<mass>", "'value'")),
+        (robot(link="<collision/>"), ("'tip'", "<collision>", "<geometry>")),
+        (robot(link="<collision><geometry/></collision>"), ("'tip'", "<geometry>", SHAPES)),
         (
             robot(link='<collision><geometry><capsule radius="1"/></geometry></collision>'),
-            r"link 'tip': <geometry> holds <capsule>; it must hold one of box, cylinder, sphere, mesh",
+            ("'tip'", "<geometry>", "<capsule>", SHAPES),
         ),
         (
             robot(link='<collision><geometry><sphere radius="1"/><sphere radius="2"/></geometry></collision>'),
-            r"link 'tip': <geometry> holds <sphere>, <sphere>; it must hold one of",
+            ("'tip'", "<geometry>", "<sphere>, <sphere>", SHAPES),
         ),
-        (
-            robot(link="<collision><geometry><box/></geometry></collision>"),
-            r"link 'tip': <box> has no 'size'",
-        ),
+        (robot(link="<collision><geometry><box/></geometry></collision>"), ("'tip'", "<box>", "'size'")),
         (
             robot(link='<collision><geometry><cylinder radius="1"/></geometry></collision>'),
-            r"link 'tip': <cylinder> has no 'length'",
+            ("'tip'", "<cylinder>", "'length'"),
         ),
-        (robot(link="<collision><geometry><sphere/></geometry></collision>"), r"<sphere> has no 'radius'"),
-        (robot(link="<collision><geometry><mesh/></geometry></collision>"), r"<mesh> has no 'filename'"),
+        (robot(link="<collision><geometry><sphere/></geometry></collision>"), ("<sphere>", "'radius'")),
+        (robot(link="<collision><geometry><mesh/></geometry></collision>"), ("<mesh>", "'filename'")),
         (
             robot(link='<collision><geometry><mesh filename="m.stl" scale="1 2"/></geometry></collision>'),
-            r"<mesh scale=\"1 2\"> must be 1 or 3 finite numbers",
+            ('<mesh scale="1 2">', "1 or 3"),
         ),
     ],
 )
-def test_malformed_files_say_what_is_wrong_in_one_line(tmp_path: Path, text: str | bytes, message: str) -> None:
-    with pytest.raises(HandError, match=message) as caught:
+def test_malformed_files_say_what_is_wrong_in_one_line(
+    tmp_path: Path, text: str | bytes, named: tuple[str, ...]
+) -> None:
+    with refused(HandError, "hand.urdf", *named):
         read_urdf(write(tmp_path, text))
-    assert "\n" not in str(caught.value) and "hand.urdf" in str(caught.value)
 
 
 @pytest.mark.parametrize("kind", ["entity", "parameter entity", "dtd"])
@@ -167,19 +146,20 @@ def test_what_a_urdf_points_to_is_not_even_opened(tmp_path: Path, kind: str) -> 
     inside = "&e;" if kind == "entity" else ""
     path = tmp_path / "hand.urdf"
     path.write_text(f'{doctype}<robot name="r"><link name="a"/>{inside}</robot>')
-    refused: list[str] = []
+    told: list[str] = []
 
     def read() -> None:
         try:
             read_urdf(path)
         except HandError as error:
-            refused.append(str(error))
+            told.append(str(error))
 
     reader = threading.Thread(target=read, daemon=True)
     reader.start()
     reader.join(timeout=PATIENCE_S)
     assert not reader.is_alive(), "the pipe was opened"
-    assert len(refused) == 1 and "a DOCTYPE is refused, because it can pull in other files" in refused[0]
+    assert len(told) == 1
+    assert_names(told[0], "DOCTYPE")
 
 
 @pytest.mark.parametrize(("tag", "count"), [("link", 1001), ("joint", 1002)])
@@ -188,7 +168,7 @@ def test_more_links_or_joints_than_a_hand_can_have_are_refused_before_any_is_rea
 ) -> None:
     """A URDF of 20,000 links once kept `hands --check` busy for minutes; these have no names, which nobody sees."""
     path = write(tmp_path, f"<robot name='r'>{f'<{tag}/>' * count}</robot>")
-    with pytest.raises(HandError, match=rf"hand\.urdf: has {count} {tag}s, more than the 1000 "):
+    with refused(HandError, "hand.urdf", f"{count} {tag}s", "1000"):
         read_urdf(path)
     links = "".join(f"<link name='{number}'/>" for number in range(1000))
     path = write(tmp_path, f"<robot name='r'>{links}</robot>")
@@ -200,7 +180,7 @@ def test_a_doctype_is_refused_and_no_entity_is_read(tmp_path: Path) -> None:
     secret.write_text("do not read")
     doctype = f'<!DOCTYPE robot [<!ENTITY e SYSTEM "file://{secret}">]>'
     text = f'{doctype}<robot name="r"><link name="a">&e;</link></robot>'
-    with pytest.raises(HandError, match="a DOCTYPE is refused") as caught:
+    with refused(HandError, "DOCTYPE") as caught:
         read_urdf(write(tmp_path, text))
     assert "do not read" not in str(caught.value)
 
@@ -208,5 +188,6 @@ def test_a_doctype_is_refused_and_no_entity_is_read(tmp_path: Path) -> None:
 def test_a_bomb_of_entities_is_refused(tmp_path: Path) -> None:
     entities = "".join(f'<!ENTITY e{i + 1} "{f"&e{i};" * 10}">' for i in range(9))
     text = f'<!DOCTYPE robot [<!ENTITY e0 "boom">{entities}]><robot name="&e9;"><link name="a"/></robot>'
-    with pytest.raises(HandError, match="DOCTYPE is refused|not XML"):
+    with refused(HandError, "hand.urdf") as caught:
         read_urdf(write(tmp_path, text))
+    assert "DOCTYPE" in str(caught.value) or "XML" in str(caught.value)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from refusals import assert_names, refused
 
 from grasp_refine.description.visuals import Visual, load_visuals
 from grasp_refine.errors import HandError
@@ -60,25 +61,25 @@ def test_colours_come_from_the_visual_or_by_name(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("broken", "what"),
+    ("broken", "named"),
     [
-        ('<visual><geometry><mesh filename="none.obj"/></geometry></visual>', "mesh 'none.obj' not found"),
-        ('<visual><geometry><mesh filename="flat.obj"/></geometry></visual>', "flat"),
-        ('<visual><geometry><mesh filename="mesh.3ds"/></geometry></visual>', "unknown mesh type '.3ds'"),
-        ("<visual><geometry><teapot/></geometry></visual>", "<geometry> holds <teapot>"),
-        ("<visual/>", "<visual> has no <geometry>"),
-        ('<visual><geometry><box size="1 2"/></geometry></visual>', "must be 3 finite numbers"),
-        ('<visual><geometry><sphere radius="-1"/></geometry></visual>', "must be positive"),
-        (BOX.format('<material name="m"><color rgba="red"/></material>'), 'rgba="red"'),
+        ('<visual><geometry><mesh filename="none.obj"/></geometry></visual>', ("'none.obj'",)),
+        ('<visual><geometry><mesh filename="flat.obj"/></geometry></visual>', ("flat.obj",)),
+        ('<visual><geometry><mesh filename="mesh.3ds"/></geometry></visual>', ("'.3ds'",)),
+        ("<visual><geometry><teapot/></geometry></visual>", ("<teapot>",)),
+        ("<visual/>", ("<visual>", "<geometry>")),
+        ('<visual><geometry><box size="1 2"/></geometry></visual>', ('<box size="1 2">', "3")),
+        ('<visual><geometry><sphere radius="-1"/></geometry></visual>', ("sphere", "-1")),
+        (BOX.format('<material name="m"><color rgba="red"/></material>'), ('rgba="red"',)),
     ],
 )
-def test_what_is_broken_is_left_out_and_told(tmp_path: Path, broken: str, what: str):
+def test_what_is_broken_is_left_out_and_told(tmp_path: Path, broken: str, named: tuple[str, ...]):
     (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (tmp_path / "mesh.3ds").write_text("")
     visuals, said = load(tmp_path, broken + BOX.format(""), BOX.format(""))
     assert [visual.link for visual in visuals] == ["base", "tip"]
     (line,) = said
-    assert line.startswith("link 'base': something that it shows cannot be read: ") and what in line
+    assert_names(line, "'base'", *named)
 
 
 def test_only_the_links_that_were_asked_for(tmp_path: Path):
@@ -87,5 +88,5 @@ def test_only_the_links_that_were_asked_for(tmp_path: Path):
 
 
 def test_a_missing_file_is_named(tmp_path: Path):
-    with pytest.raises(HandError, match=r"none\.urdf: cannot be read \(No such file or directory\)"):
+    with refused(HandError, "none.urdf", "No such file or directory"):
         load_visuals(tmp_path / "none.urdf", ("tip",))

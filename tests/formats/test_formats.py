@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import assert_names, refused
 
 from grasp_refine.errors import GraspFileError
 from grasp_refine.formats.agreement import fingertip_distances
@@ -56,10 +57,10 @@ def write(grasps: GraspSet, path: Path, to: str, load: Load) -> tuple[np.ndarray
     return rows, list(lost)
 
 
-def refused(path: Path, **keywords) -> str:
-    with pytest.raises(GraspFileError) as raised:
+def refusal(path: Path, **keywords) -> str:
+    """The message with which a file is refused, behind its path."""
+    with refused(GraspFileError) as raised:
         read_grasps(path, **keywords)
-    assert "\n" not in str(raised.value)
     return str(raised.value).removeprefix(f"{path}: ")
 
 
@@ -78,15 +79,15 @@ def test_what_is_written_is_read_again(
     assert fingertip_distances(expected, again.grasps, partial(load, hand)).max() < 1e-14
     stages = to != "dexgraspnet"
     assert (again.grasps.pregrasp is not None) == (again.grasps.squeeze is not None) == stages
-    assert any("pregrasp and squeeze" in line for line in lost) != stages
+    assert any("pregrasp" in line and "squeeze" in line for line in lost) != stages
 
 
 def test_the_leap_cache_is_read_again_to_single_precision(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
     before = grasps("leap").select([0, 6])
-    with pytest.raises(GraspFileError, match=r"one object and scale; there are bottle \(scale 0.06\), .*mug"):
+    with refused(GraspFileError, "bottle", "0.06", "mug"):
         write(grasps("leap"), tmp_path / "out_s06.npy", "leap_cache", load)
     _, lost = write(before, tmp_path / "out_s06.npy", "leap_cache", load)
-    assert "object 'mug' and its scale 0.06 have no place" in lost[0]
+    assert_names(lost[0], "'mug'", "0.06")
     again = reading(tmp_path / "out_s06.npy")
     assert set(again.grasps.object) == {"box:0.075,0.075,0.075"}
     assert set(again.grasps.scale) == {0.6}
@@ -98,7 +99,7 @@ def test_a_wrist_is_in_the_pose_where_a_format_has_none(grasps: Callable[..., Gr
     assert len(before.joint_names) == 24
     for to in ("dexgraspbench", "bodex", "dexonomy", "dexgraspnet"):
         rows, lost = write(before, tmp_path / to, to, load)
-        assert any(line.startswith("WRJ2, WRJ1 have no place in this format: the pose of the hand is") for line in lost)
+        assert any("WRJ2, WRJ1" in line for line in lost)
         again = read_grasps(tmp_path / to)
         assert (again.base_link, len(again.joint_names)) == ("palm", 22)
         assert fingertip_distances(before.select(rows), again, partial(load, "shadow")).max() < 1e-14
@@ -107,9 +108,9 @@ def test_a_wrist_is_in_the_pose_where_a_format_has_none(grasps: Callable[..., Gr
 def test_a_hand_that_a_format_does_not_know_is_refused_with_both_lists(
     grasps: Callable[..., GraspSet], load: Load, tmp_path: Path
 ):
-    with pytest.raises(GraspFileError, match=r"format dexgraspnet cannot hold .* of hand 'leap' with .*12, 13.*FFJ4"):
+    with refused(GraspFileError, "dexgraspnet", "'leap'", "12, 13", "FFJ4"):
         write(grasps("leap"), tmp_path / "out", "dexgraspnet", load)
-    with pytest.raises(GraspFileError, match=r"format leap_cache cannot hold grasps of hand 'shadow'"):
+    with refused(GraspFileError, "leap_cache", "'shadow'"):
         write(grasps("shadow").select([0]), tmp_path / "out.npy", "leap_cache", load)
     assert not list(tmp_path.iterdir())
 
@@ -120,13 +121,10 @@ def test_what_a_format_cannot_hold_is_said(grasps: Callable[..., GraspSet], load
     with_targets = before.with_(targets=Targets(("ffdistal",), points, points))
     for known in FORMATS[1:5]:
         _, lost = write(with_targets, tmp_path / known.name, known.name, load)
-        assert "targets have no place in this format and are left out" in lost
+        assert any("targets" in note for note in lost)
     one_stage = GraspSet(**{**vars(before), "pregrasp": None, "squeeze": None})
     _, lost = write(one_stage, tmp_path / "one", "bodex", load)
-    assert lost == [
-        "there is no pregrasp: the grasp itself is written in its place",
-        "there is no squeeze: the grasp itself is written in its place",
-    ]
+    assert len(lost) == 2 and "pregrasp" in lost[0] and "squeeze" in lost[1]
 
 
 def bench(grasps: Callable[..., GraspSet], load: Load, folder: Path) -> dict[str, Any]:
@@ -161,39 +159,39 @@ def test_names_of_objects_come_from_their_paths(grasps: Callable[..., GraspSet],
         held["obj_path"] = path
         assert set(read_grasps(save(tmp_path / "g.npy", held)).object) == {name}
     held["obj_path"] = "../.."
-    assert refused(save(tmp_path / "g.npy", held)) == "obj_path names no object: '../..'"
+    assert_names(refusal(save(tmp_path / "g.npy", held)), "obj_path", "'../..'")
 
 
 SPOILT = [
-    ({"obj_pose": [0, 0, 0, 1, 0, 0]}, "obj_pose must have shape (1, 7); it has (1, 6)"),
-    ({"obj_pose": [0, 0, 0, 2, 0, 0, 0]}, "obj_pose row 0 has no unit quaternion: the norm of its numbers 3 to 6"),
-    ({"obj_scale": 0.0}, "obj_scale must be positive; it is 0"),
-    ({"obj_scale": "big"}, "obj_scale must hold numbers; it holds str 'big'"),
-    ({"obj_scale": [0.1, 0.2, 0.1]}, "obj_scale must be one number, the same in all directions; it is [0.1, 0.2, 0.1]"),
-    ({"obj_path": 3}, "obj_path must be a text; it is int"),
-    ({"obj_path": None}, "obj_path must be a text; it is NoneType"),
-    ({"grasp_qpos": np.zeros((2, 29))}, "grasp_qpos must have shape (N); it has (2, 29)"),
-    ({"grasp_qpos": np.ones(29)}, "grasp_qpos row 0 has no unit quaternion: the norm of its numbers 3 to 6, qw qx"),
-    ({"obj_scale": np.nan}, "obj_scale must be finite; obj_scale is not"),
-    ({"obj_scale": [0.1, np.inf, 0.1]}, "obj_scale must be finite; obj_scale[1] is not"),
-    ({"grasp_qpos": np.zeros(5)}, "grasp_qpos must have 7 numbers of a pose and the joint values; it has 5"),
-    ({"grasp_qpos": [[1.0], [1.0, 2.0]]}, "grasp_qpos must be numbers of one shape; its rows differ in length"),
-    ({"grasp_qpos": {"a": 1}}, "grasp_qpos must hold numbers; it holds dict"),
-    ({"squeeze_qpos": np.zeros(28)}, "squeeze_qpos must have shape (1, 29); it has (1, 28)"),
-    ({"joint_names": ["a"] * 22}, "has 22 joint values per grasp, but 1 joint names: a, a"),
-    ({"joint_names": "FFJ4"}, "joint_names must be a list of names; it is str 'FFJ4'"),
-    ({"joint_names": [f"J{i}" for i in range(22)]}, "names the joints J0, J1, J2"),
+    ({"obj_pose": [0, 0, 0, 1, 0, 0]}, ("obj_pose", "(1, 7)", "(1, 6)")),
+    ({"obj_pose": [0, 0, 0, 2, 0, 0, 0]}, ("obj_pose", "row 0", "3 to 6")),
+    ({"obj_scale": 0.0}, ("obj_scale", "0")),
+    ({"obj_scale": "big"}, ("obj_scale", "'big'")),
+    ({"obj_scale": [0.1, 0.2, 0.1]}, ("obj_scale", "[0.1, 0.2, 0.1]")),
+    ({"obj_path": 3}, ("obj_path", "int")),
+    ({"obj_path": None}, ("obj_path", "NoneType")),
+    ({"grasp_qpos": np.zeros((2, 29))}, ("grasp_qpos", "(N)", "(2, 29)")),
+    ({"grasp_qpos": np.ones(29)}, ("grasp_qpos", "row 0", "3 to 6", "qw qx")),
+    ({"obj_scale": np.nan}, ("obj_scale", "finite")),
+    ({"obj_scale": [0.1, np.inf, 0.1]}, ("obj_scale[1]", "finite")),
+    ({"grasp_qpos": np.zeros(5)}, ("grasp_qpos", "7", "5")),
+    ({"grasp_qpos": [[1.0], [1.0, 2.0]]}, ("grasp_qpos", "rows")),
+    ({"grasp_qpos": {"a": 1}}, ("grasp_qpos", "dict")),
+    ({"squeeze_qpos": np.zeros(28)}, ("squeeze_qpos", "(1, 29)", "(1, 28)")),
+    ({"joint_names": ["a"] * 22}, ("22", "1", "a, a")),
+    ({"joint_names": "FFJ4"}, ("joint_names", "'FFJ4'")),
+    ({"joint_names": [f"J{i}" for i in range(22)]}, ("J0, J1, J2",)),
 ]
 
 
-@pytest.mark.parametrize(("change", "message"), SPOILT, ids=[f"{next(iter(c))}_{i}" for i, (c, _) in enumerate(SPOILT)])
+@pytest.mark.parametrize(("change", "named"), SPOILT, ids=[f"{next(iter(c))}_{i}" for i, (c, _) in enumerate(SPOILT)])
 def test_defects_are_named(
-    change: dict[str, Any], message: str, grasps: Callable[..., GraspSet], load: Load, tmp_path: Path
+    change: dict[str, Any], named: tuple[str, ...], grasps: Callable[..., GraspSet], load: Load, tmp_path: Path
 ):
     held = bench(grasps, load, tmp_path)
     # Other order of stages: the one that is spoilt is looked at first.
     spoilt = {**change, **{key: value for key, value in held.items() if key not in change}}
-    assert refused(save(tmp_path / "g.npy", spoilt)).startswith(message)
+    assert_names(refusal(save(tmp_path / "g.npy", spoilt)), *named)
 
 
 @pytest.mark.parametrize(
@@ -220,8 +218,8 @@ def test_a_grasp_that_is_not_finite_costs_no_other_file_of_a_folder(
     np.testing.assert_array_equal(read.grasps.finite, [True, False, True])
     for name in ("hand_pose", "q", "object", "scale"):
         np.testing.assert_array_equal(getattr(read.grasps, name)[[0, 2]], getattr(whole.grasps, name)[[0, 2]])
-    note = "1 of 3 grasps is not finite: NaN, infinite, or a quaternion of length 0 (row 1)"
-    assert set(read.notes) - set(whole.notes) == {note}
+    (note,) = set(read.notes) - set(whole.notes)
+    assert_names(note, "1 of 3", "row 1")
     # Whether a stage is there is what the others say.
     assert (read.grasps.pregrasp is None) == (whole.grasps.pregrasp is None)
 
@@ -245,12 +243,9 @@ def test_defects_of_bodex_files(grasps: Callable[..., GraspSet], load: Load, tmp
     path = tmp_path / "g.npy"
     without = {key: value for key, value in held.items() if key != "joint_names"}
     np.testing.assert_array_equal(read_grasps(save(path, without)).q, read_grasps(tmp_path / "seed.npy").q)
-    assert refused(save(path, {**held, "robot_pose": held["robot_pose"][:, :, :2]})).startswith(
-        "robot_pose must have shape (1, N, 3, 7 + joints): one object, N grasps, pregrasp, grasp, squeeze; it has"
-    )
-    assert refused(save(path, {"robot_pose": held["robot_pose"]})) == (
-        "says nothing of its object: it has neither obj_pose, scene_cfg nor scene_path"
-    )
+    lacking = refusal(save(path, {**held, "robot_pose": held["robot_pose"][:, :, :2]}))
+    assert_names(lacking, "robot_pose", "(1, N, 3, 7 + joints)", "(1, 1, 2, 29)")
+    assert_names(refusal(save(path, {"robot_pose": held["robot_pose"]})), "obj_pose", "scene_cfg", "scene_path")
 
 
 def test_bodex_files_with_a_scene_beside_them(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
@@ -258,7 +253,7 @@ def test_bodex_files_with_a_scene_beside_them(grasps: Callable[..., GraspSet], l
     held = {key: load_content(tmp_path / "seed.npy")[key] for key in ("robot_pose", "joint_names")}
     held["scene_path"] = ["/data/assets/scene/mug_on_table.npy"]
     path = save(tmp_path / "out" / "deep" / "g.npy", held)
-    assert refused(path).startswith("its object is in the scene file /data/assets/scene/mug_on_table.npy, which is not")
+    assert_names(refusal(path), "/data/assets/scene/mug_on_table.npy")
     pose = np.array([0, 0, 0.3, 1, 0, 0, 0])
     scene = {"scene": {"mug": {"pose": pose, "scale": np.full(3, 0.12)}}, "task": {"obj_name": "mug"}}
     save(tmp_path / "data" / "assets" / "scene" / "mug_on_table.npy", scene)
@@ -268,11 +263,11 @@ def test_bodex_files_with_a_scene_beside_them(grasps: Callable[..., GraspSet], l
     np.testing.assert_allclose(read.hand_pose[0, :3], lower, atol=1e-12)
     place = tmp_path / "data" / "assets" / "scene" / "mug_on_table.npy"
     save(place, {**scene, "task": {"obj_name": "cup"}})
-    assert f"{place}: its scene has no object 'cup'; it has mug" in refused(path)
+    assert_names(refusal(path), place, "'cup'", " mug")
     save(place, {"scene": {"mug": {"pose": pose}}, "interest_obj_name": "mug"})
-    assert "object 'mug' of its scene lacks scale" in refused(path)
+    assert_names(refusal(path), place, "'mug'", "scale")
     save(place, {"scene": 1})
-    assert "scene_cfg must be a dict with a dict 'scene' of objects" in refused(path)
+    assert_names(refusal(path), place, "scene_cfg", "'scene'")
 
 
 def test_a_scene_is_looked_for_only_where_it_may_lie(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
@@ -288,12 +283,12 @@ def test_a_scene_is_looked_for_only_where_it_may_lie(grasps: Callable[..., Grasp
     for within in (None, tmp_path):
         assert reading(at("scenes/mug.npy"), within=within).grasps.scale[0] == 0.5
     for within in (tmp_path / "uploads" / "1", tmp_path / "uploads"):
-        with pytest.raises(GraspFileError, match="scene file scenes/mug.npy, which is not there"):
+        with refused(GraspFileError, "scenes/mug.npy"):
             reading(at("scenes/mug.npy"), within=within)
     # Nor is a file opened that cannot be a scene.
     (tmp_path / "scenes" / "secret").write_bytes(place.read_bytes())
     for name in ("scenes/secret", str(place), f"../..{place}", "a/" * 3000 + "b.npy", "a" * 300):
-        assert refused(at(name)).startswith(f"its object is in the scene file {name}"[:3000])
+        assert_names(refusal(at(name)), name[:2900])
 
 
 def test_former_keys_of_dexonomy_are_read(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
@@ -310,28 +305,28 @@ def test_former_keys_of_dexonomy_are_read(grasps: Callable[..., GraspSet], load:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     np.testing.assert_array_equal(one.squeeze.q, other.squeeze.q)
     held["grasp_qpos"] = np.zeros((2, 23))
-    assert refused(save(tmp_path / "g.npy", held)) == "grasp_qpos must hold one grasp; it has shape (2, 23)"
+    assert_names(refusal(save(tmp_path / "g.npy", held)), "grasp_qpos", "(2, 23)")
 
 
 def test_defects_of_dexgraspnet_files(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
     write(grasps("shadow", count=1), tmp_path / "out", "dexgraspnet", load)
     (held,) = load_content(tmp_path / "out" / "mug.npy")
     path = tmp_path / "mug.npy"
-    for change, message in (
-        ({"robot0:FFJ9": 0.0}, "qpos of grasp 0 has unknown robot0:FFJ9; its names are robot0:FFJ3, robot0:FFJ2"),
-        ({"WRJTx": "a"}, "qpos must hold numbers; it holds list"),
+    for change, named in (
+        ({"robot0:FFJ9": 0.0}, ("qpos", "grasp 0", "robot0:FFJ9", "robot0:FFJ3, robot0:FFJ2")),
+        ({"WRJTx": "a"}, ("qpos", "list")),
     ):
         spoilt = {"qpos": {**held["qpos"], **change}, "scale": 0.1}
-        assert refused(save(path, np.array([spoilt], dtype=object))).startswith(message)
+        assert_names(refusal(save(path, np.array([spoilt], dtype=object))), *named)
     lost = {"qpos": {**held["qpos"], "WRJRz": np.nan}, "scale": 0.1}
     assert read_grasps(save(path, np.array([held, lost, held], dtype=object))).finite.tolist() == [True, False, True]
     lacking = {"qpos": {key: value for key, value in held["qpos"].items() if key != "WRJTy"}, "scale": 0.1}
-    assert refused(save(path, np.array([lacking], dtype=object))).startswith("qpos of grasp 0 lacks WRJTy; its names")
-    assert refused(save(path, np.array([{"qpos": held["qpos"]}], dtype=object))) == "grasp 0 lacks a scale"
+    assert_names(refusal(save(path, np.array([lacking], dtype=object))), "qpos", "grasp 0", "WRJTy", "robot0:FFJ3")
+    assert_names(refusal(save(path, np.array([{"qpos": held["qpos"]}], dtype=object))), "grasp 0", "scale")
     leap = load("leap")
-    assert refused(tmp_path / "out" / "mug.npy", hand=leap).startswith("is for the Shadow hand, with the joints FFJ4")
+    assert_names(refusal(tmp_path / "out" / "mug.npy", hand=leap), "Shadow", "FFJ4")
     odd = GraspSet(**{**vars(grasps("shadow", count=1)), "object": np.array(["a/b"])})
-    with pytest.raises(GraspFileError, match="names its files after objects, which 'a/b' cannot be"):
+    with refused(GraspFileError, "'a/b'"):
         format_named("dexgraspnet").write(odd, partial(load, "shadow"))
 
 
@@ -342,18 +337,14 @@ def test_defects_of_leap_caches(load: Load, tmp_path: Path):
     assert set(read.scale) == {1.05}
     # The cube is at the world's origin, so that the palm is half a metre above it, upside down.
     np.testing.assert_allclose(read.hand_pose[0], [0, 0, 0.5, 0, 1, 0, 0], atol=1e-12)
-    assert reading(save(tmp_path / "cube.npy", rows)).notes[0].startswith("the file's name does not end with a scale")
-    assert refused(save(tmp_path / "c_s00.npy", rows)) == "its name ends with the scale _s00, which must be positive"
+    assert "scale" in reading(save(tmp_path / "cube.npy", rows)).notes[0]
+    assert_names(refusal(save(tmp_path / "c_s00.npy", rows)), "scale", " _s00")
     rows[1, 22] = 0.9
-    assert refused(save(tmp_path / "a.npy", rows)).startswith(
-        "the pose of the cube in columns 16 to 22 row 1 has no unit"
-    )
+    assert_names(refusal(save(tmp_path / "a.npy", rows)), "16 to 22", "row 1")
     rows[0, 2], rows[1, 19:], rows[2, 18] = np.nan, 0.0, np.inf
     assert not read_grasps(save(tmp_path / "a.npy", rows)).finite.any()
-    assert refused(tmp_path / "cube_s105.npy", hand=load("shadow")).startswith(
-        "is for the LEAP hand, with the joints 1, 0"
-    )
-    assert "leap_cache: it is no array (N, 23) but (3, 22)" in refused(save(tmp_path / "b.npy", rows[:, 1:]))
+    assert_names(refusal(tmp_path / "cube_s105.npy", hand=load("shadow")), "LEAP", "1, 0")
+    assert_names(refusal(save(tmp_path / "b.npy", rows[:, 1:])), "leap_cache", "(N, 23)", "(3, 22)")
 
 
 JUNK: list[Any] = [None, True, 3, -1, 0, np.nan, 10**19, "x", "", b"ab", [], (), {}, [1, 2], [[1], [2, 3]], [None]]
@@ -433,25 +424,20 @@ def test_names_of_folders():
 
 
 def test_outputs_that_cannot_be(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
-    def complaint(path: Path, to: str, count: int = 7) -> str:
-        with pytest.raises(GraspFileError) as raised:
+    def cannot(path: Path, to: str, *named: str, count: int = 7) -> None:
+        with refused(GraspFileError, path, *named):
             write(grasps("shadow", count), path, to, load)
-        return str(raised.value).removeprefix(f"{path}: ")
 
-    assert complaint(tmp_path / "out", "ours") == "format ours is one file; its name must end with .npz"
-    assert complaint(tmp_path / "out.npy", "bodex") == "format bodex makes 6 files: give the name of a new folder"
-    assert complaint(tmp_path / "mug.npy", "dexgraspnet", 1) == (
-        "format dexgraspnet makes 1 file named after its object: give the name of a new folder"
-    )
-    assert complaint(tmp_path, "bodex") == "is there already; give the name of a new folder"
+    cannot(tmp_path / "out", "ours", "ours", ".npz")
+    cannot(tmp_path / "out.npy", "bodex", "bodex", "6 files")
+    cannot(tmp_path / "mug.npy", "dexgraspnet", "dexgraspnet", "1 file", count=1)
+    cannot(tmp_path, "bodex")
     (tmp_path / "dir.npz").mkdir()
-    assert complaint(tmp_path / "dir.npz", "ours") == "is a folder, a file is to be written there"
+    cannot(tmp_path / "dir.npz", "ours")
     (tmp_path / "file").write_text("")
-    assert complaint(tmp_path / "file" / "out", "bodex").startswith("cannot be written (")
+    cannot(tmp_path / "file" / "out", "bodex")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dir.npz", "file"]
-    with pytest.raises(
-        GraspFileError, match="no format 'x'; the formats are ours, dexgraspbench, bodex, dexonomy, dexg"
-    ):
+    with refused(GraspFileError, "'x'", "ours, dexgraspbench, bodex, dexonomy, dexgraspnet"):
         format_named("x")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from refusals import assert_names, refused
 
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry.holes import capped, find_holes
@@ -45,12 +46,13 @@ def test_a_cap_makes_the_solid_whole(turn: float):
     assert closed.volume == pytest.approx(trimesh.creation.cylinder(1, 2, sections=24).volume)
     # No vertex is added.
     assert len(closed.vertices) == len(mesh.vertices)
-    assert what == f"a flat hole, up to {find_holes(mesh)[0].width * 1e3:.3g} mm across, closed with flat caps"
+    assert_names(what, f"{find_holes(mesh)[0].width * 1e3:.3g} mm")
 
 
 def test_rims_around_each_other_are_closed_with_a_ring():
     closed, what = capped(pipe())
-    assert closed.is_volume and what.startswith("2 flat holes")
+    assert closed.is_volume
+    assert_names(what, "2 ", " mm")
     assert closed.volume == pytest.approx(trimesh.creation.annulus(1, 2, 3, sections=24).volume)
 
 
@@ -66,7 +68,7 @@ def test_a_bent_hole_is_refused():
     # All faces around an edge of the cube that the ball could hold: the rim is bent like a saddle.
     x, y, z = ball.triangles_center.T
     drop = (np.abs(x) < 0.5) & (y > 0.2) & (np.abs(z) < 0.9)
-    with pytest.raises(MeshError, match=r"a hole of \d+ edges, .* mm across, is not flat"):
+    with refused(MeshError, " edges", " mm", "flat"):
         capped(without(ball, drop))
 
 
@@ -75,7 +77,7 @@ def test_rims_that_meet_are_refused():
     box = without(box, np.isin(np.arange(12), np.flatnonzero(np.abs(box.face_normals[:, 2]) > 0.9)[[0, 3]]))
     two = trimesh.util.concatenate([box, box.copy().apply_translation([1, 1, 0])])
     two.merge_vertices()
-    with pytest.raises(MeshError, match="no simple rims"):
+    with refused(MeshError, "edges"):
         find_holes(two)
 
 
@@ -92,5 +94,5 @@ def test_rims_that_cross_are_refused():
     mesh = pipe()
     inner = np.isclose(mesh.vertices[:, 2], 1.5) & (np.linalg.norm(mesh.vertices[:, :2], axis=1) < 1.5)
     mesh.vertices[inner, :2] += 0.9
-    with pytest.raises(MeshError, match="cross each other"):
+    with refused(MeshError, "cross"):
         capped(mesh)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from refusals import refused
 
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry import sampling
@@ -164,10 +165,10 @@ def test_order_is_random_so_that_a_part_stands_for_the_whole():
 
 def test_a_body_with_next_to_no_exposed_surface_is_refused(monkeypatch):
     monkeypatch.setattr(sampling, "ROUNDS", 1)
-    with pytest.raises(MeshError, match="no exposed surface: .* on 50 pieces lie outside the others"):
+    with refused(MeshError, "50 pieces"):
         sample([sphere(0.1)] * 50, 1000, seed=0)
 
 
 def test_at_least_one_candidate_is_asked_for():
-    with pytest.raises(MeshError, match="must be at least 1, got 0"):
+    with refused(MeshError, "1", "0"):
         sample([sphere(0.1)], 0, seed=0)

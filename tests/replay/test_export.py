@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from recorded_gripper import Recorded, gripper_spec, recorded_gripper
+from refusals import refused
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.replay.export import PUSH, export_xml
@@ -117,18 +118,18 @@ def test_what_cannot_be_exported_is_named(recorded: Recorded, tmp_path: Path) ->
     path = tmp_path / "none.xml"
     spec = gripper_spec()
     spec.joint("hand/left").stiffness[:] = [0.0, 3.0, 0.0]
-    with pytest.raises(GraspRefineError, match="has something that is not exported: jnt_stiffnesspoly would differ"):
+    with refused(GraspRefineError, "jnt_stiffnesspoly"):
         export_xml(spec, spec.compile(), recorded.replay, path)
     spec = gripper_spec()
     spec.add_pair(geomname1="object_0", geomname2="object_1")
-    with pytest.raises(GraspRefineError, match="contact pairs are not exported"):
+    with refused(GraspRefineError, "contact pairs"):
         export_xml(spec, spec.compile(), recorded.replay, path)
     spec = gripper_spec()
     spec.joint("hand/left").name = "hand/other"
     for thing in (*spec.tendons, *spec.actuators, *spec.equalities):
         if thing.name != "holder":
             spec.delete(thing)
-    with pytest.raises(GraspRefineError, match="is of another model, hand/left, hand/other is not in both"):
+    with refused(GraspRefineError, "hand/left, hand/other"):
         export_xml(spec, spec.compile(), recorded.replay, path)
     assert not path.exists()
 
@@ -161,7 +162,7 @@ def test_a_hand_with_meshes_from_files_is_exported(recorded: Recorded, shared_as
         qvel=np.zeros((100, model.nv)),
         ctrl=np.full((100, model.nu), 1.2),
     )
-    with pytest.raises(GraspRefineError, match="is of another model"):
+    with refused(GraspRefineError, replay.name):
         export_xml(spec, model, replay, tmp_path / "shadow.xml")
     replay = replace(replay, qpos_names=qpos_names(model), mocap_pos=np.tile(root.pos, (100, 1)))
     export_xml(spec, model, replay, tmp_path / "shadow.xml")

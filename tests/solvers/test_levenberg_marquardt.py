@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 from scipy.optimize import lsq_linear
 
 from grasp_refine.errors import GraspRefineError
@@ -253,23 +254,21 @@ def test_lambda_shrinks_after_what_was_predicted_stays_after_less_and_grows_afte
 
 @pytest.mark.parametrize(("shrink", "grow"), [(1.0, 4.0), (0.0, 4.0), (0.3, 1.0), (-0.1, 4.0)])
 def test_a_lambda_that_would_not_move_is_refused(shrink: float, grow: float) -> None:
-    with pytest.raises(
-        GraspRefineError, match=f"shrink must be in .0, 1. and grow above 1, got {shrink:g} and {grow:g}"
-    ):
+    with refused(GraspRefineError, "shrink", "grow", "(0, 1)", f"{shrink:g} and {grow:g}"):
         LevenbergMarquardt(shrink=shrink, grow=grow)
 
 
 @pytest.mark.parametrize(
-    ("settings", "complaint"),
+    ("settings", "named"),
     [
-        ({"damping": 0.0}, "damping must be above 0, got 0"),
-        ({"damping": float("nan")}, "damping must be a number, got nan"),
-        ({"smallest": -1e-7}, "smallest must be above 0, got -1e-07"),
-        ({"progress": 0.0}, r"progress must be in \(0, 1\), got 0"),
-        ({"progress": 1.0}, r"progress must be in \(0, 1\), got 1"),
-        ({"widths": ()}, "widths needs at least one factor"),
+        ({"damping": 0.0}, ("damping", "0")),
+        ({"damping": float("nan")}, ("damping", "nan")),
+        ({"smallest": -1e-7}, ("smallest", "0", "-1e-07")),
+        ({"progress": 0.0}, ("progress", "(0, 1)", " 0")),
+        ({"progress": 1.0}, ("progress", "(0, 1)", " 1")),
+        ({"widths": ()}, ("widths",)),
     ],
 )
-def test_settings_that_cannot_work_are_refused(settings: dict[str, object], complaint: str) -> None:
-    with pytest.raises(GraspRefineError, match=f": {complaint}$"):
+def test_settings_that_cannot_work_are_refused(settings: dict[str, object], named: tuple[str, ...]) -> None:
+    with refused(GraspRefineError, *named):
         LevenbergMarquardt(**settings)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from refusals import refused
 from shapes_for_tests import cluster_body, convex_body, ellipsoid_hull, ring_body
 from twists import layer_gradient, poses_at_gap, random_cotangents
 
@@ -260,7 +261,7 @@ def test_the_table_of_a_layer_counts_winners_from_its_own_columns() -> None:
 
 @pytest.mark.parametrize(("rings", "samples"), [(0, 16), (5, 1)])
 def test_a_neighbourhood_without_width_is_refused(rings: int, samples: int) -> None:
-    with pytest.raises(CollisionError, match=f"1 ring and 2 samples, got rings={rings}, samples={samples}"):
+    with refused(CollisionError, "1 ring", "2 samples", f"rings={rings}", f"samples={samples}"):
         Neighbor(rings, samples)
 
 

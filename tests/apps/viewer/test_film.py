@@ -13,6 +13,7 @@ from grasp_refine.apps.viewer.shown_motion import ShownMotion
 from grasp_refine.apps.viewer.state import State
 from grasp_refine.apps.viewer.trace import Trace
 from open_viewer import example
+from refusals import assert_names, refused
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.scene import Scene
@@ -56,13 +57,14 @@ def test_many_iterations_are_thinned_evenly_and_keep_both_ends():
 
 
 def test_a_refinement_is_shown_frame_by_frame_with_its_numbers(scene: Scene, film: Film):
-    assert film.title == "allegro and mug: refinement"
+    assert_names(film.title, "allegro", "mug")
     assert [frame.pose.T_object_root[0, 3] for frame in film.frames] == pytest.approx(
         scene.T_world_root[0, 0, 3] + np.array([0.04, 0.03, 0.02, 0.01, 0.0])
     )
     first, last = film.frames[0], film.frames[-1]
-    assert first.caption == "gaps close: iteration 1 of 5\ncontact error 2.00 mm, penetration 1.00 mm"
-    assert last.caption == "gaps close: iteration 5 of 5\ncontact error 0.00 mm, penetration 0.00 mm"
+    for frame, named in ((first, ("1 of 5", "2.00 mm", "1.00 mm")), (last, ("5 of 5", "0.00 mm"))):
+        assert all(one in frame.caption for one in ("gaps close", *named)), frame.caption
+    assert last.caption.count("0.00 mm") == 2
     np.testing.assert_array_equal(last.T_object, np.eye(4))
 
 
@@ -110,17 +112,15 @@ def test_a_simulation_moves_the_object_and_tells_how_far(scene: Scene):
         contacts=(),
     )
     film = motion_film(scene.hand, scene.object, motion)
-    assert film.title == "allegro and mug: simulation, +x, moved"
+    assert_names(film.title, "allegro", "mug", "+x", "moved")
     np.testing.assert_array_equal([frame.T_object for frame in film.frames], T_object)
     assert [frame.caption for frame in film.frames] == [motion.text(k) for k in range(count)]
-    assert "moved 20.0 mm" in film.frames[-1].caption
+    assert "20.0 mm" in film.frames[-1].caption
 
 
 def test_a_state_is_filmed_by_what_it_shows(collection: Collection, scene: Scene):
     pose = Pose(scene.T_world_root[0], scene.q[0])
     state = State(collection, 0, scene, pose, pose, settings=None)
-    with pytest.raises(
-        GraspRefineError, match="^there is nothing to animate yet: refine the grasp, or watch a simulation, first$"
-    ):
+    with refused(GraspRefineError):
         film_of(state)
     assert len(film_of(replace(state, trace=coming(scene, 2))).frames) == 2

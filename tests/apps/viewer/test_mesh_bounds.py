@@ -12,6 +12,7 @@ import trimesh
 from grasp_refine.apps.viewer import mesh_bounds
 from grasp_refine.apps.viewer.mesh_bounds import check_mesh_file
 from grasp_refine.apps.viewer.unpacking import UploadError
+from refusals import refused
 
 BOX = trimesh.creation.box((0.04, 0.05, 0.06))
 BALL = trimesh.creation.icosphere(2, 0.03)
@@ -31,12 +32,12 @@ def checked(folder: Path, name: str, content: bytes) -> int:
     return check_mesh_file(folder / name, name)
 
 
-def refused(folder: Path, name: str, content: bytes) -> str:
-    with pytest.raises(UploadError) as raised:
+def refusal(folder: Path, name: str, content: bytes, *named: object) -> str:
+    """The message with which a file is refused: it begins with the name of the file, and names more."""
+    with refused(UploadError, *named) as raised:
         checked(folder, name, content)
-    text = str(raised.value)
-    assert text.startswith(f"{name}: ") and "\n" not in text
-    return text
+    assert str(raised.value).startswith(f"{name}: ")
+    return str(raised.value)
 
 
 @pytest.mark.parametrize("ending", ["obj", "stl", "ply", "glb", "off", "stl_ascii", "ply_ascii"])
@@ -81,78 +82,76 @@ def test_too_many_triangles_say_how_to_have_fewer(
     name: str, content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(mesh_bounds, "MOST_FACES", 50)
-    text = refused(tmp_path, name, content)
-    assert "has up to 51 triangles, more than 50: simplify it first (Blender: Decimate" in text
+    refusal(tmp_path, name, content, "51 triangles", "50", "Blender", "Decimate")
 
 
 def test_text_is_bounded_in_lines_letters_and_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(mesh_bounds, "MOST_LINES", 100)
     monkeypatch.setattr(mesh_bounds, "LONGEST_LINE", 1000)
     monkeypatch.setattr(mesh_bounds, "MOST_PARTS", 20)
-    assert "has 101 lines, more than 100" in refused(tmp_path, "a.obj", b"\n" * 101)
-    assert "has 101 lines, more than 100" in refused(tmp_path, "a.off", b"OFF" + b"\r" * 101)
+    refusal(tmp_path, "a.obj", b"\n" * 101, "101 lines", "100")
+    refusal(tmp_path, "a.off", b"OFF" + b"\r" * 101, "101 lines", "100")
     header = b"ply\nformat ascii 1.0\nelement vertex 1\nelement face 1\nend_header"
-    assert "has 200 lines, more than 100" in refused(tmp_path, "a.ply", header + b"\n" * 200)
-    assert "has a line of 1001 letters" in refused(tmp_path, "b.obj", b"f" + b" 1" * 500)
-    assert "has a line of " in refused(tmp_path, "c.obj", b"f" + b" 12345678901\\\n" * 99)
-    assert "has 21 bodies" in refused(tmp_path, "d.obj", b"".join(b"usemtl m%d\n" % i for i in range(21)))
-    assert "has 30 bodies" in refused(tmp_path, "a.stl", b"solid a endsolid a " * 30)
-    assert "says that it has 101 elements" in refused(
-        tmp_path, "b.ply", b"ply\nformat ascii 1.0\nelement vertex 101\nend_header\n"
-    )
+    refusal(tmp_path, "a.ply", header + b"\n" * 200, "200 lines", "100")
+    refusal(tmp_path, "b.obj", b"f" + b" 1" * 500, "1001", "1000")
+    refusal(tmp_path, "c.obj", b"f" + b" 12345678901\\\n" * 99, "line", "1000")
+    refusal(tmp_path, "d.obj", b"".join(b"usemtl m%d\n" % i for i in range(21)), "21 ", "20")
+    refusal(tmp_path, "a.stl", b"solid a endsolid a " * 30, "30 ", "20")
+    refusal(tmp_path, "b.ply", b"ply\nformat ascii 1.0\nelement vertex 101\nend_header\n", "101 elements")
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "named"),
     [
-        ("a.stl", BOX.export(file_type="glb"), "is neither an STL of the size that it says"),
-        ("a.glb", BOX.export(file_type="stl"), "does not begin with glTF"),
-        ("a.ply", b"MZ\x90", "does not begin as PLY files do"),
-        ("a.off", b"#!/bin/sh\n", "does not begin with OFF"),
-        ("a.obj", b"\x7fELF\0\0\0", "holds bytes that no text has"),
-        ("a.dae", b"PK\x03\x04", "is no XML"),
-        ("a.dae", b"<COLLADA", "is no XML"),
-        ("a.exe", b"MZ", "'.exe' is no mesh that is read; use one of .obj"),
-        ("a.off", b"OFF\n", "is a damaged .off file"),
-        ("a.glb", b"glTF" + bytes(12), "is a damaged .glb file"),
-        ("a.glb", glb({"meshes": 3}), "is a damaged .glb file"),
-        ("a.glb", b"glTF" + struct.pack("<III", 2, 99, 2**21) + b"JSON" + b"[" * 2**20, "is a damaged .glb file"),
+        ("a.stl", BOX.export(file_type="glb"), ("STL",)),
+        ("a.glb", BOX.export(file_type="stl"), ("glTF",)),
+        ("a.ply", b"MZ\x90", ("PLY",)),
+        ("a.off", b"#!/bin/sh\n", ("OFF",)),
+        ("a.obj", b"\x7fELF\0\0\0", ("bytes",)),
+        ("a.dae", b"PK\x03\x04", ("XML",)),
+        ("a.dae", b"<COLLADA", ("XML",)),
+        ("a.exe", b"MZ", ("'.exe'", ".obj")),
+        ("a.off", b"OFF\n", ("damaged", " .off ")),
+        ("a.glb", b"glTF" + bytes(12), ("damaged", " .glb ")),
+        ("a.glb", glb({"meshes": 3}), ("damaged", " .glb ")),
+        (
+            "a.glb",
+            b"glTF" + struct.pack("<III", 2, 99, 2**21) + b"JSON" + b"[" * 2**20,
+            ("damaged", " .glb "),
+        ),
     ],
 )
-def test_what_is_not_what_its_ending_says(name: str, content: bytes, said: str, tmp_path: Path):
-    assert said in refused(tmp_path, name, content)
+def test_what_is_not_what_its_ending_says(name: str, content: bytes, named: tuple[str, ...], tmp_path: Path):
+    refusal(tmp_path, name, content, *named)
 
 
 @pytest.mark.parametrize(
     "uri", ["../../etc/passwd", "/etc/passwd", "file:///etc/passwd", "http://there/a.bin", "a.bin"]
 )
 def test_a_glb_keeps_its_numbers_in_itself(uri: str, tmp_path: Path):
-    text = refused(tmp_path, "a.glb", glb({"buffers": [{"uri": uri, "byteLength": 8}]}))
-    assert f"keeps its numbers in another file, '{uri}'; export it as one GLB file" in text
+    refusal(tmp_path, "a.glb", glb({"buffers": [{"uri": uri, "byteLength": 8}]}), f"'{uri}'", "GLB")
 
 
 def test_a_glb_that_would_fill_the_memory_is_refused(tmp_path: Path):
     rows = [{"count": 10**9, "componentType": 5126, "type": "VEC3"}]
     mesh = {"primitives": [{"attributes": {"POSITION": 0}}]}
-    assert "says that it has arrays of 1000000000 rows" in refused(tmp_path, "a.glb", glb({"accessors": rows}))
+    refusal(tmp_path, "a.glb", glb({"accessors": rows}), "1000000000 rows")
     # One mesh of 100,000 triangles, drawn by 1000 nodes.
     rows = [{"count": 300_000}]
     header = {"accessors": rows, "meshes": [mesh], "nodes": [{"mesh": 0}] * 1000, "scenes": [{"nodes": [*range(1000)]}]}
-    assert "has up to 100000000 triangles" in refused(tmp_path, "b.glb", glb(header))
+    refusal(tmp_path, "b.glb", glb(header), " 100000000 triangles")
     # The same by one node that is named often.
     header |= {"nodes": [{"mesh": 0}], "scenes": [{"nodes": [0] * 1000}]}
-    assert "has up to 100000000 triangles" in refused(tmp_path, "c.glb", glb(header))
+    refusal(tmp_path, "c.glb", glb(header), " 100000000 triangles")
     header |= {"scenes": [{"nodes": [0] * 10**4}]}
-    assert "has 10000 bodies, materials or nodes" in refused(tmp_path, "d.glb", glb(header))
-    assert "describes itself in 5000000 bytes" in refused(
-        tmp_path, "e.glb", b"glTF" + struct.pack("<III", 2, 99, 5_000_000)
-    )
+    refusal(tmp_path, "d.glb", glb(header), "10000 ", "nodes")
+    refusal(tmp_path, "e.glb", b"glTF" + struct.pack("<III", 2, 99, 5_000_000), "5000000 bytes")
 
 
 @pytest.mark.parametrize("extension", mesh_bounds.PACKED)
 def test_packed_glbs_are_refused(extension: str, tmp_path: Path):
     """Their reader would take what it cannot unpack for zeros."""
-    assert f"is packed with {extension}" in refused(tmp_path, "a.glb", glb({"extensionsRequired": [extension]}))
+    refusal(tmp_path, "a.glb", glb({"extensionsRequired": [extension]}), extension)
 
 
 LAUGHS = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10 if i else "lol"}">' for i in range(12))
@@ -168,11 +167,10 @@ LAUGHS = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10 if i else "lol"}">' for i 
     ],
 )
 def test_declarations_in_xml_are_refused(text: str, tmp_path: Path):
-    said = refused(tmp_path, "a.dae", text.encode())
-    assert "declares a DOCTYPE" in said or "is no XML (" in said
+    said = refusal(tmp_path, "a.dae", text.encode())
+    assert "DOCTYPE" in said or "XML" in said
 
 
 def test_nodes_of_collada_that_multiply_are_refused(tmp_path: Path):
     nodes = "<instance_node url='#a'/>" * 17
-    said = refused(tmp_path, "a.dae", f"<COLLADA>{nodes}</COLLADA>".encode())
-    assert "refers to nodes 17 times, more than 16" in said
+    refusal(tmp_path, "a.dae", f"<COLLADA>{nodes}</COLLADA>".encode(), "17", "16")

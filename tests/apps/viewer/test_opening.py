@@ -17,6 +17,7 @@ from grasp_refine.apps.viewer.saving import grasp_file
 from grasp_refine.apps.viewer.unpacking import UploadError
 from grasp_refine.apps.viewer.uploads import received
 from grasp_refine.apps.viewer.worker import Stopped
+from refusals import refused
 from uploaded import gripper, gripper_zip, zipped
 
 from grasp_refine.grasps import GraspSet, Targets
@@ -65,11 +66,9 @@ def test_a_mesh_takes_the_place_of_the_object(tmp_path: Path):
 
 def test_a_mesh_of_an_unlikely_size_asks_for_its_unit(tmp_path: Path):
     content = box(40, 50, 60).export(file_type="stl")
-    with pytest.raises(UploadError) as raised:
+    with refused(UploadError, "box.stl", "40 x 50 x 60 m ", "Mesh unit", "millimetres", "40 x 50 x 60 mm") as raised:
         put("box.stl", content, tmp_path)
-    text = str(raised.value)
-    assert text.startswith("box.stl: is 40 x 50 x 60 m if its numbers are metres, which is no size for a hand")
-    assert 'Mesh unit "millimetres" if it is 40 x 50 x 60 mm' in text and "--" not in text and str(tmp_path) not in text
+    assert "--" not in str(raised.value) and str(tmp_path) not in str(raised.value)
     (group,) = put("box.stl", content, tmp_path, MeshOptions(unit="mm")).groups
     np.testing.assert_allclose(group.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
     assert group.scale == 0.001
@@ -79,27 +78,25 @@ def test_a_mesh_with_holes_says_how_to_close_them(tmp_path: Path):
     ball = trimesh.creation.icosphere(2, 0.03)
     ball.update_faces(ball.triangles_center[:, 2] < 0.01)
     content = ball.export(file_type="stl")
-    with pytest.raises(UploadError) as raised:
+    with refused(UploadError, "bowl", "watertight", "Mesh holes", "convex hull") as raised:
         put("bowl.stl", content, tmp_path)
-    text = str(raised.value)
-    assert text.startswith("bowl.stl: bowl: not watertight") or text.startswith("bowl: not watertight")
-    assert 'Mesh holes "use convex hull"' in text and "--" not in text
+    assert str(raised.value).startswith("bowl") and "--" not in str(raised.value)
     (group,) = put("bowl.stl", content, tmp_path, MeshOptions(holes="hull")).groups
     assert group.scene.object.mesh.is_watertight
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "named"),
     [
-        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "at least 4 points"),
-        (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 3 4\nf 1 2 4\nf 2 3 4\n", "not finite"),
-        (b"f 1 2 3\n", "cannot be read as a mesh|empty"),
-        (b"v 0 0 0\nf 9 9 9\n", "cannot be read as a mesh"),
+        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", ("4 points",)),
+        (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 3 4\nf 1 2 4\nf 2 3 4\n", ("finite",)),
+        (b"f 1 2 3\n", ()),
+        (b"v 0 0 0\nf 9 9 9\n", ()),
     ],
 )
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_bad_meshes_say_what_is_wrong(content: bytes, said: str, tmp_path: Path):
-    with pytest.raises(UploadError, match=f"bad.obj: .*({said})") as raised:
+def test_bad_meshes_say_what_is_wrong(content: bytes, named: tuple[str, ...], tmp_path: Path):
+    with refused(UploadError, "bad.obj", *named) as raised:
         put("bad.obj", content, tmp_path)
     assert str(tmp_path) not in str(raised.value)
 
@@ -118,7 +115,7 @@ def test_a_hand_gets_grasps_on_the_present_object(tmp_path: Path):
 
 def test_a_hand_that_lacks_a_mesh_says_which(tmp_path: Path):
     content = zipped({"gripper/gripper.urdf": gripper("meshes/tip.stl")})
-    with pytest.raises(UploadError, match=r"gripper.zip: .*mesh 'meshes/tip.stl' not found") as raised:
+    with refused(UploadError, "gripper.zip", "'meshes/tip.stl'") as raised:
         put("gripper.zip", content, tmp_path)
     assert str(tmp_path) not in str(raised.value)
 
@@ -155,7 +152,7 @@ def test_grasps_are_opened_on_the_objects_that_they_name(tmp_path: Path):
     assert [collection.label(i) for i in range(3)] == ["box:0.04,0.05,0.06 0", "vase 0", "box:0.04,0.05,0.06 1"]
     np.testing.assert_allclose(collection.scene(2).object.mesh.extents, [0.02, 0.025, 0.03])
     assert collection.scene(1).object is present()[0].object
-    assert "object 'vase' is not here: its grasps are shown on 'sphere:0.03'; upload its mesh" in problem.notes
+    assert any("'vase'" in note and "'sphere:0.03'" in note for note in problem.notes)
     for i in range(3):
         np.testing.assert_allclose(collection.scene(i).q[0], own.rest + 0.01 * i, atol=1e-12)
         np.testing.assert_allclose(collection.scene(i).T_world_root[0], T, atol=1e-12)
@@ -185,7 +182,7 @@ def test_a_zip_of_another_format_comes_back(to: str, tmp_path: Path):
 def test_grasps_of_a_hand_that_is_not_here_are_refused(tmp_path: Path):
     """A name in a file is never a path on this machine."""
     saved = grasp_file(present()[0].hand, grasps(hand="../../home/me/hand"), "ours")
-    with pytest.raises(UploadError, match="is for hand '../../home/me/hand', which is neither the present one"):
+    with refused(UploadError, "'../../home/me/hand'"):
         put("grasps.npz", saved.content, tmp_path)
 
 
@@ -205,24 +202,24 @@ def test_scenes_of_uploads_come_with_them(tmp_path: Path):
     held = {"robot_pose": rows, "joint_names": list(present()[0].hand.joint_names), "scene_path": ["scenes/mug.npy"]}
     stream = io.BytesIO()
     np.save(stream, np.array(held, dtype=object))
-    with pytest.raises(UploadError, match="its object is in the scene file scenes/mug.npy, which is not there"):
+    with refused(UploadError, "scenes/mug.npy"):
         put("grasp.npy", stream.getvalue(), tmp_path)
 
 
 def test_numbers_of_grasps_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     saved = grasp_file(present()[0].hand, grasps(), "ours")
     monkeypatch.setattr(opening, "MOST_OBJECTS", 2)
-    with pytest.raises(UploadError, match="grasps.npz: has grasps on 3 objects and scales, more than 2"):
+    with refused(UploadError, "grasps.npz", "3 objects", "2"):
         put("grasps.npz", saved.content, tmp_path)
     monkeypatch.setattr(opening, "MOST_GRASPS", 2)
-    with pytest.raises(UploadError, match="grasps.npz: has 3 grasps, more than 2"):
+    with refused(UploadError, "grasps.npz", "3 grasps", "2"):
         put("grasps.npz", saved.content, tmp_path)
 
 
 def test_what_is_no_grasp_file_says_so(tmp_path: Path):
-    with pytest.raises(UploadError, match="^bad.npy: ") as raised:
+    with refused(UploadError, "bad.npy") as raised:
         put("bad.npy", b"\x93NUMPY" + bytes(100), tmp_path)
     assert str(tmp_path) not in str(raised.value)
     # Pickles that would run something are refused by their reader.
-    with pytest.raises(UploadError, match="^bad.pkl: .*system"):
+    with refused(UploadError, "bad.pkl", "system"):
         put("bad.pkl", b"cos\nsystem\n(S'true'\ntR.", tmp_path)

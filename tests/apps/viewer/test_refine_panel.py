@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from open_viewer import controller, example, shown_panel
+from refusals import assert_names
 from websocket_page import Page, until
 
 from grasp_refine.commands.settings import Settings
@@ -80,7 +81,7 @@ def test_a_refinement_from_start_to_timeline(shown: Shown):
     assert count > 2
     until(lambda: shown.slider.max == count - 1 and shown.slider.value == count - 1)
     assert until(lambda: shown.disabled() == {"pause", "stop"})
-    assert "**Converged** after" in shown.panel._text.content
+    assert "**Converged**" in shown.panel._text.content
 
     # The plot is drawn at the latest a moment later, to the last iteration.
     plot = shown.panel._plot._handle
@@ -101,10 +102,11 @@ def test_a_refinement_from_start_to_timeline(shown: Shown):
 
 
 def test_step_by_step(shown: Shown):
+    pause = shown.panel._pause.label
     shown.press("step")
     until(lambda: shown.controller.state.trace is not None and len(shown.controller.state.trace) == 1)
     assert until(lambda: shown.disabled() == set())
-    assert shown.panel._pause.label == "Resume" and shown.panel._text.content.startswith("**Paused**")
+    assert shown.panel._pause.label != pause and "**Paused**" in shown.panel._text.content
     shown.press("step")
     until(lambda: len(shown.controller.state.trace) == 2)
     until(lambda: shown.slider.value == 1)
@@ -119,16 +121,17 @@ def test_a_film_shows_every_iteration_and_ends_by_itself(shown: Shown):
     count = len(shown.controller.state.trace)
     play = shown.panel._timeline._play
     until(lambda: not play.disabled)
+    label = play.label
     shown.controller.listen(lambda state: seen.append(state.frame))
     shown.page.change(play, True)
-    until(lambda: play.label == "Stop playing")
-    until(lambda: play.label == "Play")
+    until(lambda: play.label != label)
+    until(lambda: play.label == label)
     assert seen == list(range(count))
     # Played again from the start; a click in the timeline ends it where that is.
     shown.page.change(play, True)
     until(lambda: shown.controller.state.frame == 2)
     shown.controller.scrub(1)
-    until(lambda: play.label == "Play")
+    until(lambda: play.label == label)
     assert shown.controller.state.frame == 1
 
 
@@ -140,7 +143,8 @@ def test_settings_go_to_the_controller_and_mistakes_to_the_user(shown: Shown):
     assert shown.controller.state.settings == Settings(solver="descent")
     shown.page.change(form._handles["margin"], "wide")
     notice = until(lambda: shown.controller.state.notice)
-    assert (notice.text, notice.bad) == ("Margin needs a number, got 'wide'", True)
+    assert_names(notice.text, "Margin", "'wide'")
+    assert notice.bad
     shown.page.change(shown.panel._defaults, True)
     until(lambda: shown.controller.state.settings == Settings(geometry_only=True))
     until(lambda: form._handles["solver"].value == "levenberg-marquardt")
@@ -193,12 +197,11 @@ def test_lengths_are_told_in_millimetres(metres: float, text: str):
 def test_words_say_what_comes_next(problem: Problem):
     made = controller(problem)
     state = made.state
-    assert words(state).startswith("**Start** moves the hand")
-    assert numbers(state) == "Each iteration of a refinement can be looked at here."
+    assert "**Start**" in words(state) and " mm" not in numbers(state)
     moved = replace(state, trace=trace_of(4, len(state.pose.q)))
-    assert numbers(moved).startswith("The hand was moved since")
-    assert numbers(replace(moved, frame=2)) == "**Slide**: contact error 8.10 mm, penetration 0.000 mm"
-    assert words(moved).startswith("Stopped, or moved since.")
+    assert " mm" not in numbers(moved) and numbers(moved) != numbers(state)
+    assert_names(numbers(replace(moved, frame=2)), "**Slide**", "8.10 mm", "0.000 mm")
+    assert "**Start**" in words(moved) and words(moved) != words(state)
     made.close()
 
 
@@ -206,6 +209,7 @@ def test_the_outcome_is_told_with_advice(shown: Shown):
     shown.controller.set_settings(Settings(solver="descent", iterations=3))
     shown.controller.start()
     outcome = until(lambda: shown.controller.state.outcome)
-    text = outcome_words(outcome)
-    assert text.startswith("**Budget** after 3 iterations,")
-    assert "raise iterations\n" in text and "| quality, 0 to 1 |" in text
+    head, *_, advice, table = outcome_words(outcome).split("\n\n")
+    assert_names(head, "**Budget**", "3 iterations")
+    assert "iterations" in advice
+    assert "| quality" in table

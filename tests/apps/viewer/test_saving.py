@@ -15,6 +15,7 @@ from grasp_refine.apps.viewer import saving
 from grasp_refine.apps.viewer.pose import Pose
 from grasp_refine.apps.viewer.saving import Saved, grasp_file, grasp_set
 from grasp_refine.apps.viewer.target import Target
+from refusals import refused
 
 from grasp_refine.errors import GraspFileError
 from grasp_refine.formats.agreement import fingertip_distances
@@ -83,7 +84,7 @@ def test_every_format_gives_the_grasp_back(name: str, format_name: str, unpacked
     assert "/" not in saved.name and ":" not in saved.name
     assert saved.name.endswith({"ours": ".npz", "leap_cache": "_s10.npy"}.get(format_name, ".zip"))
     # What a format has no place for is said.
-    assert any("targets have no place" in note for note in saved.notes) == (format_name != "ours")
+    assert any("targets" in note for note in saved.notes) == (format_name != "ours")
 
 
 def test_our_format_holds_all_of_it(unpacked: Callable[[Saved], Path]):
@@ -109,19 +110,19 @@ def test_the_stages_are_those_that_simulation_closes_with():
 
 
 def test_a_format_for_another_hand_says_which_hands_it_knows():
-    with pytest.raises(GraspFileError, match="format leap_cache cannot hold grasps of hand 'allegro'.* leap "):
+    with refused(GraspFileError, "leap_cache", "'allegro'", " leap "):
         grasp_file(hand("allegro"), shown("allegro"), "leap_cache")
 
 
 def test_an_unknown_format_lists_those_there_are():
-    with pytest.raises(GraspFileError, match="no format 'stl'; the formats are ours, dexgraspbench"):
+    with refused(GraspFileError, "'stl'", "ours, dexgraspbench"):
         grasp_file(hand("allegro"), shown("allegro"), "stl")
 
 
 def test_a_grasp_that_is_not_finite_is_not_saved():
     own = hand("allegro")
     scene = Scene(own, load_object("sphere:0.03", candidates=64), np.eye(4)[None], own.rest[None])
-    with pytest.raises(GraspFileError, match="not finite.*: reset it"):
+    with refused(GraspFileError, "finite"):
         grasp_set(scene, Pose(np.full((4, 4), np.nan), own.rest), "ball", 1.0)
 
 
@@ -130,7 +131,7 @@ def test_what_is_read_as_another_grasp_is_not_handed_out(monkeypatch: pytest.Mon
         return np.full(len(grasps), 2e-6)
 
     monkeypatch.setattr(saving, "fingertip_distances", astray)
-    with pytest.raises(GraspFileError, match="a fingertip is 2e-06 m from where it was, more than 1e-06 m"):
+    with refused(GraspFileError, "2e-06 m", "1e-06 m"):
         grasp_file(hand("allegro"), shown("allegro"), "ours")
 
 

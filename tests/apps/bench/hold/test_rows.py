@@ -141,7 +141,7 @@ def test_the_page_is_whole_and_repeats_itself(parts: list[Part]):
         pytest.importorskip(module, reason="the report needs it")
     found = rows(parts, SETTINGS)
     chart = success_chart(found, SETTINGS)
-    assert chart.count("grasps that hold") == 3 and "geometry only" in chart and "6 starts" in chart
+    assert all(name in chart for name in (*SETTINGS, "cup", "can", GEOMETRY_ONLY.label, "6 starts"))
     document = {
         "preset": None,
         "seed": 0,
