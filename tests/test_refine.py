@@ -335,7 +335,7 @@ def test_targets_on_one_side_only_are_no_targets(aimed: Scene, side: str) -> Non
 def same(one: Refinement, other: Refinement, index: list[int], own: list[int]) -> None:
     """The grasps `index` of one result are `own` of the other: status and counts exactly, numbers to 1e-7.
 
-    Rounding depends on the size of the batch and on the processor, and a grasp ends where its loss is below a tolerance.
+    Rounding depends on the size of the batch and on the processor; a grasp ends where its loss is below a tolerance.
     """
     for name in ("status", "iterations", "queries"):
         np.testing.assert_array_equal(getattr(one, name)[index], getattr(other, name)[own], err_msg=name)
