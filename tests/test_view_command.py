@@ -22,6 +22,7 @@ from grasp_refine.commands.inputs import Inputs
 from grasp_refine.commands.settings import Settings
 from grasp_refine.commands.view import View
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.holding import STAGES
 
 pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
@@ -140,6 +141,6 @@ def test_settings_of_the_command_line_are_those_of_the_page() -> None:
         controller.start()
         settled(controller)
         assert controller.state.settings.geometry_only and controller.state.outcome is not None
-        assert "gaps close" not in controller.state.trace.label
+        assert not any(stage.name in label for stage in STAGES for label in controller.state.trace.label)
     finally:
         controller.close()
