@@ -12,6 +12,7 @@ import pytest
 import torch
 from command_line import refused
 from grasp_refine.apps.bench.grasp.sets import PLACES
+from refusals import assert_names
 
 from grasp_refine.assets import resource_dir
 from grasp_refine.cli import main
@@ -53,8 +54,9 @@ def test_a_run_prints_its_tables_and_writes_its_rows(capfd: pytest.CaptureFixtur
     found = document(*TINY, "--noise", "0.1")
     out, error = capfd.readouterr()
     assert error == ""
-    assert "allegro example, 2 grasps, given targets" in out and "allegro example, 2 grasps, given nothing" in out
-    assert max(map(len, map(str.rstrip, out.splitlines()))) <= 80 and "wrote bench.json" in out
+    titles = [line for line in out.splitlines() if "allegro example" in line and "2 grasps" in line]
+    assert ["targets" in title for title in titles] == [True, False] and "nothing" in titles[1]
+    assert max(map(len, map(str.rstrip, out.splitlines()))) <= 80 and "bench.json" in out
     assert list(found) == [
         "schema", "command", "invocation", "versions", "machine", "engine", "preset", "config", "seed", "wall_s",
         "cpu_s", "problems", "rows",
@@ -89,7 +91,7 @@ def test_smoke_compares_all_solvers_and_reports_in_one_file(capfd: pytest.Captur
         for task in ("targets", "nothing")
         for solver, budget in (("levenberg-marquardt", 200), ("descent", 40), ("adam", 40))
     ]
-    assert "wrote bench.json, bench.html" in capfd.readouterr().out
+    assert "bench.json, bench.html" in capfd.readouterr().out
     text = Path("bench.html").read_text(encoding="utf-8")
     assert "<svg" in text and not re.search(r"""(?:src|href)=["']https?:""", text)
     assert {path.name for path in Path().iterdir()} == {"bench.json", "bench.html"}
@@ -158,36 +160,36 @@ def test_sets_of_the_assets_are_found_by_name(shared_assets: Path):
 
 
 @pytest.mark.parametrize(
-    ("options", "complaint"),
+    ("options", "named"),
     [
-        ("--preset smoke --solvers adam", "--preset smoke says itself what is compared: leave out --solvers"),
-        ("--preset targets --tasks nothing", "--preset targets says itself what is compared: leave out --tasks"),
-        ("--preset time-to-error --budgets 3", "says itself what is compared: leave out --budgets"),
-        ("--preset workers --workers 2", "--preset workers has processes of its own: leave out --workers"),
-        ("--preset table1", "invalid choice 'table1' for argument '--preset'"),
-        ("--batches 0", "--batches must be at least 1, got 0"),
-        ("--budgets 5 0", "--budgets must be at least 1, got 0"),
-        ("--count 0", "--count must be at least 1, got 0"),
-        ("--scenes 0", "--scenes must be at least 1, got 0"),
-        ("--shift -1", "--shift must be finite and not negative, got -1"),
-        ("--turn nan", "--turn must be finite and not negative, got nan"),
-        ("--seed -1", "--seed must be 0 to 4294967295, got -1"),
-        ("--solvers newton", "invalid choice 'newton' for argument '--solvers'"),
-        ("--derivatives distance", "--derivatives is of descent and adam only"),
-        ("--sets mine --assets .", "invalid choice 'mine' for argument '--sets'"),
-        ("--sets leap_cube", "--sets are those of a folder of assets: give it with --assets"),
-        ("--sets leap_cube --assets .", "--assets .: has no set leap_cube, that is grasps/normalised/leap_cube.npz"),
-        ("--assets . --object mug", "--assets has hands, objects and grasps of its own"),
-        ("--targets mine.npz", "--targets: the benchmark makes its own targets"),
-        ("--object teapot", "no example grasps of hand 'allegro' on 'teapot'"),
-        ("--hand nobody", "no hand is called 'nobody'"),
-        ("--json same --html same", "same: is to be written twice"),
-        ("--json .", ".: is a folder, a file is to be written there"),
-        ("--html .", ".: is a folder, a file is to be written there"),
+        ("--preset smoke --solvers adam", ("--preset smoke", "--solvers")),
+        ("--preset targets --tasks nothing", ("--preset targets", "--tasks")),
+        ("--preset time-to-error --budgets 3", ("--preset time-to-error", "--budgets")),
+        ("--preset workers --workers 2", ("--preset workers", "--workers")),
+        ("--preset table1", ("--preset", "table1")),
+        ("--batches 0", ("--batches", "1", "0")),
+        ("--budgets 5 0", ("--budgets", "1", "0")),
+        ("--count 0", ("--count", "1", "0")),
+        ("--scenes 0", ("--scenes", "1", "0")),
+        ("--shift -1", ("--shift", "finite", "negative", "-1")),
+        ("--turn nan", ("--turn", "finite", "negative", "nan")),
+        ("--seed -1", ("--seed", "0", "4294967295", "-1")),
+        ("--solvers newton", ("--solvers", "newton")),
+        ("--derivatives distance", ("--derivatives", "descent", "adam")),
+        ("--sets mine --assets .", ("--sets", "mine")),
+        ("--sets leap_cube", ("--sets", "--assets")),
+        ("--sets leap_cube --assets .", ("--assets .", "grasps/normalised/leap_cube.npz")),
+        ("--assets . --object mug", ("--assets", "hands", "objects", "grasps")),
+        ("--targets mine.npz", ("--targets",)),
+        ("--object teapot", ("'allegro'", "'teapot'")),
+        ("--hand nobody", ("'nobody'",)),
+        ("--json same --html same", ("same",)),
+        ("--json .", (".: ", "folder")),
+        ("--html .", (".: ", "folder")),
     ],
 )
-def test_bad_options_are_refused(options: str, complaint: str, capfd: pytest.CaptureFixture[str]):
-    assert complaint in refused(capfd, "bench", "grasp", *options.split())
+def test_bad_options_are_refused(options: str, named: tuple[str, ...], capfd: pytest.CaptureFixture[str]):
+    assert_names(refused(capfd, "bench", "grasp", *options.split()), *named)
 
 
 def test_grasps_that_cannot_touch_are_refused_with_targets(capfd: pytest.CaptureFixture[str]):
@@ -197,5 +199,5 @@ def test_grasps_that_cannot_touch_are_refused_with_targets(capfd: pytest.Capture
     out, error = capfd.readouterr()
     assert out == "" and not Path("bench.json").exists()
     left_out, answer = error.splitlines()
-    assert left_out.startswith("example_mug: 1 of 1 objects (at their scales) left out with targets")
-    assert answer.startswith("refine-grasp: error: no grasp can be made to touch with every fingertip")
+    assert_names(left_out, "example_mug", "1 of 1")
+    assert answer.startswith("refine-grasp: error: ")

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from grasp_refine.errors import HandError
 from grasp_refine.grip import grip_of
@@ -101,8 +102,9 @@ def test_joints_without_limits_get_some(tmp_path: Path):
 
 
 def test_a_hand_that_cannot_move_cannot_grip(tmp_path: Path):
-    with pytest.raises(HandError, match="'hand' cannot grip: none of its joints moves a link"):
-        grip_of(write(tmp_path, link("palm")))
+    hand = write(tmp_path, link("palm"))
+    with refused(HandError, "'hand'"):
+        grip_of(hand)
 
 
 BENDS = {

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from grasp_refine import npz
 from grasp_refine.errors import GraspFileError
@@ -31,10 +32,9 @@ def claiming(shape: tuple[int, ...]) -> bytes:
     return stream.getvalue()
 
 
-def refused(path: Path) -> str:
-    with pytest.raises(GraspFileError) as raised:
+def check_refused(path: Path, *named: object) -> None:
+    with refused(GraspFileError, path, *named):
         load_npz(path)
-    return str(raised.value).removeprefix(f"{path}: ")
 
 
 def peak() -> int:
@@ -53,7 +53,7 @@ def test_an_archive_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.Mon
     assert path.stat().st_size < 2**21
     monkeypatch.setattr(npz, "LARGEST", 2**27)
     before = peak()
-    assert refused(path) == "would unpack to 256 MiB, as an archive bomb does; at most 128 MiB are read"
+    check_refused(path, "256 MiB", "128 MiB")
     assert peak() - before < 2**25
 
 
@@ -132,8 +132,7 @@ def test_what_would_take_too_much_says_how_much_and_the_limit(tmp_path: Path, mo
     path = tmp_path / "grasps.npz"
     np.savez_compressed(path, q=np.zeros((2**18, 1), "int8"))
     times = round(2**21 / path.stat().st_size)
-    message = refused(path)
-    assert all(part in message for part in ("2 MiB", f"{times} times", "1 MiB", "16 times", "without compression"))
+    check_refused(path, "2 MiB", f"{times} times", "1 MiB", "16 times", "compression")
     assert load_npz(path, only=("other",)).entries == {}, "what is not asked for takes nothing"
 
 
@@ -145,9 +144,7 @@ def test_an_array_that_says_more_than_there_is_takes_no_room(shape: tuple[int, .
         archive.writestr("q.npy", claiming(shape) + bytes(8))
     before = peak()
     needed = int(np.prod(shape, dtype=float)) * 8 + len(claiming(shape))
-    assert refused(path) == (
-        f"entry 'q' is damaged: shape {shape} of float64 needs {needed} bytes, it has {len(claiming(shape)) + 8}"
-    )
+    check_refused(path, "'q'", shape, "float64", f"{needed} bytes", len(claiming(shape)) + 8)
     assert peak() - before < 2**26
 
 
@@ -158,13 +155,13 @@ def test_a_directory_that_says_less_than_there_is_is_found_out(tmp_path: Path):
         archive.writestr("q.npy", array)
     lying = path.read_bytes().replace(len(array).to_bytes(4, "little"), (128 + 8).to_bytes(4, "little"))
     path.write_bytes(lying)
-    assert refused(path).startswith("not a readable .npz file (Bad CRC-32")
+    check_refused(path, ".npz", "Bad CRC-32")
     small = claiming((1,))
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("q.npy", small + bytes(10**6))
     total = (len(small) + 10**6).to_bytes(4, "little")
     path.write_bytes(path.read_bytes().replace(total, (len(small) + 8).to_bytes(4, "little")))
-    assert refused(path).startswith("not a readable .npz file (Bad CRC-32")
+    check_refused(path, ".npz", "Bad CRC-32")
 
 
 @pytest.mark.parametrize("header", [b"\x93NUMPY\x01\x00\x01\x00[", b"\x93NUMPY\x01\x00\xff\xff", b"\x93NUMPY\x09\x00"])
@@ -172,7 +169,7 @@ def test_a_damaged_header_is_named(header: bytes, tmp_path: Path):
     path = tmp_path / "grasps.npz"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("q.npy", header)
-    assert refused(path) == "entry 'q' is damaged"
+    check_refused(path, "'q'")
 
 
 def test_which_numbers_may_stand_in_an_entry_is_said_in_one_word(tmp_path: Path):
@@ -181,7 +178,7 @@ def test_which_numbers_may_stand_in_an_entry_is_said_in_one_word(tmp_path: Path)
     for key, allowed in (("whole", "finite"), ("absent", "nan"), ("endless", "any"), ("absent", "any")):
         np.testing.assert_array_equal(file.numbers(key, allowed=allowed), file.entries[key])
     for key, allowed in (("absent", "finite"), ("endless", "finite"), ("endless", "nan")):
-        with pytest.raises(GraspFileError, match=f"{key} must be finite; row 1 is not"):
+        with refused(GraspFileError, key, "finite", "row 1"):
             file.numbers(key, allowed=allowed)
 
 
@@ -189,7 +186,7 @@ def test_a_header_says_shape_type_and_where_the_numbers_begin():
     shape, dtype, start = array_header(npy(np.arange(6.0).reshape(2, 3)))
     assert (shape, dtype) == ((2, 3), np.dtype(float))
     assert npy(np.arange(6.0).reshape(2, 3))[start:] == np.arange(6.0).tobytes()
-    with pytest.raises(ValueError, match=r"shape is \(-1,\)"):
+    with refused(ValueError, "(-1,)"):
         array_header(claiming((-1,)))
 
 
@@ -197,7 +194,7 @@ def test_a_header_says_shape_type_and_where_the_numbers_begin():
 def test_names_that_are_no_text_or_control_a_terminal_are_refused(tmp_path: Path, codes: list[int]):
     text = np.array(codes, dtype=np.uint32).view(f"U{len(codes)}")
     np.savez(tmp_path / "g.npz", object=text)
-    with pytest.raises(GraspFileError, match="object holds letters that no text has, or that control a terminal"):
+    with refused(GraspFileError, "object", "terminal"):
         load_npz(tmp_path / "g.npz").text("object")
     np.savez(tmp_path / "g.npz", object=np.array(["Mus\u00e9e", "\u676f"]))
     assert load_npz(tmp_path / "g.npz").names("object") == ("Mus\u00e9e", "\u676f")
@@ -221,5 +218,5 @@ def test_a_file_of_python_2_is_read_without_a_word(tmp_path: Path):
 
 
 def test_a_name_that_is_too_long_is_no_file(tmp_path: Path):
-    with pytest.raises(GraspFileError, match="no such grasp file"):
+    with refused(GraspFileError, "a" * 300):
         load_npz(tmp_path / ("a" * 300))

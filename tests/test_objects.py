@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from refusals import assert_names, refused
 
 from grasp_refine import objects
 from grasp_refine.errors import AssetError, MeshError
@@ -80,7 +81,7 @@ def test_a_concave_mesh_is_decomposed_once_for_all_scales(corner: Path, cache: P
     first = load_object(corner, candidates=64, cache=cache, progress=lines.append)
     assert not first.convex
     assert len(first.body.pieces) == 2
-    assert len(lines) == 2 and lines[0].startswith("decomposing corner (")
+    assert len(lines) == 2 and "corner" in lines[0]
     again = load_object(corner, candidates=64, cache=cache, progress=lines.append)
     assert len(lines) == 2
     for one, other in zip(first.body.pieces, again.body.pieces, strict=True):
@@ -137,7 +138,7 @@ def test_an_embedded_name_wins_over_a_file_only_without_a_suffix(tmp_path: Path,
 def test_a_file_in_millimetres_is_asked_about_and_read_when_told(source: str, tmp_path: Path, cache: Path):
     trimesh.creation.box(extents=(90, 60, 40)).export(tmp_path / "brick.stl")
     source = tmp_path / "brick.stl" if source == "file" else source
-    with pytest.raises(MeshError, match=r"90 x 60 x 40 m if its .* --unit mm if it is 90 x 60 x 40 mm"):
+    with refused(MeshError, "90 x 60 x 40 m ", "--unit mm", "90 x 60 x 40 mm"):
         objects.load_object(source, candidates=64, cache=cache)
     thing = load_object(source, unit="mm", candidates=64, cache=cache)
     np.testing.assert_allclose(thing.mesh.extents, [0.09, 0.06, 0.04])
@@ -170,40 +171,36 @@ def test_holes_are_closed_as_asked(tmp_path: Path, cache: Path):
     mesh = trimesh.creation.cylinder(0.03, 0.1, sections=24)
     mesh.update_faces(mesh.face_normals[:, 2] < 0.9)
     mesh.export(tmp_path / "pot.stl")
-    with pytest.raises(
-        MeshError, match=r"pot: not watertight, 24 edges stay open .* \(--holes cap\).* \(--holes hull\)"
-    ):
+    with refused(MeshError, "pot", "24 edges", "--holes cap", "--holes hull"):
         load_object(tmp_path / "pot.stl", candidates=64, cache=cache)
     volume = trimesh.creation.cylinder(0.03, 0.1, sections=24).volume
-    for holes, words in (("cap", "a flat hole, up to 84.9 mm across"), ("hull", "not watertight, 24 edges")):
+    for holes, size in (("cap", "84.9 mm"), ("hull", "24 edges")):
         thing = load_object(tmp_path / "pot.stl", holes=holes, candidates=64, cache=cache)
-        assert thing.notes[-1].startswith(words)
+        assert_names(thing.notes[-1], size)
         assert thing.mesh.is_volume and thing.mesh.volume == pytest.approx(volume)
 
 
 @pytest.mark.parametrize(
-    ("source", "scale", "error", "message"),
+    ("source", "scale", "error", "named"),
     [
         (
             "teapot",
             1.0,
             AssetError,
-            f"no object 'teapot': embedded ones are {', '.join(EMBEDDED)}; "
-            "primitives are box:x,y,z, sphere:r, cylinder:r,h (metres); "
-            "or give a mesh file (.obj, .stl, .ply, .glb, .off), or a folder of meshes that are its convex pieces",
+            ("'teapot'", ", ".join(EMBEDDED), "box:x,y,z, sphere:r, cylinder:r,h", ".obj, .stl, .ply, .glb, .off"),
         ),
-        ("teapot.obj", 1.0, MeshError, "teapot.obj: no such mesh file"),
-        (Path("teapot"), 1.0, MeshError, "teapot: "),
-        ("teapot.step", 1.0, MeshError, "teapot.step: "),
-        ("folder/teapot", 1.0, MeshError, "folder/teapot: "),
-        ("", 1.0, AssetError, "no object ''"),
-        ("cone:1,2", 1.0, MeshError, "'cone:1,2' is not a primitive: use box:x,y,z"),
-        ("mug", 0.0, MeshError, "mug: the scale must be positive and finite, got 0"),
-        ("sphere:1", float("nan"), MeshError, "sphere:1: the scale must be positive and finite, got nan"),
+        ("teapot.obj", 1.0, MeshError, ("teapot.obj",)),
+        (Path("teapot"), 1.0, MeshError, ("teapot",)),
+        ("teapot.step", 1.0, MeshError, ("teapot.step",)),
+        ("folder/teapot", 1.0, MeshError, ("folder/teapot",)),
+        ("", 1.0, AssetError, ("''",)),
+        ("cone:1,2", 1.0, MeshError, ("'cone:1,2'", "box:x,y,z")),
+        ("mug", 0.0, MeshError, ("mug", "scale", "positive", "0")),
+        ("sphere:1", float("nan"), MeshError, ("sphere:1", "scale", "finite", "nan")),
     ],
 )
-def test_what_there_is_not(source: str | Path, scale: float, error: type, message: str):
-    with pytest.raises(error, match=f"^{re.escape(message)}"):
+def test_what_there_is_not(source: str | Path, scale: float, error: type, named: tuple[str, ...]):
+    with refused(error, *named):
         load_object(source, scale=scale)
 
 
@@ -211,7 +208,7 @@ def test_an_open_mesh_is_refused_by_name(tmp_path: Path):
     mesh = trimesh.creation.icosphere(subdivisions=3)
     mesh.update_faces(mesh.triangles_center[:, 2] < 0.3)
     mesh.export(tmp_path / "open.ply")
-    with pytest.raises(MeshError, match="^open: not watertight"):
+    with refused(MeshError, "open: ", "watertight"):
         load_object(tmp_path / "open.ply")
 
 
@@ -358,12 +355,17 @@ def test_what_is_shown_is_the_simplified_mesh_or_the_only_one_or_all_pieces(bode
     assert len(thing.mesh.faces) == 24 and thing.mesh.volume == pytest.approx(5)
 
 
+def check_only_note(thing: objects.Object, *named: str) -> None:
+    (note,) = thing.notes
+    assert_names(note, *named)
+
+
 def test_an_open_surface_changes_nothing_that_is_touched(bodex: Path):
     whole = load_object(bodex, candidates=64)
     torn = trimesh.boolean.union([block(ARM), block(LEG)]).subdivide()
     put(bodex / "mesh" / "simplified.obj", without_top(torn))
     thing = load_object(bodex, candidates=64)
-    assert thing.notes == ("simplified.obj: not watertight; it is only shown, the pieces are what is touched",)
+    check_only_note(thing, "simplified.obj", "watertight")
     assert not thing.mesh.is_watertight
     assert corners(thing.body.pieces) == corners(whole.body.pieces)
     np.testing.assert_array_equal(thing.body.candidates.points, whole.body.candidates.points)
@@ -375,14 +377,14 @@ def test_a_surface_that_can_be_repaired_is(bodex: Path):
     put(bodex / "mesh" / "simplified.obj", inverted)
     thing = load_object(bodex, candidates=64)
     assert thing.mesh.volume == pytest.approx(3)
-    assert thing.notes == ("simplified.obj: was inside out; its faces are turned over",)
+    check_only_note(thing, "simplified.obj", "inside out")
 
 
 def test_a_piece_that_is_not_convex_is_noted(parts: Path):
     # The hull of the L has the area of the square without the corner: 9 - 2 * 2 / 2 = 7, against 5.
     put(parts / "c.obj", trimesh.boolean.union([block(ARM), block(LEG)]))
     thing = load_object(parts, candidates=64)
-    assert thing.notes == ("c.obj: not convex; its hull is used, which has 40.0% more volume",)
+    check_only_note(thing, "c.obj", "hull", "40.0%")
     assert thing.body.pieces[2].mesh().volume == pytest.approx(7)
 
 
@@ -412,7 +414,7 @@ def test_a_piece_inside_out_is_a_piece(tmp_path: Path):
 def test_an_open_piece_is_its_hull_and_noted(tmp_path: Path):
     put(tmp_path / "one" / "a.obj", without_top(block(ARM).subdivide()))
     thing = load_object(tmp_path / "one", candidates=64)
-    assert thing.notes == ("a.obj: not watertight, so not known to be convex; its hull is used",)
+    check_only_note(thing, "a.obj", "watertight", "hull")
     assert thing.mesh.volume == pytest.approx(3)
 
 
@@ -420,7 +422,7 @@ def test_an_open_piece_is_its_hull_and_noted(tmp_path: Path):
 def test_flat_pieces_are_dropped_and_noted(parts: Path, flat: trimesh.Trimesh):
     put(parts / "aa.obj", flat)
     thing = load_object(parts, candidates=64)
-    assert thing.notes == ("aa.obj: flat; dropped",)
+    check_only_note(thing, "aa.obj", "flat")
     assert len(thing.body.pieces) == 2
 
 
@@ -428,23 +430,19 @@ def test_a_folder_without_a_usable_piece_is_refused(tmp_path: Path):
     folder = tmp_path / "paper"
     put(folder / "a.obj", SHEET)
     put(folder / "b.obj", TRIANGLE)
-    with pytest.raises(
-        MeshError, match=f"^{re.escape(f'{folder}: no usable convex piece, all are flat: a.obj, b.obj')}$"
-    ):
+    with refused(MeshError, folder, "flat", "a.obj, b.obj"):
         load_object(folder)
 
 
 def test_a_folder_without_meshes_is_refused(tmp_path: Path):
-    message = f"{tmp_path}: has no meshes of convex pieces, nor has its urdf/meshes (.obj, .stl, .ply, .glb, .off)"
-    message += ", nor is there a coacd/decomposed.obj"
-    with pytest.raises(MeshError, match=f"^{re.escape(message)}$"):
+    with refused(MeshError, tmp_path, "urdf/meshes", ".obj, .stl, .ply, .glb, .off", "coacd/decomposed.obj"):
         load_object(tmp_path)
 
 
 @pytest.mark.parametrize("text", ["", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"])
 def test_a_broken_piece_is_refused_not_left_out(parts: Path, text: str):
     (parts / "c.obj").write_text(text)
-    with pytest.raises(MeshError, match=f"^{re.escape(str(parts / 'c.obj'))}: "):
+    with refused(MeshError, parts / "c.obj"):
         load_object(parts)
 
 
@@ -489,7 +487,7 @@ def folder(tmp_path: Path) -> Path:
 )
 def test_a_name_is_the_end_of_a_stem_from_a_word_on(folder: Path, name: str, file: str | None):
     if file is None:
-        with pytest.raises(AssetError, match=f"no mesh of object '{name}'"):
+        with refused(AssetError, f"'{name}'"):
             find_object(name, folder)
     else:
         assert find_object(name, folder) == folder / file
@@ -503,30 +501,23 @@ def test_the_exact_stem_wins(folder: Path):
 
 
 @pytest.mark.parametrize(
-    ("name", "message"),
+    ("name", "listed"),
     [
-        ("mug", "object 'mug' could be any of blue_mug.obj, red-mug.STL in {folder}"),
-        (
-            "pear",
-            "no mesh of object 'pear' in {folder}; "
-            "there are Cup.ply, banana_peel.obj, blue_mug.obj, red-mug.STL, ycb_011_banana.obj",
-        ),
-        (
-            "_",
-            "no mesh of object '_' in {folder}; "
-            "there are Cup.ply, banana_peel.obj, blue_mug.obj, red-mug.STL, ycb_011_banana.obj",
-        ),
+        ("mug", " blue_mug.obj, red-mug.STL"),
+        ("pear", " Cup.ply, banana_peel.obj, blue_mug.obj, red-mug.STL, ycb_011_banana.obj"),
+        ("_", " Cup.ply, banana_peel.obj, blue_mug.obj, red-mug.STL, ycb_011_banana.obj"),
     ],
 )
-def test_none_or_several(folder: Path, name: str, message: str):
-    with pytest.raises(AssetError, match=f"^{re.escape(message.format(folder=folder))}$"):
+def test_none_or_several(folder: Path, name: str, listed: str):
+    with refused(AssetError, f"'{name}'", folder, listed) as caught:
         find_object(name, folder)
+    assert len(re.findall(r"\.(?:obj|STL|ply)\b", str(caught.value))) == len(listed.split(", "))
 
 
 def test_a_folder_that_is_missing_or_empty(tmp_path: Path):
-    with pytest.raises(AssetError, match="none: no such folder of objects$"):
+    with refused(AssetError, tmp_path / "none"):
         find_object("mug", tmp_path / "none")
-    with pytest.raises(AssetError, match=r"there are no meshes \(\.obj, \.stl, \.ply, \.glb, \.off\)$"):
+    with refused(AssetError, "'mug'", tmp_path, ".obj, .stl, .ply, .glb, .off"):
         find_object("mug", tmp_path)
 
 
@@ -590,22 +581,22 @@ def test_a_folder_of_pieces_wins_over_a_mesh_of_the_same_name(mixed: Path, name:
 def test_a_mesh_and_a_folder_of_other_names_that_fit_alike_are_ambiguous(mixed: Path):
     (mixed / "cu-p").mkdir()
     (mixed / "cu-p" / "p0.obj").touch()
-    with pytest.raises(AssetError, match="^object 'cup' could be any of Cup.ply, cu-p/ in "):
+    with refused(AssetError, "'cup'", " Cup.ply, cu-p/ ", mixed):
         find_object("cup", mixed)
     # The one of exactly that name is meant all the same.
     assert find_object("Cup", mixed) == mixed / "Cup.ply"
     (mixed / "green_mug").mkdir()
     (mixed / "green_mug" / "p0.obj").touch()
-    with pytest.raises(AssetError, match="^object 'mug' could be any of blue_mug.obj, green_mug/, red-mug.STL in "):
+    with refused(AssetError, "'mug'", " blue_mug.obj, green_mug/, red-mug.STL ", mixed):
         find_object("mug", mixed)
 
 
 def test_all_meshes_and_folders_of_pieces_are_listed(mixed: Path):
-    message = (
-        f"no mesh of object 'pear' in {mixed}; there are Cup.ply, banana_peel.obj, blue_mug.obj, core_bottle_5f/, "
-        "old_Cup/, peach.v2/, red-mug.STL, sem-Car-1/, ycb_011_banana.obj"
+    listed = (
+        " Cup.ply, banana_peel.obj, blue_mug.obj, core_bottle_5f/, old_Cup/, peach.v2/, red-mug.STL, sem-Car-1/, "
+        "ycb_011_banana.obj"
     )
-    with pytest.raises(AssetError, match=f"^{re.escape(message)}$"):
+    with refused(AssetError, "'pear'", mixed, listed):
         find_object("pear", mixed)
 
 
@@ -617,13 +608,21 @@ def test_finds_the_pieces_of_the_shared_grasps(shared_assets: Path):
 
 
 def test_a_name_that_is_too_long_for_a_file_is_no_folder():
-    with pytest.raises(MeshError, match="no such mesh file"):
+    with refused(MeshError, "a" * 20):
         load_object("a" * 300 + ".obj")
-    with pytest.raises(AssetError, match="no object 'aaa"):
+    with refused(AssetError, "'aaa"):
         load_object("a" * 300)
 
 
-@pytest.mark.parametrize("name", ["sphere:1e-60", "sphere:1e60", "box:1e-60,1e-60,1e-60", "cylinder:1e60,1"])
-def test_primitives_of_no_size_are_refused(name: str):
-    with pytest.raises(MeshError, match="which no solid has|flat"):
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("sphere:1e-60", "1e-60 m"),
+        ("sphere:1e60", "1e+60 m"),
+        ("box:1e-60,1e-60,1e-60", "1.73205e-60 m"),
+        ("cylinder:1e60,1", "2.82843e+60 m"),
+    ],
+)
+def test_primitives_of_no_size_are_refused(name: str, size: str):
+    with refused(MeshError, name.partition(":")[0], size):
         load_object(name)

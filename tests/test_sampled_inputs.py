@@ -1,12 +1,15 @@
 """`--grasps sample:N`: what it needs, what it does not go with, and that what it gives is refined."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import refusals
 from command_line import refused
 from plate_gripper import URDF
+from refusals import assert_names
 
 from grasp_refine import grasp_sampling
 from grasp_refine.cli import main
@@ -44,16 +47,17 @@ def test_sampled_grasps_are_a_problem_like_any_other(gripper: str):
     assert problem.closing() == {"pregrasp": "own", "squeeze": "own"}
     assert problem.sampled == "sample:4"
     (note,) = [note for note in problem.notes if "sampled" in note]
-    assert note.startswith("sampled 4 grasps in ") and note.endswith(" s")
+    assert "4 grasps" in note and re.search(r"\d s$", note)
 
 
 def test_what_takes_a_while_is_told_after_what_was_asked_is_known_to_be_sound(gripper: str):
     heard: list[str] = []
-    with pytest.raises(GraspRefineError, match="--scale"):
+    with refusals.refused(GraspRefineError, "--scale", "0"):
         Inputs(hand=gripper, object=BOX, scale=0.0, grasps=Path("sample:4")).load(0, heard.append, heard.append)
     assert heard == []
     Inputs(hand=gripper, object=BOX, scale=0.1, grasps=Path("sample:4")).load(0, heard.append, heard.append)
-    assert heard == [f"sampling grasps of gripper on {BOX}"]
+    (line,) = heard
+    assert_names(line, "gripper", BOX)
 
 
 def test_the_index_is_that_of_sampled_grasps_and_the_seed_varies_them(gripper: str):
@@ -61,7 +65,7 @@ def test_the_index_is_that_of_sampled_grasps_and_the_seed_varies_them(gripper: s
     np.testing.assert_array_equal(some.scene.q, every.scene.q[[2, 0]])
     np.testing.assert_array_equal(some.rows, [2, 0])
     assert (load(gripper, seed=1).groups[0].scene.q != every.scene.q).any()
-    with pytest.raises(GraspFileError, match="index 7 is out of range"):
+    with refusals.refused(GraspFileError, "index 7"):
         load(gripper, index=(7,))
 
 
@@ -75,39 +79,37 @@ def test_it_is_noted_where_fewer_are_found(gripper: str, monkeypatch: pytest.Mon
     monkeypatch.setattr(grasp_sampling, "TRIES", 1)
     monkeypatch.setattr(grasp_sampling, "AT_LEAST", 256)
     problem = load(gripper, grasps=Path("sample:256"))
-    assert f"found only {len(problem)} of 256 grasps of 'gripper' on '{BOX}'" in problem.notes
+    (note,) = [note for note in problem.notes if f"{len(problem)} of 256" in note]
+    assert_names(note, "'gripper'", f"'{BOX}'")
 
 
 @pytest.mark.parametrize("number", ["0", "x", "", "1.5", "²"])
 def test_the_number_is_a_whole_one(number: str, gripper: str, workplace: Path, capfd: pytest.CaptureFixture[str]):
     error = refused(capfd, "run", "--hand", gripper, "--object", BOX, "--grasps", f"sample:{number}")
-    assert error == f"--grasps sample:{number}: sample:N needs a whole number N from 1 on, as in sample:32"
+    assert_names(error, f"--grasps sample:{number}", "sample:N", "1", "sample:32")
 
 
 @pytest.mark.parametrize(
-    ("options", "complaint"),
+    ("options", "named"),
     [
-        ((), "give --hand and --object"),
-        (("--hand", "HAND"), "give --object"),
-        (("--object", BOX), "give --hand"),
-        (("--object", "x.obj"), "x.obj: no such mesh file"),
-        (("--hand", "HAND", "--object", "mugg"), "did you mean mug?"),
-        ((*HELD, "--objects", "."), "--objects and --object-name are for grasp files"),
-        ((*HELD, "--object-name", "a"), "--objects and --object-name are for grasp files"),
-        ((*HELD, "--targets", "a.npz"), "--targets a.npz: has no rows for the grasps of --grasps sample:2"),
-        ((*HELD, "--scale", "0"), "--scale must be positive and finite, got 0"),
-        ((*HELD, "--table", "inf"), "--table must be a height in metres, got inf"),
-        (
-            ("--hand", "HAND", "--object", "sphere:0.001"),
-            "no grasp of hand 'gripper' on object 'sphere:0.001' was",
-        ),
+        ((), ("--hand", "--object")),
+        (("--hand", "HAND"), ("--object",)),
+        (("--object", BOX), ("--hand",)),
+        (("--object", "x.obj"), ("x.obj",)),
+        (("--hand", "HAND", "--object", "mugg"), ("mug?",)),
+        ((*HELD, "--objects", "."), ("--objects", "--object-name")),
+        ((*HELD, "--object-name", "a"), ("--objects", "--object-name")),
+        ((*HELD, "--targets", "a.npz"), ("--targets a.npz", "--grasps sample:2")),
+        ((*HELD, "--scale", "0"), ("--scale", "positive", "0")),
+        ((*HELD, "--table", "inf"), ("--table", "metres", "inf")),
+        (("--hand", "HAND", "--object", "sphere:0.001"), ("'gripper'", "'sphere:0.001'")),
     ],
 )
 def test_what_does_not_go_with_it_is_refused(
-    options: tuple[str, ...], complaint: str, gripper: str, workplace: Path, capfd: pytest.CaptureFixture[str]
+    options: tuple[str, ...], named: tuple[str, ...], gripper: str, workplace: Path, capfd: pytest.CaptureFixture[str]
 ):
     given = [gripper if option == "HAND" else option for option in options]
-    assert complaint in refused(capfd, "run", *given, "--grasps", "sample:2")
+    assert_names(refused(capfd, "run", *given, "--grasps", "sample:2"), *named)
 
 
 def test_sampled_grasps_are_refined_and_written(gripper: str, workplace: Path, capsys: pytest.CaptureFixture[str]):

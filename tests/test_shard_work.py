@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from grasp_refine.apps.batch.record import State, state_of
 from grasp_refine.apps.batch.shard import Done, Shard, Sign
+from refusals import refused
 
 from grasp_refine.assets import resource_dir
 from grasp_refine.commands.inputs import Inputs
@@ -61,9 +62,9 @@ def test_signs_of_life_say_how_far_it_is(grasps: Path, tmp_path: Path):
     work(shard, lambda what, share, refined=0: heard.append((what, share, refined)))
     for values in zip(*(sign[1:] for sign in heard), strict=True):
         assert list(values) == sorted(values)
-    assert (heard[0][1:], heard[-1]) == ((0.0, 0), ("writing", 1.0, 2))
+    assert (heard[0][1:], heard[-1][1:]) == ((0.0, 0), (1.0, 2))
     refined = {what: refined for what, _, refined in heard}
-    assert refined["simulating, before"] == refined["simulating, after"] == 2
+    assert [count for what, count in refined.items() if "simulat" in what] == [2, 2]
     assert refined["refining"] > 0, "grasps count as soon as they are refined, not when the shard ends"
 
 
@@ -99,6 +100,6 @@ def test_what_changed_since_it_was_planned_is_refused(grasps: Path, tmp_path: Pa
         urdf.write_text(urdf.read_text() + "<!-- another -->\n")
     else:
         mesh.write_text(mesh.read_text().replace("0.1", "0.11"))
-    with pytest.raises(GraspRefineError, match="changed since the batch was planned; give the same command again"):
+    with refused(GraspRefineError, "changed"):
         worked(shard)
     assert not shard.path.exists()

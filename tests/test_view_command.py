@@ -14,6 +14,7 @@ import pytest
 from command_line import PROGRAM, interruptible, subprocess_environment
 from grasp_refine.apps.viewer.controller import Controller
 from open_viewer import settled
+from refusals import assert_names, refused
 from running_processes import PATIENCE_S, soon
 
 from grasp_refine.cli import main
@@ -21,6 +22,7 @@ from grasp_refine.commands.inputs import Inputs
 from grasp_refine.commands.settings import Settings
 from grasp_refine.commands.view import View
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.holding import STAGES
 
 pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
@@ -71,30 +73,31 @@ def test_a_replay_is_opened_with_its_motion(results: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("files", "said"),
+    ("files", "named"),
     [
-        (("missing.npz",), "missing.npz"),
-        (("one.npz", "two.npz"), "one grasp file at a time, or a folder of them"),
-        (("note.json",), "note.json: is no JSON document"),
-        (("other.json",), "is no document that"),
-        (("empty",), "no grasp files in this folder"),
+        (("missing.npz",), ("missing.npz",)),
+        (("one.npz", "two.npz"), ("one.npz", "two.npz")),
+        (("note.json",), ("note.json", "JSON")),
+        (("other.json",), ("other.json", "--json")),
+        (("empty",), ("empty", ".npz")),
     ],
 )
 def test_what_cannot_be_opened_is_said_in_one_line(
-    workplace: Path, capsys: pytest.CaptureFixture[str], files: tuple[str, ...], said: str
+    workplace: Path, capsys: pytest.CaptureFixture[str], files: tuple[str, ...], named: tuple[str, ...]
 ) -> None:
     (workplace / "note.json").write_text("not json")
     (workplace / "other.json").write_text('{"command": "hands"}')
     (workplace / "empty").mkdir()
     assert main(["view", *files, "--port", "0", "--no-open"]) == 2
     error = capsys.readouterr().err
-    assert said in error and error.startswith("refine-grasp: error: ") and error.count("\n") == 1
+    assert error.startswith("refine-grasp: error: ") and error.count("\n") == 1
+    assert_names(error, *named)
 
 
 def test_options_that_cannot_be_are_refused_before_anything_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["view", "--margin", "-1", "--port", "0", "--no-open"]) == 2
-    assert "--margin must be" in capsys.readouterr().err
-    with pytest.raises(GraspRefineError, match="one grasp file at a time"):
+    assert_names(capsys.readouterr().err, "--margin", "-1")
+    with refused(GraspRefineError, "one.npz", "two.npz"):
         opened(Path("one.npz"), inputs=Inputs(grasps=Path("two.npz")))
 
 
@@ -102,12 +105,12 @@ def test_a_taken_port_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         assert main(["view", "--port", port, "--no-open"]) == 2
-    assert f"cannot listen on 127.0.0.1:{port}" in capsys.readouterr().err
+    assert_names(capsys.readouterr().err, f"127.0.0.1:{port}")
 
 
 def test_without_viser_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("grasp_refine.commands.view.find_spec", lambda name: None)
-    with pytest.raises(GraspRefineError, match=r"pip install 'grasp-refine\[viewer\]'"):
+    with refused(GraspRefineError, "pip install 'grasp-refine[viewer]'"):
         View().execute()
 
 
@@ -120,7 +123,7 @@ def test_it_ends_when_asked_and_leaves_nothing(tmp_path: Path, ending: signal.Si
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, preexec_fn=interruptible
     )
     try:
-        assert "Ctrl-C ends it" in process.stdout.readline()
+        assert "http://127.0.0.1:" in process.stdout.readline()
         assert soon(told.exists)
         assert json.loads(told.read_text())["address"].startswith("http://127.0.0.1:")
         process.send_signal(ending)
@@ -138,6 +141,6 @@ def test_settings_of_the_command_line_are_those_of_the_page() -> None:
         controller.start()
         settled(controller)
         assert controller.state.settings.geometry_only and controller.state.outcome is not None
-        assert "gaps close" not in controller.state.trace.label
+        assert not any(stage.name in label for stage in STAGES for label in controller.state.trace.label)
     finally:
         controller.close()

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from grasp_refine.description.hand_toml import Contact, Coupled, HandToml, read_hand_toml
 from grasp_refine.errors import HandError
@@ -57,66 +58,57 @@ def test_every_key(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "named"),
     [
-        ("urdf = ", r"cannot be read as TOML \(Invalid value"),
+        ("urdf = ", ("TOML",)),
         (
             "urfd = 'x'",
-            r"unknown key 'urfd'; valid: name, urdf, base_link, mjcf, mjcf_joints, collision, rest_pose, contact, ",
+            ("urfd", "name, urdf, base_link, mjcf, mjcf_joints, collision, rest_pose, contact, "),
         ),
-        ("urdf = 'none.urdf'", r"urdf = 'none.urdf': no such file .*/none.urdf"),
-        ("urdf = 1", r"urdf must be a text, got 1"),
-        (f"urdf = '{'a' * 300}'", r"urdf = 'a+': no such file"),
-        ("x = " + "[" * 5000, r"cannot be read as TOML \(its lists or tables are nested too deep"),
-        ("x" + ".a" * 100 + " = 1", r"cannot be read as TOML \(a key has more than 64 parts"),
-        ("x = " + "9" * 5000, r"cannot be read as TOML \(Exceeds the limit"),
-        ('name = "a\\u001b[2J"', r"name holds letters that no name has: a\\x1b\[2J"),
-        ('"a\\nb" = 1', r"unknown key 'a b'; valid"),
-        (f"rest_pose = {{J1 = {10**400}}}", r"\[rest_pose\] J1 must be a number, at most 1e\+100, got 10+\.\.\.0+$"),
-        (f"rest_pose = {{J1 = 0x{'f' * 9000}}}", r"J1 must be a number, at most 1e\+100, got a whole number of"),
-        ("actuator = {kp = 1e200}", r"\[actuator\] kp default must be a number, at most 1e\+100, got 1e\+200"),
-        ("base_link = ''", r"base_link must be a text, got ''"),
-        ("mjcf = 'none.xml'", r"mjcf = 'none.xml': no such file"),
-        ("collision = 'mesh'", r"collision = 'mesh'; valid: 'urdf', 'mjcf'"),
-        ("mjcf_joints = 'x'", r"\[mjcf_joints\] must be a table, got 'x'"),
-        ("mjcf_joints = {J1 = 1}", r"\[mjcf_joints\] J1 must be a text, got 1"),
-        ("rest_pose = 1", r"\[rest_pose\] must be a table, got 1"),
-        ("rest_pose = {J1 = 'x'}", r"\[rest_pose\] J1 must be a number, at most 1e\+100, got 'x'"),
-        ("rest_pose = {J1 = nan}", r"\[rest_pose\] J1 must be a number, at most 1e\+100, got nan"),
-        ("rest_pose = {J1 = true}", r"\[rest_pose\] J1 must be a number, at most 1e\+100, got True"),
-        ("contact = {link = 'a'}", r"\[\[contact\]\] must be a list, got"),
-        ("contact = ['a']", r"\[\[contact\]\] 1 must be a table, got 'a'"),
-        ("contact = [{link = 'a'}, {group = 'a'}]", r"\[\[contact\]\] 2 link must be a text, got None"),
-        (
-            "contact = [{lnk = 'a'}]",
-            r"\[\[contact\]\] 1: unknown key 'lnk'; valid: link, group, point, normal",
-        ),
-        ("contact = [{link = 'a', point = [1, 2]}]", r"\[\[contact\]\] 1 point must hold 3 numbers, got 2"),
-        ("contact = [{link = 'a', point = 1}]", r"\[\[contact\]\] 1 point must be a list, got 1"),
-        ("contact = [{link = 'a', normal = [0, 0, 0]}]", r"\[\[contact\]\] 1 normal has no direction"),
-        ("coupled = [{joints = ['a']}]", r"\[\[coupled\]\] 1 needs two or more different joints"),
-        ("coupled = [{joints = ['a', 'a']}]", r"\[\[coupled\]\] 1 needs two or more different joints"),
-        ("coupled = [{joints = ['a', 'b'], ratio = [1]}]", r"and for each a ratio other than 0"),
-        ("coupled = [{joints = ['a', 'b'], ratio = [1, 0]}]", r"and for each a ratio other than 0"),
-        ("coupled = [{joint = ['a', 'b']}]", r"unknown key 'joint'; valid: joints, ratio"),
-        (
-            "actuator = {kd = 1}",
-            r"\[actuator\]: unknown key 'kd'; valid: kp, force_limit, damping, armature, frict",
-        ),
-        ("actuator = {kp = -1}", r"\[actuator\] kp: must not be negative, got -1"),
-        ("actuator = {kp = {J1 = 'x'}}", r"\[actuator\] kp J1 must be a number, at most 1e\+100, got 'x'"),
+        ("urdf = 'none.urdf'", ("urdf = 'none.urdf'", "/none.urdf")),
+        ("urdf = 1", ("urdf", "text", "1")),
+        (f"urdf = '{'a' * 300}'", (f"urdf = '{'a' * 20}",)),
+        ("x = " + "[" * 5000, ("TOML", "nested")),
+        ("x" + ".a" * 100 + " = 1", ("TOML", "64")),
+        ("x = " + "9" * 5000, ("TOML", "Exceeds the limit")),
+        ('name = "a\\u001b[2J"', ("name", r"a\x1b[2J")),
+        ('"a\\nb" = 1', ("'a b'", "name, urdf")),
+        (f"rest_pose = {{J1 = {10**400}}}", ("[rest_pose] J1", "number", "1e+100", "1000", "...0")),
+        (f"rest_pose = {{J1 = 0x{'f' * 9000}}}", ("J1", "number", "1e+100", "whole number")),
+        ("actuator = {kp = 1e200}", ("[actuator] kp default", "number", "1e+100", "1e+200")),
+        ("base_link = ''", ("base_link", "text", "''")),
+        ("mjcf = 'none.xml'", ("mjcf = 'none.xml'",)),
+        ("collision = 'mesh'", ("collision = 'mesh'", "'urdf', 'mjcf'")),
+        ("mjcf_joints = 'x'", ("[mjcf_joints]", "table", "'x'")),
+        ("mjcf_joints = {J1 = 1}", ("[mjcf_joints] J1", "text", "1")),
+        ("rest_pose = 1", ("[rest_pose]", "table", "1")),
+        ("rest_pose = {J1 = 'x'}", ("[rest_pose] J1", "number", "1e+100", "'x'")),
+        ("rest_pose = {J1 = nan}", ("[rest_pose] J1", "number", "1e+100", "nan")),
+        ("rest_pose = {J1 = true}", ("[rest_pose] J1", "number", "1e+100", "True")),
+        ("contact = {link = 'a'}", ("[[contact]]", "list")),
+        ("contact = ['a']", ("[[contact]] 1", "table", "'a'")),
+        ("contact = [{link = 'a'}, {group = 'a'}]", ("[[contact]] 2 link", "text", "None")),
+        ("contact = [{lnk = 'a'}]", ("[[contact]] 1", "lnk", "link, group, point, normal")),
+        ("contact = [{link = 'a', point = [1, 2]}]", ("[[contact]] 1 point", "3 numbers", "2")),
+        ("contact = [{link = 'a', point = 1}]", ("[[contact]] 1 point", "list", "1")),
+        ("contact = [{link = 'a', normal = [0, 0, 0]}]", ("[[contact]] 1 normal",)),
+        ("coupled = [{joints = ['a']}]", ("[[coupled]] 1", "joints")),
+        ("coupled = [{joints = ['a', 'a']}]", ("[[coupled]] 1", "joints")),
+        ("coupled = [{joints = ['a', 'b'], ratio = [1]}]", ("[[coupled]] 1", "ratio")),
+        ("coupled = [{joints = ['a', 'b'], ratio = [1, 0]}]", ("[[coupled]] 1", "ratio", "0")),
+        ("coupled = [{joint = ['a', 'b']}]", ("'joint'", "joints, ratio")),
+        ("actuator = {kd = 1}", ("[actuator]", "kd", "kp, force_limit, damping, armature, frict")),
+        ("actuator = {kp = -1}", ("[actuator] kp", "negative", "-1")),
+        ("actuator = {kp = {J1 = 'x'}}", ("[actuator] kp J1", "number", "1e+100", "'x'")),
     ],
 )
-def test_mistakes_are_named_in_one_line(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(HandError, match=f"hand.toml.*{message}") as caught:
+def test_mistakes_are_named_in_one_line(tmp_path: Path, text: str, named: tuple[str, ...]) -> None:
+    with refused(HandError, "hand.toml", *named):
         read(tmp_path, text)
-    assert "\n" not in str(caught.value)
 
 
 def test_the_urdf_must_be_clear(tmp_path: Path) -> None:
-    with pytest.raises(
-        HandError, match=r"one .urdf file is needed, or a hand.toml that names one; here: a.urdf, b.urdf"
-    ):
+    with refused(HandError, "hand.toml", "a.urdf, b.urdf"):
         read(tmp_path, "", "a.urdf", "b.urdf")
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from grasp_refine.errors import GraspFileError
 from grasp_refine.formats import content
@@ -38,14 +39,9 @@ def crafted(header: str, data: bytes = b"") -> bytes:
     return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + data
 
 
-def refused(path: Path) -> str:
-    """The message with which a file is refused, without the path."""
-    with pytest.raises(GraspFileError) as raised:
+def check_refused(path: Path, *named: str) -> None:
+    with refused(GraspFileError, path, *named):
         load_content(path)
-    message = str(raised.value)
-    assert message.startswith(f"{path}: ")
-    assert "\n" not in message
-    return message.removeprefix(f"{path}: ")
 
 
 @pytest.fixture
@@ -73,50 +69,47 @@ def test_code_in_an_array_file_is_refused_and_does_not_run(file: Path):
     for value in ({"grasp_qpos": Call(folder)}, [1, Call(folder)], Call(folder)):
         for data in (npy(np.array(value, dtype=object)), pickle.dumps(value)):
             file.write_bytes(data)
-            assert refused(file) == (
-                "holds a call of posix.mkdir, which is refused and was not run: only numbers, text, lists, dicts and "
-                "NumPy arrays are read"
-            )
+            check_refused(file, "posix.mkdir", "numbers", "text", "lists", "dicts", "NumPy arrays")
     assert not folder.exists()
 
 
 @pytest.mark.parametrize(
-    ("data", "message"),
+    ("data", "named"),
     [
-        (b"", "is empty"),
-        (b"# text", "is a damaged pickle: it uses what it did not make"),
-        (b"\x93NUMPY", "is a damaged .npy file: its header cannot be read"),
-        (b"\x93NUMPY\x07\x00\x10\x00", "is a damaged .npy file: its header cannot be read"),
-        (crafted("{'descr': '<f8', 'fortran_order': False, 'shape': (3,)"), "its header cannot be read"),
-        (crafted("[" * 5000), "its header cannot be read"),
-        (crafted("{'descr': '<f8', 'fortran_order': False, 'shape': (-3,)}"), "its header cannot be read"),
+        (b"", ("empty",)),
+        (b"# text", ("damaged", "pickle")),
+        (b"\x93NUMPY", ("damaged .npy", "header")),
+        (b"\x93NUMPY\x07\x00\x10\x00", ("damaged .npy", "header")),
+        (crafted("{'descr': '<f8', 'fortran_order': False, 'shape': (3,)"), ("damaged .npy", "header")),
+        (crafted("[" * 5000), ("damaged .npy", "header")),
+        (crafted("{'descr': '<f8', 'fortran_order': False, 'shape': (-3,)}"), ("damaged .npy", "header")),
         (
             crafted("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000, 1000)}", b"12345678"),
-            "is cut off: shape (1000000000000, 1000) of float64 needs 8000000000000000 bytes, 8 are there",
+            ("(1000000000000, 1000)", "float64", "8000000000000000 bytes", "8 "),
         ),
         (
             crafted("{'descr': '<f8', 'fortran_order': False, 'shape': (0, 1" + "0" * 30 + ")}"),
-            "is a damaged .npy file",
+            ("damaged .npy",),
         ),
-        (crafted("{'descr': '<c16', 'fortran_order': False, 'shape': (0,)}"), "holds an array of the type complex128"),
-        (crafted("{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (0,)}"), "holds an array of the type ["),
-        (npy(np.arange(4.0))[:-1], "is cut off: shape (4,) of float64 needs 32 bytes, 31 are there"),
-        (npy({"a": 1})[:-5], "is a cut off pickle"),
-        (npy({"a": 1.0})[:-5], "is a damaged or cut off pickle"),
+        (crafted("{'descr': '<c16', 'fortran_order': False, 'shape': (0,)}"), ("complex128",)),
+        (crafted("{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (0,)}"), ("('a', '<f8')",)),
+        (npy(np.arange(4.0))[:-1], ("(4,)", "float64", "32 bytes", "31")),
+        (npy({"a": 1})[:-5], ("pickle",)),
+        (npy({"a": 1.0})[:-5], ("pickle",)),
     ],
 )
-def test_damaged_files(file: Path, data: bytes, message: str):
+def test_damaged_files(file: Path, data: bytes, named: tuple[str, ...]):
     file.write_bytes(data)
-    assert message.split(" pickle")[0].removesuffix(" cut off") in refused(file)
+    check_refused(file, *named)
 
 
 def test_files_that_are_not_there_or_too_large(file: Path, monkeypatch: pytest.MonkeyPatch):
-    assert refused(file) == "no such grasp file"
-    assert refused(file.parent) == "cannot be read (Is a directory)"
+    check_refused(file)
+    check_refused(file.parent, "directory")
     monkeypatch.setattr(content, "LARGEST_FILE", 2**20)
     with file.open("wb") as stream:
         stream.truncate(2**20 + 1)
-    assert refused(file) == "has 1 MiB; at most 1 are read"
+    check_refused(file, "1 MiB")
 
 
 def test_an_array_of_python_2_is_read_without_a_word(file: Path):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from refusals import refused
 
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry.body import build_body
@@ -49,7 +50,7 @@ def test_the_number_and_the_seed_of_the_candidates_are_passed_on():
 
 
 def test_refusals_name_the_body():
-    with pytest.raises(MeshError, match="link palm: a body needs at least one convex piece"):
+    with refused(MeshError, "link palm", "convex piece"):
         build_body("link palm", [])
-    with pytest.raises(MeshError, match="link palm: the number of surface candidates must be at least 1"):
+    with refused(MeshError, "link palm", "candidates", "1"):
         build_body("link palm", [sphere(0.1)], candidates=0)

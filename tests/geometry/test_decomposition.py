@@ -5,6 +5,7 @@ import signal
 import numpy as np
 import pytest
 import trimesh
+from refusals import refused
 
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry import decomposition
@@ -43,7 +44,7 @@ def test_one_closed_part_is_remeshed_only_after_a_failure(monkeypatch, preproces
         return None, "exit code -11"
 
     monkeypatch.setattr(decomposition, "_run", fail)
-    with pytest.raises(MeshError, match=r"CoACD ended without a result \(exit code -11\)"):
+    with refused(MeshError, "CoACD", "-11"):
         decompose(VERTICES, FACES, Decomposition(preprocess=preprocess), single=single)
     assert asked == modes
 
@@ -59,7 +60,7 @@ def test_the_second_attempt_can_succeed(monkeypatch):
 def test_an_abort_inside_coacd_is_an_error_here():
     config = Decomposition()
     object.__setattr__(config, "threshold", 2.0)
-    with pytest.raises(MeshError, match="tube: CoACD ended without a result .*threshold > 1"):
+    with refused(MeshError, "tube", "CoACD", "threshold > 1"):
         convex_pieces(TUBE, config, name="tube")
 
 
@@ -83,15 +84,15 @@ def test_a_decomposition_that_is_no_longer_wanted_ends_its_process(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("settings", "reason"),
+    ("settings", "named"),
     [
-        ({"threshold": 1.5}, "threshold must be 0.01 to 1, got 1.5"),
-        ({"threshold": np.nan}, "threshold must be 0.01 to 1, got nan"),
-        ({"preprocess_resolution": 2000}, "preprocess_resolution must be 20 to 100, got 2000"),
-        ({"max_pieces": 0}, "max_pieces must be -1 .* or at least 1, got 0"),
-        ({"seed": -1}, "seed must be 0 to"),
+        ({"threshold": 1.5}, ("threshold", "0.01", "1", "1.5")),
+        ({"threshold": np.nan}, ("threshold", "0.01", "1", "nan")),
+        ({"preprocess_resolution": 2000}, ("preprocess_resolution", "20", "100", "2000")),
+        ({"max_pieces": 0}, ("max_pieces", "-1", "1", "0")),
+        ({"seed": -1}, ("seed", "0", "-1")),
     ],
 )
-def test_settings_out_of_range_are_refused(settings, reason):
-    with pytest.raises(MeshError, match=reason):
+def test_settings_out_of_range_are_refused(settings, named):
+    with refused(MeshError, *named):
         Decomposition(**settings)

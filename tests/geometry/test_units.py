@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from refusals import assert_names, refused
 
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry.units import UNITS, check_size
@@ -16,22 +17,29 @@ def test_sizes_of_things_are_taken(extents: list[float]) -> None:
     check_size(np.array(extents), None, "mug")
 
 
+def offered(caught: pytest.ExceptionInfo[BaseException]) -> list[str]:
+    """The units that the question names as choices."""
+    return re.findall(r"--unit (\w+)", str(caught.value))
+
+
 @pytest.mark.parametrize(
-    ("extents", "message"),
+    ("extents", "size", "choices"),
     [
+        ([90.0, 60.0, 40.0], "90 x 60 x 40 m", {"cm": "900 x 600 x 400 mm", "mm": "90 x 60 x 40 mm"}),
         (
-            [90.0, 60.0, 40.0],
-            "mug: is 90 x 60 x 40 m if its numbers are metres, which is no size for a hand; in which unit is it? "
-            "--unit cm if it is 900 x 600 x 400 mm, --unit mm if it is 90 x 60 x 40 mm, --unit m if that is right, or",
+            [3.5, 3.0, 2.0],
+            "3.5 x 3 x 2 m",
+            {"cm": "35 x 30 x 20 mm", "mm": "3.5 x 3 x 2 mm", "in": "88.9 x 76.2 x 50.8 mm"},
         ),
-        ([3.5, 3.0, 2.0], "--unit in if it is 88.9 x 76.2 x 50.8 mm, --unit m if that is right, or another --scale"),
-        ([5e-4, 5e-4, 5e-4], "mug: is 0.5 x 0.5 x 0.5 mm if its numbers are metres"),
-        ([5e-4, 5e-4, 5e-4], "in which unit is it? --unit m if that is right, or another --scale"),
+        ([5e-4, 5e-4, 5e-4], "0.5 x 0.5 x 0.5 mm", {}),
     ],
 )
-def test_other_sizes_are_asked_about(extents: list[float], message: str) -> None:
-    with pytest.raises(MeshError, match=re.escape(message)):
+def test_other_sizes_are_asked_about(extents: list[float], size: str, choices: dict[str, str]) -> None:
+    with refused(MeshError, "mug", size, "metres", "--scale") as caught:
         check_size(np.array(extents), None, "mug")
+    assert offered(caught) == [*choices, "m"]
+    # After each unit, the size that it means.
+    assert_names(str(caught.value).partition("--unit")[2], *choices.values())
 
 
 def test_units_are_metres() -> None:
@@ -41,9 +49,7 @@ def test_units_are_metres() -> None:
 def test_a_unit_that_was_said_is_named_in_the_question() -> None:
     check_size(np.array([90.0, 60.0, 40.0]), "mm", "mug")
     check_size(np.array([90.0, 60.0, 40.0]), "m", "mug")
-    expected = (
-        "mug: is 2.29 x 1.52 x 1.02 m if its numbers are inches, which is no size for a hand; in which unit is it? "
-        "--unit cm if it is 900 x 600 x 400 mm, --unit mm if it is 90 x 60 x 40 mm, or another --scale"
-    )
-    with pytest.raises(MeshError, match=re.escape(expected)):
+    with refused(MeshError, "mug", "2.29 x 1.52 x 1.02 m", "inches", "--scale") as caught:
         check_size(np.array([90.0, 60.0, 40.0]), "in", "mug")
+    assert offered(caught) == ["cm", "mm"]
+    assert_names(str(caught.value), "900 x 600 x 400 mm", "90 x 60 x 40 mm")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from recorded_gripper import Recorded, recorded_gripper
+from refusals import refused
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.replay.export import export_xml
@@ -112,11 +113,11 @@ def test_an_object_that_is_lifted_high_stays_in_sight(recorded: Recorded, gl: st
 
 
 def test_what_cannot_be_drawn_is_named(recorded: Recorded, tmp_path: Path) -> None:
-    with pytest.raises(GraspRefineError, match=r"film.mp4: a film can be saved as .gif, .png, .webp, not as '.mp4'"):
+    with refused(GraspRefineError, "film.mp4", ".gif, .png, .webp"):
         film(recorded.model, recorded.replay, tmp_path / "film.mp4")
-    with pytest.raises(GraspRefineError, match="100 x 100 pixels: at least 200 x 160"):
+    with refused(GraspRefineError, "100 x 100", "200 x 160"):
         picture(recorded.model, recorded.replay, size=(100, 100))
-    with pytest.raises(GraspRefineError, match="is of another model"):
+    with refused(GraspRefineError, "model"):
         picture(recorded.model, replace(recorded.replay, qpos_names=("a", *recorded.replay.qpos_names[1:])))
 
 
@@ -129,22 +130,21 @@ def test_without_opengl_one_line_says_what_to_install(recorded: Recorded, monkey
 
     monkeypatch.setattr(ctypes, "CDLL", missing)
     monkeypatch.setattr(sys, "platform", "linux")
-    with pytest.raises(GraspRefineError, match=r"apt-get install libegl1.*libosmesa6.*MUJOCO_GL") as caught:
+    with refused(GraspRefineError, "apt-get install libegl1", "libosmesa6", "MUJOCO_GL"):
         picture(recorded.model, recorded.replay)
-    assert "\n" not in str(caught.value)
 
 
 def test_mujoco_gl_is_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", " EGL ")
     assert choose_gl() == "egl"
     monkeypatch.setenv("MUJOCO_GL", "off")
-    with pytest.raises(GraspRefineError, match="MUJOCO_GL=off forbids OpenGL; set it to egl or osmesa"):
+    with refused(GraspRefineError, "MUJOCO_GL=off", "egl", "osmesa"):
         check_renderer()
     monkeypatch.setenv("MUJOCO_GL", "glfw")
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(GraspRefineError, match="MUJOCO_GL=glfw needs a screen; set it to egl or osmesa"):
+    with refused(GraspRefineError, "MUJOCO_GL=glfw", "egl", "osmesa"):
         check_renderer()
 
 
@@ -153,6 +153,5 @@ def test_a_kind_that_cannot_be_loaded_is_named(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setenv("MUJOCO_GL", kind)
     # Somebody has loaded PyOpenGL for something else.
     monkeypatch.setitem(os.environ, "PYOPENGL_PLATFORM", "glx")
-    with pytest.raises(GraspRefineError, match=rf"install EGL .*\({kind}: ") as caught:
+    with refused(GraspRefineError, "EGL", f"({kind}: "):
         check_renderer()
-    assert "\n" not in str(caught.value)

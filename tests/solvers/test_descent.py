@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.se3 import exp_se3, inverse, log_se3
@@ -129,12 +130,12 @@ def test_the_schedule_shrinks_at_its_shares() -> None:
 
 @pytest.mark.parametrize("momentum", [-0.1, 1.0, 1.5])
 def test_a_momentum_that_never_forgets_is_refused(momentum: float) -> None:
-    with pytest.raises(GraspRefineError, match=f"momentum must be at least 0 and below 1, got {momentum:g}"):
+    with refused(GraspRefineError, "momentum", "0", "1", f"{momentum:g}"):
         Descent(momentum=momentum)
 
 
 def test_shares_and_factors_belong_together() -> None:
-    with pytest.raises(GraspRefineError, match="shares and factors belong together, got 3 and 2 numbers"):
+    with refused(GraspRefineError, "shares", "factors", "3", "2"):
         Descent(shares=(0.1, 0.2, 0.3))
 
 
@@ -143,5 +144,5 @@ def test_every_end_has_a_name_and_what_went_wrong_an_advice() -> None:
     for status in Status:
         assert bool(status.advice) == (status not in (Status.RUNNING, Status.CONVERGED))
     # Each thing that makes `Scene.sound` false.
-    for fault in ("no rigid motion", "beyond 1e6 m or rad", "a wanted normal is not of length 1"):
+    for fault in ("rigid", "1e6 m", "normal"):
         assert fault in Status.INVALID.advice

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from gripper import XML, around, ball, gripper
+from refusals import refused
 
 from grasp_refine.errors import GraspRefineError
 from grasp_refine.validation.hand_model import HandModel
@@ -47,21 +48,21 @@ def test_what_is_only_seen_touches_nothing() -> None:
 
 
 def test_a_hand_that_cannot_touch_the_object_is_refused() -> None:
-    with pytest.raises(GraspRefineError, match="no geometry of this hand can touch sphere:0.03: .* conaffinity 0$"):
+    with refused(GraspRefineError, "sphere:0.03", "conaffinity 0"):
         build_world(with_bits((0, 0), (0, 0)), ball(), FORCE_CLOSURE)
 
 
 @pytest.mark.parametrize(("radius", "mass"), [(0.03, 1e-16), (1e-9, 0.1)])
 def test_an_object_that_is_too_light_or_too_small_names_the_options(radius: float, mass: float) -> None:
-    with pytest.raises(GraspRefineError, match="mass and inertia of moving bodies.*; --mass or --scale") as caught:
+    with refused(GraspRefineError, "mass and inertia of moving bodies", "--mass", "--scale") as caught:
         build_world(gripper(), ball(radius), replace(FORCE_CLOSURE, mass=mass))
-    assert "\n" not in str(caught.value) and "Error:" not in str(caught.value)
+    assert "Error:" not in str(caught.value)
 
 
 def test_a_hand_that_weighs_nothing_does_not_blame_the_object() -> None:
     hand = gripper()
     hand.spec.geoms[0].mass = 0.0
-    with pytest.raises(GraspRefineError, match="in this hand: mass and inertia .* 'hand/left'") as caught:
+    with refused(GraspRefineError, "mass and inertia", "'hand/left'") as caught:
         build_world(hand, ball(), FORCE_CLOSURE)
     assert "--mass" not in str(caught.value)
 

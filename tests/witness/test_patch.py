@@ -4,6 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.optimize import linprog, minimize
 from shapes_for_tests import convex_body, ellipsoid_hull, ring_body
 
@@ -415,5 +416,5 @@ def line_end(piece: Piece, T: np.ndarray, x: np.ndarray, u: np.ndarray) -> np.nd
 
 @pytest.mark.parametrize("epsilon", [0.0, -1e-5, np.inf, np.nan])
 def test_an_epsilon_without_sense_is_refused(epsilon: float):
-    with pytest.raises(CollisionError, match=f"epsilon of a patch must be positive and finite, got {epsilon}"):
+    with refused(CollisionError, "epsilon", epsilon):
         Patch(epsilon)

@@ -18,6 +18,7 @@ from grasp_refine.apps.batch.cluster import run_on_cluster
 from grasp_refine.apps.batch.cluster_workers import fault_of
 from grasp_refine.apps.batch.on_cluster import Seen
 from grasp_refine.apps.batch.shard import Done, Failed
+from refusals import assert_names, refused
 from running_processes import PATIENCE_S, soon
 from shard_works import Tally, done, some_shards, tallies, work
 
@@ -97,7 +98,7 @@ def test_shards_of_lost_workers_are_tried_again(address: str, tmp_path: Path):
     assert found == {shard.number: done(shard) for shard in some_shards(tmp_path, *tasks) if shard.number != 1}
     assert (lost.reason, lost.tries) == ("crashed", 2)
     # If it had time for a sign of life, that is told as well.
-    assert lost.message.startswith("worker tcp://127.0.0.1:") and " was lost" in lost.message
+    assert_names(lost.message, "tcp://127.0.0.1:")
 
 
 @pytest.mark.slow
@@ -106,7 +107,7 @@ def test_a_worker_that_hangs_is_restarted(address: str, tmp_path: Path):
     hung = found.pop(0)
     assert found == {shard.number: done(shard) for shard in some_shards(tmp_path, "", "", "")[1:]}
     assert (hung.reason, hung.tries) == ("hung", 1)
-    assert hung.message.endswith(" gave no sign of life for 10 s at 25% of the shard: sleep 3600")
+    assert_names(hung.message, "10 s", "25%", "sleep 3600")
 
 
 def test_a_shard_that_waits_for_others_is_not_taken_for_one_that_hangs(address: str, tmp_path: Path):
@@ -131,22 +132,20 @@ def test_a_caller_who_stops_lets_no_other_shard_begin(address: str, tmp_path: Pa
 
 def test_a_folder_that_workers_do_not_see_is_refused(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(GraspRefineError, match=r"^worker tcp://127.0.0.1:\d+ cannot see results: results need a "):
-        outcomes(address, Path("results"), "write")
-    assert list(Path("results").iterdir()) == []
+    with refused(GraspRefineError, "tcp://127.0.0.1:", "hidden"):
+        outcomes(address, Path("hidden"), "write")
+    assert list(Path("hidden").iterdir()) == []
 
 
 def test_without_anybody_there_the_refusal_says_what_to_start(tmp_path: Path):
-    advice = "; start one with `dask scheduler` and give its address, such as tcp://host:8786, or the file that "
     scheduler = tmp_path / "scheduler.json"
     for address, why in (
-        ("tcp://127.0.0.1:1", "ConnectionRefusedError: [Errno 111] Connection refused"),
-        ("nonsense", "ValueError: missing port number in address 'nonsense'"),
-        (str(scheduler), f"FileNotFoundError: [Errno 2] No such file or directory: '{scheduler}'"),
+        ("tcp://127.0.0.1:1", "ConnectionRefusedError"),
+        ("nonsense", "ValueError"),
+        (str(scheduler), "FileNotFoundError"),
     ):
-        with pytest.raises(GraspRefineError) as raised:
+        with refused(GraspRefineError, address, why, "dask scheduler", "tcp://host:8786"):
             outcomes(address, tmp_path, "write")
-        assert str(raised.value).startswith(f"{address}: no Dask scheduler answers ({why}){advice}")
 
 
 def test_no_shards_need_no_cluster(tmp_path: Path):
@@ -156,45 +155,34 @@ def test_no_shards_need_no_cluster(tmp_path: Path):
 def test_without_dask_the_refusal_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.delitem(sys.modules, "grasp_refine.apps.batch.cluster_client", raising=False)
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(GraspRefineError) as raised:
+    with refused(GraspRefineError, "distributed", "pip install 'grasp-refine[cluster]'"):
         outcomes("tcp://127.0.0.1:1", tmp_path, "write")
-    assert str(raised.value) == (
-        "a cluster needs Dask distributed (distributed is missing): pip install 'grasp-refine[cluster]'"
-    )
 
 
 @pytest.mark.parametrize(
-    ("there", "threads", "fault"),
+    ("there", "threads", "named"),
     [
-        (HERE, 1, ""),
+        (HERE, 1, ()),
         (
             ModuleNotFoundError("No module named 'grasp_refine'"),
             1,
-            "cannot run grasp-refine (ModuleNotFoundError: No module named 'grasp_refine'): "
-            "install there what is installed here",
+            ("grasp-refine", "ModuleNotFoundError: No module named 'grasp_refine'"),
         ),
-        (None, 1, "cannot run grasp-refine (no answer): install there what is installed here"),
+        (None, 1, ("grasp-refine", "answer")),
         (
             replace(HERE, versions=(("grasp-refine", "2.0"), *HERE.versions[1:])),
             1,
-            "has grasp-refine 2.0, Python 3.11, distributed 2026.8.0, "
-            "but here are grasp-refine 1.0, Python 3.11, distributed 2026.8.0: install the same in both places",
+            ("grasp-refine 2.0", "grasp-refine 1.0", "Python 3.11", "distributed 2026.8.0"),
         ),
-        (
-            replace(HERE, reads=False),
-            1,
-            "cannot see /out: results need a folder that all machines share, under the same name",
-        ),
-        (
-            replace(HERE, writes=False),
-            1,
-            "cannot write into /out: results need a folder that all machines share, under the same name",
-        ),
-        (HERE, 4, "has 4 threads, but works on one shard at a time: start workers with --nthreads 1"),
+        (replace(HERE, reads=False), 1, ("/out",)),
+        (replace(HERE, writes=False), 1, ("/out", "write")),
+        (HERE, 4, ("4 threads", "--nthreads 1")),
     ],
 )
-def test_what_makes_a_worker_unfit(there: object, threads: int, fault: str):
-    assert fault_of(there, HERE, threads, Path("/out")) == fault
+def test_what_makes_a_worker_unfit(there: object, threads: int, named: tuple[str, ...]):
+    fault = fault_of(there, HERE, threads, Path("/out"))
+    assert bool(fault) == bool(named)
+    assert_names(fault, *named)
 
 
 @pytest.fixture
@@ -209,17 +197,13 @@ def bare(tmp_path: Path) -> Iterator[DaskCluster]:
 
 
 def test_workers_that_lack_the_package_or_do_not_come_are_named(bare: DaskCluster, tmp_path: Path):
-    with pytest.raises(GraspRefineError) as raised:
+    with refused(GraspRefineError, f"dask worker {bare.address} --nworkers 2 --nthreads 1"):
         outcomes(bare.address, tmp_path, "write")
-    assert str(raised.value) == (
-        f"{bare.address}: the cluster has no workers; start some with "
-        f"`dask worker {bare.address} --nworkers 2 --nthreads 1`"
-    )
     (lacking := tmp_path / "lacking").mkdir()
     (lacking / "sitecustomize.py").write_text("import sys; sys.modules['grasp_refine'] = None\n")
     bare.add_workers("--no-nanny", "--nthreads", "1", path=lacking)
     workers_of(bare, 1)
-    with pytest.raises(GraspRefineError, match="cannot run grasp-refine .*ModuleNotFoundError.*: install there"):
+    with refused(GraspRefineError, "grasp-refine", "ModuleNotFoundError"):
         outcomes(bare.address, tmp_path, "write")
 
 
@@ -234,9 +218,6 @@ def test_a_worker_that_hangs_for_ever_and_a_scheduler_that_is_lost(bare: DaskClu
     hung = next(results)
     assert isinstance(hung, Failed) and (hung.number, hung.reason) == (1, "hung")
     os.killpg(bare.scheduler.pid, signal.SIGKILL)
-    with pytest.raises(GraspRefineError) as raised:
+    with refused(GraspRefineError, bare.address, "scheduler"):
         next(results)
-    message = str(raised.value)
-    assert message.startswith(f"{bare.address}: the Dask scheduler is lost (")
-    assert message.endswith("; what is done is kept: start it and its workers, and give the same command again")
     assert not shards[2].path.exists()

@@ -105,10 +105,9 @@ def test_colours_say_what_holds(collection: Collection) -> None:
     assert (classes[4], classes[10], classes[16]) == ("gr-good", "gr-bad", None)
 
 
-def test_an_empty_list_says_so(collection: Collection) -> None:
+def test_an_empty_list_has_no_rows(collection: Collection) -> None:
     page = table(collection, Listing(object="cup"))
-    assert "no grasp passes the filters" in page.cells[0]
-    assert "none listed, 100 in all" in page.cells[0]
+    assert len(page.cells) == 1 and "100" in page.cells[0]
     assert not page.doing("open ")
 
 
@@ -140,7 +139,9 @@ def test_a_refined_grasp_is_told_before_and_after(collection: Collection) -> Non
         np.zeros(100, bool), np.full(100, "slipped in +x"), np.arange(100) == 13
     )
     html = worth_html(marked, 13)
-    assert "<b>mug 13</b> as in its file · converged · failed in simulation (slipped in +x) · marked bad" in html
+    heading = html.partition("<table>")[0]
+    for told in ("<b>mug 13</b>", "converged", "slipped in +x", "bad"):
+        assert told in heading
     # Quality 7 * 13 = 91 hundredths, and half of it before.
     assert Parsed(html).cells[:9] == [
         "",
@@ -153,6 +154,6 @@ def test_a_refined_grasp_is_told_before_and_after(collection: Collection) -> Non
         "1.01",
         "0.01",
     ]
-    assert "not measured yet" in worth_html(replace(collection, columns={}), 13)
+    assert not Parsed(worth_html(replace(collection, columns={}), 13)).cells
     plain = {key: column for key, column in collection.columns.items() if key.endswith("_after")}
     assert Parsed(worth_html(replace(collection, columns=plain), 13)).cells[:2] == ["Quality", "0.910"]

@@ -129,6 +129,13 @@ def text_of(html: str) -> str:
     return re.sub(r"<[^>]*>", " ", html)
 
 
+def findings(document: dict[str, Any]) -> str:
+    """The words of a page before those on how it was measured, which begin with the command."""
+    before, found, _ = text_of(page(document, [])).partition(document["invocation"])
+    assert found
+    return before
+
+
 def test_the_same_input_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(module, "picture", lambda failure: b"png")
     first, again = (page(document(several()), [scene()]) for _ in range(2))
@@ -144,20 +151,21 @@ def test_the_page_is_one_file_with_balanced_tags():
     assert "http" not in re.sub(r' xmlns(:\w+)?="[^"]*"', "", html)
     assert "@import" not in html and not re.search(r"url\((?!#)", html)
     assert html.count("data:image/png;base64,") == 1
-    assert "10.0 mm apart" in html
+    assert "10.0 mm" in html
 
 
 def test_every_pooled_row_class_and_pair_is_there():
     rows = several()
-    words = text_of(page(document(rows), []))
+    html = page(document(rows), [])
+    words = text_of(html)
     for chosen in rows:
         value = chosen["acc_1e6"]
         assert f"{100 * value:.2f} %" in words, chosen
     assert words.count("10 iterations") >= 4
-    for part in ("face-vertex", "mug | bowl", "Concave bodies", "Convex bodies", "All budgets", "a processor", "3.0.3"):
+    for part in ("face-vertex", "mug | bowl", "Concave", "Convex", "a processor", "3.0.3"):
         assert part in words
     assert "descent.step" in words and "--preset methods --seed 5" in words
-    assert "Typical failures" not in words
+    assert "<figure" not in html
 
 
 def test_best_numbers_are_bold_and_misses_are_not_rounded_away():
@@ -170,16 +178,17 @@ def test_best_numbers_are_bold_and_misses_are_not_rounded_away():
 
 
 def test_without_a_preset_nothing_is_said_of_one():
-    html = page(document(several()) | {"preset": None, "invocation": "refine-grasp bench align --pairs 3"}, [])
-    words = text_of(html)
-    assert "None" not in words and "reset" not in words.partition("How it was measured")[0]
-    assert "refine-grasp bench align --pairs 3" in words
+    invocation = "refine-grasp bench align --pairs 3"
+    words = text_of(page(document(several()) | {"preset": None, "invocation": invocation}, []))
+    before, found, _ = words.partition(invocation)
+    assert found and "None" not in words and "reset" not in before
 
 
 def test_a_tie_has_no_winner():
     tied = [row("distance", acc_1e6=0.5), row("rigid", acc_1e6=0.5)]
-    assert "met the most targets" not in text_of(page(document(tied), []))
-    assert "met the most targets" in text_of(page(document([tied[0], row("rigid", acc_1e6=0.4)]), []))
+    assert "distance (50.00 %)" not in text_of(page(document(tied), []))
+    words = text_of(page(document([tied[0], row("rigid", acc_1e6=0.4)]), []))
+    assert 0 < words.find("distance (50.00 %)") < words.find("rigid (40.00 %)")
 
 
 @pytest.mark.parametrize("failures", [0, 1])
@@ -198,8 +207,9 @@ def test_nothing_but_nulls_is_shown_as_such():
     html = page(nothing, [])
     assert "–" in html and "nan" not in text_of(html)
     assert "None" not in text_of(html)
-    assert "No CPU times" in page(document([empty]), [])
-    assert "No CPU times" in page(document([]), [])
+    assert "<svg" in page(document([row()]), [])
+    assert "<svg" not in page(document([empty]), [])
+    assert "<svg" not in page(document([]), [])
 
 
 def test_names_are_escaped(monkeypatch: pytest.MonkeyPatch):
@@ -217,7 +227,7 @@ def test_labels_say_only_what_differs():
     rows = [row(margin=0.0), row(margin=0.0005, neighborhood="fixed")]
     assert labels_of(rows) == ["distance + adaptive + margin 0 mm", "distance + fixed + margin 0.5 mm"]
     assert labels_of(rows, without=["margin"]) == ["distance + adaptive", "distance + fixed"]
-    assert labels_of([row(optimise="T1T2"), row()])[0] == "distance + both bodies move"
+    assert len(set(labels_of([row(optimise="T1T2"), row()]))) == 2
     assert labels_of([]) == []
 
 
@@ -243,8 +253,8 @@ def test_another_solver_has_its_own_name_and_colour():
     words = text_of(page(document(rows), []))
     assert "Levenberg-Marquardt" in words and "gradient descent" in words
     alone = text_of(page(document(rows[1:]), []))
-    assert "gradient descent" not in alone and "Levenberg-Marquardt moves body b" in alone
-    assert "Levenberg-Marquardt" not in text_of(page(document(rows[:1]), [])).partition("How it was measured")[0]
+    assert "gradient descent" not in alone and "Levenberg-Marquardt" in alone
+    assert "Levenberg-Marquardt" not in findings(document(rows[:1]))
 
 
 def test_a_patch_is_told_with_its_epsilon_wherever_it_appears():
@@ -252,9 +262,8 @@ def test_a_patch_is_told_with_its_epsilon_wherever_it_appears():
     assert labels_of(rows) == ["distance", "distance + patch 10 µm"]
     html = page(document(rows), [])
     words = text_of(html)
-    assert "epsilon = 10 µm" in words and "98.71 %" in words and "patch 1e-6" in words
-    plain = text_of(page(document([row(), row("rigid")]), []))
-    assert "patch" not in plain.partition("How it was measured")[0]
+    assert "epsilon" in words and "10 µm" in words and "98.71 %" in words and "patch 1e-6" in words
+    assert "patch" not in findings(document([row(), row("rigid")]))
     # Alone, too.
     assert labels_of([row(**patched(2e-6, witness="patch"))]) == ["distance + patch 2 µm"]
 
@@ -267,10 +276,10 @@ def test_the_table_shows_both_metrics():
 
     last = {"last": {"acc_1e6": 0.5}}
     both = printed([row(**last, **patched()), least_squares(**last, **patched(witness="patch"))])
-    assert "patch: epsilon 10 µm" in both and both.count("98.7") == 2 and "drawn" not in both
+    assert "epsilon 10 µm" in both and both.count("98.7") == 2 and "70.0" not in both
     assert "levenberg-marquardt + patch 10 µm" in both
     plain = printed([row(**last, patch=None)])
-    assert "patch" not in plain and "drawn" in plain
+    assert "patch" not in plain and "70.0" in plain
 
 
 def test_methods_keep_their_colours_and_variants_get_their_own():
@@ -315,7 +324,7 @@ def test_several_margins_get_a_chart_of_their_own():
 def test_many_swept_lines_are_cut_to_the_best_value():
     rows = [row(step_size=float(k), acc_1e6=0.5 + 0.01 * k) for k in range(1, 20)]
     chart = time_chart(rows)
-    assert "best step size" in chart.note
+    assert "step size" in chart.note
     assert ">distance<" in chart.svg and "step 3" not in chart.svg
 
 

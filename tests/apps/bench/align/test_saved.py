@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 from shapes_for_tests import ring_body
 
 from apps.bench.align.saved import MARK, AlignmentTask, Solid, Trajectory, is_task, load_task, save_task
@@ -94,50 +95,42 @@ def with_value(index: object, value: float) -> Callable[[np.ndarray], np.ndarray
 
 
 @pytest.mark.parametrize(
-    ("damage", "complaint"),
+    ("damage", "named"),
     [
-        (dropped(MARK), "no alignment task, it has no alignment_schema; `refine-grasp bench align --save` writes one"),
-        (changed(MARK, lambda _: 2), "alignment_schema 2 is newer than this version reads (1): update grasp-refine"),
-        (changed(MARK, lambda _: 0), "alignment_schema must be one whole number from 1 to 1"),
-        (changed(MARK, lambda _: "one"), "alignment_schema must hold whole numbers from 0 on"),
-        (dropped("kind"), "the entry kind of an alignment task is missing"),
-        (dropped("iterate_error"), "the entry iterate_error of an alignment task is missing"),
-        (
-            changed("body", lambda names: names[:1]),
-            "body must name two bodies, and piece_body say of which each piece is",
-        ),
-        (changed("piece_body", lambda owner: 0 * owner), "body must name two bodies, and piece_body say of which"),
-        (changed("piece_radius", lambda r: r[1:]), "piece_radius must have shape (13,); it has (12,)"),
-        (changed("piece_radius", lambda r: -1.0 - r), "piece 0 is no convex piece"),
-        (changed("piece_vertices", lambda n: n + 1), "vertices must have shape"),
-        (changed("vertices", with_value((0, 0), np.nan)), "vertices must be finite; row 0 is not"),
-        (changed("faces", lambda faces: faces + 1000), "piece 0 is no convex piece: a ball (1 vertex, a radius)"),
-        (changed("faces", lambda faces: faces - 1), "faces must hold whole numbers from 0 on"),
-        (changed("faces", lambda faces: faces[:, :2]), "by piece_faces; it has"),
-        (changed("target", lambda t: t[:1]), "target must have shape (2, 3); it has (1, 3)"),
-        (changed("pose", lambda pose: 2 * pose), "pose row 0 has no unit quaternion: the norm of qw qx qy qz is 2"),
-        (changed("method", lambda names: names[:0]), "method must name at least one method"),
-        (changed("method_iterates", lambda n: n + 1), "iterate_number must have shape (12,); it has (9,)"),
-        (changed("method_result", lambda n: n + 4), "method_result of distance + EG must be one of its 5 iterates"),
-        (
-            changed("iterate_witness", lambda w: w[..., :2]),
-            "iterate_witness must have shape (9, 2, 3); it has (9, 2, 2)",
-        ),
-        (changed("iterate_cpu_s", with_value(2, np.nan)), "iterate_cpu_s must be finite; row 2 is not"),
-        (changed("iterate_pose", with_value((3, 1), 0.0)), "iterate_pose row 7 has no unit quaternion"),
-        (changed("iterate_number", lambda n: n[::-1]), "iterate_number of distance + EG must rise from 0"),
+        (dropped(MARK), ("alignment_schema", "refine-grasp bench align --save")),
+        (changed(MARK, lambda _: 2), ("alignment_schema 2", "(1)")),
+        (changed(MARK, lambda _: 0), ("alignment_schema", "from 1 to 1")),
+        (changed(MARK, lambda _: "one"), ("alignment_schema", "whole numbers", "0")),
+        (dropped("kind"), ("kind",)),
+        (dropped("iterate_error"), ("iterate_error",)),
+        (changed("body", lambda names: names[:1]), ("body", "piece_body")),
+        (changed("piece_body", lambda owner: 0 * owner), ("body", "piece_body")),
+        (changed("piece_radius", lambda r: r[1:]), ("piece_radius", "(13,)", "(12,)")),
+        (changed("piece_radius", lambda r: -1.0 - r), ("piece 0",)),
+        (changed("piece_vertices", lambda n: n + 1), ("vertices", "shape")),
+        (changed("vertices", with_value((0, 0), np.nan)), ("vertices", "finite", "row 0")),
+        (changed("faces", lambda faces: faces + 1000), ("piece 0", "1 vertex")),
+        (changed("faces", lambda faces: faces - 1), ("faces", "whole numbers", "0")),
+        (changed("faces", lambda faces: faces[:, :2]), ("faces", "piece_faces")),
+        (changed("target", lambda t: t[:1]), ("target", "(2, 3)", "(1, 3)")),
+        (changed("pose", lambda pose: 2 * pose), ("pose row 0", "qw qx qy qz", "2")),
+        (changed("method", lambda names: names[:0]), ("method",)),
+        (changed("method_iterates", lambda n: n + 1), ("iterate_number", "(12,)", "(9,)")),
+        (changed("method_result", lambda n: n + 4), ("method_result", "distance + EG", "5 iterates")),
+        (changed("iterate_witness", lambda w: w[..., :2]), ("iterate_witness", "(9, 2, 3)", "(9, 2, 2)")),
+        (changed("iterate_cpu_s", with_value(2, np.nan)), ("iterate_cpu_s", "finite", "row 2")),
+        (changed("iterate_pose", with_value((3, 1), 0.0)), ("iterate_pose row 7", "quaternion")),
+        (changed("iterate_number", lambda n: n[::-1]), ("iterate_number", "distance + EG", "0")),
     ],
 )
-def test_a_damaged_file_is_refused(damage: Callable[[dict[str, np.ndarray]], None], complaint: str, path: Path):
+def test_a_damaged_file_is_refused(damage: Callable[[dict[str, np.ndarray]], None], named: tuple[str, ...], path: Path):
     entries = dict(load_npz(path).entries)
     damage(entries)
     save_npz(path, entries)
-    with pytest.raises(GraspFileError) as caught:
+    with refused(GraspFileError, path, *named):
         load_task(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ") and complaint in message and "\n" not in message
 
 
 def test_what_is_no_archive_is_refused(tmp_path: Path):
-    with pytest.raises(GraspFileError, match="no such grasp file"):
+    with refused(GraspFileError, tmp_path / "missing.npz"):
         load_task(tmp_path / "missing.npz")
