@@ -14,6 +14,7 @@ from pathlib import Path, PurePosixPath
 
 import jsonschema
 import pytest
+from refusals import refused
 
 from grasp_refine.asset_library.manifest import KINDS as KNOWN_KINDS
 from grasp_refine.asset_library.manifest import read_manifest
@@ -201,50 +202,48 @@ def put_in_file(**values: object) -> Callable[[dict], None]:
 
 
 BAD = {
-    "no licence": (remove("licence"), "licence = None must be a text"),
-    "empty citation": (put(citation=""), "citation = '' must be a text"),
-    "no terms": (remove("terms"), "terms = None must be a text"),
-    "other terms": (put(terms="free"), "terms = 'free' must be one of open, non-commercial, unclear"),
-    "no unit": (remove("unit"), "unit = None must be a text"),
-    "no scale": (remove("scale"), "scale = None must be a positive number with a decimal point"),
-    "scale zero": (put(scale=0.0), "scale = 0.0 must be a positive number"),
-    "no source": (remove("repository", "commit"), "needs either repository or package"),
-    "two sources": (put(package="a==1"), "needs either repository or package"),
-    "other host": (
-        put(repository="http://example.org/a/b"),
-        "repository = 'http://example.org/a/b' must be like https",
-    ),
-    "short commit": (put(commit="93505db"), "commit = '93505db' must be like"),
-    "no files": (put(files=[]), "files must be a list of tables that is not empty"),
-    "no main": (remove("main"), "main = None must be the path of one of its files: "),
-    "folder above": (put(folder="a/../.."), "folder = 'a/../..' must be a path that stays in its folder"),
-    "mirror above": (put(mirror="../hands"), "mirror = '../hands' must be a path that stays in its folder"),
-    "absolute path": (put_in_file(path="/etc/passwd"), "path = '/etc/passwd' must be a path that stays in its folder"),
-    "path above": (put_in_file(path="meshes/../../x"), "path = 'meshes/../../x' must be a path that stays"),
-    "place above": (put_in_file(place="../x"), "place = '../x' must be a path that stays in its folder"),
-    "mirror of file above": (put_in_file(mirror="x/.."), "mirror = 'x/..' must be a path that stays in its folder"),
-    "backslash": (put_in_file(place="a\\..\\b"), "place = 'a\\\\..\\\\b' must be a path that stays in its folder"),
-    "drive": (put_in_file(place="C:/x"), "place = 'C:/x' must be a path that stays in its folder"),
-    "dots and spaces": (put_in_file(place="a/.. /b"), "place = 'a/.. /b' must be a path that stays in its folder"),
-    "line break": (put_in_file(place="a\nb"), "place = 'a\\nb' must be a path that stays in its folder"),
-    "here": (put_in_file(place="./x"), "place = './x' must be a path that stays in its folder"),
-    "empty part": (put_in_file(place="a//x"), "place = 'a//x' must be a path that stays in its folder"),
-    "short hash": (put_in_file(sha256="cd51"), "sha256 = 'cd51' must be like"),
-    "capital hash": (put_in_file(sha256="A" * 64), f"sha256 = '{'A' * 64}' must be like"),
-    "negative size": (put_in_file(bytes=-1), "bytes = -1 must be a number of bytes"),
-    "changed without hash": (put_in_file(changed="decimated"), "mirror_sha256 = None must be like"),
-    "package without version": (put_in_file(package="playground"), "package = 'playground' must be like"),
+    "no licence": (remove("licence"), "licence = None"),
+    "empty citation": (put(citation=""), "citation = ''"),
+    "no terms": (remove("terms"), "terms = None"),
+    "other terms": (put(terms="free"), "terms = 'free'", "open, non-commercial, unclear"),
+    "no unit": (remove("unit"), "unit = None"),
+    "no scale": (remove("scale"), "scale = None"),
+    "scale zero": (put(scale=0.0), "scale = 0.0"),
+    "no source": (remove("repository", "commit"), "repository", "package"),
+    "two sources": (put(package="a==1"), "repository", "package"),
+    "other host": (put(repository="http://example.org/a/b"), "repository = 'http://example.org/a/b'", "https"),
+    "short commit": (put(commit="93505db"), "commit = '93505db'"),
+    "no files": (put(files=[]), "files"),
+    "no main": (remove("main"), "main = None"),
+    "folder above": (put(folder="a/../.."), "folder = 'a/../..'"),
+    "mirror above": (put(mirror="../hands"), "mirror = '../hands'"),
+    "absolute path": (put_in_file(path="/etc/passwd"), "path = '/etc/passwd'"),
+    "path above": (put_in_file(path="meshes/../../x"), "path = 'meshes/../../x'"),
+    "place above": (put_in_file(place="../x"), "place = '../x'"),
+    "mirror of file above": (put_in_file(mirror="x/.."), "mirror = 'x/..'"),
+    "backslash": (put_in_file(place="a\\..\\b"), "place = 'a\\\\..\\\\b'"),
+    "drive": (put_in_file(place="C:/x"), "place = 'C:/x'"),
+    "dots and spaces": (put_in_file(place="a/.. /b"), "place = 'a/.. /b'"),
+    "line break": (put_in_file(place="a\nb"), "place = 'a\\nb'"),
+    "here": (put_in_file(place="./x"), "place = './x'"),
+    "empty part": (put_in_file(place="a//x"), "place = 'a//x'"),
+    "short hash": (put_in_file(sha256="cd51"), "sha256 = 'cd51'"),
+    "capital hash": (put_in_file(sha256="A" * 64), f"sha256 = '{'A' * 64}'"),
+    "negative size": (put_in_file(bytes=-1), "bytes = -1"),
+    "changed without hash": (put_in_file(changed="decimated"), "mirror_sha256 = None"),
+    "package without version": (put_in_file(package="playground"), "package = 'playground'"),
 }
+"""Fault -> what makes it, and what the refusal must name."""
 
 
 @pytest.mark.parametrize("fault", BAD)
 def test_a_manifest_that_is_wrong_is_refused(fault: str, validator: jsonschema.Draft202012Validator, tmp_path: Path):
-    change, message = BAD[fault]
+    change, *named = BAD[fault]
     document = few()
     change(document["hands"]["allegro"])
     assert list(validator.iter_errors(document)), "the schema"
     write(tmp_path / "hands.toml", document["hands"])
-    with pytest.raises(AssetError, match=f"hands.toml: hands/allegro.*{re.escape(message)}"):
+    with refused(AssetError, "hands.toml", "hands/allegro", *named):
         read_manifest("hands", tmp_path)
 
 
@@ -254,7 +253,7 @@ def test_a_name_is_a_folder_name(name: str, validator: jsonschema.Draft202012Val
     document["hands"][name] = document["hands"].pop("allegro")
     assert list(validator.iter_errors(document))
     write(tmp_path / "hands.toml", document["hands"])
-    with pytest.raises(AssetError, match="a name must be letters, digits, '_', '-' and single '.'$"):
+    with refused(AssetError, tmp_path / "hands.toml", name, "'_', '-'", "'.'"):
         read_manifest("hands", tmp_path)
 
 
@@ -262,7 +261,7 @@ def test_two_files_at_one_place_are_refused(tmp_path: Path):
     hands = few()["hands"]
     hands["allegro"]["files"][1]["place"] = hands["allegro"]["files"][0]["path"].upper()
     write(tmp_path / "hands.toml", hands)
-    with pytest.raises(AssetError, match="hands/allegro: two files are to lie at 'MESHES/COLLISION/LINK_TIP.OBJ'$"):
+    with refused(AssetError, "hands/allegro", "'MESHES/COLLISION/LINK_TIP.OBJ'"):
         read_manifest("hands", tmp_path)
 
 
@@ -274,13 +273,13 @@ def test_an_unknown_key_does_not_fit_the_schema(validator: jsonschema.Draft20201
 
 
 def test_a_manifest_that_is_missing_or_no_toml_is_refused(tmp_path: Path):
-    with pytest.raises(AssetError, match=r"hands.toml: cannot be read as a manifest \(.*No such file"):
+    with refused(AssetError, tmp_path / "hands.toml", "No such file"):
         read_manifest("hands", tmp_path)
     (tmp_path / "objects.toml").write_text("[a\n")
-    with pytest.raises(AssetError, match="objects.toml: cannot be read as a manifest"):
+    with refused(AssetError, tmp_path / "objects.toml"):
         read_manifest("objects", tmp_path)
     (tmp_path / "grasps.toml").write_text("a = 1\n")
-    with pytest.raises(AssetError, match=r"grasps/a: must be a table \[a\]$"):
+    with refused(AssetError, "grasps/a", "[a]"):
         read_manifest("grasps", tmp_path)
 
 
@@ -304,21 +303,21 @@ def inline(value: object) -> str:
 @pytest.mark.parametrize("text", ["x = " + "[" * 5000, "x" + ".a" * 30000 + " = 1", "x = " + "9" * 5000])
 def test_a_manifest_that_takes_too_much_is_refused(text: str, tmp_path: Path):
     (tmp_path / "hands.toml").write_text(text)
-    with pytest.raises(AssetError, match="hands.toml: cannot be read as a manifest"):
+    with refused(AssetError, tmp_path / "hands.toml"):
         read_manifest("hands", tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "named"),
     [
-        (put_in_file(bytes=2**63), "bytes = 9223372036854775808 must be a number of bytes"),
-        (put(citation="\x1b[2J"), "citation = .* must be a text of letters that a terminal only shows"),
-        (put_in_file(place="a\x9bb"), "place = .* must be a path that stays in its folder"),
+        (put_in_file(bytes=2**63), "bytes = 9223372036854775808"),
+        (put(citation="\x1b[2J"), "citation = '\\x1b[2J'"),
+        (put_in_file(place="a\x9bb"), "place = 'a\\x9bb'"),
     ],
 )
-def test_what_the_schema_does_not_see_is_refused(change: Callable[[dict], None], message: str, tmp_path: Path):
+def test_what_the_schema_does_not_see_is_refused(change: Callable[[dict], None], named: str, tmp_path: Path):
     document = few()
     change(document["hands"]["allegro"])
     write(tmp_path / "hands.toml", document["hands"])
-    with pytest.raises(AssetError, match=f"hands.toml: hands/allegro.*{message}"):
+    with refused(AssetError, "hands.toml", "hands/allegro", named):
         read_manifest("hands", tmp_path)

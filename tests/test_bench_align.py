@@ -16,6 +16,7 @@ from command_line import call, refused
 from grasp_refine.apps.bench.align import tasks
 from grasp_refine.apps.bench.align.presets import PRESETS
 from grasp_refine.apps.bench.align.saved import is_task, load_task
+from refusals import assert_names
 
 from grasp_refine.cli import main
 
@@ -76,8 +77,7 @@ def test_a_run_prints_a_table_and_writes_its_rows(capfd: pytest.CaptureFixture[s
     found = document(*TINY)
     out, error = capfd.readouterr()
     assert error == ""
-    assert "alignment, 3 targets a pair, seed 0" in out and "convex, 1 pair\n" in re.sub(" +\n", "\n", out)
-    assert "wrote bench.json" in out
+    assert "3 targets" in out and "seed 0" in out and "convex, 1 pair" in out and "bench.json" in out
     assert max(map(len, out.splitlines())) <= 80
     lines = [line.split() for line in out.splitlines() if line.startswith("distance")]
     assert [line[1] for line in lines] == ["20", "40"] and all(len(line) == 11 for line in lines)
@@ -131,7 +131,7 @@ def test_solvers_and_witnesses_are_compared(capfd: pytest.CaptureFixture[str]):
         assert row["epsilon"] == row["patch"]["epsilon"] == 2e-5 and row["patch"]["targets"] == row["targets"]
         assert row["iterations_mean"] == 30.0 if row["solver"] == "descent" else row["iterations_mean"] <= 30.0
         assert sum(row["cpu_share"].values()) == pytest.approx(1.0, abs=0.2)
-    assert "patch: epsilon 20 µm" in " ".join(capfd.readouterr().out.split())
+    assert "epsilon 20 µm" in " ".join(capfd.readouterr().out.split())
 
 
 def test_levenberg_marquardt_repeats_itself(capfd: pytest.CaptureFixture[str]):
@@ -175,10 +175,9 @@ def test_meshes_of_a_folder_are_used_and_bad_ones_reported(meshes: Path, capfd: 
     concave = {row["pair"] for row in found["rows"] if row["kind"] == "concave"} - {"all"}
     assert {re.sub(r" [\d.]+ mm", "", pair) for pair in concave} <= {"near / far", "far / near"}
     said = capfd.readouterr().err
-    assert "decomposing near" in said and "decomposing box" not in said
+    assert re.search(r"\bnear\b", said) and not re.search(r"\bbox\b", said), "what is cut into pieces"
     # However long it is, a path is not broken: people copy it.
-    broken = meshes / "broken.ply"
-    assert said.count("left out: ") == 2 and f"left out: {broken}: cannot be read as a mesh" in said
+    assert said.count(str(meshes / "broken.ply")) == 2, "once for each kind"
 
 
 def test_a_report_is_one_file_that_names_what_was_compared(capfd: pytest.CaptureFixture[str]):
@@ -187,7 +186,7 @@ def test_a_report_is_one_file_that_names_what_was_compared(capfd: pytest.Capture
     arguments = [*TINY, "--methods", "distance", "contact-kinematics", "--html", "reports/bench.html"]
     Path("reports").mkdir()
     assert main(arguments) == 0
-    assert "wrote reports/bench.html" in " ".join(capfd.readouterr().out.split())
+    assert "reports/bench.html" in capfd.readouterr().out
     assert [str(path) for path in Path().rglob("*") if path.is_file()] == ["reports/bench.html"]
     text = Path("reports/bench.html").read_text(encoding="utf-8")
     assert "distance" in text and "contact-kinematics" in text and "<svg" in text
@@ -198,7 +197,8 @@ def test_a_task_is_saved_as_each_method_went_through_it(capfd: pytest.CaptureFix
     Path("tasks").mkdir()
     arguments = [*TINY, "--methods", "distance", "rigid", "--margins", "0.002", "--save", "tasks/one.npz"]
     found = document(*arguments)
-    assert "wrote bench.json, tasks/one.npz" in " ".join(capfd.readouterr().out.split())
+    out = capfd.readouterr().out
+    assert "bench.json" in out and "tasks/one.npz" in out
     assert found["config"]["save"] is None and "--save" not in found["invocation"]
     assert is_task(Path("tasks/one.npz"))
     task = load_task(Path("tasks/one.npz"))
@@ -221,87 +221,85 @@ def test_a_task_is_saved_as_each_method_went_through_it(capfd: pytest.CaptureFix
 
 
 @pytest.mark.parametrize(
-    ("options", "complaint"),
+    ("options", "named"),
     [
-        ("--preset smoke --methods rigid", "--preset smoke says itself what is compared: leave out --methods"),
-        ("--preset margin --margins 0", "--preset margin says itself what is compared: leave out --margins"),
-        ("--preset table1 --step-sizes 1", "--preset table1 says itself what is compared: leave out --step-sizes"),
-        ("--preset table2 --no-transport", "--preset table2 says itself what is compared: leave out --transport"),
-        ("--preset table9", "invalid choice 'table9' for argument '--preset'"),
-        ("--budgets 10 --seconds 1", "--budgets and --seconds exclude each other"),
-        ("--pairs 0", "--pairs must be at least 1, got 0"),
-        ("--targets 0", "--targets must be at least 1, got 0"),
-        ("--budgets 0", "--budgets must be at least 1, got 0"),
-        ("--margins -1", "--margins must be finite and not negative, got -1"),
-        ("--margins nan", "--margins must be finite and not negative, got nan"),
-        ("--seconds -1", "--seconds must be finite and not negative, got -1"),
-        ("--seconds 1 0", "--seconds must be positive, got 0"),
-        ("--epsilon 1e-5", "--epsilon is of the patch witness only: leave it out, or give --witnesses patch"),
-        ("--witnesses patch --epsilon 0", "--epsilon must be positive, got 0"),
-        ("--preset solvers --solvers descent", "--preset solvers says itself what is compared: leave out --solvers"),
-        ("--preset patch --witnesses patch", "--preset patch says itself what is compared: leave out --witnesses"),
-        ("--solvers levenberg-marquardt --methods rigid", "--methods is of descent only: leave it out, or add descent"),
-        ("--solvers levenberg-marquardt --no-transport", "--transport is of descent only"),
-        ("--solvers levenberg-marquardt --dtype float32", "--dtype is of descent only: leave it out, or add descent"),
-        ("--solvers levenberg-marquardt --device cuda", "--device is of descent only: leave it out, or add descent"),
-        ("--solvers levenberg-marquardt --seconds 1", "--seconds is of descent only: levenberg-marquardt ends each"),
-        ("--preset smoke --seconds 1", "--seconds is of descent only: levenberg-marquardt ends each task on its own"),
-        ("--solvers newton", "invalid choice 'newton' for argument '--solvers'"),
-        ("--seed -1", "--seed must be 0 to 4294967295, got -1"),
-        ("--workers 0", "--workers must be at least 1, got 0"),
-        ("--methods dist", "invalid choice 'dist' for argument '--methods'"),
-        ("--kinds round", "invalid choice 'round' for argument '--kinds'"),
-        ("--target 3", "unrecognized options: --target"),
-        ("--device nonsense", "--device nonsense with --dtype float64 does not work here"),
-        ("--meshes nowhere", "--meshes nowhere: no such folder"),
-        ("--meshes .", "--meshes .: no meshes in it (.obj"),
-        ("--json same --html same", "same: is to be written twice"),
-        ("--json a --save a", "a: is to be written twice"),
-        ("--json .", ".: is a folder, a file is to be written there"),
-        ("--html .", ".: is a folder, a file is to be written there"),
+        ("--preset smoke --methods rigid", ("--preset smoke", "--methods")),
+        ("--preset margin --margins 0", ("--preset margin", "--margins")),
+        ("--preset table1 --step-sizes 1", ("--preset table1", "--step-sizes")),
+        ("--preset table2 --no-transport", ("--preset table2", "--transport")),
+        ("--preset table9", ("'table9'", "'--preset'")),
+        ("--budgets 10 --seconds 1", ("--budgets", "--seconds")),
+        ("--pairs 0", ("--pairs", "1", "0")),
+        ("--targets 0", ("--targets", "1", "0")),
+        ("--budgets 0", ("--budgets", "1", "0")),
+        ("--margins -1", ("--margins", "-1")),
+        ("--margins nan", ("--margins", "nan")),
+        ("--seconds -1", ("--seconds", "-1")),
+        ("--seconds 1 0", ("--seconds", "0")),
+        ("--epsilon 1e-5", ("--epsilon", "--witnesses patch")),
+        ("--witnesses patch --epsilon 0", ("--epsilon", "0")),
+        ("--preset solvers --solvers descent", ("--preset solvers", "--solvers")),
+        ("--preset patch --witnesses patch", ("--preset patch", "--witnesses")),
+        ("--solvers levenberg-marquardt --methods rigid", ("--methods", "descent")),
+        ("--solvers levenberg-marquardt --no-transport", ("--transport", "descent")),
+        ("--solvers levenberg-marquardt --dtype float32", ("--dtype", "descent")),
+        ("--solvers levenberg-marquardt --device cuda", ("--device", "descent")),
+        ("--solvers levenberg-marquardt --seconds 1", ("--seconds", "descent", "levenberg-marquardt")),
+        ("--preset smoke --seconds 1", ("--seconds", "descent", "levenberg-marquardt")),
+        ("--solvers newton", ("'newton'", "'--solvers'")),
+        ("--seed -1", ("--seed", "0 to 4294967295", "-1")),
+        ("--workers 0", ("--workers", "1", "0")),
+        ("--methods dist", ("'dist'", "'--methods'")),
+        ("--kinds round", ("'round'", "'--kinds'")),
+        ("--target 3", ("--target,",)),
+        ("--device nonsense", ("--device nonsense", "--dtype float64")),
+        ("--meshes nowhere", ("--meshes", "nowhere")),
+        ("--meshes .", ("--meshes", ".obj")),
+        ("--json same --html same", ("same",)),
+        ("--json a --save a", ("a:",)),
+        ("--json .", (".:",)),
+        ("--html .", (".:",)),
     ],
 )
-def test_bad_options_are_refused(options: str, complaint: str, capfd: pytest.CaptureFixture[str]):
-    assert complaint in refused(capfd, "bench", "align", *options.split())
+def test_bad_options_are_refused(options: str, named: tuple[str, ...], capfd: pytest.CaptureFixture[str]):
+    assert_names(refused(capfd, "bench", "align", *options.split()), *named)
 
 
 @pytest.mark.parametrize("option", ["--kinds", "--classes", "--methods", "--margins", "--budgets", "--seconds"])
 def test_a_list_needs_a_value(option: str, capfd: pytest.CaptureFixture[str]):
-    assert f"{option}" in refused(capfd, "bench", "align", option)
+    assert_names(refused(capfd, "bench", "align", option), option)
 
 
 @pytest.mark.parametrize("option", ["--json", "--html", "--save"])
 def test_what_cannot_be_written_is_found_out_first(option: str, capfd: pytest.CaptureFixture[str]):
     Path("file").write_text("a file")
-    answer = refused(capfd, *TINY, option, "file/bench")
-    assert answer.startswith("file/bench: cannot be written") and answer.endswith("is no folder")
+    assert_names(refused(capfd, *TINY, option, "file/bench"), "file/bench", "file ")
     if os.geteuid() == 0:
         return
     Path("locked").mkdir(mode=0o500)
-    assert refused(capfd, *TINY, option, "locked/bench").endswith("no permission")
+    assert_names(refused(capfd, *TINY, option, "locked/bench"), "locked/bench", "permission")
 
 
 def test_too_few_meshes_are_refused(meshes: Path, capfd: pytest.CaptureFixture[str]):
     for name in ("near.obj", "far.obj", "broken.ply"):
         (meshes / name).unlink()
     answer = refused(capfd, *TINY, "--meshes", meshes, "--json", "bench.json")
-    assert answer == "convex pairs need two convex objects; 1 of 1 can be used: give more meshes"
+    assert_names(answer, "convex", "1 of 1")
 
 
 def test_without_a_task_that_counts_nothing_is_run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):
     monkeypatch.setattr(tasks, "ACCEPTED", 0.0)
     assert main([*TINY, "--workers", "2", "--json", "bench.json"]) == 2
     out, error = capfd.readouterr()
-    left_out, answer = error.splitlines()
-    assert out == "" and left_out.startswith("left out: ") and left_out.endswith("none of its tasks is accepted")
-    assert answer.startswith("refine-grasp: error: no pair has a task that is accepted")
+    _, answer = error.splitlines()
+    assert out == "" and answer.startswith("refine-grasp: error: ")
     assert not Path("bench.json").exists()
 
 
 def test_the_words_of_the_command_belong_together(capsys: pytest.CaptureFixture[str]):
     result = call("bench", "algin")
     assert (result.returncode, result.stdout) == (2, "")
-    assert "did you mean bench align?" in result.stderr and result.stderr.count("\n") == 1
+    assert_names(result.stderr, "'bench algin'", "bench align?")
     for arguments in (["bench"], ["bench", "--help"]):
         assert main(arguments) == 0
         shown = capsys.readouterr().out

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 
 from grasp_refine.chain import Chain, moved
 from grasp_refine.errors import HandError
@@ -109,7 +110,7 @@ def test_links_that_only_the_root_moves(allegro: Hand) -> None:
 
 
 def test_unknown_links_are_refused_with_the_ones_that_exist(allegro: Hand) -> None:
-    with pytest.raises(HandError, match=r"hand allegro has no link knee; it has base_link, .*link_3\.0_tip"):
+    with refused(HandError, "allegro", "knee", "base_link, ", "link_3.0_tip"):
         Chain(allegro, ["base_link", "knee"])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 import trimesh
 from command_line import PROGRAM, interruptible, refused, subprocess_environment
+from refusals import assert_names
 from running_processes import PATIENCE_S
 
 import grasp_refine
@@ -80,29 +82,26 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]):
 
 def test_without_a_command_the_commands_are_shown(capsys: pytest.CaptureFixture[str]):
     assert main([]) == 0
-    assert "commands:" in capsys.readouterr().out
-
-
-NAMED = f"the commands are {', '.join(COMMANDS)}"
+    out = capsys.readouterr().out
+    assert all(f"  {name} " in out for name in COMMANDS)
 
 
 @pytest.mark.parametrize(
-    ("name", "answer"),
+    ("words", "unknown", "suggested"),
     [
-        ("runn", f"no command 'runn', did you mean run? {NAMED}"),
-        ("xyz", f"no command 'xyz'; {NAMED}"),
-        (
-            "bench algin --preset smoke",
-            f"no command 'bench algin', did you mean bench align? {NAMED}",
-        ),
-        (
-            "--versoin",
-            f"no option '--versoin', did you mean --version? {NAMED}",
-        ),
+        ("runn", "runn", "run"),
+        ("xyz", "xyz", ""),
+        ("bench algin --preset smoke", "bench algin", "bench align"),
+        ("--versoin", "--versoin", "--version"),
     ],
 )
-def test_an_unknown_command_names_the_commands(name: str, answer: str, capfd: pytest.CaptureFixture[str]):
-    assert refused(capfd, *name.split()) == answer
+def test_an_unknown_command_names_the_commands(
+    words: str, unknown: str, suggested: str, capfd: pytest.CaptureFixture[str]
+):
+    answer = refused(capfd, *words.split())
+    commands = ", ".join(COMMANDS)
+    assert_names(answer, f"'{unknown}'", commands)
+    assert suggested in answer.replace(commands, "").replace(unknown, "")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -111,7 +110,7 @@ def test_each_command_explains_its_options(command: str, capsys: pytest.CaptureF
         main([*command.split(), "--help"])
     assert not end.value.code
     out = capsys.readouterr().out
-    assert f"usage: refine-grasp {command}" in out and "--json FILE" in out
+    assert f"refine-grasp {command}" in out and "--json FILE" in out
 
 
 def test_hands_and_doctor_need_no_torch_to_start():
@@ -133,8 +132,8 @@ def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixt
         "results/deep/report.json",
     }
     captured = capsys.readouterr()
-    assert captured.err.splitlines() == ["refining 4 grasps with allegro, at most 6 starts"]
-    assert "allegro on rounded_box: 4 grasps" in captured.out
+    assert_names(captured.err, "4 grasps", "allegro", "6 starts")
+    assert_names(captured.out.splitlines()[0], "allegro", "rounded_box", "4 grasps")
     assert max(map(len, captured.out.splitlines())) <= 80
 
     document = json.loads(Path("results/deep/report.json").read_text())
@@ -192,9 +191,9 @@ def test_a_result_can_be_refined_further_but_not_overwritten(capfd: pytest.Captu
     result = "grasp-refine-results/allegro_rounded_box.npz"
     assert len(load_grasps(result).targets.links) >= 3
     capfd.readouterr()
-    assert "would overwrite an input" in refused(capfd, *QUICK, "--grasps", result)
+    assert_names(refused(capfd, *QUICK, "--grasps", result), result, "--out", "--json")
     elsewhere = ("--grasps", result, "--out", "again", "--json", result, "--overwrite")
-    assert "would overwrite an input" in refused(capfd, *QUICK, *elsewhere)
+    assert_names(refused(capfd, *QUICK, *elsewhere), result, "--out", "--json")
     assert main([*QUICK, "--grasps", result, "--out", "again", "--json", "again.json"]) == 0
     first, again = load_grasps(result), load_grasps("again/allegro_rounded_box.npz")
     np.testing.assert_array_equal(first.targets.point_link, again.targets.point_link)
@@ -211,7 +210,7 @@ def test_a_result_is_replaced_by_the_same_refinement_only(capfd: pytest.CaptureF
     for other in (("--seed", "1"), ("--starts", "2"), ("--index", "1"), ("--json", "no/report.json")):
         capfd.readouterr()
         said = refused(capfd, *quick, *other)
-        assert "--overwrite" in said if "--json" not in other else "no folder no" in said
+        assert "--overwrite" in said if "--json" not in other else "folder no" in said
     capfd.readouterr()
     assert "--overwrite" in refused(capfd, *QUICK, "--index", "0", "--geometry-only")
     assert result.read_bytes() == before
@@ -219,7 +218,7 @@ def test_a_result_is_replaced_by_the_same_refinement_only(capfd: pytest.CaptureF
     assert main([*quick, "--validate"]) == 0
     capfd.readouterr()
     for other in ((), ("--validate", "--setting", "strict")):
-        assert f"{result}: exists already" in refused(capfd, *quick, *other)
+        assert_names(refused(capfd, *quick, *other), result, "--overwrite")
     assert main([*QUICK, "--index", "0", "--geometry-only", "--overwrite"]) == 0
     assert "simulation_after" not in np.load(result).files
 
@@ -276,10 +275,10 @@ def test_targets_of_a_file_are_aimed_at(grasp_file: Callable[..., Path], capfd: 
     np.testing.assert_array_equal(used.point_object, point_object)
     for options in ("--contacts link_7.0_tip", "--reach 0.02", "--reach-others 0.001"):
         answer = refused(capfd, *QUICK, "--targets", aimed, *options.split())
-        assert answer.startswith("--contacts, --reach and --reach-others are for grasps without targets")
+        assert_names(answer, "--contacts", "--reach", "--reach-others", "targets")
     for options in ("--starts 3", "--geometry-only", "--weights.wrench 1"):
         answer = refused(capfd, *QUICK, "--targets", aimed, *options.split())
-        assert answer.startswith(f"{options.split()[0]} is for grasps without targets")
+        assert_names(answer, options.split()[0], "targets")
     statuses = [grasp["status"] for grasp in json.loads(Path("report.json").read_text())["grasps"]]
     assert [status == "no target" for status in statuses] == [False, True, False, False]
 
@@ -310,7 +309,7 @@ def test_geometry_alone_moves_less_and_may_slip(capsys: pytest.CaptureFixture[st
     (first,), (second,) = both["grasps"], alone["grasps"]
     assert both["config"]["refine"]["weights"]["wrench"] > 0 == alone["config"]["refine"]["weights"]["wrench"]
     assert first["quality"]["after"] >= second["quality"]["after"] > second["quality"]["before"]
-    assert second["starts"] == 1 and "may slip" not in second["advice"]
+    assert second["starts"] == 1 and "--starts" not in second["advice"]
     out = capsys.readouterr().out
     assert out.count(" estimate ") == 1 and out.count(" status ") == 1
 
@@ -341,7 +340,7 @@ def test_nothing_usable_is_exit_code_1(grasp_file: Callable[..., Path], capsys: 
     far = grasp_file(hand_pose=away)
     assert main([*QUICK, "--grasps", str(far), "--json", "report.json"]) == 1
     assert not Path("grasp-refine-results").exists()
-    assert "nothing usable" in capsys.readouterr().out
+    assert "4 no target" in capsys.readouterr().out
     grasp = json.loads(Path("report.json").read_text())["grasps"][0]
     assert grasp["status"] == "no target" and grasp["advice"]
     assert grasp["contact_error_m"] == {
@@ -365,84 +364,69 @@ def test_bad_meshes_are_refused(inputs: Path, capfd: pytest.CaptureFixture[str])
     empty.write_text("")
     lost, flat = box.copy(), box * [1, 1, 0]
     lost[0] = np.nan
-    for mesh, complaint in (
-        (inputs / "missing.obj", "no such mesh file"),
-        (empty, "empty, it has no faces"),
-        (write_mesh(inputs / "nan.obj", lost), "1 of its 8 vertices are not finite"),
-        (write_mesh(inputs / "flat.obj", flat), "flat"),
-        (inputs / "thing.xyz", "unknown mesh type '.xyz'"),
+    for mesh, named in (
+        (inputs / "missing.obj", ()),
+        (empty, ()),
+        (write_mesh(inputs / "nan.obj", lost), ("1 of its 8 vertices",)),
+        (write_mesh(inputs / "flat.obj", flat), ("1e-06",)),
+        (inputs / "thing.xyz", ("'.xyz'", ".obj, .stl")),
     ):
         answer = refused(capfd, "run", "--object", mesh, "--object-name", "rounded_box", "--json", "r.json")
-        assert mesh.name in answer and complaint in answer
+        assert_names(answer, mesh, *named)
 
 
 @pytest.mark.parametrize("scale", ["0", "-1", "nan", "inf"])
 def test_a_scale_is_positive(scale: str, capfd: pytest.CaptureFixture[str]):
-    answer = refused(capfd, *QUICK, "--scale", scale)
-    assert answer == f"--scale must be positive and finite, got {float(scale):g}"
+    assert_names(refused(capfd, *QUICK, "--scale", scale), "--scale", f"{float(scale):g}")
 
 
 def test_bad_grasp_files_are_refused(grasp_file: Callable[..., Path], inputs: Path, capfd: pytest.CaptureFixture[str]):
     text = inputs / "text.npz"
     text.write_text("hello")
-    for path, complaint in (
-        (inputs / "missing.npz", "no such grasp file"),
-        (text, "not an .npz grasp file"),
-        (grasp_file("width.npz", q=np.zeros((4, 15))), "q must have shape (4, 16)"),
-        (grasp_file("keys.npz", hand_pose=None), "lacks hand_pose"),
-        (
-            grasp_file("joints.npz", joint_names=[f"x{i}" for i in range(16)]),
-            "the grasps are for another hand ('allegro'): hand 'allegro' has no joint x0",
-        ),
-        (
-            grasp_file("base.npz", hand="claw", base_link="mount"),
-            "the grasps are for another hand ('claw'): their base_link 'mount' is no link of hand 'allegro'",
-        ),
-        (
-            grasp_file("empty_base.npz", hand="claw", base_link="palm"),
-            "for another hand ('claw'): from their base_link 'palm' on, no link of hand 'allegro' has",
-        ),
+    for path, *named in (
+        (inputs / "missing.npz", "missing.npz"),
+        (text, "text.npz", ".npz "),
+        (grasp_file("width.npz", q=np.zeros((4, 15))), "width.npz", "q ", "(4, 16)"),
+        (grasp_file("keys.npz", hand_pose=None), "keys.npz", "hand_pose"),
+        (grasp_file("joints.npz", joint_names=[f"x{i}" for i in range(16)]), "'allegro'", "x0"),
+        (grasp_file("base.npz", hand="claw", base_link="mount"), "'claw'", "base_link 'mount'", "'allegro'"),
+        (grasp_file("empty_base.npz", hand="claw", base_link="palm"), "'claw'", "base_link 'palm'", "'allegro'"),
     ):
         answer = refused(capfd, *QUICK, "--hand", "allegro", "--grasps", path, "--json", "report.json")
-        assert complaint in answer
+        assert_names(answer, *named)
 
 
 def test_real_grasps_of_another_hand_are_refused(shared_assets: Path, capfd: pytest.CaptureFixture[str]):
-    for name, thing in (("leap_cube", "cube_75mm"), ("dexgraspnet_shadow", "ddg-gd_banana_poisson_002")):
+    for name, thing, hand in (
+        ("leap_cube", "cube_75mm", "leap"),
+        ("dexgraspnet_shadow", "ddg-gd_banana_poisson_002", "shadow"),
+    ):
         path = shared_assets / "grasps" / "normalised" / f"{name}.npz"
         answer = refused(capfd, *QUICK, "--hand", "allegro", "--grasps", path, "--object-name", thing)
-        assert "the grasps are for another hand" in answer
+        assert_names(answer, f"'{hand}'", "'allegro'")
 
 
 def test_several_objects_need_a_choice(grasp_file: Callable[..., Path], capfd: pytest.CaptureFixture[str]):
     many = grasp_file(object=["mug", "mug", "can", "rounded_box"])
     answer = refused(capfd, "run", "--grasps", many)
-    assert answer.endswith(
-        "has grasps of 3 objects; choose one with --object-name, or give all their meshes with --objects: "
-        "mug (2), can (1), rounded_box (1)"
-    )
+    assert_names(answer, many, "3 objects", "--object-name", "--objects", "mug (2), can (1), rounded_box (1)")
     answer = refused(capfd, "run", "--grasps", many, "--object-name", "cans")
-    assert answer == "no grasp of object 'cans'; there are grasps of can (1), mug (2), rounded_box (1)"
+    assert_names(answer, "'cans'", "can (1), mug (2), rounded_box (1)")
     answer = refused(capfd, "run", "--grasps", many, "--object-name", "can")
-    assert "its object 'can' is none of the embedded ones" in answer and "--object" in answer
+    assert_names(answer, "'can'", "--object")
 
 
 def test_objects_must_be_found(grasp_file: Callable[..., Path], inputs: Path, capfd: pytest.CaptureFixture[str]):
     many = grasp_file(object=["mug", "mug", "can", "rounded_box"])
     listed = inputs / "objects.toml"
-    for text, complaint in (
-        ('mug = "mug"', "no object 'can'; it names mug"),
-        ("mug = 3", "mug must be a path in quotes, got 3"),
-        ("mug", "cannot be read as TOML"),
-    ):
+    for text, *named in (('mug = "mug"', "'can'", "mug"), ("mug = 3", "mug", "3"), ("mug", "TOML")):
         listed.write_text(text)
-        assert complaint in refused(capfd, "run", "--grasps", many, "--objects", listed)
-    assert "no such file or folder of objects" in refused(
-        capfd, "run", "--grasps", many, "--objects", inputs / "nowhere"
-    )
-    assert "no mesh of object 'mug'" in refused(capfd, "run", "--grasps", many, "--objects", inputs)
+        assert_names(refused(capfd, "run", "--grasps", many, "--objects", listed), listed, *named)
+    nowhere = inputs / "nowhere"
+    assert_names(refused(capfd, "run", "--grasps", many, "--objects", nowhere), nowhere)
+    assert_names(refused(capfd, "run", "--grasps", many, "--objects", inputs), inputs, "'mug'")
     answer = refused(capfd, "run", "--grasps", many, "--objects", listed, "--object", "mug")
-    assert answer == "--object and --objects exclude each other: give one of them"
+    assert_names(answer, "--object ", "--objects ")
 
 
 def test_indices_are_separated_by_commas_or_spaces():
@@ -455,82 +439,82 @@ def test_indices_are_separated_by_commas_or_spaces():
 @pytest.mark.parametrize("index", ["4", "-1"])
 def test_an_index_lies_in_the_range(index: str, capfd: pytest.CaptureFixture[str]):
     answer = refused(capfd, *QUICK, "--index", index)
-    assert answer == f"grasp index {index} is out of range: 'rounded_box' has 4 grasps, 0 to 3"
+    assert_names(answer, f"index {index}", "'rounded_box'", "4 grasps", "0 to 3")
 
 
 def test_targets_must_fit_the_grasps(grasp_file: Callable[..., Path], capfd: pytest.CaptureFixture[str]):
     points = {"target_point_link": np.zeros((4, 1, 3)), "target_point_object": np.zeros((4, 1, 3))}
-    assert "has no targets" in refused(capfd, *QUICK, "--targets", grasp_file("none.npz"))
+    none = grasp_file("none.npz")
+    assert_names(refused(capfd, *QUICK, "--targets", none), none, "targets")
     wrong = grasp_file("wrong.npz", target_link=["nose"], **points)
-    assert "target link 'nose' is no link" in refused(capfd, *QUICK, "--targets", wrong)
+    assert_names(refused(capfd, *QUICK, "--targets", wrong), "'nose'")
     other = grasp_file("other.npz", object="mug", target_link=["link_3.0_tip"], **points)
-    assert "its rows must be those of" in refused(capfd, *QUICK, "--targets", other)
+    assert_names(refused(capfd, *QUICK, "--targets", other), other, EXAMPLE)
 
 
 @pytest.mark.parametrize(
-    ("options", "complaint"),
+    ("options", "named"),
     [
-        ("--itertions 5", "unrecognized options: --itertions, 5; perhaps --iterations; see refine-grasp run --help"),
-        ("--derivative dist", "invalid choice 'dist' for argument '--derivative'"),
-        ("--index x", "error parsing --index"),
-        ("--index 0,x", "error parsing --index"),
-        ("mine.npz", "--grasps mine.npz"),
-        ("--unit feet", "one of cm, in, m, mm;"),
-        ("--object rounded_box --contacts thumbb", "did you mean thumb?"),
-        ("--object mugg", "did you mean mug?"),
-        ("--json", "missing value for argument '--json'"),
-        ("--iterations 0", "--iterations must be at least 1, got 0"),
-        ("--tolerance -1", "--tolerance must be finite and not negative, got -1"),
-        ("--weights.contact nan", "contact must be a number, got nan"),
-        ("--seed -1", "--seed must be 0 to 4294967295, got -1"),
-        ("--descent.shares 0.5", "descent: shares and factors belong together, got 1 and 2 numbers"),
-        ("--descent.momentum 1", "descent: momentum must be at least 0 and below 1, got 1"),
-        ("--derivative rigid --neighborhood fixed", "--derivative rigid has no use for --neighborhood fixed"),
-        ("--distance.coupling one-sided", "options --distance.* need --derivative distance; it is contact-kin"),
-        ("--threshold 2", "threshold must be 0.01 to 1, got 2"),
-        ("--device nonsense", "--device nonsense with --dtype float64 does not work here"),
-        ("--hand claw", "no hand is called 'claw'; the hands here are"),
-        ("--hand claw.urdf", "claw.urdf: no such file or folder"),
-        ("--object bowl", "there are no example grasps of hand 'allegro' on 'bowl', only on bottle, mug, rounded_box"),
-        ("--json .", "is a folder"),
-        ("--weights.table 3", "--weights.table needs a --table"),
-        ("--weights.direction 3", "unrecognized options: --weights.direction"),
-        ("--weights.joint-limits 3", "--weights.joint-limits is for --solver descent or adam"),
-        ("--scales.rotation 2", "--scales.* say what --weights.stay-near means, which is 0"),
-        ("--scales.rotation 0 --weights.stay-near 1", "scales: rotation must be above 0, got 0"),
-        ("--adaptive.samples 4", "options --adaptive.* are for --solver descent or adam"),
-        ("--contact-kinematics.smallest-curvature 3", "options --contact-kinematics.* are for --solver descent"),
-        ("--levenberg-marquardt.damping 0", "levenberg-marquardt: damping must be above 0, got 0"),
-        ("--levenberg-marquardt.widths", "levenberg-marquardt: widths needs at least one factor"),
-        ("--max-move 0.01,0.1", "error parsing --max-move: needs 3 numbers, as in 0.01,0.1,0.2, got 2"),
-        ("--max-move 0.01 0.1 x", "error parsing --max-move: could not convert string to float: 'x'"),
-        ("--max-move 0.01,-1,3", "--max-move must be at least 0, got -1"),
-        ("--max-move nan,1,1", "--max-move must be at least 0, got nan"),
-        ("--seconds 0", "--seconds must be above 0, got 0"),
-        ("--seconds inf", "--seconds must be finite and not negative, got inf"),
-        ("--starts 0", "--starts must be at least 1, got 0"),
-        ("--geometry-only --starts 3", "with --geometry-only, --starts means nothing"),
-        ("--geometry-only --weights.wrench 1", "with --geometry-only, --weights.wrench means nothing"),
-        ("--weights.wrench 0 --starts 3", "--starts is for grasps that should hold: with --weights.wrench 0 it"),
-        ("--targets nearest --starts 3", "--starts is for grasps without targets"),
-        ("--targets nearest --geometry-only", "--geometry-only is for grasps without targets"),
-        ("--solver adam --starts 3", "--starts is for --solver levenberg-marquardt; it is adam"),
-        ("--solver descent --max-move 1,1,1", "--max-move is for --solver levenberg-marquardt; it is descent"),
-        ("--solver adam --seconds 3", "--seconds is for --solver levenberg-marquardt; it is adam"),
-        ("--solver adam --geometry-only", "--geometry-only is for --solver levenberg-marquardt; it is adam"),
-        ("--solver adam --weights.wrench 2", "--weights.wrench is for --solver levenberg-marquardt; it is adam"),
-        ("--solver adam --width 3", "--width is for --solver levenberg-marquardt; it is adam"),
-        ("--dtype float32", "--dtype float32 is for --solver descent or adam: levenberg-marquardt has contact kin"),
+        ("--itertions 5", ("--itertions, 5", "--iterations;")),
+        ("--derivative dist", ("'dist'", "'--derivative'")),
+        ("--index x", ("--index", "'x'")),
+        ("--index 0,x", ("--index", "'x'")),
+        ("mine.npz", ("--grasps mine.npz",)),
+        ("--unit feet", ("--unit", "feet", "cm, in, m, mm")),
+        ("--object rounded_box --contacts thumbb", ("thumbb", "thumb?")),
+        ("--object mugg", ("mugg", "mug?")),
+        ("--json", ("'--json'",)),
+        ("--iterations 0", ("--iterations", "1", "0")),
+        ("--tolerance -1", ("--tolerance", "-1")),
+        ("--weights.contact nan", ("contact", "nan")),
+        ("--seed -1", ("--seed", "0 to 4294967295", "-1")),
+        ("--descent.shares 0.5", ("descent", "shares", "factors", "1 and 2")),
+        ("--descent.momentum 1", ("descent", "momentum", "0", "1")),
+        ("--derivative rigid --neighborhood fixed", ("--derivative rigid", "--neighborhood fixed")),
+        ("--distance.coupling one-sided", ("--distance.*", "--derivative distance", "contact-kinematics")),
+        ("--threshold 2", ("threshold", "0.01 to 1", "2")),
+        ("--device nonsense", ("--device nonsense", "--dtype float64")),
+        ("--hand claw", ("'claw'", "allegro")),
+        ("--hand claw.urdf", ("claw.urdf",)),
+        ("--object bowl", ("'allegro'", "'bowl'", "bottle, mug, rounded_box")),
+        ("--json .", (".:",)),
+        ("--weights.table 3", ("--weights.table", "--table")),
+        ("--weights.direction 3", ("--weights.direction",)),
+        ("--weights.joint-limits 3", ("--weights.joint-limits", "--solver descent", "adam")),
+        ("--scales.rotation 2", ("--scales.*", "--weights.stay-near", "0")),
+        ("--scales.rotation 0 --weights.stay-near 1", ("scales", "rotation", "0")),
+        ("--adaptive.samples 4", ("--adaptive.*", "--solver descent", "adam")),
+        ("--contact-kinematics.smallest-curvature 3", ("--contact-kinematics.*", "--solver descent")),
+        ("--levenberg-marquardt.damping 0", ("levenberg-marquardt", "damping", "0")),
+        ("--levenberg-marquardt.widths", ("levenberg-marquardt", "widths")),
+        ("--max-move 0.01,0.1", ("--max-move", "3 numbers", "0.01,0.1,0.2", "2")),
+        ("--max-move 0.01 0.1 x", ("--max-move", "'x'")),
+        ("--max-move 0.01,-1,3", ("--max-move", "0", "-1")),
+        ("--max-move nan,1,1", ("--max-move", "0", "nan")),
+        ("--seconds 0", ("--seconds", "0")),
+        ("--seconds inf", ("--seconds", "inf")),
+        ("--starts 0", ("--starts", "1", "0")),
+        ("--geometry-only --starts 3", ("--geometry-only", "--starts")),
+        ("--geometry-only --weights.wrench 1", ("--geometry-only", "--weights.wrench")),
+        ("--weights.wrench 0 --starts 3", ("--starts", "--weights.wrench 0")),
+        ("--targets nearest --starts 3", ("--starts", "targets")),
+        ("--targets nearest --geometry-only", ("--geometry-only", "targets")),
+        ("--solver adam --starts 3", ("--starts", "--solver levenberg-marquardt", "adam")),
+        ("--solver descent --max-move 1,1,1", ("--max-move", "--solver levenberg-marquardt", "descent")),
+        ("--solver adam --seconds 3", ("--seconds", "--solver levenberg-marquardt", "adam")),
+        ("--solver adam --geometry-only", ("--geometry-only", "--solver levenberg-marquardt", "adam")),
+        ("--solver adam --weights.wrench 2", ("--weights.wrench", "--solver levenberg-marquardt", "adam")),
+        ("--solver adam --width 3", ("--width", "--solver levenberg-marquardt", "adam")),
+        ("--dtype float32", ("--dtype float32", "--solver descent", "adam", "levenberg-marquardt")),
     ],
-)  # fmt: skip
-def test_bad_options_are_refused(options: str, complaint: str, capfd: pytest.CaptureFixture[str]):
-    assert complaint in refused(capfd, "run", *options.split())
+)
+def test_bad_options_are_refused(options: str, named: tuple[str, ...], capfd: pytest.CaptureFixture[str]):
+    assert_names(refused(capfd, "run", *options.split()), *named)
 
 
 def test_only_embedded_hands_have_examples(inputs: Path, capfd: pytest.CaptureFixture[str]):
     shutil.copy(resource_dir("robots") / "allegro" / "allegro.urdf", inputs / "mine.urdf")
-    answer = refused(capfd, "run", "--hand", inputs / "mine.urdf")
-    assert answer.startswith("--grasps FILE is needed: only hands that come with the program (allegro")
+    assert_names(refused(capfd, "run", "--hand", inputs / "mine.urdf"), "--grasps", "allegro")
 
 
 # Interruption
@@ -544,10 +528,11 @@ def test_ctrl_c_leaves_one_line_and_no_files():
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=subprocess_environment(),
         preexec_fn=interruptible,
     )  # fmt: skip
-    assert process.stderr is not None and process.stderr.readline().startswith("refining 4 grasps")
+    assert process.stderr is not None and "4 grasps" in process.stderr.readline()
     process.send_signal(signal.SIGINT)
     out, error = process.communicate(timeout=PATIENCE_S)
-    assert (process.returncode, out, error) == (130, "", "refine-grasp: interrupted\n")
+    assert (process.returncode, out) == (130, "")
+    assert_names(error, "refine-grasp: ")
     assert list(Path().iterdir()) == []
 
 
@@ -585,19 +570,20 @@ def test_hands_reads_a_bare_urdf(shared_assets: Path, capsys: pytest.CaptureFixt
     urdf = shared_assets / "hands" / "barrett" / "barrett.urdf"
     assert main(["hands", str(urdf), "--json", "hand.json"]) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "8 joints" in out and "contact links guessed from the URDF" in out
+    assert "8 joints" in out
     (hand,) = json.loads(Path("hand.json").read_text())["hands"]
-    assert hand["licence"] == "see LICENSE"
+    assert "LICENSE" in hand["licence"]
+    assert hand["contacts"] and all(contact["guessed"] for contact in hand["contacts"])
 
 
 def test_an_unknown_hand_is_bad_input(capfd: pytest.CaptureFixture[str]):
-    assert refused(capfd, "hands", "claw").startswith("no hand is called 'claw'; the hands here are allegro")
+    assert_names(refused(capfd, "hands", "claw"), "'claw'", "allegro")
 
 
 def test_the_doctor_finds_a_working_installation(capsys: pytest.CaptureFixture[str]):
     assert main(["doctor", "--json", "doctor.json", "--overwrite"]) == 0
     out = capsys.readouterr().out
-    assert "everything that is needed is here" in out and "cpu" in out and "allegro" in out
+    assert "cpu" in out and "allegro" in out
     document = json.loads(Path("doctor.json").read_text())
     assert document["problems"] == []
     assert document["cache"]["entries"] == 0
@@ -622,21 +608,23 @@ def test_the_doctor_says_which_engine_answers_queries(
 
     line, found = told("auto")
     if why_not_native():
-        assert line == f"python, the slower one; native: {why_not_native()}"
+        assert line.startswith("python") and why_not_native() in line
     else:
-        assert line == f"native, compiled for coal {version('coal')}" and found["coal"] == version("coal")
-        assert told("python")[0] == "python, the slower one, as GRASP_REFINE_ENGINE says"
+        assert line.startswith("native") and f"coal {version('coal')}" in line and "OpenMP" not in line
+        assert found["coal"] == version("coal")
+        line, _ = told("python")
+        assert line.startswith("python") and "GRASP_REFINE_ENGINE" in line
         from grasp_refine.collision import native_search
 
         monkeypatch.setattr(native_search, "has_threads", lambda: False)
         line, found = told("auto")
-        assert line == f"native, compiled for coal {version('coal')}; one thread, as it was built without OpenMP"
+        assert line.startswith("native") and f"coal {version('coal')}" in line and "OpenMP" in line
         assert found["threads"] is False
 
     monkeypatch.setattr(doctor, "why_not_native", lambda: "not built")
     monkeypatch.setattr(doctor, "chosen", lambda engine: "python")
     line, found = told("auto")
-    assert line == "python, the slower one; native: not built"
+    assert line.startswith("python") and "native: not built" in line
     assert found == {"used": "python", "coal": None, "threads": None, "why_not_native": "not built", "fault": None}
 
 
@@ -645,11 +633,12 @@ def test_an_engine_that_cannot_be_used_is_a_problem(
 ):
     monkeypatch.setenv("GRASP_REFINE_ENGINE", "fast")
     assert main(["doctor", "--json", "doctor.json"]) == 1
-    out, said = capsys.readouterr().out, "GRASP_REFINE_ENGINE is 'fast'; choose auto, native, python"
-    assert f"problem: {said}" in " ".join(out.split()) and "engine:  none, see the problem" in out
+    out = " ".join(capsys.readouterr().out.split())
+    (said,) = json.loads(Path("doctor.json").read_text())["problems"]
+    assert_names(said, "GRASP_REFINE_ENGINE", "'fast'", "auto, native, python")
+    assert said in out and "engine: none" in out
     # It is not the installation that is broken.
-    assert "install again" not in out and "everything that is needed" not in out
-    assert json.loads(Path("doctor.json").read_text())["problems"] == [said]
+    assert "pip install" not in out
 
 
 def test_the_doctor_names_what_is_missing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
@@ -664,6 +653,7 @@ def test_the_doctor_names_what_is_missing(monkeypatch: pytest.MonkeyPatch, capsy
     monkeypatch.setattr(doctor, "requirements", lambda: needs)
     assert main(["doctor"]) == 1
     out = " ".join(capsys.readouterr().out.split())
-    assert "no-such-package is missing, >=1 is needed" in out
-    assert "numpy is too old, >=999 is needed" in out
-    assert "nor-this is missing" not in out and 'pip install "grasp-refine[x]"' in out
+    assert re.search(r"no-such-package is missing\b.* >=1 ", out) and re.search(r"numpy is too old\b.* >=999 ", out)
+    assert (
+        "nor-this is missing" not in out and "pip install --upgrade" in out and 'pip install "grasp-refine[x]"' in out
+    )

@@ -14,6 +14,7 @@ import pytest
 from boxed_example import FILE, boxed_example
 from grasp_refine.apps.batch.progress import Progress
 from grasp_refine.apps.batch.shard import Done, Shard
+from refusals import assert_names
 from rich.console import Console
 
 from grasp_refine.cli import main
@@ -93,7 +94,7 @@ def test_of_few_grasps_only_units_are_told(fault: str):
 def test_hands_that_are_nowhere_near_are_told_with_the_frame_that_is_needed():
     pose, q = written()
     (note,) = convention_notes([scene(pose + [0, 0.8, 0.3, 0, 0, 0, 0], q)])
-    assert "far apart" in note and "'base_link'" in note
+    assert_names(note, "'base_link'")
 
 
 def test_grasps_that_are_nowhere_do_not_count():
@@ -145,17 +146,16 @@ def test_run_says_so_before_and_after(file: Path, capsys: pytest.CaptureFixture[
     main(["run", "--grasps", str(file), "--geometry-only"])
     out, error = capsys.readouterr()
     for word in ("degrees", "millimetres"):
-        assert word in out and f"look like {word}" in error
+        assert word in out and word in error
 
 
 def test_convert_says_so_without_an_object(file: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["convert", str(file), "new.npz", "--to", "ours", "--json", "new.json"]) == 0
     notes = json.loads(Path("new.json").read_text())["notes"]
-    assert [word for note in notes for word in ("degrees", "millimetres") if f"look like {word}" in note] == [
-        "degrees",
-        "millimetres",
-    ]
-    assert capsys.readouterr().err.count("look like") == 2
+    units = ("degrees", "millimetres")
+    assert [unit for note in notes for unit in units if unit in note] == list(units)
+    error = capsys.readouterr().err
+    assert [error.count(unit) for unit in units] == [1, 1]
     np.testing.assert_array_equal(load_grasps("new.npz").q, load_grasps(file).q)
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from plate_gripper import PLATE, URDF
+from refusals import refused
 
 import grasp_refine.grasp_sampling as grasp_sampling
 from grasp_refine.collision.query import Witness, query
@@ -143,22 +144,19 @@ def test_fewer_come_out_where_no_more_are_found(gripper: Hand, monkeypatch: pyte
 
 @pytest.mark.parametrize("count", [0, -1, MOST + 1])
 def test_a_count_is_in_range(gripper: Hand, box: Object, count: int):
-    with pytest.raises(GraspRefineError, match=f"1 to {MOST} grasps can be sampled, got {count}"):
+    with refused(GraspRefineError, f"1 to {MOST}", count):
         sample_grasps(gripper, box, count)
 
 
 def test_what_cannot_be_held_is_an_error_that_tells_the_sizes(gripper: Hand):
     pebble = load_object("sphere:0.005", candidates=64)
-    with pytest.raises(
-        GraspRefineError,
-        match="no grasp of hand 'gripper' on object 'sphere:0.005' was found in 1024 tries: the object is 0.01 x 0.01 "
-        "x 0.01 m large, the hand opens 0.18 m wide",
-    ):
+    named = ("'gripper'", "'sphere:0.005'", "1024 tries", "0.01 x 0.01 x 0.01 m", "0.18 m")
+    with refused(GraspRefineError, *named):
         sample_grasps(gripper, pebble, 1)
 
 
 def test_what_has_no_fingers_cannot_grip(tmp_path: Path, box: Object):
     path = tmp_path / "block.urdf"
     path.write_text(f'<robot name="block"><link name="palm">{PLATE}</link></robot>')
-    with pytest.raises(HandError, match="cannot grip"):
+    with refused(HandError, "block"):
         sample_grasps(load_hand(path, candidates=16), box, 1)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import pickle
-import re
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import assert_names
+from refusals import refused as expected
 
 from grasp_refine.description.tree import Joint, Mimic
 from grasp_refine.errors import GraspFileError
@@ -66,11 +67,10 @@ def write(tmp_path: Path):
 
 def refused(path: Path) -> str:
     """The message with which the file is refused; one line that starts with the path."""
-    with pytest.raises(GraspFileError) as caught:
+    with expected(GraspFileError) as caught:
         load_grasps(path)
     message = str(caught.value)
     assert message.startswith(f"{path}: ")
-    assert "\n" not in message
     return message.removeprefix(f"{path}: ")
 
 
@@ -110,9 +110,7 @@ def test_a_quaternion_of_length_0_is_a_pose_that_nobody_knows(write):
     np.testing.assert_array_equal(grasps.q, entries()["q"])
     # Any other length is one of a mix-up, in all rows.
     pose[1, 3:] = [0.1, 0.0, 0.0, 0.0]
-    assert refused(write(hand_pose=pose)).endswith(
-        "hand_pose row 1 has no unit quaternion: the norm of its last four numbers, qw qx qy qz, is 0.1"
-    )
+    assert_names(refused(write(hand_pose=pose)), "hand_pose", "row 1", "unit quaternion", "qw qx qy qz", "0.1")
 
 
 def test_a_file_without_schema_is_version_1(write):
@@ -164,28 +162,28 @@ def test_reads_the_shared_grasp_sets(shared_assets: Path, name: str, count: int,
 
 
 def test_missing_file(tmp_path: Path):
-    assert refused(tmp_path / "none.npz") == "no such grasp file"
+    refused(tmp_path / "none.npz")
 
 
 @pytest.mark.parametrize("content", [b"", b"text", pickle.dumps({"q": [1.0]}), b"\x93NUMPY"])
 def test_not_an_npz(tmp_path: Path, content: bytes):
     path = tmp_path / "grasps.npz"
     path.write_bytes(content)
-    assert refused(path) == "not an .npz grasp file"
+    assert_names(refused(path), ".npz")
 
 
 def test_a_zip_of_something_else(tmp_path: Path):
     path = tmp_path / "grasps.npz"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("readme.txt", "hello")
-    assert refused(path) == "not an .npz grasp file, it holds readme.txt"
+    assert_names(refused(path), ".npz", "readme.txt")
 
 
 def test_a_truncated_array_is_named(tmp_path: Path):
     path = tmp_path / "grasps.npz"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("q.npy", b"\x93NUMPY\x01\x00\x05\x00{'de")
-    assert refused(path) == "entry 'q' is damaged"
+    assert_names(refused(path), "'q'")
 
 
 def test_bytes_damaged_in_the_archive(write):
@@ -193,7 +191,7 @@ def test_bytes_damaged_in_the_archive(write):
     content = bytearray(path.read_bytes())
     content[content.index(b"NUMPY") + 127] ^= 0xFF
     path.write_bytes(content)
-    assert refused(path).startswith("not a readable .npz file (Bad CRC")
+    assert_names(refused(path), ".npz", "Bad CRC")
 
 
 class Bomb:
@@ -209,15 +207,15 @@ class Bomb:
 @pytest.mark.parametrize("key", ["q", "extra"])
 def test_pickles_are_refused_and_never_run(write, tmp_path: Path, key: str):
     message = refused(write(**{key: np.array([Bomb(tmp_path / "boom")], dtype=object)}))
-    assert message == f"entry '{key}' is a pickled object array, which is never loaded; store plain arrays"
+    assert_names(message, f"'{key}'", "pickle")
     assert not (tmp_path / "boom").exists()
 
 
 def test_missing_entries_list_found_and_needed(write):
-    assert refused(write(hand=None, q=None)) == (
-        "lacks hand, q; found base_link, hand_pose, joint_names, object, scale, schema; "
-        "needed are hand, base_link, joint_names, object, scale, hand_pose, q"
-    )
+    missing, found, needed = refused(write(hand=None, q=None)).split("; ")
+    assert_names(missing, " hand, q")
+    assert_names(found, "base_link, hand_pose, joint_names, object, scale, schema")
+    assert_names(needed, "hand, base_link, joint_names, object, scale, hand_pose, q")
 
 
 PARTLY = targets()
@@ -227,82 +225,57 @@ INFINITE["target_point_link"][2, 0, 0] = np.inf
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "named"),
     [
-        ({"schema": 2}, "schema 2 is newer than this version of grasp-refine reads (1); update it"),
-        ({"schema": 0}, "schema must be one whole number from 1 to 1"),
-        ({"schema": "one"}, "schema must be one whole number from 1 to 1"),
-        ({"hand": 3}, "hand must hold text; it holds int64"),
-        ({"hand": ["a", "b"]}, "hand must be one name; it has shape (2,)"),
-        ({"joint_names": "a"}, "joint_names must be a list of names; it has shape ()"),
-        ({"joint_names": ["a", "a"]}, "joint_names holds a more than once"),
-        (
-            {"hand_pose": np.ones((3, 6))},
-            "hand_pose must have shape (N, 7) with N >= 1, x y z qw qx qy qz; it has (3, 6)",
-        ),
+        ({"schema": 2}, ("schema 2", "(1)")),
+        ({"schema": 0}, ("schema", "1 to 1")),
+        ({"schema": "one"}, ("schema", "1 to 1")),
+        ({"hand": 3}, ("hand ", "text", "int64")),
+        ({"hand": ["a", "b"]}, ("hand ", "(2,)")),
+        ({"joint_names": "a"}, ("joint_names", "()")),
+        ({"joint_names": ["a", "a"]}, ("joint_names", " a ")),
+        ({"hand_pose": np.ones((3, 6))}, ("hand_pose", "(N, 7)", "x y z qw qx qy qz", "(3, 6)")),
         (
             {"hand_pose": np.ones((0, 7)), "q": np.ones((0, 2))},
-            "hand_pose must have shape (N, 7) with N >= 1, x y z qw qx qy qz; it has (0, 7)",
+            ("hand_pose", "(N, 7)", "N >= 1", "x y z qw qx qy qz", "(0, 7)"),
         ),
-        (
-            {"q": np.ones((3, 4))},
-            "q must have shape (3, 2), one row per hand_pose and one column per name in joint_names; it has (3, 4)",
-        ),
-        (
-            {"q": np.ones((2, 2))},
-            "q must have shape (3, 2), one row per hand_pose and one column per name in joint_names; it has (2, 2)",
-        ),
-        ({"q": [["x", "y"]] * 3}, "q must hold numbers; it holds <U1"),
-        ({"q": np.ones((3, 2), complex)}, "q must hold numbers; it holds complex128"),
-        ({"scale": np.inf}, "scale must be finite; row 0 is not"),
-        ({"scale": [1.0, 0.0, 1.0]}, "scale must be positive; row 1 has 0"),
-        ({"scale": [1.0, 1.0]}, "scale must be one value or one per grasp, (3,); it has (2,)"),
-        ({"object": ["mug", "can"]}, "object must be one value or one per grasp, (3,); it has (2,)"),
+        ({"q": np.ones((3, 4))}, ("q ", "(3, 2)", "hand_pose", "joint_names", "(3, 4)")),
+        ({"q": np.ones((2, 2))}, ("q ", "(3, 2)", "hand_pose", "joint_names", "(2, 2)")),
+        ({"q": [["x", "y"]] * 3}, ("q ", "numbers", "<U1")),
+        ({"q": np.ones((3, 2), complex)}, ("q ", "numbers", "complex128")),
+        ({"scale": np.inf}, ("scale", "finite", "row 0")),
+        ({"scale": [1.0, 0.0, 1.0]}, ("scale", "positive", "row 1", "0")),
+        ({"scale": [1.0, 1.0]}, ("scale", "(3,)", "(2,)")),
+        ({"object": ["mug", "can"]}, ("object", "(3,)", "(2,)")),
         (
             {"hand_pose": np.tile([0, 0, 0, 1, 0.1, 0, 0], (3, 1))},
-            "hand_pose row 0 has no unit quaternion: the norm of its last four numbers, qw qx qy qz, is 1.00499",
+            ("hand_pose", "row 0", "unit quaternion", "qw qx qy qz", "1.00499"),
         ),
-        (
-            {"target_link": ["tip"]},
-            "targets need target_link, target_point_link, target_point_object together; found only target_link",
-        ),
-        (
-            {**targets(), "target_link": ["tip"]},
-            "target_point_link must have shape (3, 1, 3); it has (3, 2, 3)",
-        ),
-        (
-            PARTLY,
-            "the target of link 'thumb' in row 0 is partly NaN; both points must be finite, or both NaN for no target",
-        ),
-        (INFINITE, "target_point_link must be finite; row 2 is not"),
+        ({"target_link": ["tip"]}, ("target_link, target_point_link, target_point_object",)),
+        ({**targets(), "target_link": ["tip"]}, ("target_point_link", "(3, 1, 3)", "(3, 2, 3)")),
+        (PARTLY, ("'thumb'", "row 0", "NaN")),
+        (INFINITE, ("target_point_link", "finite", "row 2")),
     ],
 )
-def test_malformed_entries(write, changes: dict, message: str):
-    assert refused(write(**changes)) == message
+def test_malformed_entries(write, changes: dict, named: tuple[str, ...]):
+    assert_names(refused(write(**changes)), *named)
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "named"),
     [
-        ({"squeeze_q": None}, "a squeeze needs squeeze_pose and squeeze_q together; found only squeeze_pose"),
-        ({"pregrasp_pose": None}, "a pregrasp needs pregrasp_pose and pregrasp_q together; found only pregrasp_q"),
-        (
-            {"pregrasp_pose": np.zeros((2, 7))},
-            "pregrasp_pose must have shape (3, 7), x y z qw qx qy qz; it has (2, 7)",
-        ),
-        (
-            {"squeeze_q": np.zeros((3, 5))},
-            "squeeze_q must have shape (3, 2), one row per hand_pose and one column per name in joint_names; "
-            "it has (3, 5)",
-        ),
+        ({"squeeze_q": None}, ("squeeze_pose and squeeze_q", "squeeze_pose")),
+        ({"pregrasp_pose": None}, ("pregrasp_pose and pregrasp_q", "pregrasp_q")),
+        ({"pregrasp_pose": np.zeros((2, 7))}, ("pregrasp_pose", "(3, 7)", "x y z qw qx qy qz", "(2, 7)")),
+        ({"squeeze_q": np.zeros((3, 5))}, ("squeeze_q", "(3, 2)", "hand_pose", "joint_names", "(3, 5)")),
         (
             {"pregrasp_pose": np.tile([0, 0, 0, 2.0, 0, 0, 0], (3, 1))},
-            "pregrasp_pose row 0 has no unit quaternion: the norm of its last four numbers, qw qx qy qz, is 2",
+            ("pregrasp_pose", "row 0", "unit quaternion", "qw qx qy qz", "2"),
         ),
     ],
 )
-def test_malformed_stages(write, changes: dict, message: str):
-    assert refused(write(**{**stages(), **changes})) == message
+def test_malformed_stages(write, changes: dict, named: tuple[str, ...]):
+    assert_names(refused(write(**{**stages(), **changes})), *named)
 
 
 def test_stages_are_read_where_they_are(write):
@@ -365,21 +338,20 @@ def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path,
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(np, "savez", full)
-    with pytest.raises(GraspFileError) as caught:
+    with expected(GraspFileError, path, "No space left on device"):
         save_npz(path, entries())
-    assert str(caught.value) == f"{path}: cannot be written (No space left on device)"
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(GraspFileError, match="cannot be written"):
+    with expected(GraspFileError, tmp_path / "file"):
         save_npz(tmp_path / "file" / "result.npz", entries())
 
 
 def test_object_arrays_are_not_written(tmp_path: Path):
-    with pytest.raises(GraspFileError, match="note"):
+    with expected(GraspFileError, "note"):
         save_npz(tmp_path / "result.npz", {"note": np.array([None])})
     assert not list(tmp_path.iterdir())
 
@@ -436,37 +408,34 @@ def test_joints_of_a_stage_are_matched_like_those_of_the_grasp():
 
 
 def test_joints_that_the_file_lacks_stay_at_rest_which_is_said():
-    q, notes = match_joints(grasp_set(("a",), np.array([[1.0]])), CLAW)
+    q, (note,) = match_joints(grasp_set(("a",), np.array([[1.0]])), CLAW)
     assert q.tolist() == [[0.1, 0.2, 1.0]]
-    assert notes == ("joints that the grasp file lacks stay at their rest pose: b, c",)
+    assert_names(note, "rest", "b, c")
 
 
 def test_mimic_joints_in_the_file_are_ignored_which_is_said():
-    q, notes = match_joints(grasp_set(("a", "follower", "b", "c"), np.array([[1.0, -1.5, 2, 3]])), CLAW)
+    q, (note,) = match_joints(grasp_set(("a", "follower", "b", "c"), np.array([[1.0, -1.5, 2, 3]])), CLAW)
     assert q.tolist() == [[2, 3, 1]]
-    assert notes == ("mimic joints follow their joint, not the grasp file: follower",)
+    assert_names(note, "mimic", ": follower")
 
 
 def test_mimic_joints_that_are_elsewhere_in_the_file_are_told():
     values = np.array([[1.0, -1.5, -4.5, 2, 3], [0.0, 0.5, 1.7, 2, 3]])
-    q, notes = match_joints(grasp_set(("a", "follower", "last", "b", "c"), values), CLAW)
+    q, (ignored, elsewhere) = match_joints(grasp_set(("a", "follower", "last", "b", "c"), values), CLAW)
     assert q.tolist() == [[2, 3, 1], [2, 3, 0]]
-    assert notes == (
-        "mimic joints follow their joint, not the grasp file: follower, last",
-        "in the file, mimic joint last is up to 0.2 away from where a puts it",
-    )
+    assert_names(ignored, "mimic", "follower, last")
+    assert_names(elsewhere, "mimic", " last ", "0.2", " a ")
 
 
 def test_a_mimic_joint_says_where_the_joint_is_that_the_file_lacks():
     values = np.array([[1.5, 2, 3], [-4.5, 2, 3]])
-    q, notes = match_joints(grasp_set(("last", "b", "c"), values), CLAW)
+    q, (note,) = match_joints(grasp_set(("last", "b", "c"), values), CLAW)
     assert q.tolist() == [[2, 3, 0], [2, 3, 1]], "last = 3 (-2 a + 0.5)"
-    assert notes == ("joints that the grasp file lacks are found by their mimic joints: a from last",)
+    assert_names(note, "mimic", " a from last")
 
 
 def test_joints_that_the_hand_lacks_are_refused():
-    message = "the grasps are for another hand ('gripper'): hand 'claw' has no joint x, y; its joints are b, c, a"
-    with pytest.raises(GraspFileError, match=f"^{re.escape(message)}$"):
+    with expected(GraspFileError, "'gripper'", "'claw'", " x, y", " b, c, a"):
         match_joints(grasp_set(("a", "x", "y"), np.zeros((1, 3))), CLAW)
 
 
@@ -491,7 +460,7 @@ def test_the_shared_grasps_fit_their_hands_below_the_base_link(shared_assets: Pa
 def test_grasps_of_another_hand_are_refused(shared_assets: Path):
     chosen = load_grasps(shared_assets / "grasps" / "normalised" / "leap_cube.npz").select([0])
     hand = load_hand(shared_assets / "hands" / "allegro" / "allegro_right.urdf", candidates=64)
-    with pytest.raises(GraspFileError, match=r"^the grasps are for another hand \('leap'\): hand 'allegro"):
+    with expected(GraspFileError, "'leap'", "'allegro"):
         match_joints(chosen, hand)
 
 
@@ -528,14 +497,14 @@ def test_a_file_of_one_object_needs_no_name(mixed: GraspSet):
 
 
 @pytest.mark.parametrize(
-    ("object_name", "index", "message"),
+    ("object_name", "index", "named"),
     [
-        (None, None, "the grasps are of 2 objects, choose one by name: can (2), mug (3)"),
-        (None, [0], "the grasps are of 2 objects, choose one by name: can (2), mug (3)"),
-        ("jar", None, "no grasp of object 'jar'; there are grasps of can (2), mug (3)"),
-        ("mug", [0, 3, -1], "grasp index 3, -1 is out of range: 'mug' has 3 grasps, 0 to 2"),
+        (None, None, ("2 objects", "can (2), mug (3)")),
+        (None, [0], ("2 objects", "can (2), mug (3)")),
+        ("jar", None, ("'jar'", "can (2), mug (3)")),
+        ("mug", [0, 3, -1], ("3, -1", "'mug'", "3 grasps", "0 to 2")),
     ],
 )
-def test_rows_that_do_not_exist(mixed: GraspSet, object_name, index, message: str):
-    with pytest.raises(GraspFileError, match=f"^{re.escape(message)}$"):
+def test_rows_that_do_not_exist(mixed: GraspSet, object_name, index, named: tuple[str, ...]):
+    with expected(GraspFileError, *named):
         choose_rows(mixed, object_name=object_name, index=index)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import refusals
 from command_line import refused
 
 from grasp_refine.assets import resource_dir
@@ -71,11 +72,11 @@ def test_another_object_is_refused_by_name(result: Path, capfd: pytest.CaptureFi
     capfd.readouterr()
     grasps = ("--grasps", result) if words[0] == "run" else (result,)
     said = refused(capfd, *words, *grasps, "--object", "mug", "--scale", "1000", "--index", "0")
-    assert str(result) in said and "'rounded_box'" in said and "mug" in said and "--other-object" in said
+    refusals.assert_names(said, result, "'rounded_box'", "mug", "--other-object")
 
 
 def test_another_size_is_another_object(result: Path):
-    with pytest.raises(GraspFileError, match="60 x 50 x 90 mm.* 72 x 60 x 108 mm.*--other-object"):
+    with refusals.refused(GraspFileError, "60 x 50 x 90 mm", "72 x 60 x 108 mm", "--other-object"):
         Sources(object="mine.obj", scale=1.2).load_from(result, 0, print)
 
 
@@ -95,10 +96,10 @@ def test_a_mesh_that_was_exported_anew_is_taken_with_a_note(result: Path):
     """In metres, with the eight digits of the exporter, which are fewer than those of millimetres."""
     load_object("mine.obj", scale=1e-3).mesh.export("metres.obj")
     (note,) = Sources(object="metres.obj", scale=1e3).load_from(result, 0, print).notes
-    assert "rounding" in note
+    assert "rounded_box" in note
     shifted = load_object("mine.obj", scale=1e-3).mesh
     shifted.apply_translation([0.0, 0.0, 1e-4]).export("shifted.obj")
-    with pytest.raises(GraspFileError, match="--other-object"):
+    with refusals.refused(GraspFileError, "--other-object"):
         Sources(object="shifted.obj", scale=1e3).load_from(result, 0, print)
 
 
@@ -112,7 +113,7 @@ def test_other_pieces_of_the_same_mesh_are_noted(tmp_path: Path):
     save_npz(tmp_path / "r.npz", {"provenance": np.array(json.dumps({"objects": _plain(object_entries([group]))}))})
     assert not check_objects([tmp_path / "r.npz"], present(group), other=False)
     (note,) = check_objects([tmp_path / "r.npz"], present(*coarse), other=False)
-    assert "convex pieces" in note and "mug" in note
+    assert "pieces" in note and "mug" in note
 
 
 def _plain(entries: list[dict]) -> list[dict]:
@@ -130,9 +131,9 @@ def test_each_object_and_size_of_a_folder_is_compared(tmp_path: Path, monkeypatc
     assert [(entry["name"], entry["scale"]) for entry in entries] == [("rounded_box", 1.0), ("rounded_box", 1.1)]
     assert entries[0]["mesh"] != entries[1]["mesh"]
     assert len(Sources().load_from(Path("out"), 0, print).groups) == 3
-    for bottle, message in (("bottle", ""), ("mug", "allegro_bottle.npz.*'bottle'")):
+    for bottle, named in (("bottle", ()), ("mug", ("allegro_bottle.npz", "'bottle'"))):
         Path("objects.toml").write_text(f'rounded_box = "rounded_box"\nbottle = "{bottle}"\n')
-        with pytest.raises(GraspFileError, match=message) if message else nullcontext():
+        with refusals.refused(GraspFileError, *named) if named else nullcontext():
             Sources(objects=Path("objects.toml")).load_from(Path("out"), 0, print)
 
 

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from gripper import around, ball, gripper
+from refusals import assert_names, refused
 
 from grasp_refine.assets import resource_dir
 from grasp_refine.commands.recording import Recording
@@ -54,10 +55,8 @@ def test_each_grasp_has_its_files(world: World, group: Group, tmp_path: Path) ->
     lines = recorded(Recording(tmp_path, direction="+x"), group, world, tmp_path)
     stems = [f"gripper_ball_{number}_+x" for number in (2, 3)]
     assert names(tmp_path) == [f"{stem}{ending}" for stem in stems for ending in (".npz", ".xml")]
-    assert lines == [
-        f"ball {number}: +x held, recorded in {tmp_path / stem}.npz, .xml"
-        for number, stem in zip((2, 3), stems, strict=True)
-    ]
+    for number, stem, line in zip((2, 3), stems, lines, strict=True):
+        assert_names(line, f"ball {number}: +x held", f"{tmp_path / stem}.npz, .xml")
 
 
 def test_a_model_stays_at_the_pregrasp_until_it_is_told_to_close(world: World, group: Group, tmp_path: Path) -> None:
@@ -97,11 +96,9 @@ def test_what_cannot_be_exported_is_said_and_the_rest_is_recorded(
 
     monkeypatch.setattr("grasp_refine.commands.recording.export_xml", refuse)
     lines = recorded(Recording(tmp_path, direction="+x"), group, world, tmp_path)
-    assert lines == [
-        f"ball {number}: +x held, recorded in {tmp_path}/gripper_ball_{number}_+x.npz; "
-        "no XML: tendon t: only fixed tendons are exported"
-        for number in (2, 3)
-    ]
+    for number, line in zip((2, 3), lines, strict=True):
+        assert_names(line, f"ball {number}: +x held", f"{tmp_path}/gripper_ball_{number}_+x.npz;")
+        assert_names(line, "XML", "tendon t: only fixed tendons are exported")
     assert [load_replay(path).reason for path in tmp_path.iterdir()] == ["held", "held"]
 
 
@@ -110,7 +107,7 @@ def test_a_film_that_cannot_be_drawn_is_said_and_the_rest_is_recorded(
 ) -> None:
     monkeypatch.setenv("MUJOCO_GL", "off")
     line, _ = recorded(Recording(tmp_path, direction="+x", film=True), group, world, tmp_path)
-    assert ".npz, .xml; no film: no picture: MUJOCO_GL=off forbids OpenGL" in line
+    assert_names(line, ".npz, .xml;", "film", "MUJOCO_GL=off")
     assert len(names(tmp_path)) == 4
 
 
@@ -118,9 +115,7 @@ def test_a_replay_that_cannot_be_written_is_said(world: World, group: Group, tmp
     (tmp_path / "file").write_text("")
     lines = recorded(Recording(tmp_path, direction="+x"), group, world, tmp_path / "file")
     assert len(lines) == 2
-    assert lines[0].startswith(
-        f"ball 2: +x held, not recorded: {tmp_path}/file/gripper_ball_2_+x.npz: cannot be written"
-    )
+    assert_names(lines[0], "ball 2: +x held", f"{tmp_path}/file/gripper_ball_2_+x.npz")
 
 
 def test_a_trial_that_cannot_start_is_said(world: World, group: Group, tmp_path: Path) -> None:
@@ -129,19 +124,16 @@ def test_a_trial_that_cannot_start_is_said(world: World, group: Group, tmp_path:
     motion = replace(MOTION, q=q)
     trials = simulate(world, motion)
     line, _ = Recording(tmp_path).record(group, world, motion, trials, "gripper", tmp_path)
-    assert line == "ball 2: nothing to record, the trial could not start"
+    assert_names(line, "ball 2")
+    assert names(tmp_path) and not [name for name in names(tmp_path) if "_2_" in name]
 
 
 def test_a_place_that_cannot_be_written_is_found_out_before_the_work(drafts: list[Draft], tmp_path: Path) -> None:
     Recording(tmp_path / "new" / "folder").check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
     assert not names(tmp_path)
     (tmp_path / "file").write_text("")
-    for folder, complaint in (
-        (Path("/proc/x"), "cannot be written"),
-        (tmp_path / "file", "is no folder"),
-        (tmp_path / ("x" * 300), "cannot be written"),
-    ):
-        with pytest.raises(GraspRefineError, match=complaint):
+    for folder in (Path("/proc/x"), tmp_path / "file", tmp_path / ("x" * 300)):
+        with refused(GraspRefineError, folder):
             Recording(folder).check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
 
 
@@ -151,7 +143,7 @@ def test_replays_that_exist_are_kept(drafts: list[Draft], tmp_path: Path, suffix
     there.write_text("kept")
     for direction in ("-y", None):
         recording = Recording(tmp_path, direction=direction, film=suffix == ".gif")
-        with pytest.raises(GraspRefineError, match=f"{there.name}: exists already"):
+        with refused(GraspRefineError, there, "--overwrite"):
             recording.check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
         replace(recording, film=False).check(FORCE_CLOSURE, FILES, drafts, overwrite=True)
     Recording(tmp_path, direction="+y").check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
@@ -159,9 +151,9 @@ def test_replays_that_exist_are_kept(drafts: list[Draft], tmp_path: Path, suffix
 
 def test_only_directions_that_there_are_can_be_recorded(drafts: list[Draft]) -> None:
     Recording(Path("replays"), direction="lift").check(TABLETOP, FILES, drafts, overwrite=False)
-    with pytest.raises(GraspRefineError, match=r"--direction \+x: there are lift"):
+    with refused(GraspRefineError, "--direction +x", "lift"):
         Recording(Path("replays"), direction="+x").check(TABLETOP, FILES, drafts, overwrite=False)
-    with pytest.raises(GraspRefineError, match=r"--direction lift: there are \+x, -x, \+y, -y, \+z, -z"):
+    with refused(GraspRefineError, "--direction lift", "+x, -x, +y, -y, +z, -z"):
         Recording(Path("replays"), direction="lift").check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
 
 

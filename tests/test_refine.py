@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from boxed_example import boxed_example
+from refusals import refused
 
 from grasp_refine.chain import moved
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
@@ -168,8 +169,7 @@ def test_staying_near_shortens_the_movement_and_costs_little(scene: Scene) -> No
 
 def test_what_is_prepared_for_another_object_is_refused(scene: Scene) -> None:
     ball = load_object("sphere:0.05", candidates=64)
-    complaint = "^what is prepared for allegro and sphere:0.05 is not for the scene's allegro and rounded_box$"
-    with pytest.raises(GraspRefineError, match=complaint):
+    with refused(GraspRefineError, "allegro", "sphere:0.05", "rounded_box"):
         refine(scene, prepared=HandObject(scene.hand, ball))
 
 
@@ -278,7 +278,7 @@ def test_targets_off_the_surface_are_named_as_such(aimed: Scene) -> None:
     config = Config(solver=LevenbergMarquardt(iterations=60))
     found = refine(replace(aimed, target_object=on_object, target_link=on_link), config)
     np.testing.assert_array_equal(found.status[:2], [Status.UNREACHABLE, Status.UNREACHABLE])
-    assert (found.status[2:] != Status.UNREACHABLE).all() and "check frames and scale" in Status.UNREACHABLE.advice
+    assert (found.status[2:] != Status.UNREACHABLE).all()
     # What they ask for is approached all the same.
     assert (found.loss[:2, 1] < found.loss[:2, 0]).all() and (found.loss[:2, 1] > 1e-6).all()
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import assert_names, refused
 from rich.console import Console, RenderableType
 from rich.console import Group as RichGroup
 
@@ -130,29 +132,39 @@ def text(
 
 def test_the_table_speaks_millimetres_and_degrees():
     lines = text(made_up(3))
-    assert lines[0].startswith("claw on mug: 3 grasps")
+    assert_names(lines[0], "claw", "mug", "3 grasps")
     (row,) = [line for line in lines if line.split()[:1] == ["2"]]
     assert " ".join(row.split()) == "2 20.00 → 2.00 2.00 → 0.10 4.0 5.0 6.0 0.400 → 0.970 should hold"
     (median,) = [line for line in lines if line.startswith("median")]
     assert " ".join(median.split()) == "median 10.00 → 1.00 2.00 → 0.10 4.0 5.0 6.0 0.400 → 0.970"
-    assert lines[-7:] == [
-        f"quality {BAR} (an estimate): 0 → 3 of 3; --validate simulates",
-        "3 of 3 grasps converged",
-        "wrench residual fell in 3 of 3 grasps with any; mean 0.200 → 0.050",
-        "contact error fell in 2 of 2 grasps with any; mean 10.000 → 1.000 mm",
-        "penetration fell in 3 of 3 grasps with any; mean 2.000 → 0.100 mm",
-        "self-penetration fell in 3 of 3 grasps with any; mean 1.000 → 0.000 mm",
-        "a grasp took 2 / 2 starts, 123 / 123 iterations, 0.25 s / 0.25 s (median / most)",
-    ]
+    for line, named in zip(
+        lines[-7:],
+        (
+            (f"quality {BAR}", "0 → 3 of 3", "--validate"),
+            ("3 of 3", "converged"),
+            ("wrench residual", "3 of 3", "mean 0.200 → 0.050"),
+            ("contact error", "2 of 2", "mean 10.000 → 1.000 mm"),
+            ("penetration", "3 of 3", "mean 2.000 → 0.100 mm"),
+            ("self-penetration", "3 of 3", "mean 1.000 → 0.000 mm"),
+            ("2 / 2 starts", "123 / 123 iterations", "0.25 s / 0.25 s"),
+        ),
+        strict=True,
+    ):
+        assert_names(line, *named)
 
 
 def test_a_measure_that_fell_nowhere_is_not_called_less():
     outcome = made_up(3)
     worse = replace(outcome, penetration=outcome.penetration[:, ::-1].copy())
-    (line,) = [line for line in text(worse) if line.startswith("penetration") and "mean" in line]
-    assert "rose in 3 of 3" in line and "fell" not in line
+
+    def told(outcome: Outcome) -> str:
+        (line,) = [line for line in text(outcome) if line.startswith("penetration") and "mean" in line]
+        return line
+
+    way, back = (told(one).partition("3 of 3")[0] for one in (outcome, worse))
+    assert way != back and "3 of 3" in told(outcome) and "3 of 3" in told(worse)
     mixed = replace(outcome, penetration=np.array([[2e-3, 1e-3], [1e-3, 2e-3], [1e-3, 1e-3]]))
-    assert any(line.startswith("penetration fell in 1 and rose in 1 of 3 grasps") for line in text(mixed))
+    assert re.search(r"\b1\b.* 1 of 3\b", told(mixed))
 
 
 def test_what_the_verdict_is_depends_on_what_was_wanted():
@@ -169,7 +181,8 @@ def test_what_the_verdict_is_depends_on_what_was_wanted():
     assert last["holds"] == ["should hold", "may slip", "should hold"]
     assert last["geometry"] == last["targets"] == ["0.970 converged", "0.900 stalled", "0.970 stalled"]
     assert any(line.startswith(f"quality {BAR}") and "0 → 2 of 3" in line for line in text(aimed(outcome)))
-    assert "a grasp took 123 / 123 iterations, 0.25 s / 0.25 s (median / most)" in text(aimed(outcome))
+    assert_names(text(aimed(outcome))[-1], "123 / 123 iterations", "0.25 s / 0.25 s")
+    assert "starts" not in text(aimed(outcome))[-1]
 
 
 def test_what_can_be_done_about_grasps_that_may_slip():
@@ -177,22 +190,28 @@ def test_what_can_be_done_about_grasps_that_may_slip():
         (line,) = [line for line in text(outcome, config, width=200) if "may slip (2)" in line]
         return line.partition(": ")[2]
 
-    assert said(Config()) == "try more --starts, or other grasps"
+    def options(advice: str) -> list[str]:
+        return re.findall(r"--[a-z-]+", advice)
+
+    assert options(said(Config())) == ["--starts"]
     bounded = Config(max_move=MaxMove(joints=0.1), seconds=2.0)
-    assert said(bounded) == "try more --starts, a wider --max-move, more --seconds, or other grasps"
-    assert said(GEOMETRY).startswith("only their geometry was refined")
-    assert said(Config(solver=Descent())).endswith("with --solver levenberg-marquardt only, descent cannot")
-    assert said(Config(), aimed(with_quality(made_up(3), g2=0.9))).startswith("links touch where the targets say")
+    assert options(said(bounded)) == ["--starts", "--max-move", "--seconds"]
+    assert said(GEOMETRY) and not options(said(GEOMETRY))
+    assert_names(said(Config(solver=Descent())), "--solver levenberg-marquardt", "descent")
+    advice = said(Config(), aimed(with_quality(made_up(3), g2=0.9)))
+    assert "targets" in advice and not options(advice)
 
 
 def test_the_iterations_of_a_stage_are_not_the_users():
     """They end a start; raising --iterations would do nothing."""
     outcome = with_status(made_up(2), g1=Status.BUDGET)
-    assert status_advice(Status.BUDGET, outcome, Config()).endswith("refine the result again")
+    own = status_advice(Status.BUDGET, outcome, Config())
+    assert own != Status.BUDGET.advice and "--" not in own
     assert "--seconds" in status_advice(Status.BUDGET, outcome, Config(seconds=1.0))
     bounded = Config(max_move=MaxMove(translation=0.0))
     assert status_advice(Status.STALLED, outcome, bounded).startswith(Status.STALLED.advice)
-    assert status_advice(Status.STALLED, outcome, bounded).endswith("it may be --max-move that stops it")
+    assert "--max-move" in status_advice(Status.STALLED, outcome, bounded)
+    assert "--max-move" not in Status.STALLED.advice
     for few in (Config(solver=LevenbergMarquardt(iterations=5)), GEOMETRY):
         assert status_advice(Status.BUDGET, outcome, few) == Status.BUDGET.advice
 
@@ -202,15 +221,23 @@ def test_a_quality_that_is_not_known_is_not_good():
     assert good.tolist() == [False, False, True, True, False]
 
 
+def counts(line: str) -> list[int]:
+    """The numbers of a line after its title."""
+    return [int(number) for number in re.findall(r"\d+", line.rpartition(": ")[2])]
+
+
 def test_quality_is_told_against_simulation():
     good, held = np.array([True, True, False, False, False]), np.array([True, False, True, True, False])
     agreement = Agreement.of(good, held)
     assert agreement == Agreement(good=2, good_held=1, others=3, others_held=2)
     assert agreement + Agreement.of(good[:2], held[:2]) == Agreement(4, 2, 3, 2)
-    assert "2 of 5, 1 of which did not hold; 2 of the 3 others held" in agreement.line().plain
-    assert Agreement.of(good[2:], held[2:]).line().plain.endswith(": 0 of 3; 2 of the 3 others held")
-    assert Agreement.of(good[:1], held[:1]).line().plain.endswith(": 1 of 1, which held")
-    assert Agreement.of(good[1:3], held[1:3]).line().plain.endswith("did not hold; the other held")
+    assert counts(agreement.line().plain) == [2, 5, 1, 2, 3], "of 5, 2 are good, 1 failed; 2 of 3 others held"
+    assert counts(Agreement.of(good[2:], held[2:]).line().plain) == [0, 3, 2, 3]
+    # Of one grasp, words say whether it held.
+    one_of_one = [Agreement.of(good[:1], np.array([it])).line().plain for it in (True, False)]
+    assert [counts(line) for line in one_of_one] == [[1, 1], [1, 1]] and len(set(one_of_one)) == 2
+    both = [Agreement.of(good[1:3], np.array([False, it])).line().plain for it in (True, False)]
+    assert [counts(line) for line in both] == [[1, 2], [1, 2]] and len(set(both)) == 2
 
 
 def simulated(*pairs: tuple[bool, bool]) -> Proof:
@@ -238,12 +265,10 @@ def test_where_grasps_were_simulated_this_is_told_first_and_before_as_well_as_af
         ["yes", "→", "yes"], ["no", "→", "yes"], ["yes", "→", "no"], ["no", "→", "no"]
     ]  # fmt: skip
     verdict = lines[lines.index("", 3) + 1 :]
-    assert verdict[0] == "held in simulation (force-closure): 2 → 2 of 4; gained 1, lost 1"
-    assert verdict[2].startswith("before") and verdict[2].endswith(": 0 of 4; 2 of the 4 others held")
-    assert verdict[3].startswith("after") and verdict[3].endswith(
-        "3 of 4, 1 of which did not hold; the other did not hold"
-    )
-    assert verdict[4].startswith("1 did not hold") and "(3)" in verdict[4], "more starts help where quality is low"
+    assert_names(verdict[0], "(force-closure)", "2 → 2 of 4", "gained 1", "lost 1")
+    assert verdict[2].startswith("before") and counts(verdict[2]) == [0, 4, 2, 4]
+    assert verdict[3].startswith("after") and counts(verdict[3]) == [3, 4, 1]
+    assert_names(verdict[4], "1 ", "(3)", "--starts")
     assert max(map(len, text(outcome, proof=proof))) <= 80
 
 
@@ -266,7 +291,7 @@ def test_the_table_loses_nothing_at_80_columns(width: int):
 
 def test_each_status_comes_with_its_advice():
     lines = text(with_status(made_up(4), g1=Status.BUDGET, g2=Status.BUDGET, g3=Status.NO_TARGET), width=100)
-    assert "1 of 4 grasps converged" in lines
+    assert any("1 of 4" in line and "converged" in line for line in lines)
     assert f"1 no target (3): {Status.NO_TARGET.advice}" in lines
     many = with_status(made_up(20), **{f"g{i}": Status.BUDGET for i in range(13)})
     assert f"13 budget: {Status.BUDGET.advice}" in text(many, GEOMETRY, width=100)
@@ -283,23 +308,19 @@ def test_of_many_grasps_the_worst_are_listed():
     # Made to hold, the worst are those that are likeliest to slip.
     outcome = with_quality(outcome, **{f"g{i}": 0.5 + 0.01 * i for i in range(10, 25)})
     assert listed(outcome, Config()) == ["7", *(str(i) for i in range(10, 19))]
-    assert "41 grasps, the worst 10 (--verbose: all)" in text(outcome)[0]
-    shown = [
-        line for line in text(outcome, verbose=True) if "→" in line and "fell" not in line and "estimate)" not in line
-    ]
-    assert len(shown) == 41 + 2
-    assert (
-        len([line for line in text(made_up(40)) if "→" in line and "fell" not in line and "estimate)" not in line])
-        == 40 + 2
-    )
+    assert_names(text(outcome)[0], "41 grasps", "10", "--verbose")
+    for lines, count in ((text(outcome, verbose=True), 41), (text(made_up(40)), 40)):
+        assert sum("→" in line and line.split()[0].isdigit() for line in lines) == count
 
 
 def test_each_object_has_its_table_and_all_have_one():
     lines = text(made_up(5, ("mug", "[bold]can")))
-    titles = [line.strip() for line in lines if "grasps" in line and "with any" not in line]
-    assert titles == [
-        "claw on mug: 3 grasps", "claw on [bold]can: 2 grasps", "all 2 objects: 5 grasps", "5 of 5 grasps converged"
-    ]  # fmt: skip
+    titles = [line.strip() for line in lines if re.search(r": \d grasps$", line.strip())]
+    for title, named in zip(
+        titles, (("claw", "mug", "3 grasps"), ("claw", "[bold]can", "2 grasps"), ("2 objects", "5 grasps")), strict=True
+    ):
+        assert_names(title, *named)
+    assert any("5 of 5" in line and "converged" in line for line in lines)
 
 
 def test_what_there_is_none_of_is_a_dash():
@@ -393,7 +414,7 @@ def test_a_document_has_si_units_and_null_for_nan():
     }  # fmt: skip
     first, second = read["grasps"]
     assert (first["index"], first["row"], first["status"], first["starts"]) == (0, 100, "converged", 2)
-    assert first["advice"] == "may slip: try more --starts, or other grasps"
+    assert "may slip" in first["advice"] and "--starts" in first["advice"]
     assert second["advice"] == Status.NO_TARGET.advice
     assert first["quality"] == {"before": 0.4, "after": 0.9} and second["quality"] == {"before": 0.97, "after": None}
     assert second["contact_error_m"] == {
@@ -423,7 +444,7 @@ def test_json_appears_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.Mo
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", fail)
-    with pytest.raises(GraspRefineError, match="report.json: cannot be written .No space left on device"):
+    with refused(GraspRefineError, path, "No space left on device"):
         save_json(path, {"x": 2})
     assert json.loads(path.read_text()) == {"x": 1}
     assert list(path.parent.iterdir()) == [path]
@@ -449,14 +470,14 @@ def test_unwritable_places_are_found_out_before_the_work(tmp_path: Path):
     for inside in (tmp_path / "new", tmp_path / "new" / "folder"):
         check_writable(file, deep, overwrite=False, inside=inside)
     assert list(tmp_path.iterdir()) == []
-    with pytest.raises(GraspRefineError, match=f"no folder {deep.parent}"):
+    with refused(GraspRefineError, deep.parent):
         check_writable(deep, overwrite=True, inside=tmp_path / "other")
-    with pytest.raises(GraspRefineError, match="is a folder"):
+    with refused(GraspRefineError, tmp_path):
         check_writable(tmp_path, overwrite=True)
     file.write_text("")
-    with pytest.raises(GraspRefineError, match="is no folder"):
+    with refused(GraspRefineError, file / "other"):
         check_writable(file / "other", overwrite=True)
-    with pytest.raises(GraspRefineError, match="file: is to be written twice"):
+    with refused(GraspRefineError, "file:"):
         check_writable(file, tmp_path / "new" / ".." / "file", overwrite=True, inside=tmp_path)
 
 
@@ -466,7 +487,7 @@ def test_files_that_exist_are_kept_unless_asked(tmp_path: Path):
     link.symlink_to(file)
     os.mkfifo(pipe)
     for path in (file, link):
-        with pytest.raises(GraspRefineError, match=f"{path}: exists already.*--overwrite"):
+        with refused(GraspRefineError, path, "--overwrite"):
             check_writable(path, overwrite=False)
         check_writable(path, overwrite=True)
     for device in (pipe, Path("/dev/stdout"), Path("/dev/null")):
@@ -492,15 +513,14 @@ def test_progress_is_single_lines_without_a_terminal():
         progress = reporter.group("mug", 3)
         progress(0, 1, 1e-4)
         progress(3, 2, 0.0)
-    assert stream.getvalue().splitlines() == [
-        "note: a line that is longer than the console is wide, kept in one piece",
-        "refining 3 grasps with claw, at most 100 iterations",
-    ]
+    note, line = stream.getvalue().splitlines()
+    assert note == "note: a line that is longer than the console is wide, kept in one piece"
+    assert_names(line, "3 grasps", "claw", "100 iterations")
     stream.truncate(0)
     with Reporter(Console(file=stream, width=40)) as reporter:
         reporter.wait("sampling")
         reporter.start("claw", 1, 100, starts=1)
-    assert stream.getvalue().strip("\0") == "refining 1 grasp with claw, at most 1 start\n"
+    assert re.search(r"\b1 grasp\b.*\bclaw\b.*\b1 start\n$", stream.getvalue())
 
 
 def test_progress_is_a_bar_in_a_terminal():
@@ -510,8 +530,8 @@ def test_progress_is_a_bar_in_a_terminal():
         reporter.group("mug", 2)(2, 10, 1e-4)
         reporter.group("can", 2)(1, 20, 2.5e-5)
         reporter._bar.refresh()
-    assert "refining can" in stream.getvalue()
-    assert "3/4 done, iteration 20, mean loss 2.5e-05 m²" in stream.getvalue()
+    for named in ("can", "3/4", "iteration 20", "2.5e-05 m²"):
+        assert named in stream.getvalue()
 
 
 def test_the_bar_counts_good_grasps_where_they_are_made_to_hold():
@@ -527,7 +547,8 @@ def test_the_bar_counts_good_grasps_where_they_are_made_to_hold():
         reporter._bar.refresh()
     # The bar never goes back, and is never full before all are.
     assert done == sorted(done) and done[0] > 0 and done[-1] <= 4
-    assert "sampling grasps of claw" in stream.getvalue() and "3/4 good, iteration 260" in stream.getvalue()
+    assert "sampling grasps of claw" in stream.getvalue() and "3/4 good" in stream.getvalue()
+    assert "iteration 260" in stream.getvalue()
 
 
 def test_requirements_are_those_of_the_project():

@@ -40,7 +40,7 @@ def test_sound_files_are_read(name: str, tmp_path: Path, monkeypatch: pytest.Mon
             refused[file] = str(error)
     # One file of grasps names a scene that is not there.
     assert set(refused) == ({"beside.npy"} if name == "foreign" else set())
-    assert all("scene file ../outside/scene.npy, which is not there" in said for said in refused.values())
+    assert all("../outside/scene.npy" in said for said in refused.values())
 
 
 @pytest.mark.parametrize("name", READERS)

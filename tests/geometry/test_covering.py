@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from refusals import assert_names, refused
 
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry import covering as module
@@ -47,7 +48,7 @@ def test_a_concave_body_is_cut(clamp: trimesh.Trimesh) -> None:
     assert found.hull_stands_out == pytest.approx(0.02, rel=0.06)
     assert 3 <= len(found.pieces) <= 5
     assert found.stands_out <= 5e-3
-    assert [line.split(" (")[0] for line in lines[:1]] == ["decomposing clamp.stl"]
+    assert "clamp.stl" in lines[0]
     check_covered(found, clamp)
 
 
@@ -103,12 +104,12 @@ def test_where_cutting_fails_the_hull_of_the_body_stays(
     found = covering(clamp, 5e-3, name="clamp.stl")
     assert len(found.pieces) == 1
     assert found.stands_out == found.hull_stands_out > 0.019
-    assert found.trouble == "clamp.stl: CoACD ended without a result (exit code 1)"
+    assert_names(found.trouble, "clamp.stl", "CoACD", "exit code 1")
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, np.nan])
 def test_a_limit_that_is_none_is_refused(clamp: trimesh.Trimesh, limit: float) -> None:
-    with pytest.raises(MeshError, match=f"by a limit above 0 m only, got {limit:g} m"):
+    with refused(MeshError, f"{limit:g} m"):
         covering(clamp, limit)
 
 

@@ -6,6 +6,7 @@ import logging
 import numpy as np
 import pytest
 import trimesh
+from refusals import assert_names, refused
 
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry.mesh import FlatMeshError, check_mesh, is_convex, load_mesh, quietly, watertight
@@ -78,47 +79,48 @@ def write(path, text):
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "reason"),
+    ("name", "text", "kind", "named"),
     [
-        ("a.obj", None, "a.obj: no such mesh file"),
-        ("a.xyz", None, r"unknown mesh type '.xyz', use one of .obj, .stl, .ply, .glb, .off"),
-        ("a", None, "unknown mesh type ''"),
-        ("a.obj", "", "a.obj: "),
-        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "a.obj: "),
-        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "at least 4 points"),
-        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n", "flat"),
+        ("a.obj", None, MeshError, ()),
+        ("a.xyz", None, MeshError, ("'.xyz'", ".obj, .stl, .ply, .glb, .off")),
+        ("a", None, MeshError, ("''", ".obj, .stl, .ply, .glb, .off")),
+        ("a.obj", "", MeshError, ()),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", MeshError, ()),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", FlatMeshError, ("4 points", "(3, 3)")),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n", FlatMeshError, ("1e-06",)),
         (
             "a.obj",
             "v 0 0 0\nv 1 0 0\nv 0 1 0\nv nan 1 1\nf 1 2 3\nf 2 4 3\n",
-            "1 of its 4 vertices are not finite",
+            MeshError,
+            ("1 of its 4 vertices",),
         ),
-        ("a.off", "OFF\n4 1 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 9\n", "a.off: "),
-        ("a.stl", "solid nothing\nendsolid\n", "a.stl: "),
-        ("a.glb", "glTF but not really", "a.glb: cannot be read as a mesh"),
+        ("a.off", "OFF\n4 1 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 9\n", MeshError, ()),
+        ("a.stl", "solid nothing\nendsolid\n", MeshError, ()),
+        ("a.glb", "glTF but not really", MeshError, ()),
     ],
 )
-def test_files_that_hold_no_solid_are_refused(tmp_path, name, text, reason):
+def test_files_that_hold_no_solid_are_refused(tmp_path, name, text, kind, named):
     if text is not None:
         write(tmp_path / name, text)
-    with pytest.raises(MeshError, match=reason):
+    with refused(kind, tmp_path / name, *named):
         load_mesh(tmp_path / name)
 
 
 @pytest.mark.parametrize("scale", [0, -1, np.nan, np.inf])
 def test_the_scale_must_be_positive_and_finite(tmp_path, scale):
     cube().export(tmp_path / "cube.obj")
-    with pytest.raises(MeshError, match="the scale must be positive and finite"):
+    with refused(MeshError, tmp_path / "cube.obj", "scale", f"{scale:g}"):
         load_mesh(tmp_path / "cube.obj", scale)
 
 
 def test_check_names_the_mesh_and_the_fault():
-    with pytest.raises(MeshError, match="thing: empty"):
+    with refused(MeshError, "thing", "faces"):
         check_mesh(trimesh.Trimesh(cube().vertices, np.zeros((0, 3), int), process=False), "thing")
     beyond = trimesh.Trimesh(cube().vertices, cube().faces, process=False)
     beyond.faces = beyond.faces + 1
-    with pytest.raises(MeshError, match="thing: its faces refer to vertices beyond the 8"):
+    with refused(MeshError, "thing", "8"):
         check_mesh(beyond, "thing")
-    with pytest.raises(MeshError, match="thing: flat"):
+    with refused(FlatMeshError, "thing", "1e-06"):
         check_mesh(cube(size=[1, 1, 1e-7]), "thing")
     check_mesh(cube(size=[1, 1, 1e-5]), "thing")
 
@@ -132,10 +134,10 @@ def test_a_closed_mesh_is_left_alone():
 def test_an_inverted_mesh_is_turned_over():
     mesh = cube()
     mesh.invert()
-    closed, notes = watertight(mesh, "cube")
+    closed, (note,) = watertight(mesh, "cube")
     assert closed.volume == pytest.approx(1)
     assert mesh.volume == pytest.approx(-1)
-    assert notes == ("cube: was inside out; its faces are turned over",)
+    assert_names(note, "cube")
 
 
 def test_small_holes_twisted_and_doubled_faces_are_repaired():
@@ -144,15 +146,15 @@ def test_small_holes_twisted_and_doubled_faces_are_repaired():
     doubled = cube()
     doubled = trimesh.Trimesh(doubled.vertices, np.concatenate([doubled.faces, doubled.faces[:1]]), process=False)
     for mesh in (without(cube(), 5), twisted, doubled):
-        closed, notes = watertight(mesh, "cube")
+        closed, (note,) = watertight(mesh, "cube")
         assert closed.is_volume and closed.volume == pytest.approx(1)
-        assert len(notes) == 1 and notes[0].startswith("cube: repaired to be watertight (")
+        assert_names(note, "cube")
 
 
 def test_a_large_hole_is_refused_with_advice():
     pot = trimesh.creation.cylinder(1, 2, sections=24)
     open_pot = without(pot, *np.flatnonzero(pot.face_normals[:, 2] > 0.9))
-    with pytest.raises(MeshError, match="pot: not watertight, 24 edges stay open .* close its holes in a"):
+    with refused(MeshError, "pot", "24 edges"):
         watertight(open_pot, "pot")
 
 
@@ -160,7 +162,7 @@ def test_a_sheet_folded_onto_itself_is_refused():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     folded = trimesh.Trimesh(vertices, np.concatenate([faces, faces[:, ::-1]]), process=False)
-    with pytest.raises(MeshError, match="folded: (its surface encloses no volume|not watertight)"):
+    with refused(MeshError, "folded"):
         watertight(folded, "folded")
 
 
@@ -201,10 +203,10 @@ def test_all_shared_objects_load_and_are_closed(shared_assets):
 def test_a_broken_file_is_told_once_and_without_warnings(tmp_path, capfd):
     """The reader's own words about it would stand beside ours on the screen."""
     (tmp_path / "a.stl").write_bytes(b"x" * 80 + (10**6).to_bytes(4, "little") + bytes(50))
-    with pytest.raises(MeshError, match="a.stl: empty, it has no faces"):
+    with refused(MeshError, tmp_path / "a.stl", "faces"):
         load_mesh(tmp_path / "a.stl")
     write(tmp_path / "b.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1e300\n")
-    with pytest.raises(MeshError, match="b.ply: "):
+    with refused(MeshError, tmp_path / "b.ply"):
         load_mesh(tmp_path / "b.ply")
     assert capfd.readouterr() == ("", "")
 
@@ -224,14 +226,17 @@ def test_the_hull_of_an_open_mesh_does_not_depend_on_the_size(size):
     assert len(closed.vertices) == 8 and np.ptp(closed.vertices) == pytest.approx(np.ptp(cube().vertices) * size)
 
 
-@pytest.mark.parametrize(("size", "kind"), [(1e-20, FlatMeshError), (1e20, MeshError), (1e300, MeshError)])
-def test_sizes_that_no_solid_has(size, kind):
-    with pytest.raises(kind, match="which no solid has"):
+@pytest.mark.parametrize(
+    ("size", "kind", "diagonal"),
+    [(1e-20, FlatMeshError, "1.73205e-20 m"), (1e20, MeshError, "1.73205e+20 m"), (1e300, MeshError, "inf m")],
+)
+def test_sizes_that_no_solid_has(size, kind, diagonal):
+    with refused(kind, "cube", diagonal):
         check_mesh(trimesh.Trimesh(cube().vertices * size, cube().faces, process=False), "cube")
 
 
 def test_a_name_that_is_too_long_is_no_mesh(tmp_path):
-    with pytest.raises(MeshError, match="no such mesh file"):
+    with refused(MeshError, f"{'a' * 300}.obj"):
         load_mesh(tmp_path / f"{'a' * 300}.obj")
 
 
@@ -239,5 +244,5 @@ def test_mending_a_sheet_says_nothing_in_the_words_of_others():
     """trimesh divides by its volume, which is none."""
     square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
     sheet = trimesh.Trimesh(square, [[1, 2, 3], [2, 0, 1], [0, 3, 1]], process=False)
-    with pytest.raises(MeshError, match="encloses no volume"):  # and warnings are errors
+    with refused(MeshError, "sheet", "volume"):  # and warnings are errors
         watertight(sheet, "sheet")

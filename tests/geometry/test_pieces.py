@@ -7,11 +7,13 @@ from importlib.metadata import version
 import numpy as np
 import pytest
 import trimesh
+from refusals import assert_names, refused
 
 from grasp_refine.errors import MeshError
 from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry import pieces as pieces_module
 from grasp_refine.geometry.cache import default_cache
+from grasp_refine.geometry.mesh import FlatMeshError
 from grasp_refine.geometry.pieces import (
     SHIPPED,
     Decomposition,
@@ -69,26 +71,26 @@ def test_hull_supports_its_points_and_faces_outward(size, seed):
 
 
 @pytest.mark.parametrize(
-    ("points", "reason"),
+    ("points", "kind", "named"),
     [
-        (np.eye(3), "at least 4 points"),
-        (np.zeros((5, 2)), "at least 4 points"),
-        (np.full((6, 3), 0.2), "its diagonal is 0 m"),
-        (np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, np.nan]]), "1 of its 4 vertices are not finite"),
-        (np.array([[0, 0, 0], [1, 0, 0], [0, np.inf, 0], [0, 0, 1]]), "1 of its 4 vertices are not finite"),
-        (np.outer(np.arange(6), [1.0, 2.0, 3.0]), "flat"),
-        (np.random.default_rng(0).random((20, 3)) * [1, 1, 0], "flat"),
-        (np.random.default_rng(0).random((20, 3)) * [1, 1, 1e-8], "flat"),
+        (np.eye(3), FlatMeshError, ("4 points", "(3, 3)")),
+        (np.zeros((5, 2)), FlatMeshError, ("4 points", "(5, 2)")),
+        (np.full((6, 3), 0.2), FlatMeshError, ("0 m",)),
+        (np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, np.nan]]), MeshError, ("1 of its 4 vertices",)),
+        (np.array([[0, 0, 0], [1, 0, 0], [0, np.inf, 0], [0, 0, 1]]), MeshError, ("1 of its 4 vertices",)),
+        (np.outer(np.arange(6), [1.0, 2.0, 3.0]), FlatMeshError, ("1e-06",)),
+        (np.random.default_rng(0).random((20, 3)) * [1, 1, 0], FlatMeshError, ("1e-06",)),
+        (np.random.default_rng(0).random((20, 3)) * [1, 1, 1e-8], FlatMeshError, ("1e-06",)),
     ],
 )
-def test_hull_refuses_what_has_no_volume(points, reason):
-    with pytest.raises(MeshError, match=f"link finger: .*{reason}"):
+def test_hull_refuses_what_has_no_volume(points, kind, named):
+    with refused(kind, "link finger", *named):
         hull(points, name="link finger")
 
 
 def test_hull_refuses_a_sheet_in_any_orientation():
     sheet = np.random.default_rng(0).random((50, 3)) * [1, 1, 0] @ pose(3)[:3, :3].T
-    with pytest.raises(MeshError, match="flat"):
+    with refused(FlatMeshError, "1e-06"):
         hull(sheet)
 
 
@@ -133,19 +135,19 @@ def test_transformed_moves_the_support_points():
 
 
 @pytest.mark.parametrize(
-    ("make", "reason"),
+    ("make", "named"),
     [
-        (lambda: sphere(0), "sphere: radius must be positive and finite, got 0.0"),
-        (lambda: sphere(np.nan), "sphere: radius must be positive"),
-        (lambda: sphere(1, [0, np.inf, 0]), "sphere: its centre or an end is not finite"),
-        (lambda: capsule(-1, [0, 0, 0], [0, 0, 1]), "capsule: radius must be positive"),
-        (lambda: box([1, 0, 1]), "box: side lengths must be positive"),
-        (lambda: cylinder(1, np.inf), "cylinder: radius and length must be positive"),
-        (lambda: cylinder(1, 1, sides=2), "at least 3 sides are needed, got 2"),
+        (lambda: sphere(0), ("sphere", "radius", "0.0")),
+        (lambda: sphere(np.nan), ("sphere", "radius", "nan")),
+        (lambda: sphere(1, [0, np.inf, 0]), ("sphere", "centre")),
+        (lambda: capsule(-1, [0, 0, 0], [0, 0, 1]), ("capsule", "radius", "-1")),
+        (lambda: box([1, 0, 1]), ("box", "0")),
+        (lambda: cylinder(1, np.inf), ("cylinder", "radius", "length", "inf")),
+        (lambda: cylinder(1, 1, sides=2), ("cylinder", "3 sides", "2")),
     ],
 )
-def test_primitives_refuse_sizes_that_make_no_solid(make, reason):
-    with pytest.raises(MeshError, match=reason):
+def test_primitives_refuse_sizes_that_make_no_solid(make, named):
+    with refused(MeshError, *named):
         make()
 
 
@@ -172,8 +174,8 @@ def test_a_bracket_becomes_pieces_that_cover_it(bracket):
     points, _ = trimesh.sample.sample_surface(bracket, 500, seed=0)
     depths = [(points @ piece.planes[0].T - piece.planes[1]).max(1) for piece in pieces]
     assert np.min(depths, axis=0).max() < 1e-4
-    assert lines[0] == f"decomposing bracket ({len(bracket.faces)} faces) with CoACD, threshold 0.05 ..."
-    assert lines[1].startswith(f"bracket: {len(pieces)} convex pieces in ")
+    assert_names(lines[0], "bracket", f"{len(bracket.faces)} faces", "CoACD", "threshold 0.05")
+    assert_names(lines[1], "bracket", f"{len(pieces)} convex pieces")
 
 
 def same(one, other, scale=1.0):
@@ -262,7 +264,7 @@ def test_a_folder_that_cannot_be_written_to_only_costs_the_entry(bracket, tmp_pa
     (tmp_path / "file").write_text("in the way")
     lines = []
     assert convex_pieces(bracket, cache=tmp_path / "file" / "pieces", progress=lines.append)
-    assert "could not be kept for the next time" in lines[-1]
+    assert str(tmp_path / "file") in lines[-1]
 
 
 def test_flat_parts_are_dropped_and_counted(bracket, monkeypatch):
@@ -270,9 +272,9 @@ def test_flat_parts_are_dropped_and_counted(bracket, monkeypatch):
     monkeypatch.setattr(pieces_module, "decompose", lambda *_, **__: [cube * [1, 1, 0], cube])
     lines = []
     assert len(convex_pieces(bracket, progress=lines.append)) == 1
-    assert lines[-1].endswith("1 flat ones dropped")
+    assert "1 flat" in lines[-1]
     monkeypatch.setattr(pieces_module, "decompose", lambda *_, **__: [cube * [1, 1, 0]])
-    with pytest.raises(MeshError, match=r"bracket: CoACD found no solid piece in it \(1 flat ones\)"):
+    with refused(MeshError, "bracket", "CoACD", "1 flat"):
         convex_pieces(bracket, name="bracket")
 
 
@@ -315,7 +317,7 @@ def test_several_meshes_are_cut_at_a_time_and_come_back_in_order(bracket, slow_c
         np.testing.assert_allclose(piece.bounds, mesh.bounds, atol=1e-9)
     assert len(list(tmp_path.iterdir())) == 5
     for n in range(5):
-        assert any(f"{n + 1} of 5 objects" in line for line in lines)
+        assert any(f"{n + 1} of 5" in line for line in lines)
     cut_meshes(meshes, cache=tmp_path)
     assert slow_cuts[1] == 5
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recorded_gripper import Recorded, recorded_gripper
+from refusals import refused
 
 from grasp_refine.errors import GraspFileError, GraspRefineError
 from grasp_refine.npz import load_npz, save_npz
@@ -47,7 +48,7 @@ def test_the_object_moves_and_turns_from_where_it_lay(replay: Replay) -> None:
     np.testing.assert_allclose(moved[:3], [0, 0, 0.5], atol=1e-12)
     np.testing.assert_allclose(turned[:3], [0, 0.4, np.pi], atol=1e-7)
     nameless = replace(replay, qpos_names=("thing x", *replay.qpos_names[1:]))
-    with pytest.raises(GraspRefineError, match="no free joint 'object' among thing x"):
+    with refused(GraspRefineError, "'object'", "thing x"):
         nameless.displacement()
 
 
@@ -85,25 +86,25 @@ def test_thinned_frames_keep_the_ends_of_stages(replay: Replay, count: int) -> N
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "named"),
     [
-        ({"qpos": None}, "not a replay, qpos missing"),
-        ({"schema": 2}, r"replay schema 2 is not known; this version reads 1"),
-        ({"qpos": np.zeros((226, 3))}, r"qpos must be 226 x 18 numbers; it has shape \(226, 3\)"),
-        ({"qvel": np.zeros(226)}, r"qvel must be 226 x any numbers"),
-        ({"time": -np.arange(226.0)}, "time must not fall"),
-        ({"time": np.zeros(0)}, "the replay has no frames"),
-        ({"stage": np.full(226, 9)}, r"stage must be among 0 \(close\)"),
-        ({"force": np.array([1.0, np.nan, 0.0])}, "force must be finite"),
-        ({"hand": 3.0}, "hand must hold text"),
+        ({"qpos": None}, ("qpos",)),
+        ({"schema": 2}, ("schema 2", "1")),
+        ({"qpos": np.zeros((226, 3))}, ("qpos", "226 x 18", "(226, 3)")),
+        ({"qvel": np.zeros(226)}, ("qvel", "226 x ", "(226,)")),
+        ({"time": -np.arange(226.0)}, ("time",)),
+        ({"time": np.zeros(0)}, ("frames",)),
+        ({"stage": np.full(226, 9)}, ("stage", "0 (close)")),
+        ({"force": np.array([1.0, np.nan, 0.0])}, ("force",)),
+        ({"hand": 3.0}, ("hand",)),
     ],
 )
-def test_a_damaged_file_is_refused(replay: Replay, tmp_path: Path, change: dict, message: str) -> None:
+def test_a_damaged_file_is_refused(replay: Replay, tmp_path: Path, change: dict, named: tuple[str, ...]) -> None:
     path = tmp_path / "replay.npz"
     save_replay(path, replay)
     entries = {**load_npz(path).entries, **change}
     save_npz(path, {key: value for key, value in entries.items() if value is not None})
-    with pytest.raises(GraspFileError, match=message) as caught:
+    with refused(GraspFileError, *named) as caught:
         load_replay(path)
     assert str(caught.value).startswith(f"{path}: ")
 
@@ -112,9 +113,9 @@ def test_half_a_file_is_refused(replay: Replay, tmp_path: Path) -> None:
     path = tmp_path / "replay.npz"
     save_replay(path, replay)
     path.write_bytes(path.read_bytes()[:3000])
-    with pytest.raises(GraspFileError):
+    with refused(GraspFileError, path):
         load_replay(path)
-    with pytest.raises(GraspFileError, match="no such"):
+    with refused(GraspFileError, tmp_path / "none.npz"):
         load_replay(tmp_path / "none.npz")
 
 

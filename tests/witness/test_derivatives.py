@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 from twists import (
     contracted,
     layer_gradient,
@@ -327,13 +328,13 @@ def test_single_precision_poses_give_single_precision_results() -> None:
 
 def test_wrong_shapes_are_refused() -> None:
     pairs = Pairs((rounded(0),), (rounded(1),))
-    with pytest.raises(CollisionError, match=r"poses must have shape \(batch, 1, 4, 4\)"):
+    with refused(CollisionError, "(batch, 1, 4, 4)"):
         WitnessLayer(pairs, Distance())(torch.eye(4)[None], torch.eye(4)[None])
 
 
 def test_bodies_with_different_numbers_of_candidates_are_refused() -> None:
     few = build_body("few", [sphere(0.01)], candidates=64)
-    with pytest.raises(CollisionError, match="equally many surface candidates, got 64, 1024"):
+    with refused(CollisionError, "64, 1024"):
         WitnessLayer(Pairs((few,), (rounded(0),)), Distance()).columns(np.array([0]))
 
 

@@ -20,6 +20,7 @@ from grasp_refine.apps.batch.record import (
 )
 from grasp_refine.apps.batch.rows import NEEDED, TEXTS, read_rows
 from grasp_refine.apps.batch.shard import Failed, Shard
+from refusals import refused
 
 from grasp_refine.atomic import written_whole
 from grasp_refine.errors import GraspRefineError
@@ -86,7 +87,7 @@ def test_a_damaged_note_is_none(tmp_path: Path, text: str):
 
 def test_a_note_that_cannot_be_written_is_told(tmp_path: Path):
     (tmp_path / "job").write_text("in the way")
-    with pytest.raises(GraspRefineError, match="cannot be written"):
+    with refused(GraspRefineError, tmp_path / "job"):
         note_failure(shard(tmp_path), Failed(3, "error", "x", "", 1))
 
 
@@ -143,7 +144,7 @@ def test_a_record_too_deep_is_told_by_the_index(tmp_path: Path):
     one.path.parent.mkdir()
     texts = dict.fromkeys(TEXTS, np.array(["x"])) | {"provenance": np.array("[" * 10**5)}
     np.savez(one.path, **(dict.fromkeys(NEEDED, np.zeros(1)) | texts))
-    with pytest.raises(GraspRefineError, match="provenance is no JSON"):
+    with refused(GraspRefineError, one.path, "provenance", "JSON"):
         read_rows(one, tmp_path)
 
 
@@ -164,7 +165,7 @@ def test_a_record_that_no_batch_has_written_is_damaged(tmp_path: Path, provenanc
     one.path.parent.mkdir()
     texts = dict.fromkeys(TEXTS, np.array(["x"])) | {"provenance": np.array(json.dumps(provenance))}
     np.savez(one.path, **(dict.fromkeys(NEEDED, np.zeros(1)) | texts))
-    with pytest.raises(GraspRefineError, match="provenance is damaged; delete the file, and run the batch again"):
+    with refused(GraspRefineError, one.path, "provenance"):
         read_rows(one, tmp_path)
 
 
@@ -173,5 +174,5 @@ def test_a_status_that_is_no_list_is_refused(tmp_path: Path):
     one.path.parent.mkdir()
     texts = dict.fromkeys(TEXTS, np.array("x")) | {"provenance": np.array("{}")}
     np.savez(one.path, **(dict.fromkeys(NEEDED, np.zeros(1)) | texts))
-    with pytest.raises(GraspRefineError, match="status must be a list of names"):
+    with refused(GraspRefineError, one.path, "status"):
         read_rows(one, tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 
@@ -75,7 +76,7 @@ def test_it_opens_at_the_start_of_the_method_that_did_best(shown: AlignmentPage,
     for body, T in zip(shown.scene.bodies, task.start, strict=True):
         np.testing.assert_allclose(pose(body), T, atol=1e-6)
     assert shown.method.value == "levenberg-marquardt"
-    assert "not solved" in shown.where.content and "Iteration 0" in shown.where.content
+    assert 'class="no"' in shown.where.content and " 0</b>" in shown.where.content
 
 
 def test_scrubbing_moves_the_bodies_to_the_recorded_poses(shown: AlignmentPage, visitor: Page, task: AlignmentTask):
@@ -94,7 +95,7 @@ def test_scrubbing_moves_the_bodies_to_the_recorded_poses(shown: AlignmentPage, 
         np.testing.assert_allclose(between, run.witness[iteration], atol=1e-6)
         np.testing.assert_allclose(misses, np.stack([run.witness[iteration], goals], axis=1), atol=1e-6)
         np.testing.assert_array_equal(shown.scene.lines.colors[0, 0], distance_colors(run.distance[[iteration]])[0])
-        assert f"Iteration {iteration}</b> of {run.iteration[-1]}" in shown.where.content
+        assert re.search(rf"\b{iteration}</b>\D+\b{run.iteration[-1]}\b", shown.where.content)
 
 
 def test_at_the_result_body_b_lies_on_body_a_and_the_camera_sees_it_so(shown: AlignmentPage, task: AlignmentTask):
@@ -129,6 +130,7 @@ def test_one_can_go_to_what_the_method_gave_back(shown: AlignmentPage, visitor: 
 
 
 def test_a_run_is_played_to_its_end_and_again(shown: AlignmentPage, visitor: Page, task: AlignmentTask):
+    idle = shown.play.label
     visitor.change(shown.method, shown.method.options[RIGID])
     drawn(shown, method=RIGID)
     # Ten iterations are played for 4 s, so that a busy machine sees it play.
@@ -136,9 +138,9 @@ def test_a_run_is_played_to_its_end_and_again(shown: AlignmentPage, visitor: Pag
     drawn(shown, iteration=10)
     visitor.change(shown.play, True)
     drawn(shown, playing=True)
-    assert shown.play.label == "Stop"
+    assert shown.play.label != idle
     drawn(shown, playing=False, iteration=20)
-    assert shown.play.label == "Play" and shown.slider.value == 20
+    assert shown.play.label == idle and shown.slider.value == 20
     visitor.change(shown.play, True)
     drawn(shown, playing=True)
     assert shown._drawn.iteration < 20
@@ -193,9 +195,10 @@ def test_the_chart_shows_the_errors(shown: AlignmentPage, visitor: Page, task: A
     assert [line[-1] for line in lines] == pytest.approx(
         [max(1e3 * np.sqrt(run.error[run.result]), SMALLEST) for run in task.trajectories]
     )
-    visitor.change(shown.against, "CPU time")
-    drawn(shown, against="CPU time")
-    assert shown.plot.axes[0]["label"] == "CPU time, ms"
+    _, cpu_time = shown.against.options
+    visitor.change(shown.against, cpu_time)
+    drawn(shown, against=cpu_time)
+    assert shown.plot.axes[0]["label"] == f"{cpu_time}, ms"
     assert shown.plot.data[0][-1] == pytest.approx(1e3 * max(run.cpu_s[-1] for run in task.trajectories))
 
 
@@ -207,7 +210,7 @@ def test_two_visitors_see_the_same(server: viser.ViserServer, shown: AlignmentPa
         visitor.change(shown.slider, 12)
         drawn(shown, iteration=12)
         until(lambda: 12 in other.told(shown.slider))
-        assert any("Iteration 12</b>" in text for text in other.told(shown.where, "content"))
+        assert any(" 12</b>" in text for text in other.told(shown.where, "content"))
     finally:
         other.close()
 
@@ -234,17 +237,18 @@ def test_an_iterate_without_witness_points_is_told_and_draws_none(server: viser.
     try:
         page.change(iteration=2)
         drawn(page, iteration=2)
-        assert "no answer" in page.where.content
+        assert " 2</b>" in page.where.content and "<table" not in page.where.content
         assert not page.scene.lines.visible and not any(dot.visible for dot in page.scene.dots)
         page.change(iteration=0)
         drawn(page, iteration=0)
         assert page.scene.lines.visible and all(dot.visible for dot in page.scene.dots)
+        assert "<table" in page.where.content
     finally:
         page.close()
     run.error[:] = np.nan
     assert np.isinf(best_so_far(run)).all()
     assert np.isnan(Chart(lost, "iterations").data(0, 1)[1]).all()
-    assert "no answer" in where(lost, 0, 0)
+    assert "<table" not in where(lost, 0, 0)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,9 @@ import pytest
 from browser import ViserPage, until
 from viewer_process import Viewer
 
+from grasp_refine.solvers.status import Status
+
+CONVERGED = Status.CONVERGED.label.capitalize()
 FINGERTIP = "/grasp/hand/20"
 """The last link of the embedded hand: a tip that should touch."""
 
@@ -56,7 +59,7 @@ def page(viewer: Viewer, open_page: Callable[..., ViserPage]) -> ViserPage:
 def refine(page: ViserPage) -> np.ndarray:
     """Click Start and wait for the end; returns the contact errors in the chart, mm."""
     page.click("Start")
-    page.wait_for_text("Converged after")
+    page.wait_for_text(CONVERGED)
     until(lambda: len(contact_errors(page)) > 20, "a chart of all iterations")
     return contact_errors(page)
 
@@ -67,7 +70,8 @@ def test_hand_and_object_are_seen(viewer: Viewer, page: ViserPage):
     assert orange > 3000 and blue > 3000
     assert page.visible(FINGERTIP) and page.visible("/grasp/object/mesh/0")
     assert not page.visible("/grasp/ghost/20"), "it is where it came"
-    assert viewer.output().strip() == f"{viewer.address} shows it; Ctrl-C ends it"
+    (line,) = viewer.output().strip().splitlines()
+    assert line.startswith(viewer.address)
 
 
 def test_a_click_refines_the_grasp_and_the_plotted_contact_error_falls(page: ViserPage):
@@ -134,7 +138,7 @@ def test_two_pages_see_the_same_and_a_closed_one_stops_nothing(
     came = other.pose(FINGERTIP)
     page.click("Start")
     page.close()
-    other.wait_for_text("Converged after")
+    other.wait_for_text(CONVERGED)
     until(lambda: not np.allclose(other.pose(FINGERTIP), came, atol=1e-3), "the hand that the other page refined")
     assert heading(other).startswith("contact error 0.00 mm")
     assert viewer.process.poll() is None

@@ -8,10 +8,13 @@ from typing import Annotated, Literal
 
 import pytest
 from grasp_refine.apps.viewer.entries import Entry, Section, as_text, docs_of, parts_of, plain, value_of, with_value
+from refusals import refused
 from tyro.conf import Suppress, arg
 
 from grasp_refine.commands.settings import Settings
 from grasp_refine.errors import GraspRefineError
+from grasp_refine.losses import Scales, Weights
+from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
 
 
 def entries(parts: tuple[Entry | Section, ...]) -> dict[str, Entry]:
@@ -44,15 +47,18 @@ def test_what_the_command_line_leaves_out_is_left_out():
 
 
 def test_hints_are_docstrings_with_the_default_that_the_command_line_says():
-    assert SETTINGS["margin"].hint == "Gap in metres that contact links should keep. (default: 0)"
-    assert SETTINGS["iterations"].hint.endswith("15 to 40 anyway. (default: 200; descent, adam: 2000)")
-    assert SETTINGS["adaptive.samples"].hint.endswith("neighbourhood; empty: all of them. (default: 16)")
+    docs = docs_of(Settings)
+    assert SETTINGS["margin"].hint == f"{docs['margin']} (default: 0)"
+    assert SETTINGS["iterations"].hint.endswith(" (default: 200; descent, adam: 2000)")
+    samples = SETTINGS["adaptive.samples"].hint
+    assert samples.endswith(" (default: 16)") and "empty" in samples and "None" not in samples
     # Of a base class, whose subclass has none.
-    assert SETTINGS["levenberg_marquardt.damping"].hint == "lambda at first. (default: 0.01)"
+    damping = docs_of(LevenbergMarquardt)["damping"]
+    assert SETTINGS["levenberg_marquardt.damping"].hint == f"{damping} (default: 0.01)"
     # In one line, after what its folder is about.
-    about = "How much each term of the loss, a sum of squares, counts. Of gaps and of misses of targets"
-    assert SETTINGS["weights.contact"].hint.startswith(about)
-    assert SETTINGS["scales.rotation"].hint.startswith("Which movements count the same, with weights: stay near. Of")
+    assert SETTINGS["weights.contact"].hint.startswith(f"{docs['weights']} {docs_of(Weights)['contact']}")
+    assert SETTINGS["scales.rotation"].hint.startswith(f"{plain(docs['scales'])} {docs_of(Scales)['rotation']}")
+    assert "--weights.stay-near" in docs["scales"] and "weights: stay near" in SETTINGS["scales.rotation"].hint
     assert all(entry.hint for entry in SETTINGS.values())
     assert not any("--" in entry.hint or "\n" in entry.hint for entry in SETTINGS.values())
 
@@ -106,24 +112,24 @@ def test_text_is_read(name: str, text: str, value: object):
 
 
 @pytest.mark.parametrize(
-    "name, text, says",
+    "name, text, named",
     [
-        ("margin", "1 mm", "needs a number, got '1 mm'"),
-        ("margin", "", "needs a number, got ''"),
-        ("iterations", "1.5", "needs a whole number, got '1.5'"),
-        ("max_move", "0.1, 0.2", "needs 3 numbers, as in 0.01,0.1,0.2, got 2"),
-        ("descent.factors", "0.1, x", "needs a number, got 'x'"),
+        ("margin", "1 mm", ("'1 mm'",)),
+        ("margin", "", ("''",)),
+        ("iterations", "1.5", ("'1.5'",)),
+        ("max_move", "0.1, 0.2", ("3", "0.01,0.1,0.2", "2")),
+        ("descent.factors", "0.1, x", ("'x'",)),
     ],
 )
-def test_text_that_is_no_value_is_refused(name: str, text: str, says: str):
-    with pytest.raises(ValueError, match="^" + says.replace("(", r"\(") + "$"):
+def test_text_that_is_no_value_is_refused(name: str, text: str, named: tuple[str, ...]):
+    with refused(ValueError, *named):
         SETTINGS[name].read(text)
 
 
 def test_a_field_inside_another_is_replaced():
     changed = with_value(Settings(), "weights.wrench", 0.5)
     assert changed.weights.wrench == 0.5 and value_of(changed, "weights.contact") == 1.0
-    with pytest.raises(GraspRefineError, match="damping must be above 0, got 0"):
+    with refused(GraspRefineError, "damping", "0"):
         with_value(Settings(), "levenberg_marquardt.damping", 0.0)
 
 
@@ -165,5 +171,5 @@ class Odd:
 
 
 def test_a_type_without_a_widget_is_named():
-    with pytest.raises(TypeError, match="no widget for what: dict"):
+    with refused(TypeError, "what", "dict"):
         parts_of(Odd)

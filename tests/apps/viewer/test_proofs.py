@@ -16,6 +16,7 @@ from grasp_refine.apps.viewer.pose import Pose
 from grasp_refine.apps.viewer.proof_document import read_proofs
 from grasp_refine.apps.viewer.proofs import with_proofs
 from grasp_refine.apps.viewer.proving import Prover, prove
+from refusals import assert_names, refused
 
 from grasp_refine.assets import resource_dir
 from grasp_refine.cli import main
@@ -78,95 +79,97 @@ def test_what_run_wrote_is_of_its_input_before_and_of_its_output_after(folder: P
         simulation = grasp["simulation"]["after"]
         assert [tried.reason.label for tried in after[number].tried] == [d["reason"] for d in simulation["directions"]]
         assert after[number].held == simulation["success"]
-        assert after[number].closed_by == "pregrasp and squeeze are our own"
+        assert_names(after[number].closed_by, "pregrasp", "squeeze")
 
 
 Spoil = Callable[[dict[str, Any]], object]
 
 
 @pytest.mark.parametrize(
-    ("spoil", "message"),
+    ("spoil", "named"),
     [
-        (lambda d: d.update(command="bench align"), "is no document that run or validate wrote with --json"),
-        (lambda d: d.update(schema=99), "schema must be 1, which this version reads, got 99"),
-        (lambda d: d.update(grasps={}), "grasps must be a list, got {}"),
-        (lambda d: d.update(config=None), "config must be an object, got null"),
-        (lambda d: d["grasps"].append(3), r"grasps\[2\] must be an object, got 3"),
-        (lambda d: d["grasps"][0].update(row=-1), r"grasps\[0\].row must be a whole number from 0 on, got -1"),
-        (lambda d: d["grasps"][0].update(object=None), r"grasps\[0\].object must be a text, got null"),
+        (lambda d: d.update(command="bench align"), ("run", "validate", "--json")),
+        (lambda d: d.update(schema=99), ("schema", "1", "99")),
+        (lambda d: d.update(grasps={}), ("grasps", "{}")),
+        (lambda d: d.update(config=None), ("config", "null")),
+        (lambda d: d["grasps"].append(3), ("grasps[2]", "3")),
+        (lambda d: d["grasps"][0].update(row=-1), ("grasps[0].row", "-1")),
+        (lambda d: d["grasps"][0].update(object=None), ("grasps[0].object", "null")),
         (
             lambda d: d["grasps"][0]["simulation"]["after"].update(directions=[]),
-            r"grasps\[0\].simulation.after.directions must be a list with something in it, got \[\]",
+            ("grasps[0].simulation.after.directions", "[]"),
         ),
         (
             lambda d: d["grasps"][0]["simulation"]["after"]["directions"][2].update(reason=["held"]),
-            r"directions\[2\].reason must be among held, moved, .*, got \[\"held\"\]",
+            ("directions[2].reason", "held, moved, ", '["held"]'),
         ),
         (
             lambda d: d["grasps"][1]["simulation"]["after"]["directions"][2].update(direction="up"),
-            r"directions\[2\].direction must be among \+x, .*, lift, got \"up\"",
+            ("directions[2].direction", "+x, ", "lift", '"up"'),
         ),
         (
             lambda d: d["grasps"][1]["simulation"]["after"]["directions"][0].update(peak_m="far"),
-            r"directions\[0\].peak_m must be a number below 1e\+12, or null, got \"far\"",
+            ("directions[0].peak_m", "1e+12", "null", '"far"'),
         ),
-        (lambda d: d["config"]["protocol"].update(mass=0), "config.protocol.mass must be a number above 0, got 0"),
-        (lambda d: d["config"]["protocol"].update(directions=[["+x"]]), "config.protocol.directions must be among"),
+        (lambda d: d["config"]["protocol"].update(mass=0), ("config.protocol.mass", "0")),
+        (lambda d: d["config"]["protocol"].update(directions=[["+x"]]), ("config.protocol.directions", "+x")),
         (
             lambda d: d["config"]["files"][0].update(closing={"pregrasp": "whose"}),
-            "config.files closing must be file or own for pregrasp and squeeze",
+            ("config.files", "file", "own", "pregrasp", "squeeze"),
         ),
         (
             lambda d: (d["config"].update(protocol=None), d["grasps"][0]["simulation"]["after"].update(setting="soft")),
-            'setting must be among force-closure, strict, tabletop, got "soft"',
+            ("setting", "force-closure, strict, tabletop", '"soft"'),
         ),
     ],
 )
-def test_damaged_documents_are_refused_in_one_line(folder: Path, tmp_path: Path, spoil: Spoil, message: str) -> None:
+def test_damaged_documents_are_refused_in_one_line(
+    folder: Path, tmp_path: Path, spoil: Spoil, named: tuple[str, ...]
+) -> None:
     document = json.loads((folder / "validate.json").read_text())
     spoil(document)
     path = tmp_path / "spoilt.json"
     path.write_text(json.dumps(document))
-    with pytest.raises(GraspFileError, match=message) as caught:
+    with refused(GraspFileError, *named) as caught:
         read_proofs(path)
-    assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
+    assert str(caught.value).startswith(f"{path}: ")
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "named"),
     [
-        ("", "is no JSON document"),
-        ("[" * 100_000, "is no JSON document"),
-        ("[1, 2]", r"the document must be an object, got \[1, 2\]"),
-        ("{}", "is no document that run or validate wrote with --json"),
+        ("", ("JSON",)),
+        ("[" * 100_000, ("JSON",)),
+        ("[1, 2]", ("[1, 2]",)),
+        ("{}", ("run", "validate", "--json")),
     ],
 )
-def test_other_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_other_files_are_refused(tmp_path: Path, text: str, named: tuple[str, ...]) -> None:
     path = tmp_path / "other.json"
     path.write_text(text)
-    with pytest.raises(GraspFileError, match=message):
+    with refused(GraspFileError, path, *named):
         read_proofs(path)
-    with pytest.raises(GraspFileError, match="cannot be read"):
+    with refused(GraspFileError, tmp_path / "missing.json"):
         read_proofs(tmp_path / "missing.json")
 
 
 def test_documents_about_other_grasps_are_refused(folder: Path, tmp_path: Path) -> None:
     other = opened(resource_dir("robots") / "allegro" / "example_bottle.npz", 0)
     proofs = read_proofs(folder / "validate.json")
-    with pytest.raises(GraspFileError, match="is about another file than .*example_bottle.npz, or it was changed"):
+    with refused(GraspFileError, folder / "validate.json", "example_bottle.npz"):
         proofs.of(other)
-    with pytest.raises(GraspFileError, match="none of its 2 grasps is among those that are open"):
+    with refused(GraspFileError, folder / "validate.json", "2 grasps"):
         proofs.of(opened(EXAMPLE, 3))
     document = json.loads((folder / "run.json").read_text())
     for grasp in document["grasps"]:
         grasp["quality"]["after"] = 0.25
     (tmp_path / "run.json").write_text(json.dumps(document))
-    with pytest.raises(GraspFileError, match=r"is of another refinement: it says quality 0.25 of mug 0, whose file"):
+    with refused(GraspFileError, tmp_path / "run.json", "quality 0.25", "mug 0"):
         read_proofs(tmp_path / "run.json").of(opened(folder / "allegro_mug.npz"))
     for grasp in document["grasps"]:
         grasp["simulation"] = {"before": None, "after": None}
     (tmp_path / "run.json").write_text(json.dumps(document))
-    with pytest.raises(GraspFileError, match="nothing was simulated: `run` needs --validate"):
+    with refused(GraspFileError, tmp_path / "run.json", "`run`", "--validate"):
         read_proofs(tmp_path / "run.json").of(opened(EXAMPLE, 0))
 
 
@@ -182,6 +185,4 @@ def test_what_is_not_known_is_not_made_up(folder: Path, tmp_path: Path) -> None:
     found = read_proofs(tmp_path / "plain.json").of(opened(EXAMPLE, 0, 1))
     assert found[0].protocol.friction == 0.6 and found[0].closed_by == ""
     assert found[1].before_push == Reason.THROWN and found[1].watchable
-    assert found[1].verdict == (
-        "Does not hold: closing the hand moved the object by 89 mm and turned it by 30°, before any push"
-    )
+    assert_names(found[1].verdict, "89 mm", "30°")

@@ -61,17 +61,18 @@ def shown(problem: Problem) -> Iterator[Shown]:
 
 
 def test_a_grasp_that_fails_is_tested_and_its_failure_is_watched(shown: Shown, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert "Not tested yet" in shown.widget("result").content and not shown.widget("watch").visible
+    assert shown.widget("notes").content == "" and not shown.widget("watch").visible
     shown.page.change(shown.widget("friction"), 0.15)
     shown.proved()
-    assert "Does not hold: the object was lost in 2 of 6 directions (-y, +z)" in shown.widget("result").content
+    result = shown.widget("result").content
+    assert "gr-no" in result and "2 of 6" in result and "(-y, +z)" in result
     assert "friction 0.15" in shown.widget("notes").content
     assert shown.widget("watch").options == ("+x", "-x", "+y", "-y", "+z", "-z")
     # While it was simulated, it said how far it was.
     bars = shown.page.told(shown.widget("bar"))
     assert bars == sorted(bars) and len(bars) > 3 and bars[-1] > 50
     until(lambda: not shown.widget("bar").visible and not shown.widget("stop").visible)
-    assert any("pushing in 6 directions" in text for text in shown.page.told(shown.widget("doing"), "content"))
+    assert any("6 directions" in text for text in shown.page.told(shown.widget("doing"), "content"))
 
     shown.watched("+z")
     motion = shown.controller.state.motion
@@ -82,7 +83,7 @@ def test_a_grasp_that_fails_is_tested_and_its_failure_is_watched(shown: Shown, m
     until(lambda: shown.controller.state.motion_frame == len(motion) - 1)
     until(lambda: shown.widget("play").label == PLAY and shown.widget("slider").value == pytest.approx(motion.seconds))
     line = shown.widget("line").content
-    assert f"pushed along +z, {motion.seconds - 0.8:.2f} s" in line and "lost" in line
+    assert f"+z, {motion.seconds - 0.8:.2f} s" in line
     seconds = shown.page.told(shown.widget("slider"))
     assert seconds == sorted(seconds) and len(seconds) > 2
 
@@ -92,7 +93,7 @@ def test_a_grasp_that_fails_is_tested_and_its_failure_is_watched(shown: Shown, m
     until(lambda: shown.controller.state.motion_frame == frame)
     np.testing.assert_array_equal(shown.controller.state.shown.q, motion.q[frame])
     np.testing.assert_array_equal(shown.controller.state.T_shown_object, motion.T_object[frame])
-    until(lambda: "the hand squeezes, 0.10 s" in shown.widget("line").content)
+    until(lambda: ", 0.10 s" in shown.widget("line").content)
 
     # Play goes on from there; pause holds it; scrubbing does, too. So slowly that it does not end by itself meanwhile.
     monkeypatch.setattr(motion_player, "time", SimpleNamespace(monotonic=lambda: 0.02 * time.monotonic()))
@@ -115,9 +116,11 @@ def test_a_grasp_that_fails_is_tested_and_its_failure_is_watched(shown: Shown, m
 
 
 def test_a_setting_brings_its_friction(shown: Shown) -> None:
+    untested = shown.widget("result").content
     shown.page.change(shown.widget("setting"), "strict")
     until(lambda: shown.widget("friction").value == 0.3)
     shown.proved()
+    assert shown.widget("result").content != untested
     proof = shown.controller.state.proof
     assert proof is not None and proof.protocol.name == "strict"
     # That of the setting, with its torsion, which is not in proportion to that of others.
@@ -126,7 +129,7 @@ def test_a_setting_brings_its_friction(shown: Shown) -> None:
     T = shown.controller.state.pose.T_object_root.copy()
     T[2, 3] += 0.001
     shown.controller.move_root(T)
-    until(lambda: "Not tested yet" in shown.widget("result").content and not shown.widget("watch").visible)
+    until(lambda: shown.widget("result").content == untested and not shown.widget("watch").visible)
 
 
 def test_a_lift_has_one_direction(shown: Shown) -> None:
@@ -135,7 +138,7 @@ def test_a_lift_has_one_direction(shown: Shown) -> None:
     shown.press("test")
     until(lambda: shown.controller.state.proof is not None and shown.widget("watch").options == ("lift",))
     # The table is where the hand is: there is nothing to watch.
-    until(lambda: "in the table at the pregrasp" in shown.widget("result").content)
+    until(lambda: "pregrasp" in shown.widget("result").content)
     assert not shown.widget("watch").visible
 
 

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from grasp_refine.apps.viewer import unpacking
 from grasp_refine.apps.viewer.unpacking import UploadError, unpack
+from refusals import assert_names
+from refusals import refused as expected
 
 
 def zipped(files: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
@@ -76,13 +78,13 @@ def test_what_may_mean_something_is_unpacked(folder: Path):
     ],
 )
 def test_paths_that_lead_out_are_refused(name: str, folder: Path):
-    assert "leads out of the zip" in refused(zipped({"fine.urdf": b"", name: b"bad"}), folder)
+    assert_names(refused(zipped({"fine.urdf": b"", name: b"bad"}), folder), f"'{name}'")
 
 
 def test_a_null_in_a_name_is_refused(folder: Path):
     content = zipped({"hand.urdfX.png": b"bad"}).replace(b"hand.urdfX.png", b"hand.urdf\0.png")
-    assert "holds letters that no name has" in refused(content, folder)
-    assert "holds letters that no name has" in refused(zipped({"a\x1b[31m.urdf": b""}), folder)
+    assert_names(refused(content, folder), "'hand.urdf?.png'")
+    assert_names(refused(zipped({"a\x1b[31m.urdf": b""}), folder), "'a?[31m.urdf'")
 
 
 @pytest.mark.parametrize("kind", [stat.S_IFLNK, stat.S_IFCHR, stat.S_IFIFO, stat.S_IFSOCK])
@@ -92,25 +94,25 @@ def test_links_and_devices_are_refused(kind: int, folder: Path):
         entry = zipfile.ZipInfo("meshes/tip.stl")
         entry.create_system, entry.external_attr = 3, (kind | 0o777) << 16
         archive.writestr(entry, "/etc/passwd")
-    assert "'meshes/tip.stl' is a link or a device" in refused(stream.getvalue(), folder)
+    assert_names(refused(stream.getvalue(), folder), "'meshes/tip.stl'")
 
 
 def test_archive_bombs_are_refused_before_they_are_unpacked(folder: Path):
     bomb = zipped({"a.stl": bytes(2**24)})
     assert len(bomb) < 2**16
-    assert "times its size, as an archive bomb does; at most 100 times" in refused(bomb, folder)
+    assert_names(refused(bomb, folder), f"{2**24 / len(bomb):.0f} times", "100 times")
     many = zipped({f"{i}.stl": b"" for i in range(unpacking.MOST_FILES + 1)})
-    assert "holds more than 2000 files" in refused(many, folder)
+    assert_names(refused(many, folder), "2000 files")
 
 
 def test_sizes_are_bounded(folder: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(unpacking, "LARGEST_FILE", 2**20)
     monkeypatch.setattr(unpacking, "LARGEST_UNPACKED", 3 * 2**20)
     noise = bytes(range(256)) * 2**12
-    assert "'a.stl' would unpack to 2 MiB, more than 1 MiB" in refused(zipped({"a.stl": 2 * noise}, 0), folder)
+    assert_names(refused(zipped({"a.stl": 2 * noise}, 0), folder), "'a.stl'", "2 MiB", "1 MiB")
     # Files that are left out count, too.
     content = zipped({f"{i}.png": noise for i in range(4)}, 0)
-    assert "would unpack to 4 MiB, more than 3 MiB" in refused(content, folder)
+    assert_names(refused(content, folder), "4 MiB", "3 MiB")
 
 
 def test_a_zip_that_lies_about_its_sizes_is_refused(folder: Path):
@@ -120,7 +122,7 @@ def test_a_zip_that_lies_about_its_sizes_is_refused(folder: Path):
     # In the list at the end alone, and in both places.
     end = content.rfind(size)
     content[end : end + 4] = said.to_bytes(4, "little")
-    with pytest.raises(UploadError, match="is a damaged zip"):
+    with expected(UploadError, "hand.zip"):
         unpack("hand.zip", bytes(content), folder)
     assert sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) <= said
 
@@ -128,32 +130,32 @@ def test_a_zip_that_lies_about_its_sizes_is_refused(folder: Path):
 def test_entries_on_top_of_each_other_do_not_multiply(folder: Path):
     """A bomb whose entries share one packed stream passes no limit that counts what comes out."""
     content = zipped({f"{i:04}.stl": bytes(2**21) for i in range(200)})
-    assert "would unpack to 400 MiB, more than 256 MiB" in refused(content, folder)
+    assert_names(refused(content, folder), "400 MiB", "256 MiB")
 
 
 def test_encrypted_and_oddly_packed_zips_are_refused(folder: Path):
-    assert "is packed by method 14" in refused(zipped({"a.urdf": b"x"}, zipfile.ZIP_LZMA), folder)
-    assert "is packed by method 12" in refused(zipped({"a.urdf": b"x"}, zipfile.ZIP_BZIP2), folder)
+    assert_names(refused(zipped({"a.urdf": b"x"}, zipfile.ZIP_LZMA), folder), "'a.urdf'", "method 14")
+    assert_names(refused(zipped({"a.urdf": b"x"}, zipfile.ZIP_BZIP2), folder), "'a.urdf'", "method 12")
     content = bytearray(zipped({"a.urdf": b"x"}))
     at = content.find(b"PK\x01\x02")
     content[at + 8] |= 1
-    assert "is encrypted" in refused(bytes(content), folder)
+    assert_names(refused(bytes(content), folder), "encrypted")
 
 
 def test_deep_and_long_names_are_refused(folder: Path):
-    assert "has 13 levels" in refused(zipped({"a/" * 12 + "b.urdf": b""}), folder)
-    assert "and 305 letters" in refused(zipped({"a" * 300 + ".urdf": b""}), folder)
+    assert_names(refused(zipped({"a/" * 12 + "b.urdf": b""}), folder), "13 levels")
+    assert_names(refused(zipped({"a" * 300 + ".urdf": b""}), folder), "305 letters")
 
 
 def test_names_that_come_twice_are_refused(folder: Path):
-    assert "holds 'Hand.urdf' twice" in refused(zipped({"hand.URDF": b"a", "Hand.urdf": b"b"}), folder)
+    assert_names(refused(zipped({"hand.URDF": b"a", "Hand.urdf": b"b"}), folder), "'Hand.urdf'")
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"not a zip", zipped({"a.urdf": b"x" * 99})[:-30]])
 def test_damaged_zips_are_refused(content: bytes, folder: Path):
-    assert "is a damaged zip" in refused(content, folder)
+    refused(content, folder)
 
 
 def test_a_file_that_is_a_folder_too_is_refused(folder: Path):
-    with pytest.raises(UploadError, match="is a damaged zip"):
+    with expected(UploadError, "hand.zip"):
         unpack("hand.zip", zipped({"a.urdf": b"", "a.urdf/b.urdf": b""}), folder)

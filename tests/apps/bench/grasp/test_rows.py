@@ -174,7 +174,7 @@ def test_tables_fit_a_narrow_terminal(document: dict[str, Any], capsys: pytest.C
         Console(width=200).print(table)
     out = capsys.readouterr().out
     assert max(map(len, map(str.rstrip, out.splitlines()))) <= 80
-    assert "set, 5 grasps, given nothing" in out and "123/1234" in out and "budget" in out
+    assert "5 grasps" in out and "123/1234" in out and "budget" in out
 
 
 def test_the_page_draws_a_line_for_each_solver(document: dict[str, Any]):
@@ -208,10 +208,10 @@ def test_sizes_rates_and_shares_are_those_of_all_grasps(nothing: Done):
 @pytest.mark.parametrize(
     ("name", "variants", "words"),
     [
-        ("contacts", [Variant(contacts=count) for count in (1, 2)], ["set (3 joints)", "CPU time per grasp and step"]),
-        ("pieces", [Variant(pieces=count) for count in (1, 64)], ["set (3 joints)", "by pieces"]),
-        ("processes", [Variant(processes=count) for count in (1, 2)], ["grasps per second"]),
-        ("batch", [Variant(batch=size) for size in (1, 256)], ["by batch", "256"]),
+        ("contacts", [Variant(contacts=count) for count in (1, 2)], ["set (3 joints)"]),
+        ("pieces", [Variant(pieces=count) for count in (1, 64)], ["set (3 joints)", "pieces"]),
+        ("processes", [Variant(processes=count) for count in (1, 2)], ["processes"]),
+        ("batch", [Variant(batch=size) for size in (1, 256)], ["batch", "256"]),
     ],
 )
 def test_what_differs_has_a_picture_and_a_column(name: str, variants: list[Variant], words: list[str]):

@@ -42,8 +42,8 @@ def test_a_run_without_faults_says_so():
     assert text == page(made), "the same input gives the same text"
     assert not re.search(r"""(?:src|href)=["']""", text) and text.count("<h1") == 1
     # Distances by body, and by way of asking, have two states each; derivatives have one by each of three.
-    assert squares(text) == ["right"] * 9 and '--depth: 75" title="box, 10 cm, deep: 10 queries, none wrong' in text
-    assert "Largest errors" in text and "What is wrong" not in text and "Crashes" not in text
+    assert squares(text) == ["right"] * 9 and '--depth: 75" title="box, 10 cm, deep: 10 queries' in text
+    assert "<pre>" not in text
     assert "<b>20</b>queries" in text and "<b>3</b>derivatives" in text and "<b>0</b>wrong sign" in text
     assert "<b>0</b>collapsed" in text and "slip" in text
 
@@ -51,7 +51,7 @@ def test_a_run_without_faults_says_so():
 def test_what_is_wrong_is_counted_shown_and_can_be_asked_again():
     text = page(document(forward(), forward(state="deep", wrong_sign=4, error_max=3.0, where="pose 7")))
     assert squares(text).count("wrong") == 3 and re.findall(r'<td class="wrong"[^>]*>4</td>', text)
-    assert "<b>4</b>wrong sign" in text and "What is wrong" in text and "4 wrong sign; pose 7</td>" in text
+    assert "<b>4</b>wrong sign" in text and re.search("4 wrong sign\\W+pose 7</td>", text)
     assert "--kinds box --diagonals 0.1 --states deep --measures forward" in text
 
 
@@ -62,7 +62,7 @@ def test_refusals_have_their_reasons_and_crashes_their_tracebacks():
     part = forward(kind="plate", diagonal=10.0, refused=5, wrong_sign=1, refusal="<1e-9 m thin", where="pose 3")
     text = page(document(*thin, forward(), part, problems=["box, 1 mm: ZeroDivisionError: <x>"]))
     assert squares(text).count("refused") == 4
-    assert '<td>&lt;1e-9 m thin</td><td class="n">25</td><td>plate of 0.1 mm, 10 cm, 10 m</td>' in text
+    assert re.search(r'<td>&lt;1e-9 m thin</td><td class="n">25</td><td>plate\b[^<]* 0\.1 mm, 10 cm, 10 m</td>', text)
     assert "<b>1</b>crashes" in text and "ZeroDivisionError: &lt;x&gt;</pre>" in text
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from io import StringIO
 
 import pytest
@@ -21,6 +22,11 @@ def printed(rows: list[Row], seed: int = 0, crashes: int = 0) -> list[str]:
     return [line.rstrip() for line in console.file.getvalue().splitlines()]
 
 
+def counts(line: str) -> list[int]:
+    """The numbers of a line."""
+    return [int(number) for number in re.findall(r"\d+", line)]
+
+
 def test_counts_of_a_large_run_fit_into_80_columns():
     count = {
         "queries": 1_234_567,
@@ -38,29 +44,29 @@ def test_counts_of_a_large_run_fit_into_80_columns():
         assert line.split()[1:] == ["1234567", *"000000", "70000", "1234", "1e-6", "1e-5"]
     (line,) = (line for line in found if line.startswith("zeroth-order"))
     assert line.split()[1:] == ["123456", *"000000", "1e-3"]
-    assert found[-1] == "15 cells, 11111103 queries and 740736 derivatives: 0 faults, 11106 collapsed"
-    assert found[-2] == "MuJoCo, asked 111105 of the queries: 11106 wrong"
+    assert counts(found[-1]) == [15, 11_111_103, 740_736, 0, 11_106], "cells, queries, derivatives, faults, collapsed"
+    assert counts(found[-2]) == [111_105, 11_106], "queries of MuJoCo, and how many it has wrong"
 
 
 def test_all_is_the_sum_over_states_and_nothing_is_counted_twice():
     found = printed([forward(wrong_sign=1).row(), forward(kind="ball", state="deep", not_finite=2, refused=5).row()])
     (line,) = (line for line in found if line.split()[:1] == ["all"])
     assert line.split() == ["all", "20", "5", "0", "2", "0", "1", "0", "0", "0", "1e-6", "1e-5"]
-    assert found[-1] == "2 cells, 20 queries: 3 faults, 5 refused"
+    assert counts(found[-1]) == [2, 20, 3, 5], "cells, queries, faults, refused"
 
 
 def test_crashes_are_told_though_they_have_no_rows():
-    assert printed([forward().row()], crashes=2)[-1] == "1 cells, 10 queries: 0 faults, 2 crashed"
+    assert counts(printed([forward().row()], crashes=2)[-1]) == [1, 10, 0, 2], "cells, queries, faults, crashes"
 
 
 def test_what_is_wrong_is_told_with_its_command():
     text = "\n".join(printed([forward().row(), forward(state="deep", wrong_sign=2).row()], seed=3))
-    assert "- 2 wrong sign, float64, error 1e-5 of its tolerance\n  refine-grasp bench stability --kinds box" in text
+    assert re.search(r"\b2 wrong sign, float64\b.* 1e-5\b.*\n  refine-grasp bench stability --kinds box", text)
     assert "--states deep" in text and "--seed 3" in text and "--states near" not in text
     text = "\n".join(printed([forward().row()]))
-    assert "nearest to being wrong:\n- float64, error 1e-5 of its tolerance\n  refine-grasp" in text
-    text = "\n".join(printed([forward(error_max=None, points_error_max=None).row()]))
-    assert "refine-grasp" not in text and text.endswith("1 cells, 10 queries: 0 faults")
+    assert re.search(r"\bfloat64\b.* 1e-5\b.*\n  refine-grasp", text)
+    found = printed([forward(error_max=None, points_error_max=None).row()])
+    assert "refine-grasp" not in "\n".join(found) and counts(found[-1]) == [1, 10, 0], "cells, queries, faults"
 
 
 def test_commands_name_all_that_a_cell_depends_on():
