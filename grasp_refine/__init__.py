@@ -23,7 +23,7 @@ those that we write have w >= 0. A pose as seven numbers is (x, y, z, qw, qx, qy
 
     >>> from math import sqrt
     >>> import numpy as np
-    >>> from grasp_refine.se3 import transform_from_pose, transform_points
+    >>> from grasp_refine.core.se3 import transform_from_pose, transform_points
     >>> T = transform_from_pose(np.array([0.1, 0.0, 0.0, sqrt(0.5), 0.0, 0.0, sqrt(0.5)]))
     >>> transform_points(T, np.array([1.0, 0.0, 0.0])).round(9).tolist()
     [0.1, 1.0, 0.0]
@@ -44,7 +44,7 @@ the witness points x_a and x_b: positive apart, where they are the closest point
 they are the deepest ones; n points from a to b in both. Turned round, n reverses and d stays:
 
     >>> from grasp_refine.collision.query import Pairs, query
-    >>> from grasp_refine.objects import load_object
+    >>> from grasp_refine.objects.object import load_object
     >>> ball = load_object("sphere:0.02").body
     >>> T_a = np.eye(4)[None, None]             # (batch, pair, 4, 4)
     >>> T_b = T_a.copy()
@@ -62,8 +62,8 @@ Where there is no answer, a status or a mask says so. NaN in an array of targets
 be lists, NumPy arrays or torch tensors of any number type; `Scene` and `metrics` take poses (N, 7) too, and one grasp
 without its batch dimension:
 
-    >>> from grasp_refine.hand import load_hand
-    >>> from grasp_refine.scene import Scene
+    >>> from grasp_refine.hands.hand import load_hand
+    >>> from grasp_refine.scene.scene import Scene
     >>> hand = load_hand("allegro")
     >>> Scene(hand, load_object("mug"), np.array([0.1, 0, 0, 1, 0, 0, 0]), hand.rest)
     Scene(allegro on mug: 1 grasp)
@@ -71,7 +71,7 @@ without its batch dimension:
 **Numbers.** float64 by default, float32 on request; collision queries run in float64 always. Seeds, device and dtype
 travel with the scene: same seed, same machine, same result.
 
-**Errors.** What a file or an argument can get wrong is a `grasp_refine.errors.GraspRefineError` of one line, raised
+**Errors.** What a file or an argument can get wrong is a `grasp_refine.core.errors.GraspRefineError` of one line, raised
 where it comes in. Not converging is a status of the result, which its `labels` say in words.
 """
 

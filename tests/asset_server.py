@@ -12,9 +12,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import unquote
 
+from grasp_refine.assets.manifest import Asset, read_manifest
 from running_processes import PATIENCE_S
-
-from grasp_refine.asset_library.manifest import Asset, read_manifest
 
 CONTENTS = {
     "claw.urdf": b"<robot name='claw'/>\n",

@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from apps.batch.rows import COLUMNS, Rows
-from apps.batch.shard import Shard
-from grasp_refine.assets import resource_dir
-from grasp_refine.config import Config
-from grasp_refine.grasps import load_grasps, match_joints
-from grasp_refine.hand import load_hand
-from grasp_refine.objects import load_object
-from grasp_refine.refine import refine
-from grasp_refine.report.outcome import Outcome, compare
-from grasp_refine.report.results import save_results
-from grasp_refine.scene import Scene
-from grasp_refine.se3 import transform_from_pose
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.grasps.grasp_set import load_grasps, match_joints
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.refine import refine
+from grasp_refine.results.outcome import Outcome, compare
+from grasp_refine.results.result_files import save_results
+from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing
+from grasp_refine_apps.batch.rows import COLUMNS, Rows
+from grasp_refine_apps.batch.shard import Shard
 
 
 def shard(number: int, path: Path, size: int = 4) -> Shard:
@@ -54,7 +54,7 @@ def save_refined(path: Path, outcome: Outcome, **batch: Any) -> None:
 
 def refined_links(hand: Any) -> tuple[str, ...]:
     """The links that per-link arrays are about."""
-    from grasp_refine.scene import links_of
+    from grasp_refine.scene.scene import links_of
 
     return links_of(hand)
 

@@ -1,11 +1,11 @@
 """The example grasps of the embedded hand on the embedded box, one of the fastest objects."""
 
-from grasp_refine.assets import resource_dir
-from grasp_refine.grasps import load_grasps
-from grasp_refine.hand import load_hand
-from grasp_refine.objects import load_object
-from grasp_refine.scene import Scene
-from grasp_refine.se3 import transform_from_pose
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.grasps.grasp_set import load_grasps
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.scene.scene import Scene
 
 FILE = resource_dir("robots") / "allegro/example_rounded_box.npz"
 

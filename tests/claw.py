@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from grasp_refine.core.se3 import exp_se3
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.hand import Hand, load_hand
-from grasp_refine.objects import Object, load_object
-from grasp_refine.scene import Scene
-from grasp_refine.se3 import exp_se3
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.objects.object import Object, load_object
+from grasp_refine.scene.scene import Scene
 
 LIMIT = '<limit lower="-1" upper="1" effort="3" velocity="1"/>'
 NONE = np.zeros((0, 3), dtype=int)

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 import grasp_refine
-from grasp_refine.cli import main
+from grasp_refine_apps.cli import main
 
-PROGRAM = "import sys; from grasp_refine.cli import main; sys.exit(main())"
+PROGRAM = "import sys; from grasp_refine_apps.cli import main; sys.exit(main())"
 
 
 def subprocess_environment() -> dict[str, str]:

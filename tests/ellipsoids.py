@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_refine.se3 import exp_se3, exp_so3
+from grasp_refine.core.se3 import exp_se3, exp_so3
 
 
 @dataclass(frozen=True)

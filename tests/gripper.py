@@ -3,10 +3,10 @@
 import mujoco
 import numpy as np
 
-from grasp_refine.description.defaults import Actuator
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.objects import Object, load_object
+from grasp_refine.hands.defaults import Actuator
+from grasp_refine.objects.object import Object, load_object
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.motion import Motion
 

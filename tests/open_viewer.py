@@ -7,13 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from grasp_refine.apps.viewer.collection import Collection
-from grasp_refine.apps.viewer.controller import Controller
+from grasp_refine.pipeline.problem import Problem
+from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.controller import Controller
 from running_processes import PATIENCE_S
-
-from grasp_refine.commands.inputs import Inputs
-from grasp_refine.commands.settings import Settings
-from grasp_refine.problem import Problem
 
 if TYPE_CHECKING:
     from websocket_page import Page
@@ -34,7 +33,8 @@ def shown_panel(kind: type, made: Controller) -> Iterator[tuple[Any, Page]]:
     """A panel of this kind that shows what a controller has, and a page on it; all closed at the end."""
     # The controller's tests need no viser.
     import viser
-    from grasp_refine.apps.viewer.page import Drawer
+
+    from grasp_refine_apps.viewer.page import Drawer
     from websocket_page import Page
 
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from grasp_refine.replay.replay import Replay, Stage, qpos_names
+from grasp_refine.validation.replay.replay import Replay, Stage, qpos_names
 
 FORCE = np.array([0.0, 0.7, 0.7])
 

@@ -12,10 +12,9 @@ import time
 from importlib import import_module
 from pathlib import Path
 
-from grasp_refine.apps.batch.crew import ONE_THREAD
-from grasp_refine.apps.batch.shard import Beat, Done, Shard
-
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
+from grasp_refine_apps.batch.shard import Beat, Done, Shard
+from grasp_refine_apps.batch.worker_pool import ONE_THREAD
 
 
 def some_shards(folder: Path, *tasks: str, group: str = "g") -> list[Shard]:

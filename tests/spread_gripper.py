@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from grasp_refine.hand import Hand, load_hand
+from grasp_refine.hands.hand import Hand, load_hand
 
 INDEPENDENT = ("spread", "finger_1_a", "finger_2_a", "finger_3_a")
 

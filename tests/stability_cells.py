@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from apps.bench.stability.rows import Cell
+from grasp_refine_apps.bench.stability.rows import Cell
 
 
 def forward(**changed: Any) -> Cell:

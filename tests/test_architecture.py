@@ -111,7 +111,7 @@ LIGHT = (
 
 HEAVY = {"torch", "coal", "coacd", "pytorch_kinematics"}
 
-COAL = ("collision.asking", "collision.narrowphase", "apps.bench.queries.peers")
+COAL = ("collision.asking", "collision.narrowphase", "grasp_refine_apps.bench.queries.peers")
 """The only file that talks to coal, and the benchmark that measures plain coal as its peer."""
 
 

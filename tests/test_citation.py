@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import yaml
+
 from readme import ROOT, TEXT
 
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))

@@ -14,25 +14,26 @@ from typing import Any, get_args, get_type_hints
 
 import pytest
 import test_robots
-from grasp_refine.apps.bench.align import variants as align_variants
-from grasp_refine.apps.bench.grasp import variants as grasp_variants
-from grasp_refine.apps.bench.stability import cases
-from readme import ROOT, TEXT, section
-from witness.test_every_method import METHODS as TRIED
-from witness.test_every_method import NEIGHBORHOODS
 
-from grasp_refine import losses, solvers, validation, witness
-from grasp_refine.asset_library.manifest import read_manifest
-from grasp_refine.cli import COMMANDS
-from grasp_refine.commands.settings import Settings, WeightsOptions
-from grasp_refine.config import Config
-from grasp_refine.formats.listing import FORMATS, FormatName
-from grasp_refine.hand import list_hands
-from grasp_refine.hand_source import needs_urdf
-from grasp_refine.losses import Weights
+from grasp_refine import validation, witness
+from grasp_refine.assets.manifest import read_manifest
+from grasp_refine.grasps.formats.listing import FORMATS, FormatName
+from grasp_refine.hands.hand import list_hands
+from grasp_refine.hands.source import needs_urdf
+from grasp_refine.refinement import losses, solvers
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.losses import Weights
 from grasp_refine.validation.metrics import Metrics
 from grasp_refine.validation.protocol import SETTINGS, SettingName
 from grasp_refine.witness.derivative import Derivative
+from grasp_refine_apps.bench.align import variants as align_variants
+from grasp_refine_apps.bench.grasp import variants as grasp_variants
+from grasp_refine_apps.bench.stability import cases
+from grasp_refine_apps.cli import COMMANDS
+from grasp_refine_apps.commands.settings import Settings, WeightsOptions
+from readme import ROOT, TEXT, section
+from witness.test_every_method import METHODS as TRIED
+from witness.test_every_method import NEIGHBORHOODS
 
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 ITEMS = [" ".join(item.split()) for item in re.findall(r"^- \[ \] (.*(?:\n  .*)*)", CONTRIBUTING, re.MULTILINE)]
@@ -153,7 +154,7 @@ def imported(path: str) -> set[str]:
 
 def test_every_weight_has_a_term():
     assert {weight for weight, *_ in TERMS} == {field.name for field in fields(Weights)}
-    text = source("grasp_refine/losses.py")
+    text = source("grasp_refine/refinement/losses.py")
     for field in fields(Weights):
         (said,) = re.findall(rf'^    {field.name}: float = .*\n    """([^"]*)"""', text, re.MULTILINE)
         assert re.search(r"m\^2|\(metres\)", said), f"the weight {field.name} does not say its unit"
@@ -167,7 +168,7 @@ def test_terms_are_where_the_table_says(weight: str, residuals: str, derivative:
 
 @pytest.mark.parametrize(("weight", "residuals", "derivative", "used"), TERMS)
 def test_terms_are_used_where_the_table_says(weight: str, residuals: str, derivative: str, used: str):
-    least_squares, gradients = "grasp_refine/grasp_problem.py", "grasp_refine/objective.py"
+    least_squares, gradients = "grasp_refine/refinement/grasp_problem.py", "grasp_refine/refinement/objective.py"
     names = {name.rpartition(".")[2] for name in (residuals, derivative)}
     if used != "gradients":
         assert names <= imported(least_squares) and f"weights.{weight}" in source(least_squares)
@@ -313,7 +314,7 @@ def test_measures_say_their_unit():
 
 
 def test_measures_are_written():
-    document = source("grasp_refine/report/validation_document.py")
+    document = source("grasp_refine/results/validation_document.py")
     for measure in fields(Metrics):
         assert f'"{measure.name}": ' in document and f"metrics.{measure.name}[i]" in document
 

@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 
 import grasp_refine
-from grasp_refine.chain import Chain
 from grasp_refine.collision.query import Pairs, query
-from grasp_refine.grasps import load_grasps
-from grasp_refine.hand import load_hand
-from grasp_refine.objects import load_object
-from grasp_refine.se3 import (
+from grasp_refine.core.se3 import (
     adjoint,
     ambient_gradient,
     exp_se3,
@@ -25,6 +21,10 @@ from grasp_refine.se3 import (
     transform_from_pose,
     transform_points,
 )
+from grasp_refine.grasps.grasp_set import load_grasps
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import load_object
 
 TOPICS = (
     "Units", "Frames", "Joint values", "Quaternions", "Twists", "Wrenches", "Contact", "Arrays", "Numbers", "Errors",

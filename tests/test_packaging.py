@@ -15,6 +15,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
 from refusals import refused
 
 pytest.importorskip("scikit_build_core", reason="the build backend comes with the extra 'test'")
@@ -82,7 +83,7 @@ def test_the_wheel_names_its_command_and_licence(source: Path, tmp_path: Path):
     with zipfile.ZipFile(build(source, "build_wheel", tmp_path / "wheel")) as archive:
         info = {Path(name).name: name for name in archive.namelist() if ".dist-info/" in name}
         commands = archive.read(info["entry_points.txt"]).decode().replace(" ", "")
-        assert "refine-grasp=grasp_refine.cli:main" in commands
+        assert "refine-grasp=grasp_refine_apps.cli:main" in commands
         metadata = archive.read(info["METADATA"]).decode()
         assert "License-Expression: Apache-2.0" in metadata
         assert "Requires-Python: >=3.11" in metadata
@@ -142,7 +143,7 @@ from grasp_refine.assets import resource_dir
 found = {name: str(resource_dir(name)) for name in ("robots", "assets_manifest", "apps")}
 found["version"] = grasp_refine.__version__
 found["package"] = grasp_refine.__file__
-found["module"] = grasp_refine.apps.__file__
+found["module"] = grasp_refine_apps.__file__
 if len(sys.argv) > 2:
     from grasp_refine import added_later
     found["added"] = added_later.__file__

@@ -9,15 +9,15 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from readme import ROOT, TEXT, blocks, python_block, run_python, section
 
-from grasp_refine.cli import main
-from grasp_refine.commands.inputs import Inputs
-from grasp_refine.commands.job_list import read_jobs
-from grasp_refine.grasps import OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
-from grasp_refine.hand import HAND_TOML, load_hand
-from grasp_refine.report.verdict import HOLDS, should_hold
+from grasp_refine.grasps.grasp_set import OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
+from grasp_refine.hands.hand import HAND_TOML, load_hand
+from grasp_refine.results.verdict import HOLDS, should_hold
 from grasp_refine.validation.metrics import metrics
+from grasp_refine_apps.cli import main
+from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine_apps.commands.job_list import read_jobs
+from readme import ROOT, TEXT, blocks, python_block, run_python, section
 
 BENCHES = ("bench align", "bench queries", "bench stability", "bench grasp", "bench hold", "bench --gate")
 
@@ -142,7 +142,7 @@ def test_the_quality_from_which_on_grasps_should_hold_is_told():
     ],
 )
 def test_the_presets_of_the_benchmarks_are_listed(heading: str, bench: str):
-    presets = import_module(f"grasp_refine.apps.bench.{bench}.presets").PRESETS
+    presets = import_module(f"grasp_refine_apps.bench.{bench}.presets").PRESETS
     lines = section(heading).splitlines()
     listed = re.findall(r"`([\w-]+)`", "".join(line.split("|")[1] for line in lines if line.startswith("|")))
     assert set(listed) == set(presets)

@@ -10,17 +10,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from readme import TEXT, blocks, run_python
 
-from grasp_refine.assets import resource_dir
-from grasp_refine.cli import main
-from grasp_refine.commands import options
-from grasp_refine.errors import GraspRefineError
-from grasp_refine.grasps import load_grasps, match_joints
-from grasp_refine.hand import load_hand
-from grasp_refine.objects import load_object
-from grasp_refine.replay.render import check_renderer
-from grasp_refine.se3 import transform_from_pose
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.grasps.grasp_set import load_grasps, match_joints
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.validation.replay.render import check_renderer
+from grasp_refine_apps.cli import main
+from grasp_refine_apps.commands import options
+from readme import TEXT, blocks, run_python
 
 
 def commands_of(block: str) -> list[str]:

@@ -68,7 +68,7 @@ load_hand("allegro").joint_name
 
 @pytest.fixture(scope="module")
 def laid_out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the package as the wheel holds it: in a checkout `grasp_refine.apps` is elsewhere."""
+    """A folder with the package as the wheel holds it: in a checkout `grasp_refine_apps` is elsewhere."""
     folder = tmp_path_factory.mktemp("laid_out")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     for place, source in project["tool"]["scikit-build"]["wheel"]["packages"].items():

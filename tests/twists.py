@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from grasp_refine.collision.query import Pairs, Witness, query
-from grasp_refine.se3 import exp_se3, hat
+from grasp_refine.core.se3 import exp_se3, hat
 from grasp_refine.witness.autograd import WitnessLayer
 
 Loss = Callable[[Witness], np.ndarray]

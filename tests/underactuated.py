@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from grasp_refine.hand import Hand, load_hand
+from grasp_refine.hands.hand import Hand, load_hand
 
 FINGERS = {"index": 0.033, "middle": 0.011, "ring": -0.011, "little": -0.033}
 """Finger -> its place across the palm, in metres."""

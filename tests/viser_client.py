@@ -9,8 +9,9 @@ import msgspec
 import viser
 import zstandard
 from viser._messages import FileTransferPart, FileTransferStartUpload, GetRenderResponseMessage
-from websocket_page import Page, until
 from websockets.exceptions import ConnectionClosed
+
+from websocket_page import Page, until
 
 
 class Client(Page):

@@ -10,10 +10,11 @@ from typing import Any
 import msgspec
 import viser
 import zstandard
-from running_processes import PATIENCE_S
 from viser._messages import GuiUpdateMessage, Message, ViewerCameraMessage
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
+
+from running_processes import PATIENCE_S
 
 
 class Page:

@@ -1,1 +1,1 @@
-"""Collision queries: which pieces can matter, their closest or deepest points, the minimum over each body pair."""
+"""Witness queries: signed distances and witness points of pairs of bodies."""

@@ -5,8 +5,8 @@ from dataclasses import fields
 import numpy as np
 
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query_items
+from grasp_refine.core.se3 import transform_points
 from grasp_refine.geometry.body import Body
-from grasp_refine.se3 import transform_points
 
 
 def query_near(

@@ -9,7 +9,7 @@ from functools import cache
 from importlib.util import find_spec
 from typing import Literal, get_args
 
-from grasp_refine.errors import CollisionError
+from grasp_refine.core.errors import CollisionError
 
 Engine = Literal["auto", "native", "python"]
 """The compiled engine, the one in Python, or what is there."""

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 import coal
 import numpy as np
 
-from grasp_refine.collision.asking import Asker, Core, PiecePair, Tolerances
+from grasp_refine.collision.certified_distance import Asker, Core, PiecePair, Tolerances
 from grasp_refine.collision.shapes import build_shape, unit_of
+from grasp_refine.core.profiling import stage
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.stopwatch import stage
 
 
 def coal_version() -> str:

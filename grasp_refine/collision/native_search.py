@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 
 # Loads coal's library, which _native needs.
-from grasp_refine.collision.asking import Tolerances
+from grasp_refine.collision.certified_distance import Tolerances
 from grasp_refine.collision.narrowphase import Closest, coal_version
 from grasp_refine.collision.relative import in_frame, relative
 from grasp_refine.collision.shapes import build_shape, unit_of
 from grasp_refine.collision.supports import CELLS
 from grasp_refine.collision.table import PieceTable, Side
-from grasp_refine.cores import usable_cores
+from grasp_refine.core.cores import usable_cores
+from grasp_refine.core.profiling import stage
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.stopwatch import stage
 
 from grasp_refine.collision import _native  # type: ignore[attr-defined]  # compiled  # isort: skip
 

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from grasp_refine.arguments import as_numbers, check_kind, shown
-from grasp_refine.brief import spread, tallied
-from grasp_refine.collision.asking import Tolerances
+from grasp_refine.collision.certified_distance import Tolerances
 from grasp_refine.collision.engine import Engine, chosen
 from grasp_refine.collision.narrowphase import Closest, NarrowPhase
 from grasp_refine.collision.relative import in_frame, relative
 from grasp_refine.collision.search import Search, Warm
 from grasp_refine.collision.table import PieceTable
-from grasp_refine.errors import CollisionError, GraspRefineError
+from grasp_refine.core.arguments import as_numbers, check_kind, shown
+from grasp_refine.core.errors import CollisionError, GraspRefineError
+from grasp_refine.core.profiling import count_queries, stage
+from grasp_refine.core.short_repr import spread, tallied
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.stopwatch import count_queries, stage
 
 if TYPE_CHECKING:
     from grasp_refine.collision.native_search import NativeNarrowPhase, NativeSearch

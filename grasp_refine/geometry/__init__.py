@@ -1,1 +1,1 @@
-"""Rigid bodies: meshes in, convex pieces and surface candidates out."""
+"""Meshes, convex pieces and their cache, surface samples."""

@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from grasp_refine.arguments import as_numbers, check_kind, shown
-from grasp_refine.counts import count_text
-from grasp_refine.errors import MeshError
+from grasp_refine.core.arguments import as_numbers, check_kind, shown
+from grasp_refine.core.errors import MeshError
+from grasp_refine.core.plurals import count_text
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.geometry.sampling import Candidates, sample
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.holes import find_holes

@@ -14,8 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from grasp_refine.errors import MeshError
-from grasp_refine.interruption import end_with
+from grasp_refine.core.errors import MeshError
+from grasp_refine.core.interruption import end_with
 
 CHECKED_EVERY_S = 0.1
 """Time between two looks at whether a decomposition is still wanted, in seconds."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
 
 if TYPE_CHECKING:
     import trimesh

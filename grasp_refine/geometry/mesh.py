@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
+from grasp_refine.core.names import is_file
 from grasp_refine.geometry.holes import capped
-from grasp_refine.names import is_file
 
 if TYPE_CHECKING:
     import trimesh

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
-from grasp_refine.brief import brief
-from grasp_refine.cores import usable_cores
-from grasp_refine.counts import count_text
-from grasp_refine.errors import MeshError
+from grasp_refine.core.cores import usable_cores
+from grasp_refine.core.errors import MeshError
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry.decomposition import Decomposition, decompose
 from grasp_refine.geometry.mesh import LARGEST, SMALLEST, check_solid, convex_bodies
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import trimesh
 
 SHIPPED = Path(__file__).parent / "embedded_pieces"
-"""The pieces of the embedded objects, made by `python -m grasp_refine.apps.cut_embedded`."""
+"""The pieces of the embedded objects, made by `python -m grasp_refine_apps.authoring.cut_embedded`."""
 
 NEGLIGIBLE = 1e-9
 """A piece of less than this volume, times the cubed diagonal of the mesh, is dropped."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_refine.brief import brief
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
+from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry.pieces import Piece
 
 CLEARANCE = 1e-4

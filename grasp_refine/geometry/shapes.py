@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry.pieces import Piece, box, cylinder, sphere
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
 
 Unit = Literal["m", "cm", "mm", "in"]
 

@@ -1,1 +1,1 @@
-"""Proof: what a grasp is worth, measured independently of how it was found."""
+"""Validation of grasps: geometric measures, and simulation in MuJoCo."""

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.errors import HandError
-from grasp_refine.hand import Hand
+from grasp_refine.core.errors import HandError
+from grasp_refine.hands.hand import Hand
 
 FARTHEST = 2e-3
 """Joints that are farther apart than this, in metres, are not those of the same hand."""

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_refine.collision.query import Pairs, Witness, query
-from grasp_refine.hand import Hand
-from grasp_refine.objects import Object
-from grasp_refine.se3 import distances, transform_points
-from grasp_refine.stopwatch import stage
+from grasp_refine.core.profiling import stage
+from grasp_refine.core.se3 import distances, transform_points
+from grasp_refine.hands.hand import Hand
+from grasp_refine.objects.object import Object
 
 LIMIT_TOLERANCE = 1e-6
 """Joint values this far (rad or m) beyond a limit do not count as violations."""
@@ -75,7 +75,7 @@ def measure(
     with stage("loading"):
         import torch
 
-        from grasp_refine.kinematics import Kinematics
+        from grasp_refine.hands.kinematics import Kinematics
     kinematics = Kinematics(hand, links)
     T_link = kinematics(torch.as_tensor(T_world_root), torch.as_tensor(q)).numpy()
     witness = query(pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape))

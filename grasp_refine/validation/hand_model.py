@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.brief import brief
-from grasp_refine.hand import Actuator
+from grasp_refine.core.short_repr import brief
+from grasp_refine.hands.hand import Actuator
 
 if TYPE_CHECKING:
     import mujoco

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.batch import join, take
-from grasp_refine.brief import spread
-from grasp_refine.chain import Chain
 from grasp_refine.collision.query import Witness
-from grasp_refine.counts import count_text
-from grasp_refine.hand import Hand
-from grasp_refine.objects import Object
-from grasp_refine.quality import quality
-from grasp_refine.scene import Scene, links_of
-from grasp_refine.self_collision import self_penetration, touching_pairs
-from grasp_refine.squeeze import grasp_forces
+from grasp_refine.core.array_records import join, take
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.short_repr import spread
+from grasp_refine.forces.quality import quality
+from grasp_refine.forces.squeeze import grasp_forces
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.self_collision import self_penetration, touching_pairs
+from grasp_refine.objects.object import Object
+from grasp_refine.scene.scene import Scene, links_of
 from grasp_refine.validation.geometry import measure
 
 FARTHEST = 0.01

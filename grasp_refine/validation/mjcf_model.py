@@ -9,9 +9,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from grasp_refine.counts import count_text
-from grasp_refine.errors import HandError
-from grasp_refine.hand import Hand
+from grasp_refine.core.errors import HandError
+from grasp_refine.core.plurals import count_text
+from grasp_refine.hands.hand import Hand
 from grasp_refine.validation.alignment import align
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.messages import complaint, unlogged

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.arguments import check_kind
-from grasp_refine.batch import take
-from grasp_refine.brief import brief
-from grasp_refine.errors import GraspFileError
-from grasp_refine.grasps import OTHER_STAGES, GraspSet, match_joints
-from grasp_refine.hand import Hand
-from grasp_refine.hand_object import HandObject
-from grasp_refine.pregrasp import opened
-from grasp_refine.scene import Scene
-from grasp_refine.se3 import transform_from_pose
-from grasp_refine.solvers.least_squares import Progress
-from grasp_refine.squeeze import squeezed
+from grasp_refine.core.arguments import check_kind
+from grasp_refine.core.array_records import take
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.core.short_repr import brief
+from grasp_refine.forces.squeeze import squeezed
+from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, match_joints
+from grasp_refine.hands.hand import Hand
+from grasp_refine.refinement.pregrasp import opened
+from grasp_refine.refinement.solvers.least_squares import Progress
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
 
 STAGES = ("pregrasp", "grasp", "squeeze")
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from math import radians
 from typing import Literal
 
-from grasp_refine.arguments import check_positive
-from grasp_refine.errors import GraspRefineError
+from grasp_refine.core.arguments import check_positive
+from grasp_refine.core.errors import GraspRefineError
 
 AXES = {
     "+x": (1.0, 0.0, 0.0),

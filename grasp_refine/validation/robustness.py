@@ -9,7 +9,7 @@ from math import radians
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from grasp_refine.se3 import exp_so3
+from grasp_refine.core.se3 import exp_so3
 from grasp_refine.validation.motion import STAGES, Motion
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.stepping import Conditions

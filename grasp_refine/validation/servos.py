@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.errors import HandError
-from grasp_refine.hand import Actuator, Hand
+from grasp_refine.core.errors import HandError
+from grasp_refine.hands.hand import Actuator, Hand
 
 
 def check_servos(spec: mujoco.MjSpec, path: Path) -> None:

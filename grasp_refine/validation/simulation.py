@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from grasp_refine import stopwatch
-from grasp_refine.arguments import check_kind, check_shape
-from grasp_refine.brief import brief
-from grasp_refine.cores import usable_cores
-from grasp_refine.errors import GraspRefineError
-from grasp_refine.se3 import distances, exp_so3, log_so3, pose_from_transform, transform
+from grasp_refine.core import profiling
+from grasp_refine.core.arguments import check_kind, check_shape
+from grasp_refine.core.cores import usable_cores
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import distances, exp_so3, log_so3, pose_from_transform, transform
+from grasp_refine.core.short_repr import brief
 from grasp_refine.validation.motion import STAGES, Motion
 from grasp_refine.validation.protocol import AXES, Protocol
 from grasp_refine.validation.stepping import Conditions, Rows, Watch
@@ -53,7 +53,7 @@ class Closed:
     __repr__ = brief
 
 
-@stopwatch.stage("simulating")
+@profiling.stage("simulating")
 def simulate(
     world: World,
     motion: Motion,

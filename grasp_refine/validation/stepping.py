@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from mujoco.batch import Batch, SimulationError
 
-from grasp_refine.batch import take
-from grasp_refine.brief import brief
-from grasp_refine.se3 import transform_from_pose
+from grasp_refine.core.array_records import take
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.core.short_repr import brief
 from grasp_refine.validation.messages import unlogged
 from grasp_refine.validation.world import OBJECT_GEOM, OTHER_GEOM, World
 

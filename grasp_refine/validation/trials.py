@@ -10,9 +10,9 @@ from math import degrees
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from grasp_refine.batch import take
-from grasp_refine.brief import labels, tallied
-from grasp_refine.counts import count_text
+from grasp_refine.core.array_records import take
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.short_repr import labels, tallied
 from grasp_refine.validation.protocol import Protocol
 
 

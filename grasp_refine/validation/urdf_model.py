@@ -14,10 +14,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.description.inertia import DENSITY, Inertia
-from grasp_refine.hand import Hand, Link
-from grasp_refine.se3 import quaternion_from_matrix
-from grasp_refine.self_collision import touching_pairs
+from grasp_refine.core.se3 import quaternion_from_matrix
+from grasp_refine.hands.hand import Hand, Link
+from grasp_refine.hands.inertia import DENSITY, Inertia
+from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.validation.geoms import add_piece
 from grasp_refine.validation.hand_model import HandModel
 

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from grasp_refine.arguments import as_numbers, check_kind
-from grasp_refine.batch import take
-from grasp_refine.brief import brief
-from grasp_refine.hand import Hand
-from grasp_refine.plane import Plane
-from grasp_refine.scene import Scene
+from grasp_refine.core.arguments import as_numbers, check_kind
+from grasp_refine.core.array_records import take
+from grasp_refine.core.short_repr import brief
+from grasp_refine.forces.wrench import center_of_mass
+from grasp_refine.hands.hand import Hand
+from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.metrics import Metrics, metrics
 from grasp_refine.validation.mjcf_model import mjcf_model
@@ -26,7 +27,6 @@ from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.urdf_model import urdf_model
 from grasp_refine.validation.world import World
-from grasp_refine.wrench import center_of_mass
 
 BARELY = 0.5
 """A grasp that held is flagged when the object came this share of the way to what counts as lost."""

@@ -9,13 +9,13 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
-from grasp_refine.arguments import check_kind
-from grasp_refine.description.inertia import Inertia
-from grasp_refine.errors import GraspRefineError
+from grasp_refine.core.arguments import check_kind
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.profiling import stage
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.objects import Object
-from grasp_refine.plane import Plane
-from grasp_refine.stopwatch import stage
+from grasp_refine.hands.inertia import Inertia
+from grasp_refine.objects.object import Object
+from grasp_refine.scene.plane import Plane
 from grasp_refine.validation.geoms import add_piece
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.messages import complaint, unlogged

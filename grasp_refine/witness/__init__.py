@@ -1,1 +1,1 @@
-"""Witness points as a differentiable layer: how closest or deepest points follow the motion of two bodies."""
+"""Derivatives of witness points, and the differentiable layer over them."""

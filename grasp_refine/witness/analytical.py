@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_refine.arguments import check_fields
+from grasp_refine.core.arguments import check_fields
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness

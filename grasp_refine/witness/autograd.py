@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from grasp_refine.arguments import as_numbers, check_kind
 from grasp_refine.collision.query import Pairs, Witness, check_poses, query
-from grasp_refine.se3 import ambient_gradient
-from grasp_refine.stopwatch import stage
+from grasp_refine.core.arguments import as_numbers, check_kind
+from grasp_refine.core.profiling import stage
+from grasp_refine.core.se3 import ambient_gradient
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.neighborhood import Surfaces
 from grasp_refine.witness.patch import Patch

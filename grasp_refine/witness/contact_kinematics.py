@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from grasp_refine.arguments import check_fields
-from grasp_refine.se3 import Array, array_namespace, cross, matvec, tangents
+from grasp_refine.core.arguments import check_fields
+from grasp_refine.core.se3 import Array, array_namespace, cross, matvec, tangents
 from grasp_refine.witness.curvature import raised, with_eigenvalues
 from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
 from grasp_refine.witness.rings import Neighbor

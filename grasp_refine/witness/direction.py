@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from grasp_refine.arguments import check_positive
+from grasp_refine.core.arguments import check_positive
 from grasp_refine.witness.neighborhood import Adaptive, Fixed
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene

@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from grasp_refine.arguments import check_fields
-from grasp_refine.se3 import transform_points
+from grasp_refine.core.arguments import check_fields
+from grasp_refine.core.se3 import transform_points
 from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene

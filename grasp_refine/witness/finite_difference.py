@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_refine.arguments import check_positive
+from grasp_refine.core.arguments import check_positive
 from grasp_refine.witness.perturbation import perturbed, relative_covector
 from grasp_refine.witness.relative import seen_from_a
 from grasp_refine.witness.scene import WitnessScene

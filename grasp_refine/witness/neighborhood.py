@@ -13,9 +13,9 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from grasp_refine.arguments import check_positive
-from grasp_refine.brief import brief
-from grasp_refine.errors import CollisionError
+from grasp_refine.core.arguments import check_positive
+from grasp_refine.core.errors import CollisionError
+from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry.body import Body
 
 _COS_NORMALS = -0.5

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from grasp_refine.se3 import matvec
+from grasp_refine.core.se3 import matvec
 
 _STEEP = 1e-5
 """A face whose normal is this near to the plane across counts as vertical: it moves by 1e-5 epsilon at most."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_refine.collision.query import Pairs, Witness
-from grasp_refine.se3 import matvec
-from grasp_refine.stopwatch import stage
+from grasp_refine.core.profiling import stage
+from grasp_refine.core.se3 import matvec
 from grasp_refine.witness.analytical import feature_slip
 from grasp_refine.witness.curvature import Curvatures, raised
 from grasp_refine.witness.size import length_factor

@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from grasp_refine.arguments import is_number
 from grasp_refine.collision.query import Pairs, Witness
-from grasp_refine.errors import CollisionError
+from grasp_refine.core.arguments import is_number
+from grasp_refine.core.errors import CollisionError
+from grasp_refine.core.se3 import cross, matvec, tangents, transform_points
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.se3 import cross, matvec, tangents, transform_points
 from grasp_refine.witness.overlap import Overlap
 from grasp_refine.witness.size import length_factor
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from grasp_refine.collision.query import Witness, query
-from grasp_refine.se3 import exp_so3, matvec, transform
+from grasp_refine.core.se3 import exp_so3, matvec, transform
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
 

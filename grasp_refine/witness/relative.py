@@ -3,7 +3,7 @@
 import numpy as np
 
 from grasp_refine.collision.query import Witness
-from grasp_refine.se3 import cross
+from grasp_refine.core.se3 import cross
 from grasp_refine.witness.slip import wrench
 
 

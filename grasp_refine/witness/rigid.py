@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_refine.se3 import cross
+from grasp_refine.core.se3 import cross
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
 

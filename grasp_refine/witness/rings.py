@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_refine.arguments import check_fields
-from grasp_refine.errors import CollisionError
+from grasp_refine.core.arguments import check_fields
+from grasp_refine.core.errors import CollisionError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.geometry.rings import Rings
 from grasp_refine.witness.neighborhood import Neighbors

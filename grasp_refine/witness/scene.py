@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_refine.brief import brief
 from grasp_refine.collision.query import Pairs, Witness
+from grasp_refine.core.short_repr import brief
 from grasp_refine.witness.neighborhood import Neighborhood, Neighbors, Surfaces, choose, draw_offset
 from grasp_refine.witness.rings import Neighbor, choose_rings
 

@@ -13,7 +13,7 @@ self term is held fixed, dx_a = V_a(x_a) - A V_a(x_b) + A [V_b(x_b) - B V_b(x_a)
 from dataclasses import dataclass
 from typing import Literal
 
-from grasp_refine.se3 import Array, array_namespace, cross, matvec
+from grasp_refine.core.se3 import Array, array_namespace, cross, matvec
 from grasp_refine.witness.scene import WitnessScene
 
 Coupling = Literal["coupled", "one-sided"]

@@ -20,8 +20,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from grasp_refine.arguments import check_fields
-from grasp_refine.se3 import body_gradient, cross, hat, matvec
+from grasp_refine.core.arguments import check_fields
+from grasp_refine.core.se3 import body_gradient, cross, hat, matvec
 
 
 @dataclass(frozen=True)

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shapes_for_tests import ellipsoid_hull
-from twists import random_poses
 
 from grasp_refine.collision.broadphase import Bounds, ball_bound, bounds_of, box_bound
 from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.se3 import exp_so3, inverse
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere
-from grasp_refine.se3 import exp_so3, inverse
+from shapes_for_tests import ellipsoid_hull
+from twists import random_poses
 
 TURNED = np.eye(4)
 TURNED[:3, :3] = exp_so3(np.array([0.4, -1.1, 0.7]))

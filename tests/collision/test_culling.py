@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from shapes_for_tests import cluster_body, convex_body, ring_body
-from twists import random_poses
 
 from grasp_refine.collision.culling import bounding_ball, motion, nothing_near, query_near
 from grasp_refine.collision.query import Pairs, QueryStatus, query
+from grasp_refine.core.se3 import exp_se3, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import capsule, sphere
-from grasp_refine.se3 import exp_se3, transform_points
+from shapes_for_tests import cluster_body, convex_body, ring_body
+from twists import random_poses
 
 BODIES = {
     "hull": convex_body(0),

@@ -14,20 +14,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import assert_names, refused
-from running_processes import PATIENCE_S
-from shapes_for_tests import convex_body, ring_body
-from twists import random_poses
 
 from grasp_refine.collision import engine
-from grasp_refine.collision.asking import Tolerances
+from grasp_refine.collision.certified_distance import Tolerances
 from grasp_refine.collision.engine import VARIABLE, chosen, engines, why_not_native
 from grasp_refine.collision.narrowphase import NarrowPhase
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query, query_items
 from grasp_refine.collision.table import PieceTable
-from grasp_refine.errors import CollisionError
+from grasp_refine.core.errors import CollisionError
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, hull, sphere
+from refusals import assert_names, refused
+from running_processes import PATIENCE_S
+from shapes_for_tests import convex_body, ring_body
+from twists import random_poses
 
 native = pytest.mark.skipif(bool(why_not_native()), reason=f"no compiled engine: {why_not_native()}")
 

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
-from shapes_for_tests import ellipsoid_hull
-from twists import random_poses
 
-from grasp_refine.collision.asking import Tolerances
+from grasp_refine.collision.certified_distance import Tolerances
 from grasp_refine.collision.engine import chosen
 from grasp_refine.collision.narrowphase import Closest, NarrowPhase
 from grasp_refine.collision.shapes import few_neighbours
+from grasp_refine.core.se3 import exp_so3, inverse
 from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, hull, sphere
-from grasp_refine.se3 import exp_so3, inverse
+from shapes_for_tests import ellipsoid_hull
+from twists import random_poses
 
 pytestmark = pytest.mark.usefixtures("engine")
 only_python = pytest.mark.parametrize("engine", ["python"], indirect=True)

@@ -7,17 +7,17 @@ from itertools import product
 
 import numpy as np
 import pytest
-from refusals import refused
 from scipy.optimize import linprog
-from twists import random_poses
 
-from grasp_refine.collision.asking import Tolerances
 from grasp_refine.collision.broadphase import ball_bound, bounds_of, box_bound
+from grasp_refine.collision.certified_distance import Tolerances
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
-from grasp_refine.errors import CollisionError
+from grasp_refine.core.errors import CollisionError
+from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, hull, sphere
-from grasp_refine.se3 import inverse, transform_points
+from refusals import refused
+from twists import random_poses
 
 pytestmark = pytest.mark.usefixtures("engine")
 only_python = pytest.mark.parametrize("engine", ["python"], indirect=True)

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from twists import random_poses
 
 from grasp_refine.collision.query import Pairs
 from grasp_refine.collision.search import Left, Search
+from grasp_refine.core.se3 import inverse
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import hull
-from grasp_refine.se3 import inverse
+from twists import random_poses
 
 
 def test_what_is_left_is_below_the_best_of_its_item_sorted_and_in_runs() -> None:

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from shapes_for_tests import ellipsoid_hull
 
 from grasp_refine.collision.supports import Supports
 from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere
+from shapes_for_tests import ellipsoid_hull
 
 PIECES = [
     sphere(0.02, [0.01, -0.02, 0.03]),

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from shapes_for_tests import ellipsoid_hull
-from twists import random_poses
 
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.collision.table import PieceTable, Side
+from grasp_refine.core.se3 import inverse
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere
-from grasp_refine.se3 import inverse
+from shapes_for_tests import ellipsoid_hull
+from twists import random_poses
 
 BATCH = 40
 

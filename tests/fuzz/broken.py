@@ -15,8 +15,7 @@ from itertools import count
 from pathlib import Path
 
 from fuzz.reader import Reader
-
-from grasp_refine.errors import GraspFileError
+from grasp_refine.core.errors import GraspFileError
 
 
 class UnkindError(GraspFileError):

@@ -7,9 +7,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+
 from fuzz.npz_files import WORDS, archive, change, member
 from fuzz.reader import Reader
-
 from grasp_refine.geometry.cache import load, load_arrays
 from grasp_refine.geometry.pieces import box, hull
 

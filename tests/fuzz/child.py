@@ -22,8 +22,7 @@ from typing import Any
 
 from fuzz.mutations import LARGEST_INPUT, changed_bytes
 from fuzz.reader import Reader, secrets
-
-from grasp_refine.errors import GraspRefineError
+from grasp_refine.core.errors import GraspRefineError
 
 MEMORY_LIMIT = 2**28
 """Bytes by which the memory that is held may grow with one input."""

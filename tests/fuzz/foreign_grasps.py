@@ -13,13 +13,13 @@ from random import Random
 from typing import Any
 
 import numpy as np
+
 from fuzz.mutations import VALUES, changed_value
 from fuzz.npz_files import header
 from fuzz.reader import Reader, plain
-
-from grasp_refine.formats.content import load_content
-from grasp_refine.formats.dexgraspnet import NAMES
-from grasp_refine.formats.reading import reading
+from grasp_refine.grasps.formats.content import load_content
+from grasp_refine.grasps.formats.dexgraspnet import NAMES
+from grasp_refine.grasps.formats.reading import reading
 
 OPCODES = tuple(opcode.code.encode("latin-1") for opcode in pickletools.opcodes)
 WORDS = (b"cos\nsystem\n", b"cbuiltins\neval\n", b"cnumpy\ndtype\n", b"cnumpy.core.multiarray\n_reconstruct\n")

@@ -9,8 +9,7 @@ from pathlib import Path
 from fuzz.reader import Reader, plain, written
 from fuzz.toml import WORDS, changed_toml, toml
 from fuzz.urdfs import CUBE, HAND, check
-
-from grasp_refine.hand import load_hand
+from grasp_refine.hands.hand import load_hand
 
 WHOLE = {
     "name": "claw",

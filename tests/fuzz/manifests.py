@@ -10,14 +10,13 @@ from random import Random
 
 from fuzz.reader import Reader, plain
 from fuzz.toml import WORDS, changed_toml, toml
-
-from grasp_refine.asset_library import manifest
-from grasp_refine.asset_library.cache import LAYOUTS, asset_folder, inside, main_path
-from grasp_refine.asset_library.licence import RECORD, is_accepted
-from grasp_refine.asset_library.manifest import read_manifest
-from grasp_refine.asset_library.origin import wanted
-from grasp_refine.asset_library.verifying import verify
-from grasp_refine.assets import resource_dir
+from grasp_refine.assets import manifest
+from grasp_refine.assets.cache import LAYOUTS, asset_folder, inside, main_path
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.assets.licence import RECORD, is_accepted
+from grasp_refine.assets.manifest import read_manifest
+from grasp_refine.assets.origin import wanted
+from grasp_refine.assets.verifying import verify
 
 NAMES = {"hands": "allegro", "objects": "ycb_011_banana", "grasps": "leap_cube"}
 PLACES = ("a/../b", "../../x", "/x", "a//b", "./a", "a/.", "C:/x", "a\\b", ".. /x", "a\x85b", "a" * 250, "a/b/c")

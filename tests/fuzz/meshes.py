@@ -11,14 +11,14 @@ from random import Random
 
 import numpy as np
 import trimesh
+
 from fuzz.mutations import NUMBERS, VALUES, changed_value
 from fuzz.reader import Reader, plain
 from fuzz.urdfs import CUBE
-
-from grasp_refine.description.mesh_files import read_mesh
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry.mesh import check_solid, convex_bodies, is_convex, load_groups, load_mesh, watertight
 from grasp_refine.geometry.pieces import hull
+from grasp_refine.hands.mesh_files import read_mesh
 
 COLLADA = """<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">

@@ -12,15 +12,15 @@ from pathlib import Path
 from random import Random
 
 import numpy as np
+
 from fuzz.mutations import changed_value
 from fuzz.reader import Reader, plain
-from grasp_refine.apps.batch.record import is_result
-from grasp_refine.apps.batch.rows import NEEDED, read_rows
-from grasp_refine.apps.batch.shard import Shard
-
-from grasp_refine.errors import GraspFileError, GraspRefineError
-from grasp_refine.formats.reading import reading
-from grasp_refine.report.results import recorded_urdf
+from grasp_refine.core.errors import GraspFileError, GraspRefineError
+from grasp_refine.grasps.formats.reading import reading
+from grasp_refine.results.result_files import recorded_urdf
+from grasp_refine_apps.batch.record import is_result
+from grasp_refine_apps.batch.rows import NEEDED, read_rows
+from grasp_refine_apps.batch.shard import Shard
 
 WORDS = (b"PK\x03\x04", b"PK\x01\x02", b"PK\x05\x06", b"PK\x06\x06", b"PK\x06\x07", b"\x93NUMPY", b"'descr': '|O'")
 WORDS += (b"'shape': (1000000000000,)", b"'fortran_order': True", b"<U9", b"<f8", b"hand_pose.npy", b"../x.npy")

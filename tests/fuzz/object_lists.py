@@ -7,8 +7,7 @@ from pathlib import Path
 
 from fuzz.reader import Reader
 from fuzz.toml import WORDS, changed_toml, toml
-
-from grasp_refine.commands.object_source import named_object
+from grasp_refine.objects.source import named_object
 
 
 def seeds() -> list[tuple[str, bytes]]:

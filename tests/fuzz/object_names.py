@@ -7,11 +7,11 @@ from pathlib import Path
 from random import Random
 
 import numpy as np
+
 from fuzz.mutations import NUMBERS, VALUES
 from fuzz.reader import Reader
-
-from grasp_refine.commands.object_source import is_known, named_object
-from grasp_refine.objects import load_object
+from grasp_refine.objects.object import load_object
+from grasp_refine.objects.source import is_known, named_object
 
 TEXTS = tuple(value for value in VALUES if isinstance(value, str))
 

@@ -10,13 +10,13 @@ from pathlib import Path
 from random import Random
 
 import pytest
+
 from fuzz.broken import FAULTS, SOUND
 from fuzz.child import drawn
 from fuzz.mutations import LARGEST_INPUT, changed_bytes, changed_value
 from fuzz.readers import READERS
 from fuzz.runner import fuzz
-
-from grasp_refine.errors import GraspFileError, GraspRefineError
+from grasp_refine.core.errors import GraspFileError, GraspRefineError
 
 FEW = 25
 """Inputs of each reader in every run of the tests."""

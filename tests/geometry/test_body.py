@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import trimesh
-from refusals import refused
 
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, capsule, cylinder, hull, sphere
+from refusals import refused
 
 
 @pytest.fixture

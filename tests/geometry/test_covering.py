@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from refusals import assert_names, refused
 
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry import covering as module
 from grasp_refine.geometry.covering import MOST, OUTSIDE, Covering, covering
 from grasp_refine.geometry.nearest_triangle import Triangles
 from grasp_refine.geometry.over_cover import over_cover
 from grasp_refine.geometry.pieces import hull
+from refusals import assert_names, refused
 
 
 def boxes(*bounds: list[float]) -> list[trimesh.Trimesh]:

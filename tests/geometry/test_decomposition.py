@@ -5,12 +5,12 @@ import signal
 import numpy as np
 import pytest
 import trimesh
-from refusals import refused
 
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry import decomposition
 from grasp_refine.geometry.decomposition import Decomposition, decompose
 from grasp_refine.geometry.pieces import convex_pieces
+from refusals import refused
 
 TUBE = trimesh.creation.annulus(0.2, 0.4, 0.5, sections=12)
 VERTICES, FACES = np.asarray(TUBE.vertices), np.asarray(TUBE.faces, dtype=np.int64)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from refusals import assert_names, refused
 
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry.holes import capped, find_holes
+from refusals import assert_names, refused
 
 
 def without(mesh: trimesh.Trimesh, drop: np.ndarray) -> trimesh.Trimesh:

@@ -6,10 +6,10 @@ import logging
 import numpy as np
 import pytest
 import trimesh
-from refusals import assert_names, refused
 
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry.mesh import FlatMeshError, check_mesh, is_convex, load_mesh, quietly, watertight
+from refusals import assert_names, refused
 
 
 def cube(offset=(0, 0, 0), size=(1, 1, 1)) -> trimesh.Trimesh:

@@ -7,9 +7,8 @@ from importlib.metadata import version
 import numpy as np
 import pytest
 import trimesh
-from refusals import assert_names, refused
 
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry import pieces as pieces_module
 from grasp_refine.geometry.cache import default_cache
@@ -28,6 +27,7 @@ from grasp_refine.geometry.pieces import (
     unit_pieces,
 )
 from grasp_refine.geometry.shapes import EMBEDDED
+from refusals import assert_names, refused
 
 
 def pose(seed: int) -> np.ndarray:

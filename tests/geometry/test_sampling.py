@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import trimesh
-from refusals import refused
 
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry import sampling
 from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, hull, sphere
 from grasp_refine.geometry.sampling import sample
+from refusals import refused
 
 
 def shifted(x: float) -> np.ndarray:

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from refusals import refused
 
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.mesh import check_mesh, is_convex, watertight
 from grasp_refine.geometry.pieces import convex_pieces
 from grasp_refine.geometry.shapes import EMBEDDED, primitive, primitive_pieces
+from refusals import refused
 
 SIZES = {
     "mug": [0.1025, 0.08, 0.09],

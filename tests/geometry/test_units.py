@@ -6,10 +6,10 @@ import re
 
 import numpy as np
 import pytest
-from refusals import assert_names, refused
 
-from grasp_refine.errors import MeshError
+from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry.units import UNITS, check_size
+from refusals import assert_names, refused
 
 
 @pytest.mark.parametrize("extents", [[0.09, 0.06, 0.04], [0.002, 0.002, 0.002], [1.9, 0.1, 0.1]])

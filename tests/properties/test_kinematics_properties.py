@@ -7,13 +7,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
-from exact_twists import DTYPES, Long, angles, axes, exact_exp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from grasp_refine.chain import Chain, moved
-from grasp_refine.hand import Hand, load_hand
-from grasp_refine.kinematics import Kinematics
+from exact_twists import DTYPES, Long, angles, axes, exact_exp
+from grasp_refine.hands.chain import Chain, moved
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.kinematics import Kinematics
 
 FEWER = settings(max_examples=max(10, settings().max_examples // 2))
 

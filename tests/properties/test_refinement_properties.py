@@ -12,27 +12,27 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from claw import around, claw
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from grasp_refine.config import Config
+from claw import around, claw
+from grasp_refine.core.se3 import log_so3
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.glimpse import Glimpse
-from grasp_refine.hand import Hand
-from grasp_refine.hand_object import HandObject
-from grasp_refine.kinematics import Kinematics
-from grasp_refine.losses import Weights
-from grasp_refine.max_move import MaxMove
-from grasp_refine.objects import Object, load_object
-from grasp_refine.refine import Refinement, refine
-from grasp_refine.scene import Scene
-from grasp_refine.se3 import log_so3
-from grasp_refine.solvers.adam import Adam
-from grasp_refine.solvers.descent import Descent
-from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
-from grasp_refine.solvers.status import Status
-from grasp_refine.targets import Touching
+from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.kinematics import Kinematics
+from grasp_refine.objects.object import Object, load_object
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.iteration_state import Glimpse
+from grasp_refine.refinement.losses import Weights
+from grasp_refine.refinement.max_move import MaxMove
+from grasp_refine.refinement.refine import Refinement, refine
+from grasp_refine.refinement.solvers.adam import Adam
+from grasp_refine.refinement.solvers.descent import Descent
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
 
 FEWER, FEWEST = (
     settings(max_examples=max(least, settings().max_examples // part)) for least, part in ((4, 7), (2, 15))

@@ -2,12 +2,12 @@
 
 import numpy as np
 import torch
-from exact_twists import DTYPES, Long, angles, axes, exact_exp, exact_right_jacobian, generator, lengths, twists
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from grasp_refine import se3
+from exact_twists import DTYPES, Long, angles, axes, exact_exp, exact_right_jacobian, generator, lengths, twists
+from grasp_refine.core import se3
 
 dtypes = st.sampled_from(DTYPES)
 

@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 import torch
-from exact_twists import DTYPES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from grasp_refine.se3 import exp_se3, log_se3
-from grasp_refine.solvers.adam import Adam
-from grasp_refine.solvers.descent import Descent
-from grasp_refine.solvers.first_order import descend, limits_within
-from grasp_refine.solvers.least_squares import Linear, Minimum, Point, minimise
-from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt, bounded_step
-from grasp_refine.solvers.status import Status
+from exact_twists import DTYPES
+from grasp_refine.core.se3 import exp_se3, log_se3
+from grasp_refine.refinement.solvers.adam import Adam
+from grasp_refine.refinement.solvers.descent import Descent
+from grasp_refine.refinement.solvers.first_order import descend, limits_within
+from grasp_refine.refinement.solvers.least_squares import Linear, Minimum, Point, minimise
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt, bounded_step
+from grasp_refine.refinement.solvers.status import Status
 
 FEWEST = settings(max_examples=max(5, settings().max_examples // 6))
 

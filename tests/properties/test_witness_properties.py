@@ -9,18 +9,16 @@ from functools import cache, cached_property
 
 import numpy as np
 import pytest
-import twists
-from exact_twists import angles, axes
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from shapes_for_tests import cluster_body, ellipsoid_hull, ring_body
-from twists import FIELDS
 
+import twists
+from exact_twists import angles, axes
 from grasp_refine.collision.engine import engines
 from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.core.se3 import body_gradient, exp_se3, exp_so3, inverse, matvec, transform
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, box, capsule, sphere
-from grasp_refine.se3 import body_gradient, exp_se3, exp_so3, inverse, matvec, transform
 from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
@@ -30,6 +28,8 @@ from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.finite_difference import FiniteDifference
 from grasp_refine.witness.neighborhood import Fixed
 from grasp_refine.witness.rings import Neighbor
+from shapes_for_tests import cluster_body, ellipsoid_hull, ring_body
+from twists import FIELDS
 
 FEWER = settings(max_examples=max(8, settings().max_examples // 3))
 

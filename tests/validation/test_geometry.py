@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from grasp_refine.hand import Hand, load_hand
-from grasp_refine.objects import Object, load_object
-from grasp_refine.se3 import exp_se3
+from grasp_refine.core.se3 import exp_se3
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.objects.object import Object, load_object
 from grasp_refine.validation.geometry import Geometry, measure, movement
 
 RADIUS, OBJECT = 0.01, 0.05

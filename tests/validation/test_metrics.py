@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from grasp_refine.hand import Hand, load_hand
-from grasp_refine.objects import Object, load_object
-from grasp_refine.se3 import exp_se3
+from grasp_refine.core.se3 import exp_se3
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.objects.object import Object, load_object
 from grasp_refine.validation.metrics import FARTHEST, Metrics, metrics
 
 PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'

@@ -9,15 +9,15 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from refusals import assert_names, refused
 
-from grasp_refine.errors import HandError
-from grasp_refine.hand import Hand, load_hand
-from grasp_refine.kinematics import Kinematics
-from grasp_refine.squeeze import actuated
+from grasp_refine.core.errors import HandError
+from grasp_refine.forces.squeeze import actuated
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.mjcf_model import mjcf_model, similar
 from grasp_refine.validation.servos import moments
+from refusals import assert_names, refused
 
 NAMES = {"shadow": "shadow", "shadow_22": "shadow", "allegro": "allegro", "leap": "leap"}
 """Maps in joint_maps.json -> hands of ours."""

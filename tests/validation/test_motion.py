@@ -4,18 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from refusals import refused
 
-from grasp_refine.assets import resource_dir
-from grasp_refine.errors import GraspFileError
-from grasp_refine.grasps import GraspSet, Stage, load_grasps
-from grasp_refine.hand import Hand, load_hand
-from grasp_refine.objects import load_object
-from grasp_refine.pregrasp import opened
-from grasp_refine.scene import Scene
-from grasp_refine.se3 import transform_from_pose
-from grasp_refine.squeeze import squeezed
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.forces.squeeze import squeezed
+from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.refinement.pregrasp import opened
+from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import STAGES, closing, motion_of
+from refusals import refused
 
 
 @pytest.fixture(scope="module")

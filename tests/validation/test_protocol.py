@@ -7,15 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gripper import KP, RADIUS, around, ball, gripper
 from mujoco.batch import Batch
 
-from grasp_refine.commands.simulating import Robustness, Simulation
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.hand import Hand, load_hand
-from grasp_refine.objects import Object
-from grasp_refine.plane import Plane
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.objects.object import Object
+from grasp_refine.scene.plane import Plane
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.motion import Motion
@@ -26,6 +24,8 @@ from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.urdf_model import urdf_model
 from grasp_refine.validation.world import World, build_world
+from grasp_refine_apps.commands.simulating import Robustness, Simulation
+from gripper import KP, RADIUS, around, ball, gripper
 
 UNIT = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 """The six directions, written out once more."""

@@ -5,21 +5,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gripper import KP, RADIUS, around, ball, gripper, two_balls
 
+from grasp_refine.core.se3 import distances, exp_so3
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece, box
-from grasp_refine.objects import Object
-from grasp_refine.replay.record import record
-from grasp_refine.replay.replay import Stage
-from grasp_refine.se3 import distances, exp_so3
+from grasp_refine.objects.object import Object
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT, TABLETOP
+from grasp_refine.validation.replay.record import record
+from grasp_refine.validation.replay.replay import Stage
 from grasp_refine.validation.robustness import Noise, holds_at, holds_without_squeeze, noise_score
 from grasp_refine.validation.simulation import CHUNK, close, push, simulate
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.world import World, build_world, volume
+from gripper import KP, RADIUS, around, ball, gripper, two_balls
 
 PUSH = FORCE_CLOSURE.mass * FORCE_CLOSURE.acceleration
 ACROSS = ("+y", "-y", "+z", "-z")

@@ -12,9 +12,9 @@ import torch
 
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece, box
-from grasp_refine.hand import Hand, load_hand
-from grasp_refine.kinematics import Kinematics
-from grasp_refine.self_collision import touching_pairs
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.kinematics import Kinematics
+from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.servos import servo_settings
 from grasp_refine.validation.urdf_model import Parts, apart, urdf_model

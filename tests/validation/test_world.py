@@ -6,16 +6,16 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from gripper import XML, around, ball, gripper
-from refusals import refused
 
-from grasp_refine.errors import GraspRefineError
+from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.messages import complaint, unlogged
 from grasp_refine.validation.protocol import FORCE_CLOSURE, TABLETOP
 from grasp_refine.validation.servos import moments
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import TABLE, build_world
+from gripper import XML, around, ball, gripper
+from refusals import refused
 
 
 def with_bits(left: tuple[int, int], right: tuple[int, int]) -> HandModel:

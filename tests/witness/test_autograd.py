@@ -5,6 +5,17 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 import torch
+
+from grasp_refine.collision.query import Pairs, QueryStatus, query
+from grasp_refine.core.errors import CollisionError
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import sphere
+from grasp_refine.witness.analytical import Analytical
+from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.distance import Distance
+from grasp_refine.witness.neighborhood import Adaptive
+from grasp_refine.witness.scene import WitnessScene
 from refusals import refused
 from shapes_for_tests import convex_body, ring_body
 from twists import (
@@ -17,17 +28,6 @@ from twists import (
     slopes_along_twists,
     weighed,
 )
-
-from grasp_refine.collision.query import Pairs, QueryStatus, query
-from grasp_refine.errors import CollisionError
-from grasp_refine.geometry.body import build_body
-from grasp_refine.geometry.pieces import sphere
-from grasp_refine.witness.analytical import Analytical
-from grasp_refine.witness.autograd import WitnessLayer
-from grasp_refine.witness.contact_kinematics import ContactKinematics
-from grasp_refine.witness.distance import Distance
-from grasp_refine.witness.neighborhood import Adaptive
-from grasp_refine.witness.scene import WitnessScene
 
 METHODS = {"distance": Distance(), "contact kinematics": ContactKinematics()}
 

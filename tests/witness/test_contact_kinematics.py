@@ -5,25 +5,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from ellipsoids import Contact, Ellipsoid, at_gap, motion
-from shapes_for_tests import convex_body
-from twists import poses_at_gap
 
+from ellipsoids import Contact, Ellipsoid, at_gap, motion
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
+from grasp_refine.core.se3 import exp_se3, tangents, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, capsule, sphere
-from grasp_refine.se3 import exp_se3, tangents, transform_points
 from grasp_refine.witness.autograd import WitnessLayer
-from grasp_refine.witness.contact_kinematics import (
-    ContactKinematics,
-    _fit,
-    counted_distance,
-    relative_curvature,
-    slide,
-)
+from grasp_refine.witness.contact_kinematics import ContactKinematics, _fit, counted_distance, relative_curvature, slide
 from grasp_refine.witness.curvature import raised
 from grasp_refine.witness.neighborhood import Adaptive, Neighbors
 from grasp_refine.witness.scene import WitnessScene
+from shapes_for_tests import convex_body
+from twists import poses_at_gap
 
 ALL = Adaptive(samples=None)
 

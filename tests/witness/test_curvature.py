@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from grasp_refine.core.se3 import exp_so3, tangents
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import box, capsule, hull, sphere
-from grasp_refine.se3 import exp_so3, tangents
 from grasp_refine.witness import curvature
 from grasp_refine.witness.curvature import Curvatures, raised, with_eigenvalues
 

@@ -5,6 +5,19 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import torch
+
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.errors import CollisionError
+from grasp_refine.core.se3 import cross, exp_se3, inverse, matvec, transform_points
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.pieces import box, capsule, hull, sphere
+from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.distance import Distance, smooth, temperature
+from grasp_refine.witness.neighborhood import Adaptive, Fixed
+from grasp_refine.witness.rings import Neighbor
+from grasp_refine.witness.scene import WitnessScene
+from grasp_refine.witness.slip import Slip, pull_back, pull_back_witness, push_forward
 from refusals import refused
 from twists import (
     contracted,
@@ -14,19 +27,6 @@ from twists import (
     random_poses,
     slopes_along_twists,
 )
-
-from grasp_refine.collision.query import Pairs, query
-from grasp_refine.errors import CollisionError
-from grasp_refine.geometry.body import Body, build_body
-from grasp_refine.geometry.pieces import box, capsule, hull, sphere
-from grasp_refine.se3 import cross, exp_se3, inverse, matvec, transform_points
-from grasp_refine.witness.autograd import WitnessLayer
-from grasp_refine.witness.contact_kinematics import ContactKinematics
-from grasp_refine.witness.distance import Distance, smooth, temperature
-from grasp_refine.witness.neighborhood import Adaptive, Fixed
-from grasp_refine.witness.rings import Neighbor
-from grasp_refine.witness.scene import WitnessScene
-from grasp_refine.witness.slip import Slip, pull_back, pull_back_witness, push_forward
 
 POINTS = ("point_a", "point_b")
 ALL = (*POINTS, "normal", "distance")

@@ -5,17 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shapes_for_tests import convex_body
-from twists import poses_at_gap, random_poses
 
 from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, sphere
-from grasp_refine.se3 import inverse, transform_points
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.distance import Distance, smooth, temperature
 from grasp_refine.witness.neighborhood import Adaptive, Neighbors
 from grasp_refine.witness.scene import WitnessScene
+from shapes_for_tests import convex_body
+from twists import poses_at_gap, random_poses
 
 ALL = Distance(Adaptive(samples=None))
 

@@ -5,13 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from shapes_for_tests import cluster_body, convex_body, ring_body
-from twists import FIELDS, gradients, layer_gradient, poses_at_gap, random_cotangents, random_poses
 
 from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.core.se3 import cross, inverse, transform_points
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import box, capsule, sphere
-from grasp_refine.se3 import cross, inverse, transform_points
 from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
@@ -25,6 +23,8 @@ from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
 from grasp_refine.witness.zeroth_order import ZerothOrder
+from shapes_for_tests import cluster_body, convex_body, ring_body
+from twists import FIELDS, gradients, layer_gradient, poses_at_gap, random_cotangents, random_poses
 
 NEIGHBORHOODS = {"adaptive": Adaptive(), "fixed": Fixed(), "neighbor": Neighbor()}
 METHODS: dict[str, Derivative] = {

@@ -2,13 +2,6 @@
 
 import numpy as np
 import pytest
-from twists import (
-    contracted,
-    layer_gradient,
-    poses_at_gap,
-    random_cotangents,
-    slopes_along_twists,
-)
 
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.geometry.body import Body, build_body
@@ -22,6 +15,13 @@ from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import Slip, push_forward
 from grasp_refine.witness.zeroth_order import ZerothOrder
+from twists import (
+    contracted,
+    layer_gradient,
+    poses_at_gap,
+    random_cotangents,
+    slopes_along_twists,
+)
 
 POINTS = ("point_a", "point_b")
 

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from shapes_for_tests import convex_body, ring_body
-from twists import poses_at_gap
 
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.geometry.body import Body, build_body
@@ -12,6 +10,8 @@ from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors, Surfaces, choose, draw_offset
 from grasp_refine.witness.scene import WitnessScene
+from shapes_for_tests import convex_body, ring_body
+from twists import poses_at_gap
 
 BODIES: tuple[Body, ...] = (convex_body(0), ring_body(1), build_body("box", [box([0.1, 0.06, 0.02])]))
 

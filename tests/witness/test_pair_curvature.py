@@ -2,19 +2,19 @@
 
 import numpy as np
 import pytest
-from shapes_for_tests import ring_body
-from twists import poses_at_gap, random_poses
 
 from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.core.se3 import inverse, matvec, tangents
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, capsule, hull, sphere
-from grasp_refine.losses import contact_direction_covectors
-from grasp_refine.se3 import inverse, matvec, tangents
+from grasp_refine.refinement.losses import contact_direction_covectors
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.neighborhood import Adaptive
 from grasp_refine.witness.pair_curvature import CORNER, PairCurvatures
 from grasp_refine.witness.scene import WitnessScene
+from shapes_for_tests import ring_body
+from twists import poses_at_gap, random_poses
 
 
 def items(pairs: Pairs, gap: float, count: int = 12, seed: int = 1) -> tuple[np.ndarray, np.ndarray, Witness]:

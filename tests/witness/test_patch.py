@@ -4,16 +4,16 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from refusals import refused
 from scipy.optimize import linprog, minimize
-from shapes_for_tests import convex_body, ellipsoid_hull, ring_body
 
 from grasp_refine.collision.query import Pairs, Witness, query
-from grasp_refine.errors import CollisionError
+from grasp_refine.core.errors import CollisionError
+from grasp_refine.core.se3 import exp_so3, inverse, matvec, tangents, transform, transform_points
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, hull, sphere
-from grasp_refine.se3 import exp_so3, inverse, matvec, tangents, transform, transform_points
 from grasp_refine.witness.patch import Patch
+from refusals import refused
+from shapes_for_tests import convex_body, ellipsoid_hull, ring_body
 
 EPSILON = Patch().epsilon
 BASE = box([0.06, 0.05, 0.04])

@@ -5,22 +5,22 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from refusals import refused
-from shapes_for_tests import cluster_body, convex_body, ellipsoid_hull, ring_body
-from twists import layer_gradient, poses_at_gap, random_cotangents
 
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
-from grasp_refine.errors import CollisionError
+from grasp_refine.core.errors import CollisionError
+from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere
 from grasp_refine.geometry.rings import Rings
-from grasp_refine.se3 import inverse, transform_points
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.neighborhood import Neighbors, Surfaces, draw_offset
 from grasp_refine.witness.rings import Neighbor, choose_rings
 from grasp_refine.witness.scene import WitnessScene
+from refusals import refused
+from shapes_for_tests import cluster_body, convex_body, ellipsoid_hull, ring_body
+from twists import layer_gradient, poses_at_gap, random_cotangents
 
 PIECES = {
     "icosphere": lambda: hull(trimesh.creation.icosphere(subdivisions=2, radius=0.03).vertices),

@@ -6,13 +6,11 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from shapes_for_tests import cluster_body, convex_body
-from twists import gradient_along_twists, layer_gradient, poses_at_gap, random_cotangents
 
 from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.core.se3 import tangents
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import box, capsule, sphere
-from grasp_refine.se3 import tangents
 from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
@@ -26,6 +24,8 @@ from grasp_refine.witness.patch import Patch
 from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.size import length_factor
 from grasp_refine.witness.zeroth_order import ZerothOrder
+from shapes_for_tests import cluster_body, convex_body
+from twists import gradient_along_twists, layer_gradient, poses_at_gap, random_cotangents
 
 RULES = {
     "adaptive": Adaptive(),

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 import torch
-from ellipsoids import Contact, Ellipsoid, at_gap, motion
-from shapes_for_tests import convex_body
 
+from ellipsoids import Contact, Ellipsoid, at_gap, motion
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness
 from grasp_refine.witness.neighborhood import Surfaces
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import Slip, contract, pull_back, pull_back_witness, push_forward, wrench
+from shapes_for_tests import convex_body
 
 GAPS = (0.05, 0.003, -1e-3, -0.006)
 

@@ -6,14 +6,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from shapes_for_tests import convex_body
-from twists import poses_at_gap
 
 from grasp_refine.collision.query import Pairs
-from grasp_refine.se3 import adjoint, body_gradient, exp_se3, inverse
+from grasp_refine.core.se3 import adjoint, body_gradient, exp_se3, inverse
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.transport import EquivalentTransport, _entries, transport
+from shapes_for_tests import convex_body
+from twists import poses_at_gap
 
 twists = arrays(np.float64, 6, elements=st.floats(-2.0, 2.0))
 

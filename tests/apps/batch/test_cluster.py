@@ -12,17 +12,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from dask_cluster import DaskCluster
 from distributed import Client
-from grasp_refine.apps.batch.cluster import run_on_cluster
-from grasp_refine.apps.batch.cluster_workers import fault_of
-from grasp_refine.apps.batch.on_cluster import Seen
-from grasp_refine.apps.batch.shard import Done, Failed
+
+from dask_cluster import DaskCluster
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.batch.cluster import run_on_cluster
+from grasp_refine_apps.batch.cluster_workers import fault_of
+from grasp_refine_apps.batch.on_cluster import Seen
+from grasp_refine_apps.batch.shard import Done, Failed
 from refusals import assert_names, refused
 from running_processes import PATIENCE_S, soon
 from shard_works import Tally, done, some_shards, tallies, work
-
-from grasp_refine.errors import GraspRefineError
 
 HERE = Seen((("grasp-refine", "1.0"), ("Python", "3.11"), ("distributed", "2026.8.0")), True, True)
 
@@ -153,7 +153,7 @@ def test_no_shards_need_no_cluster(tmp_path: Path):
 
 
 def test_without_dask_the_refusal_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.delitem(sys.modules, "grasp_refine.apps.batch.cluster_client", raising=False)
+    monkeypatch.delitem(sys.modules, "grasp_refine_apps.batch.cluster_client", raising=False)
     monkeypatch.setitem(sys.modules, "distributed", None)
     with refused(GraspRefineError, "distributed", "pip install 'grasp-refine[cluster]'"):
         outcomes("tcp://127.0.0.1:1", tmp_path, "write")

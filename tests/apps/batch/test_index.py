@@ -11,17 +11,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from batch_rows import made_up_rows, refined, save_refined, shard
+from grasp_refine.core.errors import GraspFileError, GraspRefineError
+from grasp_refine.core.names import from_cell
+from grasp_refine.results.verdict import HOLDS
+from grasp_refine_apps.batch import index as module
+from grasp_refine_apps.batch.index import index_path, index_writer
+from grasp_refine_apps.batch.rows import COLUMNS, ENTRIES, Rows, read_rows
+from grasp_refine_apps.batch.shard import Shard
 from made_results import save_example_results
 from refusals import refused
-
-from apps.batch import index as module
-from apps.batch.index import index_path, index_writer
-from apps.batch.rows import COLUMNS, ENTRIES, Rows, read_rows
-from apps.batch.shard import Shard
-from grasp_refine.errors import GraspFileError, GraspRefineError
-from grasp_refine.names import from_cell
-from grasp_refine.report.verdict import HOLDS
 
 
 @pytest.fixture(scope="module")

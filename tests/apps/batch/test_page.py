@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from batch_rows import document, failure, made_up_rows
-from refusals import assert_names
 
-from apps.batch.chart import MEASURES, MOVED, chart
-from apps.batch.page import MOST_ALIKE, MOST_KINDS, page, view_command
-from apps.batch.pictures import Picture
-from apps.batch.statistics import Statistics
-from apps.batch.worst import Case
-from grasp_refine.cli import COMMANDS
-from grasp_refine.solvers.status import Status
+from batch_rows import document, failure, made_up_rows
+from grasp_refine.refinement.solvers.status import Status
+from grasp_refine_apps.batch.chart import MEASURES, MOVED, chart
+from grasp_refine_apps.batch.page import MOST_ALIKE, MOST_KINDS, page, view_command
+from grasp_refine_apps.batch.pictures import Picture
+from grasp_refine_apps.batch.statistics import Statistics
+from grasp_refine_apps.batch.worst import Case
+from grasp_refine_apps.cli import COMMANDS
+from refusals import assert_names
 
 PNG = b"\x89PNG\r\n\x1a\nnot a picture"
 VOID = {"meta", "img", "br", "link", "input", "hr", "line", "rect"}

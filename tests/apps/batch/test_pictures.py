@@ -8,24 +8,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from batch_rows import shard
 from made_results import save_example_results
 from refusals import assert_names, refused
 
 Image = pytest.importorskip("PIL.Image", reason="pictures are written with Pillow")
 
-from apps.batch import portrait as portraits  # noqa: E402
-from apps.batch.pictures import draw_cases  # noqa: E402
-from apps.batch.portrait import HEIGHT, WIDTH, Pose, bones, portrait  # noqa: E402
-from apps.batch.rows import read_rows  # noqa: E402
-from apps.batch.statistics import Statistics  # noqa: E402
-from apps.batch.worst import Case  # noqa: E402
-from grasp_refine.assets import resource_dir  # noqa: E402
-from grasp_refine.errors import GraspRefineError, MeshError  # noqa: E402
-from grasp_refine.grasps import load_grasps, match_joints  # noqa: E402
-from grasp_refine.hand import Hand, load_hand  # noqa: E402
-from grasp_refine.objects import Object, load_object  # noqa: E402
-from grasp_refine.se3 import transform_from_pose  # noqa: E402
+from grasp_refine.assets.embedded import resource_dir  # noqa: E402
+from grasp_refine.core.errors import GraspRefineError, MeshError  # noqa: E402
+from grasp_refine.core.se3 import transform_from_pose  # noqa: E402
+from grasp_refine.grasps.grasp_set import load_grasps, match_joints  # noqa: E402
+from grasp_refine.hands.hand import Hand, load_hand  # noqa: E402
+from grasp_refine.objects.object import Object, load_object  # noqa: E402
+from grasp_refine_apps.batch import thumbnail as portraits  # noqa: E402
+from grasp_refine_apps.batch.pictures import draw_cases  # noqa: E402
+from grasp_refine_apps.batch.rows import read_rows  # noqa: E402
+from grasp_refine_apps.batch.statistics import Statistics  # noqa: E402
+from grasp_refine_apps.batch.thumbnail import HEIGHT, WIDTH, Pose, bones, portrait  # noqa: E402
+from grasp_refine_apps.batch.worst import Case  # noqa: E402
 
 
 def pixels(png: bytes) -> np.ndarray:

@@ -13,15 +13,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
 from command_line import interruptible, subprocess_environment
-from grasp_refine.apps.batch.crew import ONE_THREAD
-from grasp_refine.apps.batch.pool import run_local
-from grasp_refine.apps.batch.shard import Done, Failed
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.batch.pool import run_local
+from grasp_refine_apps.batch.shard import Done, Failed
+from grasp_refine_apps.batch.worker_pool import ONE_THREAD
 from refusals import assert_names, refused
 from running_processes import PATIENCE_S, alive, children, soon
 from shard_works import Slow, Tally, Unknown, Unloadable, done, some_shards, tallies, work
-
-from grasp_refine.errors import GraspRefineError
 
 
 def ignore(number: int, what: str, share: float, refined: int) -> None:

@@ -6,11 +6,11 @@ import io
 from pathlib import Path
 
 import pytest
-from batch_rows import shard
 from rich.console import Console
 
-from apps.batch.progress import EVERY, Progress
-from apps.batch.shard import Done, Failed
+from batch_rows import shard
+from grasp_refine_apps.batch.progress import EVERY, Progress
+from grasp_refine_apps.batch.shard import Done, Failed
 
 
 class Clock:

@@ -9,7 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_refine.apps.batch.record import (
+
+from grasp_refine.core.atomic_files import written_whole
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.batch.record import (
     State,
     clean,
     forget_failure,
@@ -18,12 +21,9 @@ from grasp_refine.apps.batch.record import (
     noted_failure,
     state_of,
 )
-from grasp_refine.apps.batch.rows import NEEDED, TEXTS, read_rows
-from grasp_refine.apps.batch.shard import Failed, Shard
+from grasp_refine_apps.batch.rows import NEEDED, TEXTS, read_rows
+from grasp_refine_apps.batch.shard import Failed, Shard
 from refusals import refused
-
-from grasp_refine.atomic import written_whole
-from grasp_refine.errors import GraspRefineError
 
 
 def shard(folder: Path, stamp: str = "abc") -> Shard:

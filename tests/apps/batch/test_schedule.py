@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from grasp_refine.apps.batch.schedule import Schedule
+from grasp_refine_apps.batch.schedule import Schedule
 from shard_works import some_shards
 
 

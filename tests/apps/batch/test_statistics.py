@@ -7,13 +7,13 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from batch_rows import made_up_rows
 
-from apps.batch import statistics as module
-from apps.batch.histogram import LINEAR, Bins, Histogram
-from apps.batch.rows import Rows
-from apps.batch.statistics import Statistics
-from apps.batch.worst import ALIKE, CASES, KEPT
+from batch_rows import made_up_rows
+from grasp_refine_apps.batch import statistics as module
+from grasp_refine_apps.batch.histogram import LINEAR, Bins, Histogram
+from grasp_refine_apps.batch.rows import Rows
+from grasp_refine_apps.batch.statistics import Statistics
+from grasp_refine_apps.batch.worst import ALIKE, CASES, KEPT
 
 
 def statistics(*parts: Rows) -> Statistics:

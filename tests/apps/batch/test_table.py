@@ -6,11 +6,11 @@ import io
 
 import numpy as np
 import pytest
-from batch_rows import document, failure, made_up_rows
 from rich.console import Console
 
-from apps.batch.statistics import Statistics
-from apps.batch.table import batch_table
+from batch_rows import document, failure, made_up_rows
+from grasp_refine_apps.batch.statistics import Statistics
+from grasp_refine_apps.batch.table import batch_table
 
 
 def printed(document: dict, statistics: Statistics, width: int = 80) -> list[str]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from apps.bench import jobs as module
-from apps.bench.jobs import run_jobs
+from grasp_refine_apps.bench import jobs as module
+from grasp_refine_apps.bench.jobs import run_jobs
 
 
 @dataclass(frozen=True)

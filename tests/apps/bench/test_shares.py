@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from apps.bench.shares import cpu_share, told_apart
-from grasp_refine.stopwatch import STAGES, Stopwatch
+from grasp_refine.core.profiling import STAGES, Stopwatch
+from grasp_refine_apps.bench.shares import cpu_share, told_apart
 
 
 def test_what_is_not_told_apart_is_one_part():

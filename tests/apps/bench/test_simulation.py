@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_refine.apps.bench.simulation import main, plain
-from gripper import around, ball, gripper
 
-from grasp_refine.assets import resource_dir
+from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.validation.protocol import FORCE_CLOSURE
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import build_world
+from grasp_refine_apps.bench.simulation import main, plain
+from gripper import around, ball, gripper
 
 
 def test_a_plain_loop_and_the_batch_agree() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from apps.bench.timing import MOST, WARM_UP, cpu_times, one_thread
 from grasp_refine.collision.engine import why_not_native
+from grasp_refine_apps.bench.timing import MOST, WARM_UP, cpu_times, one_thread
 
 
 def test_times_are_taken_in_turn_after_a_warm_up():

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+
 from browser import DETAIL, VIEWPORT, ViserPage, chromium, headless
 from viewer_process import Viewer, start_viewer_process
 

@@ -8,24 +8,25 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+
 from shapes_for_tests import cluster_body, convex_body
 
 pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
 import viser
-from grasp_refine.apps.viewer.page import open_server
-from websocket_page import Page, until
 
-from apps.bench.align.bodies import BodyPair, normalised
-from apps.bench.align.record import record_task, shown_task
-from apps.bench.align.saved import AlignmentTask
-from apps.bench.align.tasks import draw_tasks
-from apps.bench.align.variants import Variant
-from apps.viewer.alignment import AlignmentPage
-from apps.viewer.alignment_chart import SMALLEST, Chart, best_so_far
-from apps.viewer.alignment_words import mm, where
-from apps.viewer.colors import distance_colors
-from grasp_refine.se3 import matrix_from_quaternion, transform_points
+from grasp_refine.core.se3 import matrix_from_quaternion, transform_points
+from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
+from grasp_refine_apps.bench.align.record import record_task, shown_task
+from grasp_refine_apps.bench.align.saved import AlignmentTask
+from grasp_refine_apps.bench.align.tasks import draw_tasks
+from grasp_refine_apps.bench.align.variants import Variant
+from grasp_refine_apps.viewer.alignment import AlignmentPage
+from grasp_refine_apps.viewer.alignment_chart import SMALLEST, Chart, best_so_far
+from grasp_refine_apps.viewer.alignment_words import mm, where
+from grasp_refine_apps.viewer.colors import distance_colors
+from grasp_refine_apps.viewer.page import open_server
+from websocket_page import Page, until
 
 PAIR = BodyPair("two", "concave", normalised(convex_body(1, 24), 0.06), normalised(cluster_body(3, 4), 0.09))
 VARIANTS = (Variant(budget=60), Variant("rigid", optimise="T1T2", budget=20), Variant.least_squares(budget=50))

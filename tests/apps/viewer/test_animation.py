@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import ViserPage, until
-from grasp_refine.apps.viewer.camera import FirstCamera
-from grasp_refine.apps.viewer.film import Film, Frame
-from grasp_refine.apps.viewer.pose import Pose
-from grasp_refine.apps.viewer.shapes import LinkPoses, object_shapes, visual_shapes
-from open_viewer import example
 
-from grasp_refine.scene import Scene
+from browser import ViserPage, until
+from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.viewer.camera import FirstCamera
+from grasp_refine_apps.viewer.film import Film, Frame
+from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.shapes import LinkPoses, object_shapes, visual_shapes
+from open_viewer import example
 
 pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
-from grasp_refine.apps.viewer.animation import animation_html  # noqa: E402
+from grasp_refine_apps.viewer.animation import animation_html  # noqa: E402
 
 STEPS = 11
 

@@ -11,23 +11,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from browser import ViserPage, until
-from grasp_refine.apps.viewer.collection import Collection
-from grasp_refine.apps.viewer.columns import STATUS
-from grasp_refine.apps.viewer.controller import Controller
-from grasp_refine.apps.viewer.listing import NO_MARK
-from grasp_refine.apps.viewer.marks import marks_path
-from grasp_refine.apps.viewer.measuring import unmeasured
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.commands.sources import Sources
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.columns import STATUS
+from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.listing import NO_MARK
+from grasp_refine_apps.viewer.marks import marks_path
+from grasp_refine_apps.viewer.measuring import unmeasured
 from made_results import save_example_results
 from refusals import assert_names
 
-from grasp_refine.assets import resource_dir
-from grasp_refine.commands.settings import Settings
-from grasp_refine.commands.sources import Sources
-
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
-from grasp_refine.apps.viewer.panels.browse_panel import BrowsePanel  # noqa: E402
+from grasp_refine_apps.viewer.panels.browse_panel import BrowsePanel  # noqa: E402
 
 
 @dataclass

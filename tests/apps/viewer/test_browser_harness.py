@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import trimesh
+
 from browser import DETAIL, ViserPage, share_of, until
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import trimesh
+
 from browser import ViserPage, share_of, until
 from running_processes import PATIENCE_S
 from viewer_process import Viewer

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import ViserPage, until
-from viewer_process import Viewer
 
-from grasp_refine.solvers.status import Status
+from browser import ViserPage, until
+from grasp_refine.refinement.solvers.status import Status
+from viewer_process import Viewer
 
 CONVERGED = Status.CONVERGED.label.capitalize()
 FINGERTIP = "/grasp/hand/20"

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer.camera import ELEVATIONS, MARGIN, FirstCamera, first_camera, first_camera_of
-from grasp_refine.apps.viewer.contacts import contacts_of
 
-from grasp_refine.assets import resource_dir
-from grasp_refine.grasps import load_grasps, match_joints
-from grasp_refine.hand import load_hand
-from grasp_refine.hand_object import HandObject
-from grasp_refine.objects import load_object
-from grasp_refine.se3 import exp_se3, transform_from_pose, transform_points
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.se3 import exp_se3, transform_from_pose, transform_points
+from grasp_refine.grasps.grasp_set import load_grasps, match_joints
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine_apps.viewer.camera import ELEVATIONS, MARGIN, FirstCamera, first_camera, first_camera_of
+from grasp_refine_apps.viewer.contacts import contacts_of
 
 
 def in_picture(camera: FirstCamera, points: np.ndarray, aspect: float) -> np.ndarray:

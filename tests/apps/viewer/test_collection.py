@@ -8,20 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer.collection import Collection
-from grasp_refine.apps.viewer.listing import Listing
-from grasp_refine.apps.viewer.marks import marks_path
-from grasp_refine.apps.viewer.table import table_html
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.grasps.grasp_set import load_grasps
+from grasp_refine.hands.hand import load_hand
+from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine_apps.commands.sources import Sources
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.listing import Listing
+from grasp_refine_apps.viewer.marks import marks_path
+from grasp_refine_apps.viewer.table import table_html
 from made_results import STATUSES, save_example_results, save_made_up
 from refusals import refused
-
-from grasp_refine.assets import resource_dir
-from grasp_refine.commands.inputs import Inputs
-from grasp_refine.commands.sources import Sources
-from grasp_refine.errors import GraspFileError
-from grasp_refine.grasps import load_grasps
-from grasp_refine.hand import load_hand
-from grasp_refine.se3 import transform_from_pose
 
 EXAMPLE = resource_dir("robots") / "allegro" / "example_mug.npz"
 

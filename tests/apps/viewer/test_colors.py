@@ -6,7 +6,8 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer.colors import SCALE, UNKNOWN, distance_colors, distance_legend
+
+from grasp_refine_apps.viewer.colors import SCALE, UNKNOWN, distance_colors, distance_legend
 
 DISTANCES = 1e-3 * np.array([-8.0, -5.0, -2.0, -1.0, -0.5, -0.3, 0.0, 0.3, 0.5, 1.0, 3.0, 6.0, 10.0, 50.0])
 

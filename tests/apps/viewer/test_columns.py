@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer.columns import NUMBERS, STATUS, Column
+
+from grasp_refine_apps.viewer.columns import NUMBERS, STATUS, Column
 
 NAN = float("nan")
 

@@ -7,21 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer.contacts import Contacts, contacts_of
-from grasp_refine.apps.viewer.target import Target
 
-from grasp_refine.assets import resource_dir
-from grasp_refine.description.hand_toml import Contact
-from grasp_refine.grasps import load_grasps, match_joints
-from grasp_refine.hand import Hand, load_hand
-from grasp_refine.hand_object import HandObject
-from grasp_refine.objects import load_object
-from grasp_refine.scene import Scene
-from grasp_refine.se3 import inverse, transform_from_pose, transform_points
-from grasp_refine.squeeze import grasp_forces
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
+from grasp_refine.forces.squeeze import grasp_forces
+from grasp_refine.forces.wrench import PLANNING_FRICTION
+from grasp_refine.grasps.grasp_set import load_grasps, match_joints
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.hand_toml import Contact
+from grasp_refine.objects.object import load_object
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.geometry import measure
 from grasp_refine.validation.metrics import quality_values
-from grasp_refine.wrench import PLANNING_FRICTION
+from grasp_refine_apps.viewer.contacts import Contacts, contacts_of
+from grasp_refine_apps.viewer.target import Target
 
 PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 CLAMP = f"""<robot name="clamp">

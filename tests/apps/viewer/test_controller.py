@@ -9,21 +9,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer.controller import Controller
-from grasp_refine.apps.viewer.marks import marks_path
-from grasp_refine.apps.viewer.measuring import unmeasured
-from grasp_refine.apps.viewer.pose import Pose
+
+from grasp_refine.core.se3 import exp_so3, inverse, transform, transform_points
+from grasp_refine.hands.chain import Chain
+from grasp_refine.pipeline.problem import Problem
+from grasp_refine.refinement.refine import refine
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.marks import marks_path
+from grasp_refine_apps.viewer.measuring import unmeasured
+from grasp_refine_apps.viewer.pose import Pose
 from open_viewer import controller, example, settled
 from refusals import assert_names
 from running_processes import PATIENCE_S
 from websocket_page import until
-
-from grasp_refine.chain import Chain
-from grasp_refine.commands.settings import Settings
-from grasp_refine.hand_object import HandObject
-from grasp_refine.problem import Problem
-from grasp_refine.refine import refine
-from grasp_refine.se3 import exp_so3, inverse, transform, transform_points
 
 SLIPPING = 1
 """The first example grasp that holds with the usual friction: with little, the object turns in the hand."""

@@ -7,14 +7,14 @@ from math import inf
 from typing import Annotated, Literal
 
 import pytest
-from grasp_refine.apps.viewer.entries import Entry, Section, as_text, docs_of, parts_of, plain, value_of, with_value
-from refusals import refused
 from tyro.conf import Suppress, arg
 
-from grasp_refine.commands.settings import Settings
-from grasp_refine.errors import GraspRefineError
-from grasp_refine.losses import Scales, Weights
-from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.refinement.losses import Scales, Weights
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.viewer.entries import Entry, Section, as_text, docs_of, parts_of, plain, value_of, with_value
+from refusals import refused
 
 
 def entries(parts: tuple[Entry | Section, ...]) -> dict[str, Entry]:

@@ -6,18 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer.collection import Collection
-from grasp_refine.apps.viewer.film import MOST, Film, film_of, motion_film, refinement_film, thinned
-from grasp_refine.apps.viewer.pose import Pose
-from grasp_refine.apps.viewer.shown_motion import ShownMotion
-from grasp_refine.apps.viewer.state import State
-from grasp_refine.apps.viewer.trace import Trace
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import transform_points
+from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.film import MOST, Film, film_of, motion_film, refinement_film, thinned
+from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.shown_motion import ShownMotion
+from grasp_refine_apps.viewer.state import State
+from grasp_refine_apps.viewer.trace import Trace
 from open_viewer import example
 from refusals import assert_names, refused
-
-from grasp_refine.errors import GraspRefineError
-from grasp_refine.scene import Scene
-from grasp_refine.se3 import transform_points
 
 AWAY = 0.04
 """Metres by which the hand comes nearer in the film."""

@@ -10,12 +10,11 @@ import pytest
 
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
-from grasp_refine.apps.viewer.forms import Form  # noqa: E402
+from grasp_refine.core.errors import GraspRefineError  # noqa: E402
+from grasp_refine_apps.commands.settings import Settings  # noqa: E402
+from grasp_refine_apps.viewer.forms import Form  # noqa: E402
 from refusals import assert_names  # noqa: E402
 from websocket_page import Page, until  # noqa: E402
-
-from grasp_refine.commands.settings import Settings  # noqa: E402
-from grasp_refine.errors import GraspRefineError  # noqa: E402
 
 
 class Shown:

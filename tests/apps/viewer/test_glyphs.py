@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from grasp_refine.apps.viewer.glyphs import CONE_HEIGHT, FORCE_LENGTH, SIDES, force_arrows, friction_cones, segments
 
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box
+from grasp_refine_apps.viewer.glyphs import CONE_HEIGHT, FORCE_LENGTH, SIDES, force_arrows, friction_cones, segments
 
 BODY = build_body("box", [box((0.1, 0.2, 0.2))], candidates=16)
 DIAGONAL = 0.3

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from grasp_refine.apps.viewer import hand_files, mesh_bounds
-from grasp_refine.apps.viewer.unpacking import UploadError
-from grasp_refine.apps.viewer.uploads import received
+
+from grasp_refine.hands.hand import load_hand
+from grasp_refine_apps.viewer import hand_files, mesh_bounds
+from grasp_refine_apps.viewer.unpacking import UploadError
+from grasp_refine_apps.viewer.uploads import received
 from refusals import assert_names
 from uploaded import TIP, gripper, gripper_zip, opened_files, zipped
-
-from grasp_refine.hand import load_hand
 
 URDF, MESH = "gripper/urdf/gripper.urdf", "gripper/meshes/tip.stl"
 

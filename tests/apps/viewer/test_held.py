@@ -8,13 +8,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+
 from websocket_page import Page, until
 
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
-from grasp_refine.apps.viewer.panels import held as module  # noqa: E402
-from grasp_refine.apps.viewer.panels.held import Held  # noqa: E402
-from grasp_refine.apps.viewer.panels.paced import Paced  # noqa: E402
+from grasp_refine_apps.viewer.panels import held as module  # noqa: E402
+from grasp_refine_apps.viewer.panels.held import Held  # noqa: E402
+from grasp_refine_apps.viewer.panels.paced import Paced  # noqa: E402
 
 
 @pytest.fixture

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer import history
-from grasp_refine.apps.viewer.history import History, Steered
-from grasp_refine.apps.viewer.pose import Pose
+
+from grasp_refine_apps.viewer import history
+from grasp_refine_apps.viewer.history import History, Steered
+from grasp_refine_apps.viewer.pose import Pose
 
 
 def at(x: float) -> Steered:

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer.collection import Collection
-from grasp_refine.apps.viewer.listing import MARK, NO_MARK, NUMBER, Listing, any_other, first_descending, step, worst
-from made_results import save_example_results
 
-from grasp_refine.commands.sources import Sources
+from grasp_refine_apps.commands.sources import Sources
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.listing import MARK, NO_MARK, NUMBER, Listing, any_other, first_descending, step, worst
+from made_results import save_example_results
 
 
 @pytest.fixture(scope="module")

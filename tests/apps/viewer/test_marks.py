@@ -7,11 +7,11 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from grasp_refine.apps.viewer.marks import HEADER, LARGEST, Marks, marks_path
-from refusals import refused
 
-from grasp_refine.assets import resource_dir
-from grasp_refine.errors import GraspFileError
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine_apps.viewer.marks import HEADER, LARGEST, Marks, marks_path
+from refusals import refused
 
 TOP = ",".join(HEADER)
 

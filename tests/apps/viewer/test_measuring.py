@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer import measuring
-from grasp_refine.apps.viewer.collection import Collection
-from grasp_refine.apps.viewer.measuring import MEASURED, measured, unmeasured
-from grasp_refine.apps.viewer.worker import Stopped
-from made_results import save_example_results
 
-from grasp_refine.assets import resource_dir
-from grasp_refine.commands.sources import Sources
+from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.validation.metrics import metrics
+from grasp_refine_apps.commands.sources import Sources
+from grasp_refine_apps.viewer import measuring
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.measuring import MEASURED, measured, unmeasured
+from grasp_refine_apps.viewer.worker import Stopped
+from made_results import save_example_results
 
 EXAMPLE = resource_dir("robots") / "allegro" / "example_rounded_box.npz"
 

@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 import trimesh
-from grasp_refine.apps.viewer import mesh_bounds
-from grasp_refine.apps.viewer.mesh_bounds import check_mesh_file
-from grasp_refine.apps.viewer.unpacking import UploadError
+
+from grasp_refine_apps.viewer import mesh_bounds
+from grasp_refine_apps.viewer.mesh_bounds import check_mesh_file
+from grasp_refine_apps.viewer.unpacking import UploadError
 from refusals import refused
 
 BOX = trimesh.creation.box((0.04, 0.05, 0.06))

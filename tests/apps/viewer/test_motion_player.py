@@ -7,8 +7,9 @@ import time
 
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer.motion_player import RATE, MotionPlayer
-from grasp_refine.apps.viewer.shown_motion import ShownMotion
+
+from grasp_refine_apps.viewer.motion_player import RATE, MotionPlayer
+from grasp_refine_apps.viewer.shown_motion import ShownMotion
 from running_processes import PATIENCE_S, soon
 
 

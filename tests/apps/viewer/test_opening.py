@@ -9,24 +9,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from grasp_refine.apps.viewer import opening
-from grasp_refine.apps.viewer.collection import Collection
-from grasp_refine.apps.viewer.opening import MeshOptions, opened
-from grasp_refine.apps.viewer.pose import Pose
-from grasp_refine.apps.viewer.saving import grasp_file
-from grasp_refine.apps.viewer.unpacking import UploadError
-from grasp_refine.apps.viewer.uploads import received
-from grasp_refine.apps.viewer.worker import Stopped
+
+from grasp_refine.core.se3 import exp_se3, pose_from_transform
+from grasp_refine.grasps.grasp_set import GraspSet, Targets
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.pipeline.problem import Problem
+from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.viewer import opening
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.opening import MeshOptions, opened
+from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.saving import grasp_file
+from grasp_refine_apps.viewer.unpacking import UploadError
+from grasp_refine_apps.viewer.uploads import received
+from grasp_refine_apps.viewer.worker import Stopped
 from refusals import refused
 from uploaded import gripper, gripper_zip, zipped
-
-from grasp_refine.grasps import GraspSet, Targets
-from grasp_refine.hand import load_hand
-from grasp_refine.objects import load_object
-from grasp_refine.plane import Plane
-from grasp_refine.problem import Problem
-from grasp_refine.scene import Scene
-from grasp_refine.se3 import exp_se3, pose_from_transform
 
 T = exp_se3(np.array([0.02, -0.01, 0.11, 0.4, -1.2, 0.7]))
 

@@ -10,15 +10,15 @@ from dataclasses import replace
 
 import pytest
 import viser
-from grasp_refine.apps.viewer.page import Drawer, address, close_server, open_server
-from grasp_refine.apps.viewer.state import State
-from open_viewer import controller
-from refusals import refused
-from running_processes import PATIENCE_S
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from grasp_refine.errors import GraspRefineError
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.viewer.page import Drawer, address, close_server, open_server
+from grasp_refine_apps.viewer.state import State
+from open_viewer import controller
+from refusals import refused
+from running_processes import PATIENCE_S
 
 
 @contextmanager

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from grasp_refine.apps.viewer.picking import closest_on_triangles, hit_mesh, nearest_on_surface
 
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.nearest_triangle import distance_to_triangles
 from grasp_refine.geometry.pieces import box, capsule, sphere
-from grasp_refine.hand import load_hand
-from grasp_refine.objects import load_object
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine_apps.viewer.picking import closest_on_triangles, hit_mesh, nearest_on_surface
 
 CUBE = trimesh.creation.box(extents=(2, 2, 2))
 

@@ -8,20 +8,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from grasp_refine.pipeline.problem import Problem
+from grasp_refine_apps.commands.settings import Settings
 from open_viewer import controller, example, shown_panel
 from refusals import assert_names
 from websocket_page import Page, until
 
-from grasp_refine.commands.settings import Settings
-from grasp_refine.problem import Problem
-
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
-from grasp_refine.apps.viewer.controller import Controller  # noqa: E402
-from grasp_refine.apps.viewer.panels.plots import LEAST_MM, MOST, curves  # noqa: E402
-from grasp_refine.apps.viewer.panels.refine_panel import RefinePanel, outcome_words, unused, words  # noqa: E402
-from grasp_refine.apps.viewer.panels.timeline import millimetres, numbers  # noqa: E402
-from grasp_refine.apps.viewer.trace import Trace  # noqa: E402
+from grasp_refine_apps.viewer.controller import Controller  # noqa: E402
+from grasp_refine_apps.viewer.panels.plots import LEAST_MM, MOST, curves  # noqa: E402
+from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel, outcome_words, unused, words  # noqa: E402
+from grasp_refine_apps.viewer.panels.timeline import millimetres, numbers  # noqa: E402
+from grasp_refine_apps.viewer.trace import Trace  # noqa: E402
 
 
 def trace_of(count: int, n: int = 2) -> Trace:

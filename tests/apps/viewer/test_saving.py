@@ -11,21 +11,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer import saving
-from grasp_refine.apps.viewer.pose import Pose
-from grasp_refine.apps.viewer.saving import Saved, grasp_file, grasp_set
-from grasp_refine.apps.viewer.target import Target
-from refusals import refused
 
-from grasp_refine.errors import GraspFileError
-from grasp_refine.formats.agreement import fingertip_distances
-from grasp_refine.formats.reading import reading
-from grasp_refine.grasps import GraspSet, load_grasps
-from grasp_refine.hand import Hand, load_hand
-from grasp_refine.objects import load_object
-from grasp_refine.scene import Scene
-from grasp_refine.se3 import exp_se3
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.se3 import exp_se3
+from grasp_refine.grasps.formats.agreement import fingertip_distances
+from grasp_refine.grasps.formats.reading import reading
+from grasp_refine.grasps.grasp_set import GraspSet, load_grasps
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing
+from grasp_refine_apps.viewer import saving
+from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.saving import Saved, grasp_file, grasp_set
+from grasp_refine_apps.viewer.target import Target
+from refusals import refused
 
 BASES = {"shadow": "palm", "allegro": "base_link", "leap": "palm_lower"}
 HOLDS = {

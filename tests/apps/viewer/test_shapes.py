@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from grasp_refine.apps.viewer import shapes as module
-from grasp_refine.apps.viewer.shapes import (
+
+from grasp_refine.core.se3 import exp_se3
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.kinematics import Kinematics
+from grasp_refine.objects.object import load_object
+from grasp_refine_apps.viewer import shapes as module
+from grasp_refine_apps.viewer.shapes import (
     CONTACT_COLOR,
     LINK_COLOR,
     OBJECT_COLOR,
@@ -19,11 +24,6 @@ from grasp_refine.apps.viewer.shapes import (
     object_shapes,
     visual_shapes,
 )
-
-from grasp_refine.hand import Hand, load_hand
-from grasp_refine.kinematics import Kinematics
-from grasp_refine.objects import load_object
-from grasp_refine.se3 import exp_se3
 
 URDF = """<robot name="r">
   <link name="base"><visual><geometry><box size="0.1 0.1 0.02"/></geometry></visual></link>

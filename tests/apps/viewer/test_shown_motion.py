@@ -8,22 +8,22 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer.shown_motion import FAR, RATE, ShownMotion, is_replay, shown_motion
-from refusals import assert_names, refused
-from spread_gripper import spread_gripper
-from underactuated import underactuated
 
-from grasp_refine.chain import Chain
-from grasp_refine.errors import GraspRefineError
-from grasp_refine.hand import Hand, load_hand
-from grasp_refine.objects import load_object
-from grasp_refine.replay.record import record
-from grasp_refine.replay.replay import Replay, Stage, load_replay, save_replay
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.objects.object import load_object
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import FORCE_CLOSURE
+from grasp_refine.validation.replay.record import record
+from grasp_refine.validation.replay.replay import Replay, Stage, load_replay, save_replay
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import HAND, World, build_world
+from grasp_refine_apps.viewer.shown_motion import FAR, RATE, ShownMotion, is_replay, shown_motion
+from refusals import assert_names, refused
+from spread_gripper import spread_gripper
+from underactuated import underactuated
 
 
 def moving(hand: Hand) -> Motion:

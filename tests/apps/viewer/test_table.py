@@ -7,15 +7,15 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer.collection import Collection
-from grasp_refine.apps.viewer.columns import Column
-from grasp_refine.apps.viewer.listing import Listing
-from grasp_refine.apps.viewer.table import ROWS, page_of, pages, shown_columns, table_html
-from grasp_refine.apps.viewer.worth import worth_html
-from made_results import save_example_results
 
-from grasp_refine.commands.sources import Sources
-from grasp_refine.report.verdict import HOLDS
+from grasp_refine.results.verdict import HOLDS
+from grasp_refine_apps.commands.sources import Sources
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.columns import Column
+from grasp_refine_apps.viewer.listing import Listing
+from grasp_refine_apps.viewer.metrics_html import worth_html
+from grasp_refine_apps.viewer.table import ROWS, page_of, pages, shown_columns, table_html
+from made_results import save_example_results
 
 EVIL = "</td><script>alert(1)</script><img src=x onerror=alert(2)>\"' onclick=alert(3) x='"
 

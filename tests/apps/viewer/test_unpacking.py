@@ -8,8 +8,9 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from grasp_refine.apps.viewer import unpacking
-from grasp_refine.apps.viewer.unpacking import UploadError, unpack
+
+from grasp_refine_apps.viewer import unpacking
+from grasp_refine_apps.viewer.unpacking import UploadError, unpack
 from refusals import assert_names
 from refusals import refused as expected
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from grasp_refine.apps.viewer import uploads
-from grasp_refine.apps.viewer.unpacking import UploadError
-from grasp_refine.apps.viewer.uploads import Uploads, received, shown_name
+
+from grasp_refine.objects.object import load_object
+from grasp_refine_apps.viewer import uploads
+from grasp_refine_apps.viewer.unpacking import UploadError
+from grasp_refine_apps.viewer.uploads import Uploads, received, shown_name
 from refusals import assert_names, refused
 from uploaded import TIP, gripper_zip, opened_files, zipped
-
-from grasp_refine.objects import load_object
 
 BALL = trimesh.creation.icosphere(2, 0.03)
 OBJ = BALL.export(file_type="obj").encode()

@@ -8,15 +8,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from grasp_refine.apps.viewer.controller import Controller
-from grasp_refine.apps.viewer.page import close_server, open_server
-from grasp_refine.apps.viewer.parts import DEEP_COLOR
-from grasp_refine.apps.viewer.shapes import LinkPoses
-from grasp_refine.apps.viewer.view import View
-from open_viewer import controller, example, settled
 
-from grasp_refine.problem import Problem
-from grasp_refine.se3 import exp_so3, transform, transform_from_pose, transform_points
+from grasp_refine.core.se3 import exp_so3, transform, transform_from_pose, transform_points
+from grasp_refine.pipeline.problem import Problem
+from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.page import close_server, open_server
+from grasp_refine_apps.viewer.parts import DEEP_COLOR
+from grasp_refine_apps.viewer.shapes import LinkPoses
+from grasp_refine_apps.viewer.view import View
+from open_viewer import controller, example, settled
 
 
 @pytest.fixture(scope="module")

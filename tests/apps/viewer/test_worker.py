@@ -4,7 +4,8 @@ import threading
 import time
 
 import pytest
-from grasp_refine.apps.viewer.worker import Control, Stopped, Worker
+
+from grasp_refine_apps.viewer.worker import Control, Stopped, Worker
 from running_processes import PATIENCE_S, soon
 
 

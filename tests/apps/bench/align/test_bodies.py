@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from refusals import refused
-from shapes_for_tests import cluster_body, convex_body
 
-from apps.bench.align.bodies import DIAGONALS, BodyPair, draw_pairs, mesh_sources, normalised
-from grasp_refine.errors import AssetError, GraspRefineError
+from grasp_refine.core.errors import AssetError, GraspRefineError
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import capsule, sphere
 from grasp_refine.geometry.shapes import EMBEDDED
+from grasp_refine_apps.bench.align.bodies import DIAGONALS, BodyPair, draw_pairs, mesh_sources, normalised
+from refusals import refused
+from shapes_for_tests import cluster_body, convex_body
 
 ROUNDED = build_body("rounded", [sphere(0.02, [0.3, 0, 0]), capsule(0.01, [0, 0.1, 0], [0.1, 0.2, 0])], candidates=50)
 

@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from shapes_for_tests import cluster_body, convex_body, ring_body
 
-from apps.bench.align import descent as module
-from apps.bench.align.aligned import Aligned
-from apps.bench.align.bodies import BodyPair, normalised
-from apps.bench.align.descent import METRES_PER_RADIAN, _step, align
-from apps.bench.align.tasks import CLASSES, Tasks, aligned_poses, draw_tasks, exposed_vertices
-from apps.bench.align.variants import Variant
 from grasp_refine.collision.query import Pairs, query
-from grasp_refine.se3 import adjoint, ambient_gradient, exp_se3, inverse, log_se3, transform_points
+from grasp_refine.core.se3 import adjoint, ambient_gradient, exp_se3, inverse, log_se3, transform_points
 from grasp_refine.witness.finite_difference import FiniteDifference
+from grasp_refine_apps.bench.align import descent as module
+from grasp_refine_apps.bench.align.aligned import Aligned
+from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
+from grasp_refine_apps.bench.align.descent import METRES_PER_RADIAN, _step, align
+from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, aligned_poses, draw_tasks, exposed_vertices
+from grasp_refine_apps.bench.align.variants import Variant
+from shapes_for_tests import cluster_body, convex_body, ring_body
 
 PAIR = BodyPair("hulls", "convex", normalised(convex_body(1, 24), 0.06), normalised(convex_body(2, 24), 0.09))
 OTHER = BodyPair("others", "convex", normalised(convex_body(3, 40), 0.03), normalised(convex_body(4, 16), 0.12))

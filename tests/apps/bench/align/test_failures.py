@@ -10,12 +10,12 @@ import pytest
 
 Image = pytest.importorskip("PIL.Image", reason="Pillow comes with the extra 'test'")
 
-from apps.bench.align import failures  # noqa: E402
-from apps.bench.align.failures import Failure, WitnessPoints, caption, feature, picture, place  # noqa: E402
 from grasp_refine.collision.query import Pairs, query  # noqa: E402
+from grasp_refine.core.se3 import exp_se3  # noqa: E402
 from grasp_refine.geometry.body import Body, build_body  # noqa: E402
 from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere  # noqa: E402
-from grasp_refine.se3 import exp_se3  # noqa: E402
+from grasp_refine_apps.bench.align import failures  # noqa: E402
+from grasp_refine_apps.bench.align.failures import Failure, WitnessPoints, caption, feature, picture, place  # noqa: E402
 
 CUBE = build_body("cube", [box([0.04, 0.04, 0.04])])
 # Two boxes that meet at the edge x = 0, z = 0.02: an inner corner.

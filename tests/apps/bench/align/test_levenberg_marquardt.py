@@ -6,20 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shapes_for_tests import cluster_body, convex_body, ring_body
 
-from apps.bench.align.aligned import Aligned
-from apps.bench.align.bodies import BodyPair, normalised
-from apps.bench.align.levenberg_marquardt import TOLERANCE, AlignLevenbergMarquardt, minimised
-from apps.bench.align.problem import AlignProblem, supporting
-from apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.se3 import exp_se3, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, sphere
-from grasp_refine.se3 import exp_se3, transform_points
-from grasp_refine.solvers.least_squares import Point
-from grasp_refine.solvers.levenberg_marquardt import bounded_step
+from grasp_refine.refinement.solvers.least_squares import Point
+from grasp_refine.refinement.solvers.levenberg_marquardt import bounded_step
 from grasp_refine.witness.patch import Patch
+from grasp_refine_apps.bench.align.aligned import Aligned
+from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
+from grasp_refine_apps.bench.align.levenberg_marquardt import TOLERANCE, AlignLevenbergMarquardt, minimised
+from grasp_refine_apps.bench.align.problem import AlignProblem, supporting
+from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
+from shapes_for_tests import cluster_body, convex_body, ring_body
 
 PAIR = BodyPair("hulls", "convex", normalised(convex_body(1, 24), 0.06), normalised(convex_body(2, 24), 0.09))
 OTHER = BodyPair("others", "convex", normalised(convex_body(3, 40), 0.03), normalised(convex_body(4, 16), 0.12))

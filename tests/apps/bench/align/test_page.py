@@ -13,20 +13,21 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+
 from running_processes import PATIENCE_S
 
 pytest.importorskip("matplotlib", reason="charts are drawn with matplotlib")
 pytest.importorskip("jinja2", reason="the page is a template of jinja2")
 
-from apps.bench.align import page as module  # noqa: E402
-from apps.bench.align.chart import styles, sweep_chart, time_chart  # noqa: E402
-from apps.bench.align.failures import Failure, WitnessPoints  # noqa: E402
-from apps.bench.align.labels import at_largest_budget, labels_of, swept  # noqa: E402
-from apps.bench.align.page import page  # noqa: E402
-from apps.bench.align.table import bench_table  # noqa: E402
-from apps.bench.panels import spread  # noqa: E402
 from grasp_refine.geometry.body import build_body  # noqa: E402
 from grasp_refine.geometry.pieces import box  # noqa: E402
+from grasp_refine_apps.bench.align import page as module  # noqa: E402
+from grasp_refine_apps.bench.align.chart import styles, sweep_chart, time_chart  # noqa: E402
+from grasp_refine_apps.bench.align.failures import Failure, WitnessPoints  # noqa: E402
+from grasp_refine_apps.bench.align.labels import at_largest_budget, labels_of, swept  # noqa: E402
+from grasp_refine_apps.bench.align.page import page  # noqa: E402
+from grasp_refine_apps.bench.align.table import bench_table  # noqa: E402
+from grasp_refine_apps.report.panels import spread  # noqa: E402
 
 
 def row(method: str = "distance", kind: str = "convex", **changes: Any) -> dict[str, Any]:
@@ -340,5 +341,7 @@ def test_labels_are_spread_in_order(count: int):
 
 def test_importing_the_page_loads_no_plotting():
     root = Path(__file__).resolve().parents[4]
-    code = "import sys, apps.bench.align.page; assert not {'matplotlib', 'jinja2', 'PIL'} & set(sys.modules)"
+    code = (
+        "import sys, grasp_refine_apps.bench.align.page; assert not {'matplotlib', 'jinja2', 'PIL'} & set(sys.modules)"
+    )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=root, timeout=PATIENCE_S)

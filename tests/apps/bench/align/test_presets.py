@@ -7,14 +7,14 @@ from typing import get_args
 
 import pytest
 
-from apps.bench.align.levenberg_marquardt import AlignLevenbergMarquardt
-from apps.bench.align.presets import BASELINE, EPSILON, MARGINS, OURS, PRESETS, STEP_SIZES
-from apps.bench.align.tasks import CLASSES
-from apps.bench.align.variants import FEW_TARGETS, MethodName, Variant
-from grasp_refine.commands.bench_align import PresetName
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.patch import Patch
+from grasp_refine_apps.bench.align.levenberg_marquardt import AlignLevenbergMarquardt
+from grasp_refine_apps.bench.align.presets import BASELINE, EPSILON, MARGINS, OURS, PRESETS, STEP_SIZES
+from grasp_refine_apps.bench.align.tasks import CLASSES
+from grasp_refine_apps.bench.align.variants import FEW_TARGETS, MethodName, Variant
+from grasp_refine_apps.commands.bench_align import PresetName
 
 METHODS = set(get_args(MethodName))
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from shapes_for_tests import cluster_body, convex_body, ring_body
 
-from apps.bench.align.bodies import BodyPair, normalised
-from apps.bench.align.record import LONGEST, largest_budgets, record_task, shown_task, thinned
-from apps.bench.align.runner import Job
-from apps.bench.align.saved import AlignmentTask
-from apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
-from apps.bench.align.variants import Variant
 from grasp_refine.collision.query import Pairs, query
-from grasp_refine.se3 import transform_points
+from grasp_refine.core.se3 import transform_points
+from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
+from grasp_refine_apps.bench.align.record import LONGEST, largest_budgets, record_task, shown_task, thinned
+from grasp_refine_apps.bench.align.runner import Job
+from grasp_refine_apps.bench.align.saved import AlignmentTask
+from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
+from grasp_refine_apps.bench.align.variants import Variant
+from shapes_for_tests import cluster_body, convex_body, ring_body
 
 PAIR = BodyPair("hulls", "convex", normalised(convex_body(1, 24), 0.06), normalised(convex_body(2, 24), 0.09))
 CONCAVE = BodyPair("ring and cluster", "concave", normalised(ring_body(), 0.12), normalised(cluster_body(3, 4), 0.1))

@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from shapes_for_tests import convex_body
 
-from apps.bench.align.aligned import Aligned
-from apps.bench.align.bodies import BodyPair
-from apps.bench.align.rows import LEVELS, rows, summary
-from apps.bench.align.runner import Done, Job
-from apps.bench.align.stopwatch import PARTS, Stopwatch
-from apps.bench.align.tasks import CLASSES, Tasks
-from apps.bench.align.variants import Variant
 from grasp_refine.collision.query import Pairs, query
-from grasp_refine.report.writing import dumps
+from grasp_refine.core.json_files import dumps
+from grasp_refine_apps.bench.align.aligned import Aligned
+from grasp_refine_apps.bench.align.bodies import BodyPair
+from grasp_refine_apps.bench.align.rows import LEVELS, rows, summary
+from grasp_refine_apps.bench.align.runner import Done, Job
+from grasp_refine_apps.bench.align.stopwatch import PARTS, Stopwatch
+from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks
+from grasp_refine_apps.bench.align.variants import Variant
+from shapes_for_tests import convex_body
 
 SUMMARY = {"targets", "acc_1e6", "acc_1e8", "d5", "d9"}
 CONTRACT = {

@@ -9,17 +9,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from shapes_for_tests import cluster_body, convex_body, ring_body
 
-from apps.bench.align import runner as module
-from apps.bench.align.bodies import BodyPair
-from apps.bench.align.runner import Done, Job, jobs
-from apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
-from apps.bench.align.variants import Variant
-from apps.bench.jobs import run_jobs
 from grasp_refine.collision.query import Pairs, query
-from grasp_refine.se3 import transform_points
+from grasp_refine.core.se3 import transform_points
 from grasp_refine.witness.patch import Patch
+from grasp_refine_apps.bench.align import runner as module
+from grasp_refine_apps.bench.align.bodies import BodyPair
+from grasp_refine_apps.bench.align.runner import Done, Job, jobs
+from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
+from grasp_refine_apps.bench.align.variants import Variant
+from grasp_refine_apps.bench.jobs import run_jobs
+from shapes_for_tests import cluster_body, convex_body, ring_body
 
 PAIRS = [
     BodyPair("concave 0", "concave", ring_body(), cluster_body(3, 4)),

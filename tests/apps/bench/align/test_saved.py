@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.npz_files import load_npz, save_npz
+from grasp_refine.core.se3 import exp_se3
+from grasp_refine.geometry.pieces import box, capsule, sphere
+from grasp_refine_apps.bench.align.saved import MARK, AlignmentTask, Solid, Trajectory, is_task, load_task, save_task
 from refusals import refused
 from shapes_for_tests import ring_body
-
-from apps.bench.align.saved import MARK, AlignmentTask, Solid, Trajectory, is_task, load_task, save_task
-from grasp_refine.errors import GraspFileError
-from grasp_refine.geometry.pieces import box, capsule, sphere
-from grasp_refine.npz import load_npz, save_npz
-from grasp_refine.se3 import exp_se3
 
 
 def trajectory(label: str, count: int, rng: np.random.Generator) -> Trajectory:

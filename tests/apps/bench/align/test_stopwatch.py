@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from shapes_for_tests import cluster_body, convex_body, ring_body
 
-from apps.bench.align import stopwatch as module
-from apps.bench.align.bodies import BodyPair
-from apps.bench.align.descent import align
-from apps.bench.align.levenberg_marquardt import minimised
-from apps.bench.align.stopwatch import PARTS, PASSES, Stopwatch, TimedDerivative
-from apps.bench.align.tasks import draw_tasks
-from apps.bench.align.variants import Variant
-from apps.bench.shares import cpu_share
 from grasp_refine.collision.query import Pairs
-from grasp_refine.se3 import exp_se3
-from grasp_refine.stopwatch import STAGES
+from grasp_refine.core.profiling import STAGES
+from grasp_refine.core.se3 import exp_se3
 from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine_apps.bench.align import stopwatch as module
+from grasp_refine_apps.bench.align.bodies import BodyPair
+from grasp_refine_apps.bench.align.descent import align
+from grasp_refine_apps.bench.align.levenberg_marquardt import minimised
+from grasp_refine_apps.bench.align.stopwatch import PARTS, PASSES, Stopwatch, TimedDerivative
+from grasp_refine_apps.bench.align.tasks import draw_tasks
+from grasp_refine_apps.bench.align.variants import Variant
+from grasp_refine_apps.bench.shares import cpu_share
+from shapes_for_tests import cluster_body, convex_body, ring_body
 
 
 def pairs_and_poses() -> tuple[Pairs, np.ndarray, np.ndarray]:

@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from shapes_for_tests import cluster_body, convex_body, ring_body
 
-from apps.bench.align import tasks as module
-from apps.bench.align.bodies import BodyPair, normalised
-from apps.bench.align.tasks import (
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.se3 import exp_se3, matvec, transform_points
+from grasp_refine.geometry.body import Body
+from grasp_refine_apps.bench.align import tasks as module
+from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
+from grasp_refine_apps.bench.align.tasks import (
     ACCEPTED,
     CLASSES,
     REACHABLE,
@@ -22,9 +24,7 @@ from apps.bench.align.tasks import (
     exposed_vertices,
     points_on_faces,
 )
-from grasp_refine.collision.query import Pairs, query
-from grasp_refine.geometry.body import Body
-from grasp_refine.se3 import exp_se3, matvec, transform_points
+from shapes_for_tests import cluster_body, convex_body, ring_body
 
 CONVEX = BodyPair("hulls", "convex", normalised(convex_body(1, 24), 0.06), normalised(convex_body(2, 24), 0.11))
 CONCAVE = BodyPair("ring and cluster", "concave", normalised(ring_body(), 0.12), normalised(cluster_body(3, 4), 0.15))

@@ -9,15 +9,15 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from refusals import refused
 
-from apps.bench.gate import measures
-from apps.bench.gate.baseline import Known, _of, judged, load_baseline, updated
-from apps.bench.gate.ratios import COUNT, RATIOS, TIME, Group, Ratio
-from apps.bench.gate.table import gate_table
-from grasp_refine.assets import resource_dir
+from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.engine import VARIABLE, why_not_native
-from grasp_refine.errors import GraspRefineError
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.bench.gate import measures
+from grasp_refine_apps.bench.gate.baseline import Known, _of, judged, load_baseline, updated
+from grasp_refine_apps.bench.gate.ratios import COUNT, RATIOS, TIME, Group, Ratio
+from grasp_refine_apps.bench.gate.table import gate_table
+from refusals import refused
 
 COMMITTED = resource_dir("apps") / "bench" / "baseline.json"
 BY_NAME = {ratio.name: ratio for ratio in RATIOS}

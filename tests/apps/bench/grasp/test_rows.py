@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from apps.bench.grasp.chart import line_names, size_chart, time_chart
-from apps.bench.grasp.labels import pooled, varied
-from apps.bench.grasp.measures import Measures
-from apps.bench.grasp.page import page
-from apps.bench.grasp.rows import contact_errors, rows
-from apps.bench.grasp.runner import Done, Part, SetJob
-from apps.bench.grasp.table import bench_tables
-from apps.bench.grasp.tasks import Kind, Tasks
-from apps.bench.grasp.variants import Variant
-from grasp_refine.report.writing import dumps
-from grasp_refine.solvers.status import Status
+from grasp_refine.core.json_files import dumps
+from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.validation.geometry import Movement
+from grasp_refine_apps.bench.grasp.chart import line_names, size_chart, time_chart
+from grasp_refine_apps.bench.grasp.labels import pooled, varied
+from grasp_refine_apps.bench.grasp.measures import Measures
+from grasp_refine_apps.bench.grasp.page import page
+from grasp_refine_apps.bench.grasp.rows import contact_errors, rows
+from grasp_refine_apps.bench.grasp.runner import Done, Part, SetJob
+from grasp_refine_apps.bench.grasp.table import bench_tables
+from grasp_refine_apps.bench.grasp.tasks import Kind, Tasks
+from grasp_refine_apps.bench.grasp.variants import Variant
 
 NAN = np.nan
 SCENES = {

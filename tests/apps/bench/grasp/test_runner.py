@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from apps.bench.grasp.runner import calls, jobs
-from apps.bench.grasp.sets import GraspSet, Group
-from apps.bench.grasp.tasks import Tasks
-from apps.bench.grasp.variants import DERIVATIVES, SOLVERS, Variant
-from grasp_refine.hand import load_hand
-from grasp_refine.objects import load_object
-from grasp_refine.scene import Scene
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.bench.grasp.runner import calls, jobs
+from grasp_refine_apps.bench.grasp.sets import GraspSet, Group
+from grasp_refine_apps.bench.grasp.tasks import Tasks
+from grasp_refine_apps.bench.grasp.variants import DERIVATIVES, SOLVERS, Variant
 
 
 def test_first_order_solvers_are_called_batch_by_batch():

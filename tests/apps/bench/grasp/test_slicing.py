@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from shapes_for_tests import convex_body, ring_body
 
-from apps.bench.grasp.slicing import can_be_sliced, sliced
 from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.se3 import exp_se3
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import capsule, hull, sphere
-from grasp_refine.se3 import exp_se3
+from grasp_refine_apps.bench.grasp.slicing import can_be_sliced, sliced
+from shapes_for_tests import convex_body, ring_body
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 import torch
 
-from apps.bench.grasp.sets import GraspSet, Group
-from apps.bench.grasp.tasks import NEAR, Disturbance, Tasks, given_nothing, given_targets, true_grasps
-from apps.bench.grasp.variants import Variant
-from grasp_refine.assets import resource_dir
+from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.query import Pairs, query
-from grasp_refine.grasps import load_grasps
-from grasp_refine.hand import load_hand
-from grasp_refine.kinematics import Kinematics
-from grasp_refine.objects import load_object
-from grasp_refine.scene import Scene
-from grasp_refine.se3 import transform_from_pose, transform_points
+from grasp_refine.core.se3 import transform_from_pose, transform_points
+from grasp_refine.grasps.grasp_set import load_grasps
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.hands.kinematics import Kinematics
+from grasp_refine.objects.object import load_object
+from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.bench.grasp.sets import GraspSet, Group
+from grasp_refine_apps.bench.grasp.tasks import NEAR, Disturbance, Tasks, given_nothing, given_targets, true_grasps
+from grasp_refine_apps.bench.grasp.variants import Variant
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ import os
 from functools import partial
 
 import pytest
-from begun_together import dies, dies_early, fails, waits
-from refusals import refused
 
-from apps.bench.grasp.together import together
+from begun_together import dies, dies_early, fails, waits
+from grasp_refine_apps.bench.grasp.together import together
+from refusals import refused
 
 
 def test_all_begin_when_the_last_one_is_ready():

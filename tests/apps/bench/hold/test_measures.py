@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plate_gripper import URDF
 
-from apps.bench.hold.measures import measured
-from grasp_refine.hand import load_hand
-from grasp_refine.hand_object import HandObject
-from grasp_refine.objects import load_object
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.validation.metrics import metrics
+from grasp_refine_apps.bench.hold.measures import measured
+from plate_gripper import URDF
 
 RADIUS = 0.03
 NAN = np.nan

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from apps.bench.hold.methods import AS_CAME, GEOMETRY_ONLY, OWN_STAGES, Method, methods
-from apps.bench.hold.presets import PRESETS, STARTS
-from grasp_refine.config import Config
+from grasp_refine.refinement.config import Config
+from grasp_refine_apps.bench.hold.methods import AS_CAME, GEOMETRY_ONLY, OWN_STAGES, Method, methods
+from grasp_refine_apps.bench.hold.presets import PRESETS, STARTS
 
 
 def test_references_come_first_and_no_number_of_starts_twice():

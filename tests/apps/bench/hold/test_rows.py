@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from apps.bench.hold.chart import success_chart
-from apps.bench.hold.measures import Measures
-from apps.bench.hold.methods import AS_CAME, GEOMETRY_ONLY, OWN_STAGES, Method
-from apps.bench.hold.page import page
-from apps.bench.hold.rows import auc, rows
-from apps.bench.hold.runner import Part
-from apps.bench.hold.table import bench_tables
-from grasp_refine.report.writing import dumps
+from grasp_refine.core.json_files import dumps
 from grasp_refine.validation.geometry import Movement
 from grasp_refine.validation.trials import Reason
+from grasp_refine_apps.bench.hold.chart import success_chart
+from grasp_refine_apps.bench.hold.measures import Measures
+from grasp_refine_apps.bench.hold.methods import AS_CAME, GEOMETRY_ONLY, OWN_STAGES, Method
+from grasp_refine_apps.bench.hold.page import page
+from grasp_refine_apps.bench.hold.rows import auc, rows
+from grasp_refine_apps.bench.hold.runner import Part
+from grasp_refine_apps.bench.hold.table import bench_tables
 
 SETTINGS = ("force-closure", "strict")
 NAN = np.nan

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plate_gripper import URDF
 
-from apps.bench.hold.methods import methods
-from apps.bench.hold.runner import Group, GroupJob, Part
-from grasp_refine.hand import load_hand
-from grasp_refine.objects import load_object
-from grasp_refine.scene import Scene
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.urdf_model import urdf_model
+from grasp_refine_apps.bench.hold.methods import methods
+from grasp_refine_apps.bench.hold.runner import Group, GroupJob, Part
+from plate_gripper import URDF
 
 RADIUS, OPEN = 0.03, 0.085
 """Of the ball, and between the middle of the gripper and a plate when it is open, metres."""

@@ -7,11 +7,11 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from apps.bench.queries.bodies import make_pairs
-from apps.bench.queries.cases import DISTANCE, Case, State
-from apps.bench.queries.peers import PEERS, Peer
-from apps.bench.queries.poses import draw_poses
 from grasp_refine.collision.query import query
+from grasp_refine_apps.bench.queries.bodies import make_pairs
+from grasp_refine_apps.bench.queries.cases import DISTANCE, Case, State
+from grasp_refine_apps.bench.queries.peers import PEERS, Peer
+from grasp_refine_apps.bench.queries.poses import draw_poses
 
 
 @pytest.mark.parametrize("peer", PEERS, ids=lambda peer: peer.name)

@@ -6,14 +6,14 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from refusals import refused
 
-from apps.bench.queries.bodies import make_body, make_pairs
-from apps.bench.queries.cases import DISTANCE, Case, State
-from apps.bench.queries.poses import STEP, draw_poses, nearby
 from grasp_refine.collision.query import query
-from grasp_refine.errors import GraspRefineError
-from grasp_refine.se3 import inverse, log_so3
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import inverse, log_so3
+from grasp_refine_apps.bench.queries.bodies import make_body, make_pairs
+from grasp_refine_apps.bench.queries.cases import DISTANCE, Case, State
+from grasp_refine_apps.bench.queries.poses import STEP, draw_poses, nearby
+from refusals import refused
 
 
 @pytest.mark.parametrize(("pieces", "vertices"), [(1, 4), (1, 512), (4, 8), (16, 32), (64, 8)])

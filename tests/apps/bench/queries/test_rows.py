@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from apps.bench.queries.cases import Case
-from apps.bench.queries.labels import cases, label, methods
-from apps.bench.queries.rows import rows
-from apps.bench.queries.runner import FEWEST, CaseJob
 from grasp_refine.collision.engine import engines
+from grasp_refine_apps.bench.queries.cases import Case
+from grasp_refine_apps.bench.queries.labels import cases, label, methods
+from grasp_refine_apps.bench.queries.rows import rows
+from grasp_refine_apps.bench.queries.runner import FEWEST, CaseJob
 
 CASES = (Case(batch=8), Case("mixed", 4, batch=40), Case("concave", 4, state="deep", batch=40))
 

@@ -9,19 +9,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from apps.bench.queries.bodies import make_pairs
-from apps.bench.queries.cases import Case
-from apps.bench.queries.poses import draw_poses
-from apps.bench.queries.skips.asking import asking_skips, unbounded
-from apps.bench.queries.skips.skip import Example, Skip, replaced, several, timed
-from apps.bench.queries.skips.solving import BATCH, curvature_skip, finished_skip, frame_skip, layer_skip
-from apps.bench.queries.skips.starting import _modules, decomposition_skip, import_skips, self_collision_skips
 from grasp_refine.collision.query import query
-from grasp_refine.commands.inputs import Inputs
-from grasp_refine.config import Config
-from grasp_refine.losses import Weights
-from grasp_refine.self_collision import candidate_pairs, judged_pairs
-from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.hands.self_collision import candidate_pairs, judged_pairs
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.losses import Weights
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine_apps.bench.queries.bodies import make_pairs
+from grasp_refine_apps.bench.queries.cases import Case
+from grasp_refine_apps.bench.queries.poses import draw_poses
+from grasp_refine_apps.bench.queries.skip import Example, Skip, replaced, several, timed
+from grasp_refine_apps.bench.queries.skips_querying import asking_skips, unbounded
+from grasp_refine_apps.bench.queries.skips_solving import BATCH, curvature_skip, finished_skip, frame_skip, layer_skip
+from grasp_refine_apps.bench.queries.skips_starting import (
+    _modules,
+    decomposition_skip,
+    import_skips,
+    self_collision_skips,
+)
+from grasp_refine_apps.commands.inputs import Inputs
 
 
 @pytest.fixture(scope="module")

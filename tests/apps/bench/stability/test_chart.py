@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from stability_cells import derivative, forward
 
-from apps.bench.stability.chart import LEAST, depth, heat_map
-from apps.bench.stability.labels import length, words
+from grasp_refine_apps.bench.stability.chart import LEAST, depth, heat_map
+from grasp_refine_apps.bench.stability.labels import length, words
+from stability_cells import derivative, forward
 
 BODY = ("kind", "diagonal")
 

@@ -11,16 +11,8 @@ import numpy as np
 import pytest
 import torch
 
-from apps.bench.stability import cases, derivative
-from apps.bench.stability.bodies import make_pairs
-from apps.bench.stability.counts import wrong
-from apps.bench.stability.derivative import METHODS, Faults, derivative_cells, judged, method_of
-from apps.bench.stability.motion import Motion, Scene, forms_of, move, rigid_motion, sphere_motion
-from apps.bench.stability.poses import Posed, posers
-from apps.bench.stability.presets import derivatives_of
-from apps.bench.stability.task import Task
 from grasp_refine.collision.query import QueryStatus, query
-from grasp_refine.se3 import exp_se3
+from grasp_refine.core.se3 import exp_se3
 from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.derivative import Derivative
@@ -28,6 +20,14 @@ from grasp_refine.witness.finite_difference import FiniteDifference
 from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
+from grasp_refine_apps.bench.stability import cases, derivative
+from grasp_refine_apps.bench.stability.bodies import make_pairs
+from grasp_refine_apps.bench.stability.counts import wrong
+from grasp_refine_apps.bench.stability.derivative import METHODS, Faults, derivative_cells, judged, method_of
+from grasp_refine_apps.bench.stability.motion import Motion, Scene, forms_of, move, rigid_motion, sphere_motion
+from grasp_refine_apps.bench.stability.poses import Posed, posers
+from grasp_refine_apps.bench.stability.presets import derivatives_of
+from grasp_refine_apps.bench.stability.task import Task
 
 WAYS = tuple(derivatives_of(cases.METHODS, cases.NEIGHBORHOODS, cases.DTYPES))
 NAMES = ("failed", "not_finite", "unbounded", "wrong_sign", "unscaled")

@@ -8,18 +8,28 @@ from typing import Any
 import numpy as np
 import pytest
 
-from apps.bench.stability import forward
-from apps.bench.stability.bodies import Made, make_pairs
-from apps.bench.stability.cases import APART, APART_M, DIAGONALS, KINDS, STATES, Forward, Kind, State, diagonals_of
-from apps.bench.stability.counts import wrong
-from apps.bench.stability.forward import forward_cells
-from apps.bench.stability.judging import Judged, judge, tolerance
-from apps.bench.stability.poses import Posed, posers
-from apps.bench.stability.second import SecondOpinion
-from apps.bench.stability.task import Task
 from grasp_refine.collision.engine import VARIABLE
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
-from grasp_refine.errors import GraspRefineError
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.bench.stability import forward
+from grasp_refine_apps.bench.stability.bodies import Made, make_pairs
+from grasp_refine_apps.bench.stability.cases import (
+    APART,
+    APART_M,
+    DIAGONALS,
+    KINDS,
+    STATES,
+    Forward,
+    Kind,
+    State,
+    diagonals_of,
+)
+from grasp_refine_apps.bench.stability.counts import wrong
+from grasp_refine_apps.bench.stability.forward import forward_cells
+from grasp_refine_apps.bench.stability.judging import Judged, judge, tolerance
+from grasp_refine_apps.bench.stability.poses import Posed, posers
+from grasp_refine_apps.bench.stability.second import SecondOpinion
+from grasp_refine_apps.bench.stability.task import Task
 
 PYTHON = Forward(engine="python")
 

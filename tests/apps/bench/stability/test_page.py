@@ -6,13 +6,13 @@ import re
 from typing import Any
 
 import pytest
-from stability_cells import derivative, forward
 
-from apps.bench.stability.rows import Cell
+from grasp_refine_apps.bench.stability.rows import Cell
+from stability_cells import derivative, forward
 
 pytest.importorskip("jinja2", reason="the report needs it")
 
-from apps.bench.stability.page import page  # noqa: E402
+from grasp_refine_apps.bench.stability.page import page  # noqa: E402
 
 
 def document(*cells: Cell, **changed: Any) -> dict[str, Any]:

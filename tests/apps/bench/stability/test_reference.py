@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from apps.bench.stability.bodies import make_pairs
-from apps.bench.stability.cases import Kind
-from apps.bench.stability.polytopes import on_triangles, outside, separations
-from apps.bench.stability.reference import Difference, Truth, Truths
 from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere
+from grasp_refine_apps.bench.stability.bodies import make_pairs
+from grasp_refine_apps.bench.stability.cases import Kind
+from grasp_refine_apps.bench.stability.polytopes import on_triangles, outside, separations
+from grasp_refine_apps.bench.stability.reference import Difference, Truth, Truths
 
 RNG = np.random.default_rng(7)
 

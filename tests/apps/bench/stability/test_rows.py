@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 
 import pytest
-from stability_cells import derivative, forward
 
-from apps.bench.stability.counts import counted, worst, wrong
-from apps.bench.stability.rows import WRONG, Cell
-from grasp_refine.report.writing import dumps
+from grasp_refine.core.json_files import dumps
+from grasp_refine_apps.bench.stability.counts import counted, worst, wrong
+from grasp_refine_apps.bench.stability.rows import WRONG, Cell
+from stability_cells import derivative, forward
 
 
 def test_a_row_has_an_entry_for_each_field_and_goes_through_json():

@@ -7,12 +7,12 @@ from io import StringIO
 
 import pytest
 from rich.console import Console
-from stability_cells import derivative, forward
 
-from apps.bench.stability.cases import KINDS, METHODS, STATES
-from apps.bench.stability.labels import again
-from apps.bench.stability.rows import Row
-from apps.bench.stability.table import bench_tables, number
+from grasp_refine_apps.bench.stability.cases import KINDS, METHODS, STATES
+from grasp_refine_apps.bench.stability.labels import again
+from grasp_refine_apps.bench.stability.rows import Row
+from grasp_refine_apps.bench.stability.table import bench_tables, number
+from stability_cells import derivative, forward
 
 
 def printed(rows: list[Row], seed: int = 0, crashes: int = 0) -> list[str]:

@@ -1,0 +1,1 @@
+"""The application: command line, batches, viewer, benchmarks and reports."""

@@ -1,0 +1,157 @@
+"""The index of a batch: one row per grasp, as Parquet or CSV, written while it is read from the result files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TextIO, runtime_checkable
+
+import numpy as np
+
+from grasp_refine.core.atomic_files import written_whole
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.names import to_cell
+from grasp_refine.results.validation_document import check_table
+from grasp_refine_apps.batch.rows import COLUMNS, Kind, Rows
+
+if TYPE_CHECKING:
+    import pyarrow
+    from pyarrow.parquet import ParquetWriter
+
+IndexKind = Literal["auto", "parquet", "csv"]
+
+ROWS_AT_ONCE = 2**14
+"""So many rows are one group of a Parquet file; the memory that writing takes grows with it, and little else does."""
+
+
+@runtime_checkable
+class IndexWriter(Protocol):
+    """Takes the rows of one result file after the other."""
+
+    def add(self, rows: Rows) -> None:
+        """Write rows, sooner or later."""
+        ...
+
+
+def index_path(out: Path, kind: IndexKind) -> Path:
+    """Where the index of the results in `out` lies.
+
+    Raises:
+        GraspRefineError: Parquet is asked for, and pyarrow is not installed.
+    """
+    if kind == "auto":
+        kind = "parquet" if find_spec("pyarrow") is not None else "csv"
+    path = out / f"index.{kind}"
+    check_table(path)
+    return path
+
+
+@contextmanager
+def index_writer(path: Path) -> Iterator[IndexWriter]:
+    """What writes an index, CSV or Parquet by the ending of its name; the file appears once the block is done, or not.
+
+    Raises:
+        GraspRefineError: another ending, Parquet without pyarrow, or the file cannot be written.
+    """
+    check_table(path)
+    writing = _parquet if path.suffix.lower() == ".parquet" else _csv
+    with written_whole(path, GraspRefineError) as partial, writing(partial) as writer:
+        yield writer
+
+
+@contextmanager
+def _csv(path: Path) -> Iterator[_CsvWriter]:
+    with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as stream:
+        yield _CsvWriter(stream)
+
+
+class _CsvWriter:
+    """Null is empty, flags are true and false, numbers are as short as they can be read back exactly.
+
+    Texts are no formulas of a spreadsheet, as `to_cell` has them.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._writer = csv.writer(stream, lineterminator="\n")
+        self._writer.writerow(COLUMNS)
+
+    def add(self, rows: Rows) -> None:
+        self._writer.writerows(zip(*(_words(rows[name], kind) for name, kind in COLUMNS.items()), strict=True))
+
+
+def _words(values: np.ndarray, kind: Kind) -> list[Any]:
+    """A column as CSV shows it."""
+    if kind == "text":
+        return [to_cell(text) for text in values.tolist()]
+    words: dict[Kind, Callable[[Any], Any]]
+    words = {"whole": int, "flag": lambda value: "true" if value else "false", "number": float}
+    shown = words[kind]
+    return [shown(value) if value == value else "" for value in values.tolist()]
+
+
+@contextmanager
+def _parquet(path: Path) -> Iterator[_ParquetWriter]:
+    import pyarrow.parquet
+
+    with pyarrow.parquet.ParquetWriter(path, _schema(), compression="zstd") as file:
+        writer = _ParquetWriter(file)
+        yield writer
+        writer.flush()
+
+
+class _ParquetWriter:
+    """Gathers rows to groups of a good size."""
+
+    def __init__(self, file: ParquetWriter) -> None:
+        self._file = file
+        self._waiting: list[Rows] = []
+        self._count = 0
+
+    def add(self, rows: Rows) -> None:
+        self._waiting.append(rows)
+        self._count += len(rows)
+        if self._count >= ROWS_AT_ONCE:
+            self.flush()
+
+    def flush(self) -> None:
+        import pyarrow
+
+        if not self._count:
+            return
+        schema = _schema()
+        arrays = [
+            _array(np.concatenate([rows[name] for rows in self._waiting]), COLUMNS[name], schema.field(name).type)
+            for name in COLUMNS
+        ]
+        self._file.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), row_group_size=self._count)
+        self._waiting, self._count = [], 0
+
+
+def _array(values: np.ndarray, kind: Kind, type: pyarrow.DataType) -> pyarrow.Array:
+    """A column as Parquet keeps it."""
+    import pyarrow
+
+    if kind == "text":
+        names, at = np.unique(values, return_inverse=True)
+        return pyarrow.DictionaryArray.from_arrays(
+            pyarrow.array(at.astype(np.int32), mask=values == ""), pyarrow.array(names.tolist(), pyarrow.string())
+        )
+    none = np.isnan(values)
+    plain = {"whole": np.int64, "flag": bool, "number": float}[kind]
+    return pyarrow.array(np.where(none, 0.0, values).astype(plain), type, mask=none)
+
+
+def _schema() -> pyarrow.Schema:
+    """Names and types of all columns; texts, which repeat, are kept once and referred to."""
+    import pyarrow
+
+    types = {
+        "text": pyarrow.dictionary(pyarrow.int32(), pyarrow.string()),
+        "whole": pyarrow.int64(),
+        "flag": pyarrow.bool_(),
+        "number": pyarrow.float64(),
+    }
+    return pyarrow.schema([(name, types[kind]) for name, kind in COLUMNS.items()])

@@ -1,0 +1,284 @@
+"""The report of a batch: one HTML file with distributions, pictures of the worst cases and all failures."""
+
+from __future__ import annotations
+
+import shlex
+from base64 import b64encode
+from collections.abc import Iterator, Mapping, Sequence
+from math import isnan
+from pathlib import PurePath
+from typing import Any
+from urllib.parse import quote
+
+from grasp_refine.core.plurals import count_text, whole
+from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.results.verdict import BAR
+from grasp_refine_apps.batch import words
+from grasp_refine_apps.batch.chart import MEASURES, MOVED, chart
+from grasp_refine_apps.batch.failed import failed_text, left_over
+from grasp_refine_apps.batch.pictures import Picture
+from grasp_refine_apps.batch.statistics import Statistics, Tally
+from grasp_refine_apps.batch.worst import Case
+from grasp_refine_apps.report.html_page import rendered
+
+MOST_KINDS, MOST_ALIKE, MOST_JOBS = 30, 20, 500
+"""Most kinds of failures, shards of each, and jobs that are listed."""
+
+ADVICE = {status.label: status.advice for status in Status}
+
+
+def page(document: Mapping[str, Any], statistics: Statistics, pictures: Sequence[Picture]) -> str:
+    """The report of a batch as HTML; the same input gives the same text.
+
+    Args:
+        document: What the batch writes as JSON.
+        statistics: Of all grasps of complete shards.
+        pictures: The worst cases.
+    """
+    totals, failed = document.get("totals", {}), document.get("failed", [])
+    drawn = (*MEASURES, *MOVED)
+    panels = [{"title": one.title, "hint": one.hint, "svg": chart(one, statistics.distributions)} for one in drawn]
+    kinds = list(_kinds(failed))
+    pairs, rest = statistics.by_pair()
+    rows = [_row(*pair, tally) for pair, tally in pairs]
+    if rest.count:
+        rows.append(_row("others", "", rest))
+    return rendered(
+        __package__,
+        title=words.grasps(statistics.all.count),
+        subtitle=_subtitle(document, statistics),
+        tiles=_tiles(totals, statistics, failed),
+        agreement=[statistics.all.agreement_before.line("Before, "), statistics.all.agreement_after.line("After, ")],
+        bar=BAR,
+        notes=list(_notes(totals, failed)),
+        simulated=statistics.held is not None,
+        panels=[panel for panel in panels if panel["svg"]],
+        numbers=[
+            (f"{one.title}, {one.unit}".rstrip(", "), one.row(statistics.distributions))
+            for one in drawn
+            if statistics.distributions[one.after].count
+        ],
+        pairs=rows,
+        cases=[_case(picture) for picture in pictures],
+        reasons=[
+            (name, whole(count), words.share(count, statistics.all.simulated))
+            for name, count in _most(statistics.reasons)
+        ],
+        statuses=[
+            (name, whole(count), words.share(count, statistics.all.count), ADVICE.get(name, ""))
+            for name, count in _most(statistics.statuses)
+        ],
+        failures=kinds[:MOST_KINDS],
+        unlisted=max(len(kinds) - MOST_KINDS, 0),
+        costs=list(_costs(totals, statistics)),
+        stages=_stages(document.get("profile") or {}),
+        jobs=_jobs(document.get("jobs") or []),
+        invocation=document.get("invocation", ""),
+        versions=document.get("versions", {}),
+        settings=list(_flat(document.get("config") or {})),
+    )
+
+
+def _most(counts: Mapping[str, int]) -> list[tuple[str, int]]:
+    """The most frequent first."""
+    return sorted(counts.items(), key=lambda entry: (-entry[1], entry[0]))
+
+
+def _subtitle(document: Mapping[str, Any], statistics: Statistics) -> str:
+    hands, objects = ({pair[at] for pair in statistics.pairs} for at in (0, 1))
+    more = " or more" if statistics.rest.count else ""
+    parts = [
+        f"{count_text(len(hands), 'hand')} and {count_text(len(objects), 'object')}{more}" if hands else "",
+        count_text(len(document["jobs"]), "job") if document.get("jobs") else "",
+        f"seed {document['seed']}" if document.get("seed") is not None else "",
+    ]
+    return ", ".join(filter(None, parts))
+
+
+def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[Any]) -> list[dict[str, str]]:
+    """The numbers that are read first."""
+    its = statistics.all
+
+    def change(before: int, after: int, of: int, said: str) -> dict[str, str]:
+        tone = "good" if after > before else "bad" if after < before else ""
+        numbers = f"{words.share(before, of).removesuffix(' %')} → {words.share(after, of)}"
+        return {"number": numbers, "words": f"{said}: {whole(before)} → {whole(after)}", "tone": tone}
+
+    tiles = [
+        {
+            "number": whole(its.usable),
+            "words": "grasps refined" if its.usable == its.count else f"of {words.grasps(its.count)} were refined",
+            "tone": "",
+        },
+        change(its.good_before, its.good_after, its.count, f"quality {BAR} (an estimate)"),
+    ]
+    if statistics.held is not None:
+        tiles.insert(0, change(*statistics.held, its.simulated, "held in simulation"))
+    if failed:
+        number, said = failed_text(failed).split(" ", 1)
+        tiles.append({"number": number, "words": f"{said} failed", "tone": "bad"})
+    if totals.get("grasps_per_s"):
+        per, speed = totals.get("cpu_s_per_grasp"), words.rate(totals["grasps_per_s"])
+        said = "grasps" if per is None else f"grasps, at {words.duration(per)} of CPU time each"
+        tiles.append({"number": speed.replace(" grasps/", " / "), "words": said, "tone": ""})
+    return tiles
+
+
+def _notes(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """What a reader must know before the numbers."""
+    if failed:
+        its = "its" if len(failed) == 1 else "their"
+        yield (
+            f"{failed_text(failed)} failed; these numbers are without {its} grasps. What went wrong is told below; the "
+            "same command tries again."
+        )
+    left = left_over(totals, failed)
+    if left:
+        yield (
+            f"This is a part of the batch: {whole(left)} of {count_text(totals['shards'], 'shard')} to be done "
+            "yet. The same command goes on from here."
+        )
+
+
+def _row(hand: str, name: str, tally: Tally) -> dict[str, Any]:
+    of = tally.simulated
+    return {
+        "hand": hand,
+        "object": name,
+        "count": whole(tally.count),
+        "unusable": whole(tally.count - tally.usable) if tally.count > tally.usable else words.NONE,
+        "converged": words.share(tally.converged, tally.count),
+        "good": [words.share(good, tally.count) for good in (tally.good_before, tally.good_after)],
+        "held": [words.share(held, of) for held in (tally.held_before, tally.held_after)],
+        "quality": [f"{value:.3f}" if not isnan(value) else words.NONE for value in tally.mean_quality],
+        "deepest": words.millimetres(tally.deepest),
+    }
+
+
+def view_command(case: Case) -> str:
+    """What shows a case, from the folder of the results."""
+    return shlex.join(["refine-grasp", "view", case.file.as_posix(), "--index", str(case.row), *case.look])
+
+
+def _case(picture: Picture) -> dict[str, Any]:
+    case = picture.case
+    quality = " → ".join(map(words.plain, case.quality))
+    depth, error = (" → ".join(map(_hundredths, pair)) for pair in (case.penetration_m, case.contact_error_m))
+    missed = f"did not hold: {case.reason}" if case.held is False and case.reason else "did not hold"
+    file = PurePath(case.source).name
+    origin = f"row {case.source_row} of {file}" if file and case.source_row is not None else file
+    return {
+        "name": f"{case.hand} on {case.object}",
+        "origin": origin,
+        "source": case.source,
+        "measures": f"quality {quality} · penetration {depth} mm · contact error {error} mm · {case.status}",
+        "verdict": missed if case.held is False else "",
+        "file": case.file.as_posix(),
+        "link": quote(case.file.as_posix()),
+        "row": case.row,
+        "command": view_command(case),
+        "before": _embedded(picture.before),
+        "after": _embedded(picture.after),
+        "problem": picture.problem,
+    }
+
+
+def _hundredths(metres: float) -> str:
+    """A length in mm as the table of `run` has it."""
+    return words.NONE if isnan(metres) else f"{1e3 * metres:.2f}"
+
+
+def _embedded(png: bytes) -> str:
+    return f"data:image/png;base64,{b64encode(png).decode()}"
+
+
+def _kinds(failed: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Failed shards with the same reason and message together, the most frequent first."""
+    alike: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for one in failed:
+        alike.setdefault((one["reason"], one["message"]), []).append(one)
+    for (reason, message), shards in sorted(alike.items(), key=lambda entry: (-len(entry[1]), entry[0])):
+        yield {
+            "reason": reason,
+            "message": message,
+            "count": failed_text(shards),
+            "shards": shards[:MOST_ALIKE],
+            "more": max(len(shards) - MOST_ALIKE, 0),
+            "traceback": shards[0].get("traceback", ""),
+        }
+
+
+def _costs(totals: Mapping[str, Any], statistics: Statistics) -> Iterator[tuple[str, str]]:
+    """Times and memory, of this run and per grasp."""
+    told = (
+        ("wall time", "wall_s", words.duration),
+        ("CPU time", "cpu_s", words.duration),
+        ("throughput", "grasps_per_s", words.rate),
+        ("CPU time per grasp", "cpu_s_per_grasp", words.duration),
+        ("largest process", "peak_bytes", words.mebibytes),
+        ("shards", "shards", whole),
+        ("done in this run", "done", whole),
+    )
+    for name, key, say in told:
+        if totals.get(key) is not None:
+            yield name, say(totals[key])
+    own = statistics.distributions["cpu_s"]
+    if own.count:
+        low, high, most = own.quantile(0.5), own.quantile(0.95), own.most
+        yield (
+            "refining a grasp",
+            f"{words.duration(own.mean)} of CPU time in the mean, median {words.duration(low)}, 19 of 20 at most "
+            f"{words.duration(high)}, the slowest {words.duration(most)}",
+        )
+    steps = statistics.distributions["iterations"]
+    if steps.count:
+        yield "iterations", f"{steps.mean:.0f} in the mean, {steps.most:.0f} at most"
+
+
+def _stages(profile: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, str, str, str]]:
+    """Where the time went, most of it first."""
+    total = sum(spent["cpu_s"] for spent in profile.values())
+    ranked = sorted(profile.items(), key=lambda entry: -entry[1]["cpu_s"])
+    return [
+        (
+            name,
+            f"{spent['cpu_s']:.2f}",
+            f"{100 * spent['cpu_s'] / total:.1f} %" if total else words.NONE,
+            f"{spent['wall_s']:.2f}",
+            whole(int(spent["calls"])),
+        )
+        for name, spent in ranked
+        if spent["cpu_s"] or spent["calls"]
+    ]
+
+
+def _jobs(jobs: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """A table of jobs; as many columns as they have entries."""
+    if not jobs:
+        return None
+    names = list(dict.fromkeys(name for job in jobs for name in job))
+    more = "" if len(jobs) <= MOST_JOBS else f", the first {MOST_JOBS}"
+    return {
+        "count": f"{count_text(len(jobs), 'job')}{more}",
+        "names": names,
+        "rows": [[_cell(job.get(name)) for name in names] for job in jobs[:MOST_JOBS]],
+    }
+
+
+def _cell(value: Any) -> dict[str, Any]:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return {
+        "text": words.NONE if value is None else f"{value:g}" if isinstance(value, float) else value,
+        "number": number,
+    }
+
+
+def _flat(config: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    """Settings, one a line: those within others with their names before."""
+    if isinstance(config, Mapping):
+        for key, value in config.items():
+            yield from _flat(value, f"{name}.{key}" if name else str(key))
+    elif isinstance(config, list | tuple):
+        yield name, ", ".join(map(str, config)) or words.NONE
+    else:
+        yield name, words.NONE if config is None else str(config)

@@ -1,0 +1,202 @@
+"""What is said while a batch runs: a bar and what each worker does in a terminal, a line now and then elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from types import TracebackType
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.markup import escape
+from rich.progress_bar import ProgressBar
+from rich.spinner import Spinner
+from rich.table import Table
+from rich.text import Text
+
+from grasp_refine.core.plurals import count_text, whole
+from grasp_refine_apps.batch import words
+from grasp_refine_apps.batch.shard import Done, Failed, Shard, Sign
+
+EVERY = 30.0
+"""Seconds between two lines where there is no terminal."""
+WINDOW = 600.0
+"""The speed is that of the last so many seconds, so that what remains is told by objects like those of now."""
+FIRST = 2.0
+"""Before so many seconds, nothing can be said of the speed."""
+LISTED = 8
+"""Most workers of which is told what they do."""
+
+
+class Progress:
+    """Tells on a console how far a batch is; a context manager. To be called from one thread."""
+
+    def __init__(
+        self,
+        console: Console,
+        shards: Sequence[Shard],
+        workers: int,
+        skipped: int = 0,
+        *,
+        simulated: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Say nothing yet.
+
+        Args:
+            console: Where.
+            shards: What is to be done now.
+            workers: How many work at a time.
+            skipped: How many grasps were done before.
+            simulated: Whether grasps are simulated; then those that held are counted, else those that should hold.
+            clock: Seconds.
+        """
+        self.console = console
+        self._shards = {shard.number: shard for shard in shards}
+        self._open = set(self._shards)
+        self._total = sum(shard.size for shard in shards) + skipped
+        self._skipped, self._workers, self._simulated, self._clock = skipped, workers, simulated, clock
+        self._done = self._counted = self._good = self._failed = self._lost = 0
+        self._active: dict[int, Sign] = {}
+        self._begun = self._told = clock()
+        self._past: deque[tuple[float, float]] = deque([(self._begun, 0.0)])
+        self._waiting = "starting the workers" if shards else ""
+        self._spinner = Spinner("dots")
+        self._live = Live(console=console, get_renderable=self._shown, refresh_per_second=4, transient=True)
+
+    def __enter__(self) -> Progress:
+        """Show the bar, where there is a terminal."""
+        self._begun = self._told = self._clock()
+        self._past = deque([(self._begun, 0.0)])
+        if self.console.is_terminal:
+            self._live.start()
+        elif self._shards:
+            before = f", {whole(self._skipped)} were done before" if self._skipped else ""
+            now = words.grasps(self._total - self._skipped)
+            shards, workers = count_text(len(self._shards), "shard"), count_text(self._workers, "worker")
+            self.say(f"refining {now} in {shards} with {workers}{before}")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Take the bar away."""
+        if self.console.is_terminal:
+            self._live.stop()
+
+    def say(self, line: str) -> None:
+        """Print a line above the bar."""
+        self.console.print(escape(line), style="dim", soft_wrap=not self.console.is_terminal)
+
+    def wait(self, what: str) -> None:
+        """Show, in a terminal only, what takes a while when no shard is worked on."""
+        self._active.clear()
+        self._waiting = what
+
+    def beat(self, number: int, what: str, share: float, refined: int = 0) -> None:
+        """Hear what is being done for a shard, how much of it is done, and how many of its grasps are refined."""
+        # A sign of life may come later than the end.
+        if number in self._open:
+            self._waiting = ""
+            self._active[number] = (what, min(max(share, 0.0), 1.0), refined)
+            self._note()
+
+    def done(self, done: Done) -> None:
+        """Hear that a shard is complete."""
+        self._end(done.number)
+        self._done += done.grasps
+        self._counted += done.grasps
+        self._good += done.held[1] if done.held is not None else done.good[1]
+        self._note()
+
+    def failed(self, failed: Failed) -> None:
+        """Hear that a shard did not come out, and say so."""
+        self._end(failed.number)
+        shard = self._shards[failed.number]
+        self._failed += 1
+        self._lost += shard.size
+        # A terminal of a batch that fails everywhere is not to be flooded, a file may hold it all.
+        if self._failed <= LISTED or not self.console.is_terminal:
+            tries = f", tried {failed.tries} times" if failed.tries > 1 else ""
+            line = Text.assemble((f"{shard.name} failed", "red"), f" ({failed.reason}{tries}): {failed.message}")
+            self.console.print(line, soft_wrap=not self.console.is_terminal)
+        elif self._failed == LISTED + 1:
+            self.say("further failures are told at the end")
+        self._note()
+
+    def _end(self, number: int) -> None:
+        self._active.pop(number, None)
+        self._open.discard(number)
+
+    @property
+    def speed(self) -> float:
+        """Grasps per second in the last minutes; 0: not known before some are refined."""
+        if not self._refined:
+            return 0.0
+        now = self._clock()
+        (before, at_first), grasps = self._past[0], self._running
+        return (grasps - at_first) / (now - before) if now - before >= FIRST else 0.0
+
+    @property
+    def remaining_s(self) -> float | None:
+        """How long it may yet take; None: not known yet."""
+        left = self._total - self._skipped - self._lost - self._running
+        return max(left, 0.0) / self.speed if self.speed > 0 else None
+
+    @property
+    def _running(self) -> float:
+        """Grasps done now, with the shares of those at work."""
+        return self._done + sum(self._shards[number].size * share for number, (_, share, _) in self._active.items())
+
+    @property
+    def _refined(self) -> int:
+        """Grasps refined now, in shards that are complete and in those at work."""
+        return self._done + sum(refined for _, _, refined in self._active.values())
+
+    def _note(self) -> None:
+        """Remember how far it is and, where there is no terminal, say so now and then."""
+        now = self._clock()
+        if now - self._past[-1][0] >= WINDOW / 100:
+            self._past.append((now, self._running))
+        while len(self._past) > 2 and now - self._past[1][0] >= WINDOW:
+            self._past.popleft()
+        if not self.console.is_terminal and now - self._told >= EVERY:
+            self._told = now
+            self.say(", ".join(self._facts()))
+
+    def _facts(self) -> list[str]:
+        """What is told of the whole, the most important first."""
+        facts = [f"{whole(self._skipped + self._refined)}/{words.grasps(self._total)} refined"]
+        if self.speed > 0:
+            facts.append(words.rate(self.speed))
+        if self.remaining_s is not None and self._open:
+            facts.append(f"{words.duration(self.remaining_s)} left")
+        if self._counted:
+            said = "held" if self._simulated else "good"
+            facts.append(f"{words.share(self._good, self._counted)} {said}")
+        if self._failed:
+            facts.append(f"{count_text(self._failed, 'shard')} failed")
+        return facts
+
+    def _shown(self) -> RenderableType:
+        """The bar, and a line for each worker."""
+        finished = self._skipped + self._running + self._lost
+        bar = Table.grid(expand=True)
+        bar.add_row(ProgressBar(total=max(self._total, 1), completed=finished))
+        lines: list[RenderableType] = []
+        if self._total:
+            lines += [bar, Text(" · ".join(self._facts()), no_wrap=True, overflow="ellipsis")]
+        if self._waiting:
+            self._spinner.update(text=Text(self._waiting, "dim", no_wrap=True, overflow="ellipsis"))
+            lines.append(self._spinner)
+        active = sorted(self._active.items())
+        for number, (what, share, _) in active[:LISTED]:
+            line = Table.grid(padding=(0, 1), expand=True)
+            line.add_column(width=5, justify="right")
+            line.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
+            line.add_row(f"{100 * share:.0f} %", Text(f"{self._shards[number].name}: {what}"), style="dim")
+            lines.append(line)
+        if len(active) > LISTED:
+            lines.append(Text(f"      and {len(active) - LISTED} more", "dim"))
+        return Group(*lines)

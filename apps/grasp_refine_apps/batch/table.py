@@ -1,0 +1,136 @@
+"""What a person reads when a batch ends: a line for each hand and object, totals, and what failed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from math import isnan
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from grasp_refine.core.plurals import count_text, whole
+from grasp_refine.results.table import plain_table
+from grasp_refine.results.verdict import HOLDS, estimate_line, held_line
+from grasp_refine_apps.batch import words
+from grasp_refine_apps.batch.failed import failed_text, left_over
+from grasp_refine_apps.batch.statistics import UNUSABLE, Statistics, Tally
+
+ROWS, FAILURES = 20, 20
+"""Most hands and objects, and most failed shards, that are listed."""
+
+
+def batch_table(document: Mapping[str, Any], statistics: Statistics) -> RenderableType:
+    """Tables and lines for a terminal of 80 columns or more.
+
+    Args:
+        document: What the batch writes as JSON.
+        statistics: Of all grasps of complete shards.
+    """
+    parts: list[RenderableType] = []
+    if statistics.all.count:
+        parts += [_table(statistics), "", *verdict_lines(document, statistics), *_unusable(statistics)]
+    parts += _failures(document.get("failed", []))
+    parts += _account(document.get("totals", {}), document.get("failed", []))
+    return Group(*parts)
+
+
+def _table(statistics: Statistics) -> Table:
+    simulated = statistics.held is not None
+    pairs, rest = statistics.by_pair(ROWS)
+    hands = len({hand for hand, _ in statistics.pairs})
+    table = plain_table(
+        f"{words.grasps(statistics.all.count)}, most failures first" if len(pairs) > 1 else "", between=0
+    )
+    # Where there is no room, names go on in a second line, numbers never.
+    table.add_column("\nobject" if hands == 1 else "\nhand, object", overflow="fold")
+    middle = "held\n%" if simulated else "con-\nverged"
+    for head in ("\ngrasps", middle, f"quality ≥\n{HOLDS:.3f}, %", "quality\nmean", "deepest\nmm"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for (hand, name), tally in pairs:
+        table.add_row(escape(name if hands == 1 else f"{hand}, {name}"), *_cells(tally, simulated))
+    others = len(statistics.pairs) - len(pairs)
+    if rest.count:
+        # Those that are counted together only are too many to be told.
+        table.add_row(f"{'many' if statistics.rest.count else others} others", *_cells(rest, simulated), style="dim")
+    if len(pairs) > 1:
+        table.add_section()
+        table.add_row("all", *_cells(statistics.all, simulated))
+    return table
+
+
+def _cells(tally: Tally, simulated: bool) -> list[RenderableType]:
+    held = _change(tally.held_before, tally.held_after, tally.simulated)
+    return [
+        whole(tally.count),
+        held if simulated else whole(tally.converged),
+        _change(tally.good_before, tally.good_after, tally.count),
+        " → ".join("-" if isnan(value) else f"{value:.3f}" for value in tally.mean_quality),
+        f"{1e3 * tally.deepest:.2f}",
+    ]
+
+
+def _change(before: int, after: int, of: int) -> Text:
+    """Percentages, in green where nearly all hold, and in red where fewer do than before."""
+    if not of:
+        return Text("-")
+    shown = [words.share(part, of).removesuffix(" %") for part in (before, after)]
+    color = "red" if after < before else "green" if after >= 0.95 * of else "yellow"
+    return Text.assemble(f"{shown[0]:>4} → ", (f"{shown[1]:>4}", color))
+
+
+def verdict_lines(document: Mapping[str, Any], statistics: Statistics) -> list[Text]:
+    """How many grasps held in simulation before and after, or what their quality lets expect."""
+    its = statistics.all
+    if not its.simulated:
+        return [estimate_line(its.good_after, its.good_before, its.count)]
+    setting = ((document.get("config") or {}).get("protocol") or {}).get("name") or ""
+    return [
+        held_line(setting, (its.held_before, its.held_after), its.gained, its.lost, its.simulated),
+        *(
+            Text.assemble("  ", (f"{whole(count)} {name}", "red"))
+            for name, count in sorted(statistics.reasons.items(), key=lambda entry: (-entry[1], entry[0]))
+        ),
+        its.agreement_before.line("before, "),
+        its.agreement_after.line("after, "),
+    ]
+
+
+def _unusable(statistics: Statistics) -> Iterator[Text]:
+    """How many grasps were not refined, and why."""
+    its = statistics.all
+    if its.usable < its.count:
+        unusable = ((name, statistics.statuses[name]) for name in sorted(statistics.statuses) if name in UNUSABLE)
+        said = ", ".join(f"{whole(count)} {name}" for name, count in unusable)
+        left = its.count - its.usable
+        yield Text.assemble((f"{whole(left)} {'was' if left == 1 else 'were'} not refined", "yellow"), f": {said}")
+
+
+def _failures(failed: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
+    if not failed:
+        return
+    yield ""
+    yield Text(f"{failed_text(failed)} failed:", "red")
+    for one in failed[:FAILURES]:
+        tries = f", {one['tries']} times" if one.get("tries", 1) > 1 else ""
+        yield Text.assemble("  ", (str(one["name"]), "bold"), f": {one['reason']}{tries}: {one['message']}")
+    if len(failed) > FAILURES:
+        yield Text(f"  and {whole(len(failed) - FAILURES)} more, in the JSON summary and the report")
+
+
+def _account(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
+    """What it took, and what is left."""
+    left = left_over(totals, failed)
+    if left:
+        yield Text(f"{whole(left)} of {count_text(totals['shards'], 'shard')} to be done yet", "yellow")
+    said = []
+    if totals.get("grasps_per_s"):
+        said.append(words.rate(totals["grasps_per_s"]))
+    if totals.get("cpu_s_per_grasp") is not None:
+        said.append(f"{words.duration(totals['cpu_s_per_grasp'])} of CPU time each")
+    if totals.get("peak_bytes"):
+        said.append(f"at most {words.mebibytes(totals['peak_bytes'])} a process")
+    if said:
+        yield Text(", ".join(said))

@@ -1,0 +1,83 @@
+"""What comes out of a solver of alignment tasks, and the errors at its poses by a query of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.core.se3 import transform_points
+from grasp_refine.witness.patch import Patch
+from grasp_refine_apps.bench.align.bodies import BodyPair
+from grasp_refine_apps.bench.align.stopwatch import Stopwatch
+from grasp_refine_apps.bench.align.tasks import Tasks
+
+Visit = Callable[[np.ndarray, np.ndarray], None]
+"""Gets the poses (4, 4) of both bodies of the first task of the first pair, at its start and after each iteration."""
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """What came out of P pairs with up to N tasks each; arrays (N, P, ...). Pairs with fewer repeat theirs."""
+
+    error: np.ndarray
+    """Smallest |x_a - t_a|^2 + |x_b - t_b|^2 + (d - beta)^2 on the way (N, P), in square metres, by plain witness
+    points."""
+    last_error: np.ndarray
+    """The same at the end (N, P), which is what the paper reports; of Levenberg-Marquardt, whose result is its best
+    iterate, the same."""
+    T_world_a: np.ndarray
+    """Poses (N, P, 4, 4) of the first bodies where the error was smallest."""
+    T_world_b: np.ndarray
+    """The same of the second ones."""
+    witness: Witness
+    """Plain witness points there."""
+    iterations: np.ndarray
+    """Steps that were made (N, P); 0 where a task only repeats another one and was not run."""
+    watch: Stopwatch
+    """CPU time by stage and pass, and narrow-phase queries."""
+    cpu_s: float
+    """CPU seconds of the loop."""
+    wall_s: float
+    """Wall seconds of the loop."""
+
+
+def padded(tasks: Sequence[Tasks]) -> list[Tasks]:
+    """The tasks of each pair, repeated so that all have as many."""
+    count = max(map(len, tasks))
+    return [its.take(np.arange(count) % len(its)) for its in tasks]
+
+
+def errors_at(
+    bodies: Sequence[BodyPair],
+    tasks: Sequence[Tasks],
+    T_world_a: np.ndarray,
+    T_world_b: np.ndarray,
+    margin: float,
+    patch: Patch | None = None,
+) -> tuple[np.ndarray, Witness]:
+    """Errors (N, P) in square metres at given poses, infinite where there are no witness points, and the latter.
+
+    By a query that no solver has touched.
+
+    Args:
+        bodies: P pairs.
+        tasks: N tasks of each pair.
+        T_world_a: Poses of the first bodies (N, P, 4, 4).
+        T_world_b: The same of the second ones.
+        margin: The wanted distance in metres.
+        patch: The witness points that judge; None: plain ones.
+    """
+    pairs = Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies))
+    target_a, target_b = (np.stack([getattr(its, name) for its in tasks], axis=1) for name in ("target_a", "target_b"))
+    found = query(pairs, T_world_a, T_world_b)
+    if patch is not None:
+        found = patch.refine(pairs, T_world_a, T_world_b, found, target_a, target_b)
+    misses = (
+        found.point_a - transform_points(T_world_a, target_a),
+        found.point_b - transform_points(T_world_b, target_b),
+    )
+    error = sum((miss**2).sum(axis=-1) for miss in misses) + (found.distance - margin) ** 2
+    return np.where(found.valid, error, np.inf), found

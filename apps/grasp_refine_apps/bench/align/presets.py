@@ -1,0 +1,132 @@
+"""The experiments of arXiv 2511.06267, and some of our own, as lists of variants."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+from types import MappingProxyType
+
+from grasp_refine.witness.slip import Coupling
+from grasp_refine_apps.bench.align.tasks import CLASSES
+from grasp_refine_apps.bench.align.variants import MethodName, NeighborhoodName, Variant
+
+MARGINS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2)
+STEP_SIZES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+
+OURS = Variant()
+"""The paper's method: distance smoothing, adaptive sampling, equivalent gradient transport."""
+BASELINE = Variant("direction", "neighbor", transport=False)
+"""The method that the paper improves on (Montaut et al. 2022)."""
+SMOOTHING: tuple[MethodName, ...] = ("direction", "distance")
+"""The methods that look at samples of the surface."""
+NEAR: tuple[NeighborhoodName, ...] = ("neighbor", "fixed", "adaptive")
+"""Which samples they look at."""
+EPSILON = 1e-5
+"""Of the patch witness, in metres."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """An experiment."""
+
+    variants: tuple[Variant, ...]
+    """What is compared, at the largest budget."""
+    classes: tuple[str, ...] = CLASSES[:3]
+    """Classes of targets."""
+    pairs: int = 8
+    """Pairs of bodies of each kind."""
+    targets: int = 64
+    """Accepted targets of each pair."""
+    budgets: tuple[int, ...] = (2000,)
+    """Budgets in iterations that every variant is run at; none: each has its own."""
+
+
+def _table1() -> tuple[Variant, ...]:
+    names: tuple[MethodName, ...] = ("analytical", "finite-difference", "zeroth-order")
+    others = [Variant(name, transport=False) for name in names]
+    return (*others, BASELINE, OURS, Variant("contact-kinematics"), Variant("rigid", transport=False))
+
+
+def _table2() -> tuple[Variant, ...]:
+    sampling = [Variant(name, near) for name, near in product(SMOOTHING, NEAR)]
+    without = [Variant(name, transport=False) for name in SMOOTHING]
+    both = [Variant(name, transport=False, optimise="T1T2") for name in SMOOTHING]
+    return tuple(replace(variant, margin=margin) for variant in (*both, *without, *sampling) for margin in (0.0, 1e-3))
+
+
+def _table3() -> tuple[Variant, ...]:
+    others: tuple[MethodName, ...] = ("rigid", "analytical", "finite-difference", "zeroth-order")
+    return tuple(Variant(name) for name in (*others, *SMOOTHING, "contact-kinematics"))
+
+
+def _table4() -> tuple[Variant, ...]:
+    backward = [Variant(name, near) for name, near in product(SMOOTHING, NEAR)]
+    return (*backward, replace(OURS, transport=False))
+
+
+def _margin() -> tuple[Variant, ...]:
+    methods = (OURS, BASELINE, Variant("direction"))
+    return tuple(replace(method, margin=margin) for method, margin in product(methods, MARGINS))
+
+
+def _step_size() -> tuple[Variant, ...]:
+    names: tuple[MethodName, ...] = ("finite-difference", "zeroth-order")
+    plain = (BASELINE, *(Variant(name, transport=False) for name in names))
+    best = (Variant("direction"), Variant("finite-difference"), Variant("zeroth-order"))
+    return tuple(replace(method, step_size=size) for method, size in product((OURS, *plain, *best), STEP_SIZES))
+
+
+def _coupling() -> tuple[Variant, ...]:
+    couplings: tuple[Coupling, ...] = ("one-sided", "coupled")
+    return tuple(
+        Variant(name, coupling=coupling, transport=transport)
+        for name, coupling, transport in product(reversed(SMOOTHING), couplings, (True, False))
+    )
+
+
+def _solvers() -> tuple[Variant, ...]:
+    least_squares = [Variant.least_squares(budget=budget) for budget in (200, 500)]
+    methods = (OURS, Variant("contact-kinematics"), *least_squares)
+    return tuple(replace(method, margin=margin) for margin in (0.0, 1e-3) for method in methods)
+
+
+def _patch() -> tuple[Variant, ...]:
+    methods = (OURS, Variant.least_squares(budget=500))
+    return tuple(
+        replace(method, witness=witness, epsilon=EPSILON) for method in methods for witness in ("plain", "patch")
+    )
+
+
+def _smoke() -> tuple[Variant, ...]:
+    return (
+        *_table1(),
+        Variant.least_squares(epsilon=EPSILON),
+        Variant.least_squares(witness="patch", epsilon=EPSILON),
+    )
+
+
+PRESETS: Mapping[str, Preset] = MappingProxyType(
+    {
+        "table1": Preset(_table1(), classes=CLASSES),
+        "table2": Preset(_table2()),
+        "table3": Preset(_table3(), budgets=(200,)),
+        "table4": Preset(_table4(), budgets=(200,)),
+        "margin": Preset(_margin()),
+        "step-size": Preset(_step_size()),
+        "coupling": Preset(_coupling()),
+        "solvers": Preset(
+            _solvers(),
+            budgets=(),
+        ),
+        "patch": Preset(_patch(), classes=("face-face",), budgets=()),
+        "smoke": Preset(
+            _smoke(),
+            classes=CLASSES,
+            pairs=2,
+            targets=8,
+            budgets=(50, 200),
+        ),
+    }
+)
+"""Name -> experiment."""

@@ -1,0 +1,216 @@
+"""Alignment tasks as least-squares problems over the pose of body b, for Levenberg-Marquardt."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from zlib import crc32
+
+import numpy as np
+
+from grasp_refine.collision.query import Pairs, Witness, query_items
+from grasp_refine.core.array_records import choose, take
+from grasp_refine.core.profiling import stage
+from grasp_refine.core.se3 import cross, exp_so3, matvec, tangents, transform, transform_points
+from grasp_refine.geometry.pieces import Piece
+from grasp_refine.refinement.solvers.least_squares import Linear, Point
+from grasp_refine.witness.contact_kinematics import slide
+from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatures
+from grasp_refine.witness.patch import Patch
+from grasp_refine_apps.bench.align.bodies import BodyPair
+from grasp_refine_apps.bench.align.stopwatch import Stopwatch
+from grasp_refine_apps.bench.align.tasks import Tasks
+
+NEAR, FAR = (0.003, 0.5), (0.3, np.pi)
+"""Angles of new starts in radians: from the best pose (evenly in the logarithm), and from the present one."""
+
+TURN = 2.0
+"""Most radians of a step."""
+
+FACE = 2e-5
+"""Faces this near to a witness point (metres), beside the nearest one, may support it."""
+UNDAMPED = 1e3
+"""Factor of residuals that damping shall not see: nothing but the whole step is of use."""
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Tasks at a pose; M rows."""
+
+    residual: np.ndarray
+    """[d - beta, E^T (x_a - t_a), E^T (x_b - t_b)] (M, 5): the misses across the normal have no derivative."""
+    loss: np.ndarray
+    """(d - beta)^2 + |x_a - t_a|^2 + |x_b - t_b|^2 (M,) in square metres."""
+    asked: np.ndarray
+    witness: Witness
+    E: np.ndarray
+    """Tangents (M, 3, 2)."""
+    pivot: np.ndarray
+    """Target of body b (M, 3), world frame: steps turn about it."""
+    miss: np.ndarray
+    """|x_a - t_a| and |x_b - t_b| (M, 2) in metres."""
+
+
+class AlignProblem:
+    """The tasks of P pairs of bodies; bodies a rest."""
+
+    def __init__(
+        self,
+        bodies: Sequence[BodyPair],
+        tasks: Sequence[Tasks],
+        margin: float,
+        seed: int,
+        patch: Patch | None = None,
+        watch: Stopwatch | None = None,
+    ) -> None:
+        """Members are the tasks of the first pair, then those of the second, and so on.
+
+        Args:
+            bodies: P pairs.
+            tasks: Those of each pair.
+            margin: The wanted distance in metres.
+            seed: Of new starts.
+            patch: Which witness points are used; None: plain ones.
+            watch: Measures the passes, while it runs.
+        """
+        self.watch = Stopwatch() if watch is None else watch
+        self.pairs = Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies))
+        self.pair = np.repeat(np.arange(len(bodies)), [len(t) for t in tasks])
+        self.tasks, self.margin, self.seed, self.patch = Tasks.join(tasks), margin, seed, patch
+        # What comes of a task must not depend on the others, so new starts are keyed by the task itself.
+        self.key = [crc32(T.tobytes()) for T in self.tasks.T_world_b]
+        self.curvatures = PairCurvatures.of(self.pairs, SMALLEST_CURVATURE)
+        self.length = np.array([0.25 * (pair.a.diagonal + pair.b.diagonal) for pair in bodies])
+        self.several = any(len(body.pieces) > 1 for body in (*self.pairs.a, *self.pairs.b))
+
+    def evaluate(self, member: np.ndarray, point: Point, previous: Known | None) -> Known:
+        """One query of each task."""
+        with self.watch.lap("forward"):
+            return self._evaluated(member, point, previous)
+
+    def _evaluated(self, member: np.ndarray, point: Point, previous: Known | None) -> Known:
+        T_a = self.tasks.T_world_a[member]
+        before = previous.witness if previous is not None and self.several else None
+        with stage("broad phase"):
+            w = self._witness(self.pair[member], T_a, point.T, before, member)
+        pivot = transform_points(point.T, self.tasks.target_b[member])
+        miss_a = w.point_a - transform_points(T_a, self.tasks.target_a[member])
+        miss_b = w.point_b - pivot
+        E = tangents(w.normal)
+        gap = w.distance - self.margin
+        residual = np.concatenate([gap[:, None], matvec(E.mT, miss_a), matvec(E.mT, miss_b)], axis=1)
+        a, b = (miss_a**2).sum(axis=1), (miss_b**2).sum(axis=1)
+        loss = np.where(w.valid, gap**2 + a + b, np.nan)
+        return Known(residual, loss, w.asked, w, E, pivot, np.sqrt(np.stack([a, b], axis=1)))
+
+    def linearize(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> Linear:
+        """Residuals (M, 5) and Jacobians (M, 5, 6) in the twist of body b about its target.
+
+        A width without end stands for the supporting faces as planes (see `_flattened`).
+        """
+        with self.watch.lap("backward"), stage("derivative"):
+            rows = np.flatnonzero(np.isinf(width))
+            J = self._jacobian(member, point, known, np.where(np.isinf(width), 1.0, width))
+            if not len(rows):
+                return Linear(known.residual, J)
+            residual = known.residual.copy()
+            residual[rows], J[rows] = self._flattened(member[rows], point.T[rows], take(known, rows))
+            return Linear(residual, J)
+
+    def _jacobian(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> np.ndarray:
+        w = known.witness
+        T_a = self.tasks.T_world_a[member]
+        K_a, K_b = self.curvatures.fit(self.pair[member], T_a, point.T, w, known.E, known.miss.T, width)
+        arm = w.point_b - known.pivot
+        U_a, U_b = slide(arm, w.normal, w.distance, known.E, K_a, K_b)
+        gap = np.concatenate([w.normal, cross(arm, w.normal)], axis=1)[:, None]
+        return np.concatenate([gap, U_a, U_b], axis=1)
+
+    def _flattened(self, member: np.ndarray, T_b: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (M, 5) and (M, 5, 6) that lay the two supporting faces on each other, the targets together.
+
+        [t_b - t_a - beta n, l E^T (n_a + n_b)]: flat surfaces touch at an edge or a corner until they are parallel, and
+        then anywhere at once. No derivative of witness points, however it is smoothed, shows how far to turn.
+        """
+        w, T_a = known.witness, self.tasks.T_world_a[member]
+        faces = []
+        for pieces, T, x, outward in zip(
+            self.pairs.piece_pairs, (T_a, T_b), (w.point_a, w.point_b), (w.normal, -w.normal), strict=True
+        ):
+            R = T[:, :3, :3]
+            local = supporting(pieces, w.winner, matvec(R.mT, x - T[:, :3, 3]), matvec(R.mT, outward))
+            faces.append(matvec(R, local))
+        n_a, n_b = faces
+        apart = known.pivot - transform_points(T_a, self.tasks.target_a[member]) - self.margin * w.normal
+        length = self.length[self.pair[member], None]
+        rows = known.E.mT
+        J = np.zeros((len(member), 5, 6))
+        J[:, :3, :3] = np.eye(3)
+        J[:, 3:, 3:] = length[..., None] * cross(n_b[:, None] + np.zeros_like(rows), rows)
+        residual = np.concatenate([apart, length * matvec(rows, n_a + n_b)], axis=1)
+        return UNDAMPED * residual, UNDAMPED * J
+
+    def _witness(
+        self, pair: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, before: Witness | None, member: np.ndarray
+    ) -> Witness:
+        """Plain witness points, or those of the patch."""
+        found = query_items(self.pairs, pair, T_a, T_b, previous=before)
+        if self.patch is None:
+            return found
+        goals = self.tasks.target_a[member], self.tasks.target_b[member]
+        return self.patch.refine(self.pairs, T_a, T_b, found, *goals)
+
+    def metric(self, member: np.ndarray) -> np.ndarray:
+        """A quarter of both diagonals, l: W = diag(1, 1, 1, l^2, l^2, l^2)."""
+        length = self.length[self.pair[member], None]
+        return np.concatenate([np.ones((len(member), 3)), np.repeat(length**2, 3, axis=1)], axis=1)
+
+    def room(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
+        """No bounds."""
+        free = np.full((len(member), 6), np.inf)
+        return -free, free
+
+    def moved(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
+        """Body b turned about its target."""
+        pivot = transform_points(point.T, self.tasks.target_b[member])
+        turn = np.sqrt((dx[:, 3:] ** 2).sum(axis=1, keepdims=True))
+        dx = dx * (TURN / np.maximum(turn, TURN))
+        return Point(_turned(point.T, pivot, dx[:, 3:], pivot + dx[:, :3]), point.q)
+
+    def restarted(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
+        """Body b turned at random about its target, which is put onto that of body a.
+
+        Every third time by any small angle from the best pose, else far from the present one.
+        """
+        w = np.empty((len(member), 3))
+        near = start % 3 == 0
+        for row, (m, k, close) in enumerate(zip(member.tolist(), start.tolist(), near.tolist(), strict=True)):
+            rng = np.random.default_rng((self.seed, self.key[m], k))
+            axis = rng.normal(size=3)
+            angle = np.exp(rng.uniform(*np.log(NEAR))) if close else rng.uniform(*FAR)
+            w[row] = axis / np.linalg.norm(axis) * angle
+        T = choose(near, best.T, now.T)
+        pivot = transform_points(T, self.tasks.target_b[member])
+        goal = transform_points(self.tasks.T_world_a[member], self.tasks.target_a[member])
+        return Point(_turned(T, pivot, w, goal), now.q)
+
+
+def supporting(pieces: Sequence[Piece], winner: np.ndarray, x: np.ndarray, outward: np.ndarray) -> np.ndarray:
+    """Normals (M, 3) of the faces at points x (M, 3) of pieces `winner` (M,) that face outward (M, 3) most."""
+    found = outward.copy()
+    for number in np.unique(winner[winner >= 0]):
+        rows = np.flatnonzero(winner == number)
+        normals, offsets = pieces[number].planes
+        if len(normals):
+            away = np.abs(x[rows] @ normals.T - offsets - pieces[number].radius)
+            near = away <= FACE + away.min(axis=1, keepdims=True)
+            found[rows] = normals[np.where(near, outward[rows] @ normals.T, -np.inf).argmax(axis=1)]
+    return found
+
+
+def _turned(T: np.ndarray, pivot: np.ndarray, w: np.ndarray, to: np.ndarray) -> np.ndarray:
+    """Poses turned by rotation vectors w (M, 3), so that the points `pivot` (M, 3) of the bodies come to `to`."""
+    R = exp_so3(w)
+    moved = R @ T[:, :3, :3]
+    moved = moved @ (1.5 * np.eye(3) - 0.5 * moved.mT @ moved)
+    return transform(moved, to + matvec(R, T[:, :3, 3] - pivot))

@@ -1,0 +1,164 @@
+"""The committed baseline, and what it says of a measurement."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any, get_args
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.bench.gate.ratios import RATIOS, Group, Ratio
+
+SCHEMA = 1
+
+UPDATE = "refine-grasp bench --gate --update FILE writes a new one"
+
+Measure = Callable[[Group], Mapping[str, float]]
+"""From a group to the ratios in it that this machine has."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the baseline says of a ratio."""
+
+    value: float
+    """What it was."""
+    limit: float
+    """The worst that is allowed."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a ratio."""
+
+    ratio: Ratio
+    now: float | None
+    """None: this machine does not have it."""
+    known: Known | None
+    """None: as above."""
+    again: bool
+    """Whether it was measured twice, of which the better counts, because the first was beyond the limit."""
+
+    @property
+    def ok(self) -> bool | None:
+        """Whether it is within its limit; None: there is nothing to judge."""
+        return None if self.now is None or self.known is None else self.ratio.allowed(self.now, self.known.limit)
+
+    def row(self) -> dict[str, Any]:
+        """As an entry of a JSON document."""
+        value, limit = (None, None) if self.known is None else (self.known.value, self.known.limit)
+        return {
+            "name": self.ratio.name,
+            "what": self.ratio.what,
+            "better": "higher" if self.ratio.higher else "lower",
+            "now": self.now,
+            "baseline": value,
+            "limit": limit,
+            "measured_twice": self.again,
+            "ok": self.ok,
+        }
+
+
+def load_baseline(path: Path, engine: str) -> dict[str, Known]:
+    """What a baseline says of each ratio with a collision engine.
+
+    Raises:
+        GraspRefineError: it cannot be read, or is not of these ratios or not of this engine.
+    """
+    try:
+        engines = _engines(path)
+        ratios = {
+            name: {key: Known(float(one["value"]), float(one["limit"])) for key, one in its["ratios"].items()}
+            for name, its in engines.items()
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise GraspRefineError(f"{path}: is no baseline ({type(error).__name__}: {error}); {UPDATE}") from None
+    if engine not in ratios:
+        raise GraspRefineError(
+            f"{path}: is a baseline for the collision engine {', '.join(ratios) or 'of nobody'}, not for the {engine} "
+            f"one, which is used here; {UPDATE}"
+        )
+    found, wanted = ratios[engine], {ratio.name for ratio in _of(engine)}
+    if set(found) != wanted:
+        lacking, more = sorted(wanted - set(found)), sorted(set(found) - wanted)
+        parts = (f"lacks {', '.join(lacking)}" if lacking else "", f"has no use for {', '.join(more)}" if more else "")
+        raise GraspRefineError(f"{path}: {' and '.join(filter(None, parts))} ({engine} engine); {UPDATE}")
+    return found
+
+
+def updated(path: Path, engine: str, measured: Mapping[str, float], about: Mapping[str, Any]) -> dict[str, Any]:
+    """The document of a new baseline; what the file at `path` says of other engines is kept.
+
+    Raises:
+        GraspRefineError: a ratio is not finite, or the file is there and no baseline.
+    """
+    engines: dict[str, Any] = {}
+    if path.is_file():
+        try:
+            engines = _engines(path)
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise GraspRefineError(f"{path}: is no baseline ({type(error).__name__}: {error}), and is kept") from None
+    wrong = [name for name, value in measured.items() if not isfinite(value)]
+    if wrong:
+        raise GraspRefineError(f"{', '.join(wrong)}: not finite, so that there is nothing to compare with later")
+    ratios = {
+        ratio.name: {"value": _rounded(measured[ratio.name]), "limit": _rounded(ratio.limit(measured[ratio.name]))}
+        for ratio in _of(engine)
+    }
+    return {"schema": SCHEMA, "engines": engines | {engine: {**about, "ratios": ratios}}}
+
+
+def judged(known: Mapping[str, Known], measure: Measure) -> list[Verdict]:
+    """Verdicts on all ratios; a group with one beyond its limit is measured once more, before it is told.
+
+    Raises:
+        GraspRefineError: a ratio is measured and not in the baseline, or the other way round.
+    """
+    verdicts: dict[str, Verdict] = {}
+    for group in get_args(Group):
+        found, its = measure(group), [ratio for ratio in RATIOS if ratio.group == group]
+        wanted = {one.name for one in its} & set(known)
+        if set(found) != wanted:
+            new, gone = (", ".join(sorted(names)) or "nothing" for names in (set(found) - wanted, wanted - set(found)))
+            raise GraspRefineError(
+                f"{group}: measured, but not in the baseline: {new}; in the baseline, but not measured: {gone}; "
+                f"{UPDATE}"
+            )
+        verdicts |= {one.name: Verdict(one, found.get(one.name), known.get(one.name), False) for one in its}
+        worse = [verdicts[one.name] for one in its if verdicts[one.name].ok is False]
+        if worse:
+            second = measure(group)
+            for one in worse:
+                name = one.ratio.name
+                assert one.now is not None  # or it would not be judged
+                now = _better(one.ratio, one.now, second[name])
+                verdicts[name] = Verdict(one.ratio, now, one.known, True)
+    return [verdicts[ratio.name] for ratio in RATIOS]
+
+
+def _engines(path: Path) -> dict[str, Any]:
+    """What a baseline holds of each engine.
+
+    Raises:
+        OSError, ValueError, KeyError, TypeError: it is no baseline.
+    """
+    document = json.loads(path.read_text(encoding="utf-8"))
+    if document["schema"] != SCHEMA:
+        raise ValueError(f"schema is {document['schema']}, not {SCHEMA}")
+    return dict(document["engines"])
+
+
+def _better(ratio: Ratio, one: float, other: float) -> float:
+    known = [value for value in (one, other) if isfinite(value)]
+    return ratio.better(*known) if len(known) == 2 else (known or [one])[0]
+
+
+def _of(engine: str) -> Sequence[Ratio]:
+    return [ratio for ratio in RATIOS if engine == "native" or not ratio.native]
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")

@@ -1,0 +1,200 @@
+"""Measures the ratios of the gate: what is compared is taken in turn, and the median over the rounds counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from types import MappingProxyType
+
+import numpy as np
+import torch
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.collision.engine import chosen
+from grasp_refine.collision.query import query
+from grasp_refine.core.profiling import Stopwatch
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.forces.quality import quality
+from grasp_refine.grasps.grasp_set import load_grasps, match_joints
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.force_closure_search import GOOD
+from grasp_refine.refinement.refine import Refinement, refine
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.bench.gate.ratios import Group
+from grasp_refine_apps.bench.grasp.measures import measured
+from grasp_refine_apps.bench.grasp.rows import LEVELS, PARTS, contact_errors
+from grasp_refine_apps.bench.grasp.sets import GraspSet
+from grasp_refine_apps.bench.grasp.sets import Group as Grasps
+from grasp_refine_apps.bench.grasp.tasks import Disturbance, Tasks, given_targets
+from grasp_refine_apps.bench.grasp.variants import Variant
+from grasp_refine_apps.bench.queries.bodies import make_pairs
+from grasp_refine_apps.bench.queries.cases import DISTANCE, Case
+from grasp_refine_apps.bench.queries.peers import fresh_coal
+from grasp_refine_apps.bench.queries.poses import draw_poses
+from grasp_refine_apps.bench.queries.runner import CaseJob, Measured
+from grasp_refine_apps.bench.shares import REST, cpu_share
+from grasp_refine_apps.bench.timing import cpu_times, one_thread
+
+ROUNDS, LEAST_S = 5, 0.02
+"""How often each time is taken, and CPU seconds of a measurement, for which short calls are repeated."""
+
+HAND, OBJECT, EXAMPLE = "allegro", "rounded_box", "allegro/example_rounded_box.npz"
+"""What is grasped: a convex object, of which no decomposition decides how long it takes."""
+
+TASKS, BATCH, SINGLES, FORCED = 256, 64, 8, 32
+"""Grasps in all, worked on at once, one at a time, and with forces."""
+
+DESCENT_STEPS = 20
+
+COAL_QUERIES = 100
+"""Queries of coal that count as one unit of time."""
+
+SEED = 0
+
+
+def measure(group: Group, progress: Callable[[float], None]) -> dict[str, float]:
+    """Name -> value of the ratios of a group that this machine has."""
+    torch.set_num_threads(1)
+    with one_thread():
+        return MEASURES[group](progress)
+
+
+def queries(progress: Callable[[float], None]) -> dict[str, float]:
+    """Costs of witness queries, relative to coal and to each other."""
+    cases = (Case(batch=256), Case(batch=1), Case("concave", 16, batch=256))
+    convex, single, concave = (_of_case(case, partial(_part, progress, k / 3, 1 / 3)) for k, case in enumerate(cases))
+    usual = chosen("auto")
+    cold, warm = (concave.engines[usual, state] for state in (False, True))
+    found = {
+        "convex-query": _median(convex.engines[usual, False].forward_s, convex.peers["coal-fresh"].forward_s),
+        "concave-query": _median(cold.forward_s, concave.peers["coal-fresh"].forward_s),
+        "concave-asked": cold.asked / cold.poses,
+        "warm-asked": warm.asked / cold.asked,
+        "warm-query": _median(warm.forward_s, cold.forward_s),
+        # Not of the same rounds: each over coal, which was.
+        "single-query": _median(single.engines[usual, False].forward_s, single.peers["coal-fresh"].forward_s)
+        / _median(convex.engines[usual, False].forward_s, convex.peers["coal-fresh"].forward_s),
+        "backward": _median(convex.backward_s["contact-kinematics"], convex.layer_s),
+    }
+    if usual == "native":
+        assert concave.bare_s is not None
+        found["engines"] = _median(concave.engines["python", False].forward_s, cold.forward_s)
+        found["bare-loop"] = _median(cold.forward_s, concave.bare_s)
+    return found
+
+
+def grasps(progress: Callable[[float], None]) -> dict[str, float]:
+    """Costs and results of refining disturbed grasps, given targets."""
+    tasks = _tasks()
+    cut = tasks.of(Variant(pieces=64))
+    assert cut is not None  # one of a convex object can be cut
+    some, whole = slice(BATCH), HandObject.of(tasks.scene)
+    variant, descent = Variant(batch=BATCH), Variant("descent", budget=DESCENT_STEPS, batch=BATCH)
+    progress(0.2)
+    pairs = make_pairs(Case(), SEED, "python")
+    poses = draw_poses(pairs, DISTANCE["near"], COAL_QUERIES, SEED)
+    found: dict[str, list[Refinement]] = {}
+
+    def run(name: str, tasks: Tasks, variant: Variant, prepared: HandObject, calls: int = 1) -> None:
+        size = len(tasks) // calls
+        scenes = [tasks.take(slice(start, start + size)).scene for start in range(0, len(tasks), size)]
+        config = variant.config(SEED, Config.tolerance)
+        found[name] = [refine(scene, config, prepared=prepared) for scene in scenes]
+
+    times = cpu_times(
+        {
+            "coal": fresh_coal(pairs, *poses),
+            "grasp": partial(run, "grasp", tasks.take(some), variant, whole),
+            "all": partial(run, "all", tasks, replace(variant, batch=TASKS), whole),
+            "single": partial(run, "single", tasks.take(slice(SINGLES)), replace(variant, batch=1), whole, SINGLES),
+            "together": partial(run, "together", tasks.take(slice(SINGLES)), variant, whole),
+            "pieces": partial(run, "pieces", cut.take(some), variant, HandObject.of(cut.scene)),
+            "descent": partial(run, "descent", tasks.take(some), descent, whole),
+        },
+        ROUNDS,
+        LEAST_S,
+    )
+    progress(0.9)
+    watch = Stopwatch()
+    with watch:
+        run("grasp", tasks.take(some), variant, whole)
+    scene, (every,) = tasks.scene, found["all"]
+    error = measured(scene, every.T_world_root, every.q).contact_error
+    solved = contact_errors(error, aimed=True)
+    fine, finer = LEVELS
+    steps = {name: sum(one.iterations.sum() for one in found[name]) for name in found}
+    return {
+        "grasp": _median(times["grasp"], times["coal"]) / BATCH,
+        # By step, so that it does not matter which grasps are among the few.
+        "single-grasp": _median(times["single"] / steps["single"], times["all"] / steps["all"]),
+        "pieces": _median(times["pieces"] / steps["pieces"], times["grasp"] / steps["grasp"]),
+        "descent-step": _median(times["descent"] / steps["descent"], times["grasp"] / steps["grasp"]),
+        "bookkeeping": cpu_share([watch], PARTS)[REST],
+        "steps": steps["all"] / TASKS,
+        "queries": float(every.queries.mean()),
+        "solved": solved[fine],
+        "solved-finely": solved[finer],
+    }
+
+
+def forces(progress: Callable[[float], None]) -> dict[str, float]:
+    """Costs and results of refining disturbed grasps so that they hold."""
+    tasks = _tasks().take(slice(FORCED))
+    scene = replace(tasks.scene, target_link=None, target_object=None)
+    prepared, found = HandObject.of(scene), {}
+    progress(0.2)
+    configs = {"holding": Config(starts=1), "geometry": Variant(batch=FORCED).config(SEED, Config.tolerance)}
+
+    def run(name: str) -> None:
+        found[name] = refine(scene, configs[name], prepared=prepared)
+
+    times = cpu_times({name: partial(run, name) for name in configs}, ROUNDS, LEAST_S)
+    return {
+        "holding": _median(times["holding"], times["geometry"]),
+        "good": float((_scores(scene, found["holding"]) <= GOOD).mean()),
+    }
+
+
+MEASURES: Mapping[Group, Callable[[Callable[[float], None]], dict[str, float]]] = MappingProxyType(
+    {"queries": queries, "grasps": grasps, "forces": forces}
+)
+"""How each group is measured."""
+
+
+def _of_case(case: Case, progress: Callable[[float], None]) -> Measured:
+    engines = tuple(dict.fromkeys((chosen("auto"), "python")))
+    job = CaseJob(case, engines, ("contact-kinematics",), ("coal-fresh",), ROUNDS, LEAST_S, SEED)
+    return job.do(progress)
+
+
+def _part(progress: Callable[[float], None], before: float, size: float, share: float) -> None:
+    progress(before + size * share)
+
+
+def _tasks() -> Tasks:
+    """Disturbed true grasps."""
+    file = load_grasps(resource_dir("robots") / EXAMPLE)
+    hand, obj = load_hand(HAND, base_link=file.base_link), load_object(OBJECT)
+    scene = Scene(hand, obj, transform_from_pose(file.hand_pose), match_joints(file, hand)[0])
+    group = Grasps(OBJECT, 1.0, scene, np.arange(len(file)))
+    (tasks,) = given_targets(GraspSet("gate", (group,)), TASKS, Disturbance(), SEED)
+    return tasks
+
+
+def _scores(scene: Scene, found: Refinement) -> np.ndarray:
+    """What speaks against the refined grasps (N,)."""
+    chain = Chain(scene.hand, scene.links)
+    frames = chain(found.T_world_root, found.q)
+    T = frames.T_world_link
+    witness = query(HandObject.of(scene).pairs, T, np.broadcast_to(np.eye(4), T.shape))
+    return quality(scene.hand, scene.object, chain, frames, witness).score
+
+
+def _median(times: Sequence[float] | np.ndarray, others: Sequence[float] | np.ndarray) -> float:
+    """The median over the rounds of how many times longer the first took."""
+    return float(np.median(np.asarray(times) / np.asarray(others)))

@@ -1,0 +1,58 @@
+"""Measures of grasps by a plain query, whatever solver found them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from grasp_refine.core.se3 import transform_points
+from grasp_refine.hands.kinematics import Kinematics
+from grasp_refine.hands.self_collision import self_penetration, touching_pairs
+from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.geometry import measure
+
+
+@dataclass(frozen=True, eq=False)
+class Measures:
+    """What N grasps are like; L links."""
+
+    contact_error: np.ndarray
+    """gap^2 + |x_a - t_a|^2 + |x_b - t_b|^2 (N, L) in square metres; NaN for links without a target."""
+    distance: np.ndarray
+    """Signed distance (N, L) in metres of each link to the object."""
+    penetration: np.ndarray
+    """Deepest penetration (N,) of any link in the object, in metres."""
+    self_penetration: np.ndarray
+    """Deepest penetration (N,) of links in each other, in metres."""
+    limits_violated: np.ndarray
+    """Number of joints (N,) beyond their limits."""
+    point_link: np.ndarray
+    """Witness points (N, L, 3) on the links, link frames, metres."""
+    point_object: np.ndarray
+    """Witness points (N, L, 3) on the object, object frame."""
+
+
+def measured(scene: Scene, T_world_root: np.ndarray, q: np.ndarray) -> Measures:
+    """Measures of the grasps of a scene at root poses (N, 4, 4) and joint values (N, n)."""
+    hand, links = scene.hand, scene.links
+    nowhere = np.full((len(q), len(links), 3), np.nan)
+    target_link, target_object = (
+        nowhere if target is None else target for target in (scene.target_link, scene.target_object)
+    )
+    geometry = measure(hand, scene.object, links, T_world_root, q, target_link, target_object)
+    witness = geometry.witness
+    T_link = Kinematics(hand, links)(torch.as_tensor(T_world_root), torch.as_tensor(q)).numpy()
+    R, origin = T_link[..., :3, :3], T_link[..., :3, 3]
+    point_link = ((witness.point_a - origin)[..., None, :] @ R)[..., 0, :]
+    misses = witness.point_a - transform_points(T_link, target_link), witness.point_b - target_object
+    return Measures(
+        contact_error=geometry.distance**2 + sum((miss**2).sum(axis=-1) for miss in misses),
+        distance=geometry.distance,
+        penetration=geometry.penetration,
+        self_penetration=self_penetration(hand, touching_pairs(hand), q),
+        limits_violated=geometry.limits_violated,
+        point_link=point_link,
+        point_object=witness.point_b,
+    )

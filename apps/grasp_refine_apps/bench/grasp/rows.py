@@ -1,0 +1,184 @@
+"""From results to rows: one flat entry for each variant, set and kind of tasks, pooled, and for each object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from grasp_refine.refinement.solvers.status import Status
+from grasp_refine_apps.bench.grasp.measures import Measures
+from grasp_refine_apps.bench.grasp.runner import Done, Part, calls
+from grasp_refine_apps.bench.grasp.variants import Variant
+from grasp_refine_apps.bench.shares import cpu_share, told_apart
+
+PARTS = told_apart("kinematics", "broad phase", "narrow phase", "derivative")
+"""What of the CPU time is told apart."""
+
+LEVELS = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
+"""Errors (m^2) below which every contact of a grasp must be."""
+SHALLOW, APART = 5e-5, 1e-5
+"""Penetration of the object, and of links in each other, in metres, that is hardly any."""
+DEEP, STUCK = 0.01, 5e-4
+"""A start that penetrates by the first (metres) is deep; one that still does by more than the second did not escape."""
+
+Row = dict[str, Any]
+
+
+def rows(done: Sequence[Done]) -> list[Row]:
+    """All rows of a run: for each job the pooled one, then one for each object."""
+    return [row for one in done for row in _of_job(one)]
+
+
+def _of_job(done: Done) -> list[Row]:
+    by_object: dict[str, list[Part]] = {}
+    for part in done.parts:
+        by_object.setdefault(part.tasks.object, []).append(part)
+    groups = {"all": list(done.parts)} | (by_object if len(by_object) > 1 else {})
+    job = done.job
+    return [
+        {
+            "set": job.set,
+            "hand": job.hand,
+            "object": name,
+            "task": job.kind,
+            **job.variant.columns(),
+            **_sizes(parts),
+            **_statistics(parts, job.kind == "targets", job.variant),
+            "grasps_per_s": _rate(done) if name == "all" else None,
+            "cpu_share": cpu_share([part.watch for part in parts], PARTS),
+        }
+        for name, parts in groups.items()
+    ]
+
+
+def _sizes(parts: Sequence[Part]) -> Row:
+    """How large the problems are: means over all grasps."""
+    touching = np.concatenate([part.touching.sum(axis=1) for part in parts])
+    counts = [len(part.tasks) for part in parts]
+    scenes = [part.tasks.scene for part in parts]
+    return {
+        "contacts_mean": float(touching.mean()),
+        "joints": len(scenes[0].hand.joint_names),
+        "pieces_mean": float(np.average([len(scene.object.body.pieces) for scene in scenes], weights=counts)),
+    }
+
+
+def _rate(done: Done) -> float | None:
+    """Grasps per second of the clock, of all processes together."""
+    if done.span is None:
+        return None
+    return sum(len(part.tasks) for part in done.parts) / (done.span[1] - done.span[0])
+
+
+def _statistics(parts: Sequence[Part], aimed: bool, variant: Variant) -> Row:
+    before, after = (_joined([getattr(part, name) for part in parts]) for name in ("before", "after"))
+    touching = np.concatenate([part.touching for part in parts])
+    status, iterations, queries, cpu_s, wall_s, solver_cpu_s = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("status", "iterations", "queries", "cpu_s", "wall_s", "solver_cpu_s")
+    )
+    moved = {
+        name: np.concatenate([getattr(part.moved, name) for part in parts])
+        for name in ("palm_m", "palm_rad", "joints_rad")
+    }
+    batch, several = variant.batch, sum(len(calls(len(part.tasks), variant)) for part in parts) > 1
+    return {
+        "grasps": len(status),
+        "batch_mean": float(np.concatenate([[min(batch, len(p.tasks))] * len(p.tasks) for p in parts]).mean()),
+        **contact_errors(after.contact_error, aimed),
+        **_depths("penetration_before", before.penetration),
+        **_depths("penetration_after", after.penetration),
+        **_own_depths("self_penetration_before", before.self_penetration),
+        **_own_depths("self_penetration_after", after.self_penetration),
+        **_gaps(np.abs(after.distance[touching])),
+        **deep_starts(parts, aimed),
+        "limits_violated": int(after.limits_violated.sum()),
+        **{f"status_{one.name.lower()}": int((status == one).sum()) for one in Status if one != Status.RUNNING},
+        "iterations_mean": float(iterations.mean()),
+        "iterations_median": float(np.median(iterations)),
+        "queries_mean": float(queries.mean()),
+        "cpu_ms_per_grasp": 1e3 * float(cpu_s.mean()),
+        # The grasps of a call share its time evenly: of one call there is nothing but the mean.
+        "cpu_ms_per_grasp_median": 1e3 * float(np.median(cpu_s)) if several else None,
+        "wall_ms_per_grasp": 1e3 * float(wall_s.mean()),
+        "solver_cpu_ms_per_grasp": 1e3 * float(solver_cpu_s.mean()),
+        **{f"moved_{name.replace('_', '_median_')}": _median(values) for name, values in moved.items()},
+    }
+
+
+def contact_errors(error: np.ndarray, aimed: bool) -> Row:
+    """Shares of grasps all of whose contacts are solved, and the median and worst of their worst contacts, in metres.
+
+    Args:
+        error: Errors (N, L) of contacts in square metres, NaN for links without a target.
+        aimed: Whether there are targets.
+    """
+    names = (*LEVELS, "contact_error_median_m", "contact_error_worst_m")
+    if not aimed:
+        return dict.fromkeys(names)
+    worst = np.where(np.isnan(error), -np.inf, error).max(axis=1)
+    # A grasp whose targets nobody could judge is not solved.
+    worst = np.where(np.isinf(worst), np.inf, worst)
+    solved = {name: float((worst < level).mean()) for name, level in LEVELS.items()}
+    return {**solved, names[2]: float(np.sqrt(np.median(worst))), names[3]: float(np.sqrt(worst.max()))}
+
+
+def deep_starts(parts: Sequence[Part], aimed: bool) -> Row:
+    """How many real grasps start deep in the object, and those that did not escape."""
+    if aimed:
+        return {"deep_starts": None, "deep_stuck": None, "deep_stuck_grasps": None}
+    deep, stuck = 0, []
+    for part in parts:
+        before, after = part.before.penetration, part.after.penetration
+        deep += int((before >= DEEP).sum())
+        for i in np.flatnonzero((before >= DEEP) & ~(after <= STUCK)):
+            stuck.append(
+                {
+                    "object": part.tasks.object,
+                    "index": int(part.tasks.index[i]),
+                    "penetration_before_m": float(before[i]),
+                    "penetration_after_m": float(after[i]),
+                }
+            )
+    return {"deep_starts": deep, "deep_stuck": len(stuck), "deep_stuck_grasps": stuck}
+
+
+def _joined(parts: Sequence[Measures]) -> Measures:
+    return Measures(*(np.concatenate([getattr(part, name) for part in parts]) for name in Measures.__annotations__))
+
+
+def _depths(name: str, depth: np.ndarray) -> Row:
+    """Of depths (N,) in the object, in metres; grasps that nobody could measure count as the worst."""
+    depth = np.where(np.isnan(depth), np.inf, depth)
+    return {
+        f"{name}_mean_m": float(depth.mean()),
+        f"{name}_median_m": float(np.median(depth)),
+        f"{name}_p95_m": float(np.quantile(depth, 0.95, method="higher")),
+        f"{name}_worst_m": float(depth.max()),
+        f"{name}_share_50um": float((depth <= SHALLOW).mean()),
+    }
+
+
+def _own_depths(name: str, depth: np.ndarray) -> Row:
+    depth = np.where(np.isnan(depth), np.inf, depth)
+    return {
+        f"{name}_mean_m": float(depth.mean()),
+        f"{name}_worst_m": float(depth.max()),
+        f"{name}_share_above_10um": float((depth > APART).mean()),
+    }
+
+
+def _gaps(gap: np.ndarray) -> Row:
+    """Of the gaps (M,) of links that should touch, in metres."""
+    gap = np.where(np.isnan(gap), np.inf, gap)
+    if not len(gap):
+        return dict.fromkeys(("gap_median_m", "gap_p90_m", "gap_worst_m"))
+    p90 = float(np.quantile(gap, 0.9, method="higher"))
+    return {"gap_median_m": float(np.median(gap)), "gap_p90_m": p90, "gap_worst_m": float(gap.max())}
+
+
+def _median(values: np.ndarray) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else None

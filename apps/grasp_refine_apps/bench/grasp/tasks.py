@@ -1,0 +1,163 @@
+"""Tasks of the grasp benchmark: true grasps that were disturbed and must come back, or real grasps as they come."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import radians
+from typing import Any, Literal
+from zlib import crc32
+
+import numpy as np
+
+from grasp_refine.core.se3 import exp_so3
+from grasp_refine.hands.hand import Hand
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.losses import Weights
+from grasp_refine.refinement.refine import refine
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.bench.grasp.measures import measured
+from grasp_refine_apps.bench.grasp.sets import GraspSet, Group
+from grasp_refine_apps.bench.grasp.slicing import can_be_sliced, sliced
+from grasp_refine_apps.bench.grasp.variants import Variant
+
+Kind = Literal["targets", "nothing"]
+
+NEAR = 0.02
+"""Grasps of which every fingertip is within this distance of the object (metres) are tried as true ones."""
+TOUCHES, SOLVED = 1e-5, 1e-12
+"""A true grasp has no gap and no penetration above the first (metres), and a loss below the second (m^2)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tasks:
+    """N tasks on one object at one scale."""
+
+    kind: Kind
+    """Whether targets are given."""
+    object: str
+    """Name of the object."""
+    scale: float
+    """Factor that takes the object's mesh to metres."""
+    scene: Scene
+    """Where the tasks start, and their targets if there are any."""
+    index: np.ndarray
+    """Numbers of the grasps (N,) that they come from, among those of their object."""
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def take(self, rows: np.ndarray | slice) -> Tasks:
+        """Some of the tasks."""
+        scene = self.scene
+        arrays = {name: getattr(scene, name) for name in ("T_world_root", "q", "target_link", "target_object")}
+        chosen: dict[str, Any] = {name: None if array is None else array[rows] for name, array in arrays.items()}
+        return replace(self, scene=replace(scene, **chosen), index=self.index[rows])
+
+    def of(self, variant: Variant) -> Tasks | None:
+        """The tasks as a variant has them, None where it cannot: a hand has fewer contacts, or an object is concave."""
+        scene = self.scene
+        if variant.contacts is not None:
+            if scene.target_object is None or scene.target_link is None:
+                return None
+            aimed = ~np.isnan(scene.target_object[..., 0])
+            if aimed.sum(axis=1).min() < variant.contacts:
+                return None
+            more = np.cumsum(aimed, axis=1)[..., None] > variant.contacts
+            on_link, on_object = (np.where(more, np.nan, aim) for aim in (scene.target_link, scene.target_object))
+            scene = replace(scene, target_link=on_link, target_object=on_object)
+        if variant.pieces is not None:
+            if not can_be_sliced(scene.object.body):
+                return None
+            scene = replace(scene, object=replace(scene.object, body=sliced(scene.object.body, variant.pieces)))
+        return replace(self, scene=scene)
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """How far true grasps are moved."""
+
+    translation: float = 0.02
+    """Of the root in a random direction, in metres."""
+    rotation: float = radians(15.0)
+    """Of the root about a random axis through its origin, in radians."""
+    joints: float = 0.2
+    """Standard deviation of joint values, in radians (metres for prismatic joints); limits are kept."""
+
+    def apply(
+        self, hand: Hand, T_world_root: np.ndarray, q: np.ndarray, keys: list[tuple[int, ...]]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Disturbed root poses (N, 4, 4) and joint values (N, n); each grasp by the random numbers of its key."""
+        T, q = T_world_root.copy(), q.copy()
+        for row, key in enumerate(keys):
+            rng = np.random.default_rng(key)
+            direction, axis = (vector / np.linalg.norm(vector) for vector in rng.normal(size=(2, 3)))
+            T[row, :3, 3] += self.translation * direction
+            T[row, :3, :3] = exp_so3(self.rotation * axis) @ T[row, :3, :3]
+            q[row] += self.joints * rng.normal(size=q.shape[1])
+        return T, np.clip(q, hand.lower, hand.upper)
+
+
+def given_nothing(grasp_set: GraspSet, count: int | None) -> tuple[Tasks, ...]:
+    """The first `count` real grasps of each group as they come; None: all."""
+    return tuple(
+        Tasks("nothing", group.object, group.scale, _untargeted(group.scene), group.index).take(slice(count))
+        for group in grasp_set.groups
+    )
+
+
+def given_targets(grasp_set: GraspSet, count: int, disturbance: Disturbance, seed: int) -> tuple[Tasks, ...]:
+    """`count` disturbed true grasps of each group that has true grasps; which ones does not depend on `count`."""
+    found = []
+    for group in grasp_set.groups:
+        true = true_grasps(group)
+        if not len(true):
+            continue
+        tasks = true.take(np.arange(count) % len(true))
+        own = crc32(f"{grasp_set.name} {group.object} {group.scale:g}".encode())
+        scene = tasks.scene
+        T, q = disturbance.apply(scene.hand, scene.T_world_root, scene.q, [(seed, own, i) for i in range(count)])
+        found.append(replace(tasks, scene=replace(scene, T_world_root=T, q=q)))
+    return tuple(found)
+
+
+def true_grasps(group: Group) -> Tasks:
+    """Real grasps of a group, moved until every fingertip touches the object and nothing penetrates.
+
+    Their targets are the witness points of the fingertips. Whether they touch is decided by a plain query.
+    """
+    scene = _untargeted(group.scene)
+    hand, links = scene.hand, scene.links
+    tips = tuple(dict.fromkeys(contact.link for contact in hand.contacts))
+    columns = [links.index(tip) for tip in tips]
+    before = measured(scene, scene.T_world_root, scene.q)
+    near = (before.distance[:, columns] <= NEAR).all(axis=1)
+    tried = Tasks("targets", group.object, group.scale, scene, group.index).take(np.flatnonzero(near))
+    if not len(tried):
+        return tried
+    config = Config(
+        solver=LevenbergMarquardt(patience=12, progress=0.1),
+        touching=Touching(links=tips),
+        # No compromise: what penetrates is no true grasp.
+        weights=Weights(penetration=100.0, self_penetration=100.0, wrench=0.0),
+        tolerance=SOLVED,
+    )
+    found = refine(tried.scene, config)
+    after = measured(tried.scene, found.T_world_root, found.q)
+    exact = (np.abs(after.distance[:, columns]) < TOUCHES).all(axis=1) & (found.loss[:, 1] < SOLVED)
+    exact &= (after.penetration < TOUCHES) & (after.self_penetration < TOUCHES) & (after.limits_violated == 0)
+    aimed = np.isin(np.arange(len(links)), columns)[:, None]
+    scene = replace(
+        tried.scene,
+        T_world_root=found.T_world_root,
+        q=found.q,
+        target_link=np.where(aimed, after.point_link, np.nan),
+        target_object=np.where(aimed, after.point_object, np.nan),
+    )
+    return replace(tried, scene=scene).take(np.flatnonzero(exact))
+
+
+def _untargeted(scene: Scene) -> Scene:
+    """The scene without the targets of its file."""
+    return replace(scene, target_link=None, target_object=None, direction=None)

@@ -1,0 +1,102 @@
+"""Runs the jobs of a benchmark, in this process or in several; an interruption keeps what is done."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from traceback import format_exception
+from typing import Any, Protocol, runtime_checkable
+
+from grasp_refine.core.interruption import end_with
+
+
+@runtime_checkable
+class Job(Protocol):
+    """A piece of work that goes to one process."""
+
+    @property
+    def work(self) -> float:
+        """About how long it takes, in arbitrary units."""
+        ...
+
+    @property
+    def label(self) -> str:
+        """What it is, for a progress bar."""
+        ...
+
+    def do(self, progress: Callable[[float], None]) -> Any:
+        """The result, in this process; `progress` gets the share that is done."""
+        ...
+
+
+def run_jobs(todo: Sequence[Job], workers: int, progress: Callable[[float, str], None]) -> tuple[list[Any], list[str]]:
+    """The results of the jobs, in their order, and what went wrong with those that gave none.
+
+    A job that fails does not end the others; an interruption ends those that are left, and what is done is kept.
+
+    Args:
+        todo: Jobs.
+        workers: Processes; with 1, everything is done in this one.
+        progress: Gets the share of the work that is done, and what is.
+    """
+    results: dict[int, Any] = {}
+    problems: list[str] = []
+    try:
+        for index, outcome in _in_turn(todo, progress) if workers == 1 else _side_by_side(todo, workers, progress):
+            # A process that is interrupted hands back a KeyboardInterrupt, which is no result.
+            if isinstance(outcome, BaseException):
+                problems.append(f"{todo[index].label}: {''.join(format_exception(outcome)).strip()}")
+            else:
+                results[index] = outcome
+    except KeyboardInterrupt:
+        problems.append(f"interrupted: {len(results)} of {len(todo)} jobs were done")
+    return [results[index] for index in sorted(results)], problems
+
+
+def _in_turn(todo: Sequence[Job], progress: Callable[[float, str], None]) -> Iterator[tuple[int, Any]]:
+    """Each job with what came of it, in this process."""
+    total, finished = sum(job.work for job in todo), 0.0
+    for index, job in enumerate(todo):
+
+        def within(share: float, before: float = finished, job: Job = job) -> None:
+            progress((before + share * job.work) / total, job.label)
+
+        try:
+            yield index, job.do(within)
+        except Exception as error:
+            yield index, error
+        finished += job.work
+
+
+def _side_by_side(
+    todo: Sequence[Job], workers: int, progress: Callable[[float, str], None]
+) -> Iterator[tuple[int, Any]]:
+    """Each job with what came of it, in several processes, as they end."""
+    total, finished = sum(job.work for job in todo), 0.0
+    # A forked child of a process that has used torch may hang.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(
+        min(workers, len(todo)), mp_context=context, initializer=end_with, initargs=(os.getpid(),)
+    ) as pool:
+        try:
+            # The longest first, so that no process is left alone with one at the end.
+            order = sorted(range(len(todo)), key=lambda index: -todo[index].work)
+            futures = {pool.submit(_do, todo[index]): index for index in order}
+            for future in as_completed(futures):
+                index = futures[future]
+                error = future.exception()
+                yield index, future.result() if error is None else error
+                finished += todo[index].work
+                progress(finished / total, todo[index].label)
+        except BaseException:
+            for process in pool._processes.values():
+                process.terminate()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _do(job: Job) -> Any:
+    """The result of a job that nobody watches."""
+    return job.do(lambda share: None)

@@ -1,0 +1,126 @@
+"""What is not done when the program starts, or not again: pairs that never meet, convex objects cut up, imports."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+import grasp_refine
+from grasp_refine.geometry.decomposition import Decomposition, decompose
+from grasp_refine.geometry.pieces import convex_pieces
+from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.self_collision import Sampling, candidate_pairs, judged_pairs, self_penetration, touching_pairs
+from grasp_refine.objects.object import Object
+from grasp_refine_apps.bench.queries.skip import Skip, timed
+
+CONFIGURATIONS = 512
+"""Random configurations at which pairs of links are asked."""
+
+PROGRAM = """
+import contextlib, io, json, pkgutil, sys, time
+everything, arguments = json.loads(sys.argv[1]), sys.argv[2:]
+if everything:
+    from importlib import import_module
+    import grasp_refine
+    for module in pkgutil.walk_packages(grasp_refine.__path__, "grasp_refine."):
+        if not module.name.endswith("__main__"):
+            with contextlib.suppress(ImportError):
+                import_module(module.name)
+    for name in ("coacd", "matplotlib.figure", "jinja2"):
+        with contextlib.suppress(ImportError):
+            import_module(name)
+from grasp_refine.cli import main
+with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+    code = main(arguments)
+print(json.dumps([code, len(sys.modules)]))
+"""
+"""Runs a command line in a process of its own, after loading everything if asked; says how many modules there are."""
+
+COMMANDS = ("--help", "hands", "run --no-validate")
+"""Command lines whose imports are counted, where nobody says which."""
+
+
+def self_collision_skips(hand: Hand, seed: int, rounds: int) -> Iterator[Skip]:
+    """Pairs of links that never meet within the joint limits, and the second start, which knows them."""
+    judged = judged_pairs(hand)
+    apart = sorted(set(candidate_pairs(hand)) - {*judged.at_rest, *judged.nearly_always})
+    q = np.random.default_rng(seed).uniform(*_limits(hand), (CONFIGURATIONS, len(hand.joint_names)))
+    both = {"without": apart, "with": judged.watched}
+    asked = timed({which: partial(self_penetration, hand, pairs, q) for which, pairs in both.items()}, rounds + 1)
+    yield Skip(
+        "pairs of links that never meet within the limits", "link pairs", f"{hand.name}, batch {CONFIGURATIONS}",
+        len(apart), len(judged.watched), asked["without"][1], asked["with"][1],
+        "all pairs that are not made to overlap are asked",
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
+        look = partial(touching_pairs, hand, cache=Path(folder))
+        # In this order: the first one fills the folder.
+        found = timed({"without": look, "with": look})
+    yield Skip(
+        "looking for these pairs at the second start", "configurations", hand.name,
+        1 + Sampling.uniform + Sampling.extreme, 0, found["without"][1], found["with"][1],
+        "the first start, with an empty cache",
+    )  # fmt: skip
+
+
+def _limits(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper limits (n,), one turn where a joint is continuous."""
+    return np.maximum(hand.lower, -np.pi), np.minimum(hand.upper, np.pi)
+
+
+def decomposition_skip(obj: Object) -> Skip:
+    """A convex object is its own hull: CoACD does not run."""
+    mesh = obj.mesh
+    vertices = np.asarray(mesh.vertices) / np.linalg.norm(np.ptp(mesh.vertices, axis=0))
+    found = timed(
+        {
+            "with": lambda: convex_pieces(mesh, name=obj.name),
+            "without": lambda: decompose(vertices, np.asarray(mesh.faces), Decomposition(), single=True),
+        }
+    )
+    parts, pieces = len(found["without"][0]), len(found["with"][0])
+    return Skip(
+        "decomposition of convex objects", "runs of CoACD", obj.name, 1, 0, found["without"][1], found["with"][1],
+        f"CoACD runs, and makes {parts} piece{'s' * (parts != 1)} of what is {pieces} without it",
+    )  # fmt: skip
+
+
+def import_skips(commands: Sequence[str]) -> Iterator[Skip]:
+    """Modules that a command does not load, each in processes of their own."""
+    for command in commands:
+        ways = {"with": False, "without": True}
+        found = timed({which: partial(_modules, command.split(), everything) for which, everything in ways.items()})
+        yield Skip(
+            "imports that nobody uses", "modules", f"refine-grasp {command}", found["without"][0], found["with"][0],
+            found["without"][1], found["with"][1], "the whole package is imported first",
+        )  # fmt: skip
+
+
+def _modules(command: Sequence[str], everything: bool) -> int:
+    """How many modules are loaded at the end of a command."""
+    with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
+        found = f"import sys; sys.path.append({str(Path(grasp_refine.__file__).parents[1])!r})"
+        child = subprocess.run(
+            [
+                sys.executable,
+                "-c",
+                f"{found}\n{PROGRAM}",
+                json.dumps(everything),
+                *command,
+            ],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+        )
+    assert child.returncode == 0, child.stderr
+    code, modules = json.loads(child.stdout.strip().splitlines()[-1])
+    assert code == 0, f"refine-grasp {' '.join(command)} ended with exit code {code}"
+    return modules

@@ -1,0 +1,132 @@
+"""What validating a grasp costs: ours against the protocol as it is written, on the same grasps, in CPU seconds.
+
+Run `python -m grasp_refine_apps.bench.simulation GRASPS --hand HAND --objects DIR`. The peer is a plain loop over
+MuJoCo's own functions, as a user would write it: each grasp compiles its scene, and for each direction the hand
+starts at the pregrasp, closes and the object is pushed; the first direction that fails ends the grasp. It does the
+same physics, so that both must come to the same verdicts, which is checked. Its model is ours, with one contact per
+pair of pieces; with MuJoCo 4's own default, up to four, it takes about twice as long.
+"""
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from grasp_refine.core.se3 import distances, exp_so3, log_so3, pose_from_transform, transform_from_pose
+from grasp_refine.grasps.grasp_set import load_grasps, match_joints
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.objects.folders import find_object
+from grasp_refine.objects.object import load_object
+from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.messages import unlogged
+from grasp_refine.validation.motion import Motion, closing, motion_of
+from grasp_refine.validation.protocol import AXES, FORCE_CLOSURE
+from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.validate import model_of
+from grasp_refine.validation.world import World, build_world
+
+
+def plain(world: World, motion: Motion) -> bool:
+    """Whether one grasp holds, as a plain loop over directions and steps finds it."""
+    protocol = world.protocol
+    model = world.spec.compile()
+    data = mujoco.MjData(model)
+    T = motion.T_world_root[0] @ world.hand.T_base_root
+    joints = motion.q[0] @ world.hand.matrix.T + world.hand.offset
+    for axis in AXES.values():
+        mujoco.mj_resetData(model, data)
+        data.qpos[world.root_at : world.root_at + 7] = pose_from_transform(T[0])
+        data.qpos[world.joints_at] = joints[0]
+        data.qpos[world.object_at : world.object_at + 7] = [0, 0, 0, 1, 0, 0, 0]
+        for stage in (0, 1):
+            turn = log_so3(T[stage, :3, :3].T @ T[stage + 1, :3, :3])
+            for share in np.arange(1, protocol.moves + 1) / protocol.moves:
+                data.mocap_pos[0] = T[stage, :3, 3] + share * (T[stage + 1, :3, 3] - T[stage, :3, 3])
+                pose = np.eye(4)
+                pose[:3, :3] = T[stage, :3, :3] @ exp_so3(share * turn)
+                data.mocap_quat[0] = pose_from_transform(pose)[3:]
+                data.ctrl[:] = world.control @ (joints[stage] + share * (joints[stage + 1] - joints[stage]))
+                mujoco.mj_step(model, data, protocol.steps_per_move)
+        data.xfrc_applied[world.object_body, :3] = protocol.mass * protocol.acceleration * np.array(axis)
+        for _ in range(protocol.checks):
+            mujoco.mj_step(model, data, protocol.steps_per_check)
+            now = transform_from_pose(data.qpos[world.object_at : world.object_at + 7])
+            moved, turned = distances(np.eye(4)[None], now[None])
+            if not (moved[0] < protocol.farthest and turned[0] < protocol.steepest):
+                return False
+    return True
+
+
+def measure(hand: Hand, scene: Scene, motion: Motion) -> dict[str, float]:
+    """CPU seconds per grasp of both ways, and in how many verdicts they agree."""
+    start = time.process_time()
+    world = build_world(model_of(hand), scene.object, FORCE_CLOSURE)
+    built = time.process_time()
+    ours = simulate(world, motion, threads=1)
+    done = time.process_time()
+    with unlogged():
+        peer = [plain(world, motion.select(np.array([i]))) for i in range(len(motion))]
+    end = time.process_time()
+    # A grasp that fails before the push has no verdict of the peer's.
+    tried = np.isfinite(ours.displacement_m).all(axis=1)
+    count = len(motion)
+    return {
+        "grasps": count,
+        "held": int(ours.success.sum()),
+        "compile_s": built - start,
+        "ours_s": (done - built) / count,
+        "peer_s": (end - done) / count,
+        "agree": int((ours.success == np.array(peer))[tried].sum()) + int((~tried).sum()),
+    }
+
+
+def main() -> None:
+    """Measure the grasps of a file and print what they cost."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("grasps", type=Path, help="grasp file (.npz)")
+    parser.add_argument("--hand", default="allegro")
+    parser.add_argument("--urdf", type=Path)
+    parser.add_argument("--mjcf", type=Path)
+    parser.add_argument("--objects", type=Path, help="folder of meshes or of folders of convex pieces; else embedded")
+    parser.add_argument("--count", type=int, default=5, help="at most so many grasps of each object and scale")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    grasps = load_grasps(options.grasps)
+    hand = load_hand(options.hand, base_link=grasps.base_link, urdf=options.urdf, mjcf=options.mjcf)
+    hand = hand if options.mjcf is None else replace(hand, collision="mjcf")
+    table = Table("object", "scale", "grasps", "held", "compile s", "ours s", "peer s", "ratio", "agree")
+    rows = []
+    for name, scale in sorted(set(zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True))):
+        chosen = grasps.select(np.flatnonzero((grasps.object == name) & (grasps.scale == scale))[: options.count])
+        obj = load_object(find_object(name, options.objects) if options.objects else name, scale=scale)
+        scene = Scene(hand, obj, transform_from_pose(chosen.hand_pose), match_joints(chosen, hand)[0])
+        motion = motion_of(chosen, hand) if chosen.pregrasp and chosen.squeeze else closing(scene)
+        rows.append({"object": name, "scale": scale, **measure(hand, scene, motion)})
+        row = rows[-1]
+        table.add_row(
+            name[:20],
+            f"{scale:g}",
+            *(str(row[key]) for key in ("grasps", "held")),
+            *(f"{row[key]:.3f}" for key in ("compile_s", "ours_s", "peer_s")),
+            f"{row['peer_s'] / row['ours_s']:.1f}",
+            f"{row['agree']}/{row['grasps']}",
+        )
+    console = Console()
+    console.print(table)
+    total = sum(row["grasps"] for row in rows)
+    ours, peer = (sum(row[key] * row["grasps"] for row in rows) / total for key in ("ours_s", "peer_s"))
+    console.print(f"CPU per grasp: {ours:.3f} s, peer {peer:.3f} s, ratio {peer / ours:.2f}; {total} grasps")
+    if options.json is not None:
+        options.json.write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,141 @@
+"""Distances and witness points: asked in all states and ways, and judged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine_apps.bench.stability.bodies import make_pairs
+from grasp_refine_apps.bench.stability.cases import Forward, State
+from grasp_refine_apps.bench.stability.judging import Judged, judge, tolerance
+from grasp_refine_apps.bench.stability.poses import Posed, Poser, posers
+from grasp_refine_apps.bench.stability.rows import Cell
+from grasp_refine_apps.bench.stability.second import ROUNDING, SecondOpinion
+from grasp_refine_apps.bench.stability.task import Task
+
+
+def forward_cells(task: Task) -> Iterator[Cell]:
+    """What came of the forward cells of a task, state after state; a state that bodies cannot be in has none."""
+    made = make_pairs(task.kind, task.diagonal, task.seed)
+    every = [(poser, SecondOpinion(poser.a, poser.b)) for poser in posers(made, task)]
+    for state in task.states:
+        able = [(poser, other) for poser, other in every if poser.can_be(state)]
+        if able or made.refused:
+            yield from _state_cells(task, state, able, made.refused)
+
+
+def _state_cells(
+    task: Task, state: State, pairs_of_bodies: Sequence[tuple[Poser, SecondOpinion]], refused: Sequence[str]
+) -> Iterator[Cell]:
+    """The cells of a state, of those pairs of bodies that can be in it, and with those that could not be built."""
+    able, others = [poser for poser, _ in pairs_of_bodies], [other for _, other in pairs_of_bodies]
+    each = -(-task.queries // (len(able) + len(refused)))
+    blank = Cell(
+        kind=task.kind,
+        diagonal=task.diagonal,
+        state=state,
+        measure="forward",
+        dtype="float64",
+        queries=each * (len(able) + len(refused)),
+        refused=each * len(refused),
+        refusal="; ".join(dict.fromkeys(refused)) or None,
+    )
+    posed = [its for poser in able if (its := poser.pose(state, each)) is not None]
+    second = _second_opinion(others, posed, task.mujoco) if able and task.mujoco else {}
+    for way in task.forwards:
+        cells = [replace(blank, **vars(way), translation=far) for far in task.translations]
+        cells[0], second = replace(cells[0], **second), {}
+        if not able:
+            yield from cells
+            continue
+        try:
+            pairs = Pairs(tuple(poser.a for poser in able), tuple(poser.b for poser in able), engine=way.engine)
+        except GraspRefineError as error:
+            yield from (replace(cell, refused=cell.queries, refusal=str(error)) for cell in cells)
+            continue
+        try:
+            found = _answers(pairs, posed, way, task.translations)
+        except GraspRefineError as error:
+            # Bodies that could be built and poses that are finite have an answer: to refuse them is a fault.
+            yield from (replace(cell, failed=cell.queries - cell.refused, where=str(error)) for cell in cells)
+            continue
+        for step, (cell, far) in enumerate(zip(cells, task.translations, strict=True)):
+            rows = slice(step * each, (step + 1) * each)
+            judged = [
+                judge(
+                    found.pairs(p).rows(rows), its.truth, pairs.piece_pairs, *its.moved(far), poser.diagonal, way.dtype
+                )
+                for p, (its, poser) in enumerate(zip(posed, able, strict=True))
+            ]
+            yield _counted(cell, judged, able)
+
+
+def _answers(pairs: Pairs, posed: Sequence[Posed], way: Forward, translations: Sequence[float]) -> Witness:
+    """The answers (len(translations) * N, P) at all N poses of P pairs at the first translation, the second, ..."""
+    poses = [
+        np.stack([np.concatenate([its.moved(far)[side] for far in translations]) for its in posed], axis=1)
+        for side in (0, 1)
+    ]
+    layer = WitnessLayer(pairs, ContactKinematics())
+    parts = []
+    for start in range(0, len(poses[0]), way.batch):
+        T_a, T_b = (T[start : start + way.batch] for T in poses)
+        if way.dtype == "float32":
+            parts.append(layer(*(torch.from_numpy(T.astype(np.float32)) for T in (T_a, T_b))).detached())
+        else:
+            parts.append(query(pairs, T_a, T_b))
+    return Witness(*(np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])))
+
+
+def _second_opinion(others: Sequence[SecondOpinion], posed: Sequence[Posed], most: int) -> dict[str, Any]:
+    """How often MuJoCo was asked, at so many poses at most, and how often it was wrong, as entries of a cell."""
+    asked = wrong = 0
+    for other, its in zip(others, posed, strict=True):
+        some = slice(-(-most // len(others)))
+        T_a, T_b, true = its.T_a[some], its.T_b[some], its.truth.distance[some]
+        found = other.distances(T_a, T_b)
+        if found is not None:
+            position = np.maximum(*(np.linalg.norm(T[:, :3, 3], axis=1) for T in (T_a, T_b)))
+            allowed = tolerance(other.unit, position) + ROUNDING * (other.unit + np.abs(true))
+            asked, wrong = asked + len(found), wrong + int((np.abs(found - true) > allowed).sum())
+    return {"mujoco_queries": asked, "mujoco_wrong": wrong}
+
+
+def _counted(cell: Cell, judged: Sequence[Judged], able: Sequence[Poser]) -> Cell:
+    """The cell with the counts of all its pairs of bodies."""
+
+    def count(name: str) -> int:
+        return sum(int(getattr(one, name).sum()) for one in judged)
+
+    errors = np.concatenate([one.error for one in judged])
+    shares = np.concatenate([one.error / one.tolerance for one in judged])
+    points = np.concatenate([one.points_error for one in judged])
+    compared = np.isfinite(errors).any()
+    return replace(
+        cell,
+        failed=count("failed"),
+        not_finite=count("not_finite"),
+        wrong_distance=count("wrong_distance"),
+        wrong_sign=count("wrong_sign"),
+        wrong_points=count("wrong_points"),
+        points_compared=count("compared"),
+        collapsed=count("collapsed"),
+        error_max=float(np.nanmax(shares)) if compared else None,
+        distance_error_max_m=float(np.nanmax(errors)) if compared else None,
+        points_error_max=float(np.nanmax(points)) if compared else None,
+        where="; ".join(filter(None, map(_first_wrong, judged, able))) or None,
+    )
+
+
+def _first_wrong(judged: Judged, poser: Poser) -> str:
+    """Where the first wrong answer of a pair of bodies is; empty: nowhere."""
+    wrong = judged.wrong
+    return f"{poser.a.name} and {poser.b.name}: pose {int(wrong.argmax())} of {len(wrong)}" if wrong.any() else ""

@@ -1,0 +1,166 @@
+"""What is wrong with answers, compared with the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from grasp_refine.collision.query import QueryStatus, Witness
+from grasp_refine.core.se3 import matvec
+from grasp_refine.geometry.pieces import Piece
+from grasp_refine_apps.bench.stability.cases import DType
+from grasp_refine_apps.bench.stability.polytopes import outside, separations
+from grasp_refine_apps.bench.stability.reference import Truth
+
+SIZE, LEAST_M, ROUNDING = 1e-8, 1e-12, 1e-15
+"""A distance may be off by this share of the diagonal, so many metres, and this share of the position."""
+
+SINGLE = float(np.finfo(np.float32).eps)
+"""The same in single precision: a share of diagonal and position together."""
+
+POINTS = 1e-6
+"""A point may be off by this share of the diagonal, and by as much as the error of the distance lets it slide."""
+
+SLIDE = 1e-12
+"""That error counts as this share of the diagonal and of the distance of the cores at least."""
+
+COLLAPSED = 64.0
+"""Distances of so many roundings of diagonal and position have a sign that can be told."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What is wrong with N answers; where one is missing or not finite, nothing else is."""
+
+    failed: np.ndarray
+    """No answer (N,)."""
+    not_finite: np.ndarray
+    """An answer (N,) that is not finite, or finite poses that are called not finite."""
+    wrong_distance: np.ndarray
+    """A distance (N,) farther from the truth than the tolerance."""
+    wrong_sign: np.ndarray
+    """A distance (N,) of the wrong sign where the truth exceeds the tolerance, or of another than its status says."""
+    wrong_points: np.ndarray
+    """Points (N,) that are not the right ones where only one pair is, are not on the bodies, or not the distance apart
+    along the normal; or a normal along which the bodies are not that far apart."""
+    compared: np.ndarray
+    """Where (N,) there is only one pair of points."""
+    collapsed: np.ndarray
+    """Where (N,) sign or status are not those of a truth that exceeds all rounding, but not the tolerance. No fault."""
+    error: np.ndarray
+    """Error of the distance (N,) in metres; NaN where there is none."""
+    tolerance: np.ndarray
+    """What it may be (N,), in metres."""
+    points_error: np.ndarray
+    """Largest error of points and normal (N,) over its tolerance; NaN where there is none."""
+
+    @property
+    def wrong(self) -> np.ndarray:
+        """Answers (N,) that are wrong in some way."""
+        return self.failed | self.not_finite | self.wrong_distance | self.wrong_sign | self.wrong_points
+
+
+def tolerance(diagonal: float, position: np.ndarray, dtype: DType = "float64") -> np.ndarray:
+    """How far distances (N,) may be from the truth in metres.
+
+    Args:
+        diagonal: Of the larger body.
+        position: How far (N,) the bodies are from the origin of the world.
+        dtype: Of poses and answers.
+    """
+    return SIZE * diagonal + LEAST_M + _rounding(diagonal, position, dtype)
+
+
+def _rounding(diagonal: float, position: np.ndarray, dtype: DType) -> np.ndarray:
+    """How far (N,) bodies may be from where they are thought to be, because their poses are rounded, in metres."""
+    return ROUNDING * position + (SINGLE * (position + diagonal) if dtype == "float32" else 0.0)
+
+
+def _zeroed(found: Witness, good: np.ndarray) -> Witness:
+    """The answers (N,) with zeros where there is no good one, so that nothing that follows is infinite."""
+    parts = {name: np.where(good[:, None], getattr(found, name), 0.0) for name in ("point_a", "point_b", "normal")}
+    return replace(found, **parts, distance=np.where(good, found.distance, 0.0))
+
+
+def judge(
+    found: Witness,
+    truth: Truth,
+    pieces: tuple[Sequence[Piece], Sequence[Piece]],
+    T_a: np.ndarray,
+    T_b: np.ndarray,
+    diagonal: float,
+    dtype: DType = "float64",
+) -> Judged:
+    """What is wrong with N answers.
+
+    Args:
+        found: The answers (N,), in world coordinates.
+        truth: The truth (N,), in the frame of the first body.
+        pieces: What the winners of the answers are, see `Pairs.piece_pairs`.
+        T_a: Poses (N, 4, 4) of the first body, in double precision.
+        T_b: Those of the second one.
+        diagonal: Of the larger body, in metres.
+        dtype: In which poses were asked.
+    """
+    position = np.maximum(*(np.linalg.norm(T[:, :3, 3], axis=1) for T in (T_a, T_b)))
+    allowed = tolerance(diagonal, position, dtype)
+    answered = found.status <= QueryStatus.PENETRATING
+    numbers = np.concatenate([found.point_a, found.point_b, found.normal, found.distance[:, None]], axis=1)
+    finite = np.isfinite(numbers).all(axis=1)
+    not_finite = (answered & ~finite) | (found.status == QueryStatus.NOT_FINITE)
+    good = answered & finite
+    found = _zeroed(found, good)
+    error = np.where(good, np.abs(found.distance - truth.distance), np.nan)
+    opposite = (np.sign(found.distance) != np.sign(truth.distance)) & (np.abs(truth.distance) > allowed)
+    contrary = (found.distance > 0.0) != (found.status == QueryStatus.SEPARATED)
+    # Where rounding of the poses is no matter: else it says which feature is the nearest.
+    sharp = good & (allowed <= POINTS * diagonal)
+    compared = sharp & truth.unique
+    # Of a point d from a plane, points of the plane that are sqrt(2 d e) from the nearest one are d + e away.
+    least = SLIDE * (diagonal + np.abs(truth.core)) + _rounding(diagonal, position, dtype)
+    slack = np.maximum(error, least)
+    aslant = np.sqrt(2.0 * np.maximum(truth.core, 0.0) * slack)
+    near = POINTS * diagonal + aslant + np.where(compared, truth.slide, 1.0) * slack
+    R = T_a[:, :3, :3]
+    off = np.maximum(
+        *(
+            np.linalg.norm(matvec(R.mT, point - T_a[:, :3, 3]) - true, axis=1)
+            for point, true in ((found.point_a, truth.point_a), (found.point_b, truth.point_b))
+        )
+    )
+    # Whatever the right points are, these are on the bodies, and that far apart along the normal, as the bodies are.
+    fault = np.linalg.norm(found.point_b - found.point_a - found.distance[:, None] * found.normal, axis=1)
+    t, turned = matvec(R.mT, T_b[:, :3, 3] - T_a[:, :3, 3]), R.mT @ T_b[:, :3, :3]
+    normal = matvec(R.mT, found.normal)
+    for winner in np.unique(found.winner[sharp]):
+        rows = np.flatnonzero(sharp & (found.winner == winner))
+        a, b = (side[winner] for side in pieces)
+        parted = separations(a, b, turned[rows], t[rows], normal[rows])
+        in_a, in_b = (
+            matvec(T[rows, :3, :3].mT, point[rows] - T[rows, :3, 3])
+            for T, point in ((T_a, found.point_a), (T_b, found.point_b))
+        )
+        faults = fault[rows], truth.distance[rows] - parted, outside(a, in_a), outside(b, in_b)
+        fault[rows] = np.maximum.reduce(faults)
+    fault += np.abs(np.linalg.norm(found.normal, axis=1) - 1.0) * diagonal
+    wide = POINTS * (diagonal + np.abs(truth.distance)) + allowed
+    points_error = np.where(good, np.maximum(np.where(compared, off / near, 0.0), fault / wide), np.nan)
+    wrong_distance, wrong_sign = good & (error > allowed), good & (opposite | contrary)
+    told = np.abs(truth.distance) > COLLAPSED * np.finfo(dtype).eps * (diagonal + position)
+    other = (np.sign(found.distance) != np.sign(truth.distance)) | (
+        (found.status == QueryStatus.SEPARATED) != (truth.distance > 0.0)
+    )
+    return Judged(
+        failed=~answered & ~not_finite,
+        not_finite=not_finite,
+        wrong_distance=wrong_distance,
+        wrong_sign=wrong_sign,
+        wrong_points=points_error > 1.0,
+        compared=compared,
+        collapsed=good & told & other & ~wrong_distance & ~wrong_sign,
+        error=error,
+        tolerance=allowed,
+        points_error=points_error,
+    )

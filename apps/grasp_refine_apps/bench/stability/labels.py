@@ -1,0 +1,95 @@
+"""Rows as people read them: in which order they come, what their parts are called, and how to ask for one again."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from grasp_refine_apps.bench.stability.cases import DTYPES, ENGINES, KINDS, METHODS, NEIGHBORHOODS, STATES
+from grasp_refine_apps.bench.stability.rows import WRONG, Row
+
+ORDER: Mapping[str, tuple[Any, ...]] = MappingProxyType(
+    {
+        "kind": KINDS,
+        "state": STATES,
+        "dtype": DTYPES,
+        "engine": ENGINES,
+        "method": METHODS,
+        "neighborhood": (None, *NEIGHBORHOODS),
+    }
+)
+"""Key of a row -> its values in the order in which they are shown; of other keys from the least to the largest."""
+
+WHAT = MappingProxyType(
+    {
+        "failed": "no answer",
+        "not_finite": "not finite",
+        "wrong_distance": "wrong distance",
+        "wrong_sign": "wrong sign",
+        "wrong_points": "wrong points",
+        "derivative_not_finite": "derivative not finite",
+        "derivative_unbounded": "derivative unbounded",
+        "derivative_wrong_sign": "wrong derivative",
+        "derivative_unscaled": "derivative does not scale",
+    }
+)
+"""Each of `WRONG` in words."""
+
+
+UNITS = (("km", 1e3, 1e3), ("m", 1.0, 1.0), ("cm", 1e-2, 1e-2), ("mm", 1e-3, 1e-4), ("µm", 1e-6, 0.0))
+"""Units of length, how long each is, and from which length on it is used, in metres."""
+
+
+def length(metres: float) -> str:
+    """A length as people say it."""
+    if metres == 0:
+        return "0"
+    unit, size = next((unit, size) for unit, size, least in UNITS if metres >= 0.9999 * least)
+    return f"{metres / size:.4g} {unit}"
+
+
+def words(key: str, value: Any) -> str:
+    """A value of a key as a table shows it."""
+    if value is None:
+        return "–"
+    if key == "diagonal":
+        return length(value)
+    if key == "translation":
+        return f"{length(value)} away" if value else "at the origin"
+    return f"batch {value}" if key == "batch" else str(value)
+
+
+def ordered(key: str, values: Iterable[Any]) -> list[Any]:
+    """The different ones of the values of a key, as they are shown."""
+    found = set(values)
+    if key in ORDER:
+        return [value for value in ORDER[key] if value in found]
+    return sorted(found, key=lambda value: (value is not None, value))
+
+
+def faults(row: Row) -> str:
+    """What is wrong in a cell, in words; empty: nothing."""
+    return ", ".join(f"{row[name]} {WHAT[name]}" for name in WRONG if row[name])
+
+
+OPTIONS = ("dtype", "batch", "engine", "translation", "method", "neighborhood")
+"""What says how a cell is asked; each has an option of its plural."""
+
+
+def again(row: Row, seed: int) -> str:
+    """The command line that asks for this cell alone once more."""
+    count = "queries" if row["measure"] == "forward" else "differentiated"
+    asked = ["--kinds", row["kind"], "--diagonals", repr(float(row["diagonal"])), "--states", row["state"]]
+    asked += ["--measures", row["measure"]]
+    for name in OPTIONS:
+        if row[name] is not None and not (name == "translation" and row["measure"] == "derivative"):
+            value = repr(float(row[name])) if name == "translation" else str(row[name])
+            asked += [f"--{PLURALS.get(name, f'{name}s')}", value]
+    asked += [f"--{count}", str(row["queries"]), *(["--seed", str(seed)] if seed else [])]
+    return shlex.join(["refine-grasp", "bench", "stability", *asked])
+
+
+PLURALS = MappingProxyType({"batch": "batches"})
+"""Those that are no name with an s."""

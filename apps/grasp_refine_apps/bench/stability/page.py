@@ -1,0 +1,105 @@
+"""The report of the benchmark: one HTML file with heat maps and tables, and nothing from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from grasp_refine_apps.bench.stability.cases import DTYPES
+from grasp_refine_apps.bench.stability.chart import LEAST, HeatMap, heat_map
+from grasp_refine_apps.bench.stability.counts import counted, error_of, grouped, of_measure, worst
+from grasp_refine_apps.bench.stability.labels import WHAT, again, faults, length, ordered, words
+from grasp_refine_apps.bench.stability.rows import WRONG, Row
+from grasp_refine_apps.bench.stability.table import number
+from grasp_refine_apps.report.html_page import rendered
+
+WORST = 40
+"""Cells that are shown by name where something is wrong; where nothing is, `NEAREST` of each precision."""
+NEAREST = 10
+
+MESSAGES = 20
+"""Different reasons why something was refused that are shown."""
+
+
+def page(document: dict[str, Any]) -> str:
+    """The report of a run of `bench stability` as HTML; the same input gives the same text.
+
+    Args:
+        document: What the benchmark writes as JSON.
+    """
+    rows = document["rows"]
+    found = counted(rows)
+    return rendered(
+        __package__,
+        document=document,
+        totals=_totals(rows, len(document["problems"])),
+        maps=_maps(rows),
+        least=LEAST,
+        any_wrong=found.wrong > 0,
+        worst=[_told(row, document["seed"]) for row in worst(rows, WORST, NEAREST)],
+        refusals=_refusals(rows),
+        mujoco=_mujoco(rows),
+    )
+
+
+def _totals(rows: Sequence[Row], crashes: int) -> list[tuple[str, str]]:
+    """What is counted, and how often it was."""
+    forward, derivative, found = of_measure(rows, "forward"), of_measure(rows, "derivative"), counted(rows)
+    lines = [("cells", len(rows)), ("queries", counted(forward)["queries"])]
+    lines += [("witness points judged", found["points_compared"]), ("derivatives", counted(derivative)["queries"])]
+    lines += [("refused with a reason", found["refused"]), ("collapsed", found["collapsed"])]
+    lines += [(WHAT[name], found[name]) for name in WRONG]
+    return [(name, f"{count:,}".replace(",", "\u202f")) for name, count in [*lines, ("crashes", crashes)]]
+
+
+def _maps(rows: Sequence[Row]) -> list[tuple[str, str, HeatMap]]:
+    """Each heat map with its title and what it shows."""
+    forward, derivative = of_measure(rows, "forward"), of_measure(rows, "derivative")
+    body, way = ("kind", "diagonal"), ("dtype", "batch", "engine", "translation")
+    method, moves = ("method", "neighborhood", "dtype"), "derivative_error_max"
+    double, single = ([row for row in forward if row["dtype"] == dtype] for dtype in DTYPES)
+    asked = [
+        ("Signed distances by body and state", "Poses in double precision, asked in all ways.", double, body, "state",
+         "error_max"),
+        ("Signed distances by body and state, float32", "Poses in single precision, whose rounding is most of it.",
+         single, body, "state", "error_max"),
+        ("Signed distances by way of asking", "All bodies together.", forward, way, "state", "error_max"),
+        ("Witness points by body and state", "Poses in double precision; the colour is of points and normals.", double,
+         body, "state", "points_error_max"),
+        ("Derivatives by method and state", "All bodies together.", derivative, method, "state", moves),
+        ("Derivatives by method and size", "Body kinds and states together.", derivative, method, "diagonal", moves),
+        ("Derivatives by body and state", "All methods together.", derivative, body, "state", moves),
+    ]  # fmt: skip
+    return [(title, what, heat_map(its, down, across, of)) for title, what, its, down, across, of in asked if its]
+
+
+def _told(row: Row, seed: int) -> tuple[str, str, str, str]:
+    """A cell: what it is, what is wrong, its worst error, and how to ask again."""
+    keys = ("kind", "diagonal", "state", "dtype", "batch", "engine", "translation", "method", "neighborhood")
+    shown = ", ".join(words(key, row[key]) for key in keys if row[key] is not None)
+    said = [faults(row), row["where"]]
+    return shown, "; ".join(filter(None, said)), number(error_of(row)), again(row, seed)
+
+
+def _refusals(rows: Sequence[Row]) -> list[tuple[str, int, str]]:
+    """Why something was refused, how often, and of which bodies."""
+    found = grouped((row for row in rows if row["refused"]), ("refusal",))
+    return [
+        (str(why or "no reason"), counted(its)["refused"], _bodies(its)) for (why,), its in [*found.items()][:MESSAGES]
+    ]
+
+
+def _bodies(rows: Sequence[Row]) -> str:
+    """The kinds of bodies of some rows, each with its sizes."""
+    sizes = {kind: [row["diagonal"] for row in rows if row["kind"] == kind] for kind in {row["kind"] for row in rows}}
+    return "; ".join(
+        f"{kind} of {', '.join(map(length, ordered('diagonal', sizes[kind])))}" for kind in ordered("kind", sizes)
+    )
+
+
+def _mujoco(rows: Sequence[Row]) -> list[tuple[str, int, int]]:
+    """Each kind of bodies with the queries that MuJoCo was asked, and the wrong ones of them."""
+    asked = [row for row in rows if row["mujoco_queries"]]
+    kinds = ordered("kind", (row["kind"] for row in asked))
+    each = [(kind, counted(row for row in asked if row["kind"] == kind)) for kind in kinds]
+    return [(kind, its["mujoco_queries"], its["mujoco_wrong"]) for kind, its in each]

@@ -1,0 +1,194 @@
+"""The console script `refine-grasp`: finds the command, runs it, and turns errors into one line and an exit code.
+
+Only names and one-line descriptions of the commands are known here, so that `--help` is instant. A command is a
+module of `commands`, loaded when it was chosen; its class of the same name holds the options and has `execute`.
+The module of a command of two words joins them: `bench align` is `commands/bench_align.py` with `BenchAlign`.
+
+Exit codes: 0 done, 1 nothing usable came out, 2 bad input, 130 interrupted, 141 nobody reads the output any more.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from difflib import get_close_matches
+from errno import ENAMETOOLONG
+from importlib import import_module
+from io import TextIOWrapper
+from typing import NoReturn
+
+from grasp_refine.core.errors import GraspRefineError, visible
+
+PROGRAM = "refine-grasp"
+
+COMMANDS = {
+    "run": "refine grasps of a hand on an object; without options, an embedded example",
+    "batch": "refine whole datasets of grasps, in processes or on a cluster, and go on where it stopped",
+    "validate": "test grasps of any file: geometry, and whether they hold in simulation",
+    "view": "grasps in a browser: refined before your eyes, steered, tested, compared, taken away",
+    "convert": "grasp files of other programs into ours and back, checked by fingertip positions",
+    "hands": "the hands that come with the program, or what a URDF is read as",
+    "assets list": "the hands, objects and grasps of others that can be fetched by name",
+    "assets fetch": "fetch some of them, each file checked; shows licence and citation",
+    "assets verify": "whether what was fetched is still whole",
+    "bench align": "run time against error of witness derivatives: the experiments of the paper",
+    "bench grasp": "how accurate and how fast grasps are refined, by solver and batch size",
+    "bench queries": "what a witness query costs against coal and MuJoCo, and what skips save",
+    "bench stability": "how many witness queries and derivatives are wrong, by body, size, state and method",
+    "bench hold": "run time against success: how many grasps hold after refinement, by method",
+    "bench --gate": "is all as fast and as good as it was? ratios of one run against a committed baseline",
+    "doctor": "what is installed here, what is missing, and what this machine can do",
+}
+"""Name of each command -> what it does."""
+
+WITH_MUJOCO = (
+    "run", "batch", "validate", "view", "convert", "bench align", "bench grasp", "bench hold", "bench queries",
+    "bench stability", "bench --gate",
+)  # fmt: skip
+"""Commands that load MuJoCo, or pytorch-kinematics, which does: that fails with a traceback if `MUJOCO_GL` is wrong."""
+
+BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
+
+THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Matrices are small here, so that a second thread of linear algebra costs more than it brings. Not
+OMP_NUM_THREADS: the child process that decomposes meshes would inherit it, and it does gain by threads."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line; returns its exit code.
+
+    By default that of the process, which then ends at once when interrupted, without returning.
+    """
+    of_process, arguments = arguments is None, sys.argv[1:] if arguments is None else list(arguments)
+    if isinstance(sys.stdout, TextIOWrapper):
+        # Where the terminal has no such letter, an arrow is not worth an error.
+        sys.stdout.reconfigure(errors="replace")
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(_usage())
+        return 0
+    if arguments[0] == "--version":
+        from grasp_refine import __version__
+
+        print(f"{PROGRAM} {__version__}")
+        return 0
+    name, rest = _command(arguments)
+    if name in _groups() and (not rest or rest[0] in ("-h", "--help")):
+        print(_usage(name))
+        return 0
+    if name not in COMMANDS:
+        return _fail(_unknown(name), BAD_INPUT)
+    for variable in THREADS:
+        os.environ.setdefault(variable, "1")
+    if not of_process:
+        return _run(name, rest)
+    from grasp_refine.core.interruption import interruptible
+
+    code = INTERRUPTED
+    with interruptible(_end_interrupted) as interrupted:
+        try:
+            code = _run(name, rest)
+        finally:
+            if interrupted.is_set():
+                # Python itself would first wait for threads, and take seconds to unload torch on a busy machine.
+                _end(code)
+    return code
+
+
+def _run(name: str, rest: Sequence[str]) -> int:
+    """The exit code of a command with the options `rest`."""
+    try:
+        if name in WITH_MUJOCO:
+            from grasp_refine.validation.replay.offscreen import check_setting
+
+            check_setting()
+        words = name.replace("--", "").split()
+        command = getattr(
+            import_module(f"grasp_refine_apps.commands.{'_'.join(words)}"), "".join(map(str.capitalize, words))
+        )
+        from grasp_refine_apps.commands.options import parse
+
+        code = parse(command, f"{PROGRAM} {name}", rest).execute()
+        sys.stdout.flush()
+        return code
+    except GraspRefineError as error:
+        return _fail(" ".join(str(error).split()), BAD_INPUT)
+    except KeyboardInterrupt:
+        return _fail("interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        # Or Python would complain once more when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except OSError as error:
+        if error.errno != ENAMETOOLONG:
+            raise
+        return _fail(f"{str(error.filename)[:60]}...: the name is too long for a file", BAD_INPUT)
+
+
+def _command(arguments: Sequence[str]) -> tuple[str, list[str]]:
+    """The command that the first words of a command line name, or the words that look like one, and the rest."""
+    first, *rest = arguments
+    if first in _groups() and rest and not rest[0].startswith("-"):
+        return f"{first} {rest[0]}", rest[1:]
+    # An option may be the second word, wherever it stands.
+    for place, option in enumerate(rest):
+        if option.startswith("--") and f"{first} {option}" in COMMANDS:
+            return f"{first} {option}", rest[:place] + rest[place + 1 :]
+    return first, rest
+
+
+def _groups() -> set[str]:
+    """First words of the commands that have two."""
+    return {name.split()[0] for name in COMMANDS if " " in name}
+
+
+def _usage(group: str = "") -> str:
+    shown = {name: what for name, what in COMMANDS.items() if name.startswith(group)}
+    width = max(map(len, shown))
+    return "\n".join(
+        [
+            f"usage: {PROGRAM} COMMAND [OPTIONS]",
+            "",
+            "Refine grasps of robot hands: a hand that almost grasps goes in, a hand that grasps comes out.",
+            "",
+            "commands:",
+            *(f"  {name:<{width}}  {what}" for name, what in shown.items()),
+            "",
+            f"{PROGRAM} COMMAND --help shows the options of a command; {PROGRAM} --version the version.",
+        ]
+    )
+
+
+def _unknown(name: str) -> str:
+    kind = "option" if name.startswith("-") else "command"
+    close = get_close_matches(name.lstrip("-"), [*COMMANDS, "help", "version"], n=1)
+    known = f"the commands are {', '.join(COMMANDS)}"
+    if not close:
+        return f"no {kind} '{name}'; {known}"
+    meant = close[0] if close[0] in COMMANDS else f"--{close[0]}"
+    return f"no {kind} '{name}', did you mean {meant}? {known}"
+
+
+def _end_interrupted() -> NoReturn:
+    """End the process without the main thread, which is deep in compiled code."""
+    with suppress(OSError):
+        _fail("interrupted", INTERRUPTED)
+    _end(INTERRUPTED)
+
+
+def _end(code: int) -> NoReturn:
+    """End the process at once; child processes end with it (`interruption.end_with`)."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):
+            stream.flush()
+    os._exit(code)
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"{PROGRAM}: {'' if code == INTERRUPTED else 'error: '}{visible(message)}", file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,108 @@
+"""`refine-grasp assets fetch NAME`: other people's hands, objects and grasps onto this machine, on their terms."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
+from tyro.conf import DisallowNone, Positional, arg
+
+from grasp_refine.assets.cache import asset_folder, is_whole, main_path
+from grasp_refine.assets.fetching import fetch_asset
+from grasp_refine.assets.licence import check_accepted
+from grasp_refine.assets.manifest import Asset
+from grasp_refine.assets.names import choose_asset
+from grasp_refine.assets.origin import Origin, Upstream, chosen_origin, wanted
+from grasp_refine.core.errors import AssetError
+from grasp_refine.core.json_files import SCHEMA, check_writable, save_json
+from grasp_refine.core.versions import versions
+from grasp_refine_apps.commands.options import Overwrite
+from grasp_refine_apps.report.screen import screen
+
+
+@dataclass(frozen=True)
+class AssetsFetch:
+    """Fetch hands, objects or grasp sets of others, each file checked, and show their licences and what to cite."""
+
+    names: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME [NAME ...]", help_behavior_hint="(required)")] = ()
+    """As `refine-grasp assets list` shows them; the end of a name after a _ will do where it is the only one."""
+    accept_license: bool = False
+    """You have read the licence and may use what is fetched; for licences that restrict use or are not clear."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write what was fetched, and where it lies, to this file."""
+    overwrite: Overwrite = False
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            AssetError: no such asset, a licence that is not accepted, or one that cannot be fetched.
+        """
+        check_writable(self.json, overwrite=self.overwrite)
+        if not self.names:
+            raise AssetError("assets fetch needs a NAME; `refine-grasp assets list` shows them")
+        assets = list(dict.fromkeys(choose_asset(name) for name in self.names))
+        origin, console = chosen_origin(), screen()
+        if not self.accept_license:
+            for asset in assets:
+                check_accepted(asset)
+        facts = [_fetch(asset, origin, self.accept_license, console) for asset in assets]
+        if self.json is not None:
+            save_json(self.json, {"schema": SCHEMA, "command": "assets fetch", "versions": versions(), "assets": facts})
+        return 0
+
+
+def _fetch(asset: Asset, origin: Origin, accepted: bool, console: Console) -> dict[str, Any]:
+    """Fetch an asset and tell about it."""
+    console.print(f"[bold]{escape(asset.full_name)}[/]")
+    told = {"source": asset.source, "licence": f"{asset.licence} ({asset.terms})", "cite": asset.citation}
+    if asset.note:
+        told["note"] = asset.note
+    for word, text in told.items():
+        console.print(f"  {word + ':':<9}{text}", markup=False, soft_wrap=True)
+    began, here = time.perf_counter(), _is_here(asset, origin)
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), DownloadColumn(), console=console, transient=True,
+        disable=not console.is_terminal,
+    ) as bar:  # fmt: skip
+        task = bar.add_task("")
+
+        def progress(place: str, done: int, total: int | None) -> None:
+            bar.update(task, description=f"  {escape(place)}", completed=done, total=total)
+
+        fetch_asset(asset, origin, accept_license=accepted, progress=progress)
+    seconds = time.perf_counter() - began
+    path = main_path(asset, origin.layout)
+    folder = asset_folder(asset, origin.layout)
+    size = sum((folder / wanted(file, origin.layout).place).stat().st_size for file in asset.files)
+    count = f"{len(asset.files)} file{'' if len(asset.files) == 1 else 's'}, {size / 1e6:.2f} MB"
+    console.print(f"  here:    {path}", markup=False, soft_wrap=True)
+    console.print(f"           {count}{', was here before' if here else f', fetched in {seconds:.1f} s'}", markup=False)
+    if isinstance(origin, Upstream) and any(file.changed for file in asset.files):
+        changed = next(file.changed for file in asset.files if file.changed)
+        console.print(f"  note:    as upstream has it; a mirror's copy may differ ({changed})", markup=False)
+    return {
+        "kind": asset.kind,
+        "name": asset.name,
+        "path": path,
+        "folder": folder,
+        "files": len(asset.files),
+        "bytes": size,
+        "licence": asset.licence,
+        "terms": asset.terms,
+        "citation": asset.citation,
+        "was_here": here,
+        "wall_s": seconds,
+    }
+
+
+def _is_here(asset: Asset, origin: Origin) -> bool:
+    try:
+        return is_whole(asset, origin.layout)
+    except OSError:
+        return False

@@ -1,0 +1,101 @@
+"""`refine-grasp assets verify`: whether fetched assets are still what they were."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from rich.console import Console
+from tyro.conf import DisallowNone, Positional, arg
+
+from grasp_refine.assets.names import all_assets, choose_asset
+from grasp_refine.assets.verifying import Verdict, verify
+from grasp_refine.core.json_files import SCHEMA, check_writable, save_json
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.versions import versions
+from grasp_refine.geometry.cache import default_cache
+from grasp_refine_apps.commands.ending import NOTHING_USABLE
+from grasp_refine_apps.commands.options import Overwrite
+from grasp_refine_apps.report.screen import screen
+
+SHOWN = 3
+"""Files that are named of each asset; the JSON document has all."""
+
+
+@dataclass(frozen=True)
+class AssetsVerify:
+    """Compute the hashes of all fetched files anew; exit code 1 when one is not what the manifest says."""
+
+    names: Annotated[
+        Positional[tuple[str, ...]], arg(metavar="[NAME ...]", help_behavior_hint="(default: all that is here)")
+    ] = ()
+    """Which assets; ones that are not here count as failures then."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write what was found to this file."""
+    overwrite: Overwrite = False
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            AssetError: no such asset.
+        """
+        check_writable(self.json, overwrite=self.overwrite)
+        assets = list(dict.fromkeys(choose_asset(name) for name in self.names)) if self.names else all_assets()
+        verdicts = list(verify(assets))
+        here = {verdict.asset.full_name for verdict in verdicts}
+        absent = [asset.full_name for asset in assets if asset.full_name not in here] if self.names else []
+        if self.json is not None:
+            found = [_facts(verdict) for verdict in verdicts]
+            document = {"schema": SCHEMA, "command": "assets verify", "versions": versions()}
+            save_json(self.json, document | {"assets": found, "not_here": absent})
+        _show(verdicts, absent, screen())
+        return NOTHING_USABLE if absent or any(verdict.state != "whole" for verdict in verdicts) else 0
+
+
+def _facts(verdict: Verdict) -> dict[str, Any]:
+    return {
+        "kind": verdict.asset.kind,
+        "name": verdict.asset.name,
+        "origin": verdict.layout,
+        "folder": verdict.folder,
+        "state": verdict.state,
+        "files": verdict.files,
+        "missing": verdict.missing,
+        "damaged": verdict.damaged,
+        "reason": verdict.reason,
+    }
+
+
+def _show(verdicts: list[Verdict], absent: list[str], console: Console) -> None:
+    def say(line: str) -> None:
+        console.print(line, markup=False, soft_wrap=True)
+
+    for verdict in verdicts:
+        if verdict.state == "whole":
+            continue
+        name = verdict.asset.full_name
+        if verdict.reason:
+            say(f"{name}: cannot be used: {verdict.reason}")
+            continue
+        faults = [f"{len(verdict.damaged)} damaged: {_some(verdict.damaged)}"] if verdict.damaged else []
+        faults += [f"{len(verdict.missing)} missing: {_some(verdict.missing)}"] if verdict.missing else []
+        of = count_text(verdict.files, "file")
+        say(f"{name}: of {of} {'; '.join(faults)} (from {verdict.layout}, {verdict.folder})")
+        say(f"  refine-grasp assets fetch {name} fetches them again")
+    for name in absent:
+        say(f"{name}: is not here: refine-grasp assets fetch {name}")
+    counts = Counter(verdict.state for verdict in verdicts)
+    files = sum(verdict.files for verdict in verdicts if verdict.state == "whole")
+    if not verdicts and not absent:
+        say(f"nothing was fetched yet into {default_cache('assets')}")
+    else:
+        others = "".join(f", {counts[state]} {state}" for state in ("incomplete", "damaged") if counts[state])
+        say(f"whole: {counts['whole']} ({count_text(files, 'file')}){others}; in {default_cache('assets')}")
+
+
+def _some(names: tuple[str, ...]) -> str:
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(names[:SHOWN]) + more

@@ -1,0 +1,276 @@
+"""`refine-grasp batch`: refine whole datasets of grasps, in processes or on a cluster, and go on where it stopped."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+from uuid import uuid4
+
+from rich.console import Console
+from tyro.conf import DisallowNone, Positional, Suppress, arg
+
+from grasp_refine.collision.engine import chosen
+from grasp_refine.core.cores import usable_cores
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.json_files import SCHEMA
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.profiling import cpu_seconds
+from grasp_refine.core.versions import versions
+from grasp_refine.refinement.config import Config
+from grasp_refine.results.document import settings
+from grasp_refine.results.profile import profile_entry, profile_table
+from grasp_refine.validation.protocol import Protocol
+from grasp_refine_apps.batch.index import IndexKind, index_path
+from grasp_refine_apps.batch.pool import run_local
+from grasp_refine_apps.batch.progress import Progress
+from grasp_refine_apps.batch.record import State, clean, state_of
+from grasp_refine_apps.batch.shard import Shard
+from grasp_refine_apps.batch.table import batch_table
+from grasp_refine_apps.commands.batch_outputs import Outputs
+from grasp_refine_apps.commands.batch_session import Session, Summary
+from grasp_refine_apps.commands.ending import NOTHING_USABLE
+from grasp_refine_apps.commands.inputs import NEAREST, SAMPLE, Inputs
+from grasp_refine_apps.commands.invocation import invocation
+from grasp_refine_apps.commands.job_list import read_jobs
+from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.commands.shard_plan import Plan, Planner, part_of
+from grasp_refine_apps.commands.shard_work import ShardWork, unusable_objects
+from grasp_refine_apps.commands.sharding import Sharding
+from grasp_refine_apps.commands.validation_options import Proving
+from grasp_refine_apps.report.screen import screen
+
+MOST_NAMED = 10
+"""Most damaged files that are named."""
+
+
+@dataclass(frozen=True)
+class Defaults(Inputs):
+    """What a job does not say itself."""
+
+    grasps: Suppress[Path | None] = None
+    index: Suppress[tuple[int, ...]] = ()
+
+    def plain(self) -> Inputs:
+        """The same as inputs of one job."""
+        return Inputs(**{option.name: getattr(self, option.name) for option in fields(Inputs)})
+
+
+@dataclass(frozen=True)
+class Output:
+    """What is told."""
+
+    out: Path = Path("grasp-refine-batch")
+    """Folder of the results: <job>/<hand>_<object>_<part>.npz, index.parquet or .csv, report.html."""
+    index: IndexKind = "auto"
+    """The table of all grasps with all measures; auto: Parquet where pyarrow is installed, else CSV."""
+    report: bool = True
+    """Write report.html: distributions before and after, the worst cases with pictures, what failed and why."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write a summary and what was measured of each grasp to this file, in SI units."""
+    profile: bool = False
+    """Say where the time goes: loading, kinematics, collision queries, derivatives, solver, simulation."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Refine whole datasets of grasps.
+
+    JOBS are grasp files (any format that `run` reads), folders of them at any depth, patterns such as 'sets/*.npz',
+    sample:N, or lists of jobs: a TOML file with a [[job]] table for each, or a CSV file with a line for each. A job
+    says grasps, and whatever else differs from the options here: hand, object, objects, scale, name, ...
+
+    Interrupted or killed, the same command goes on where it stopped: what is complete is skipped, and what was made
+    of other inputs or with other settings is made anew. The exit code is 0 when all came out, 1 when something failed
+    (report.html and the summary name it; the rest is done), 2 for bad input, 130 when interrupted.
+    """
+
+    jobs: Annotated[Positional[tuple[str, ...]], arg(metavar="JOBS [JOBS ...]", help_behavior_hint="")] = ()
+    """What is refined."""
+    inputs: Annotated[Defaults, arg(name="")] = field(default_factory=Defaults)
+    settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
+    proof: Annotated[Proving, arg(name="")] = field(default_factory=Proving)
+    sharding: Annotated[Sharding, arg(name="")] = field(default_factory=Sharding)
+    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            GraspRefineError: an input that cannot be used at all; then nothing is written.
+        """
+        wall, cpu = time.perf_counter(), cpu_seconds()
+        config, protocol, part = self._checked()
+        outputs = self._outputs()
+        described = {
+            "refine": settings(config),
+            "proof": settings(self.proof),
+            "protocol": settings(protocol),
+            # Both engines give the same to rounding, but not to the last bit.
+            "engine": chosen("auto"),
+        }
+        console = screen(stderr=True)
+        with Progress(console, (), 1) as progress:
+            plan = self._plan(outputs.out, described, config.seed, progress)
+            outputs.check(plan)
+            progress.wait("looking at what is there")
+            asked = part_of(plan.shards, *part)
+            states = {shard.number: State.MISSING if self.sharding.again else state_of(shard) for shard in asked}
+            _tell_states(asked, states, progress)
+        todo = [shard for shard in asked if states[shard.number] is not State.COMPLETE]
+        session = Session({number for number, state in states.items() if state is State.COMPLETE}, len(asked))
+        session.skipped = sum(shard.size for shard in asked if shard.number in session.complete)
+        self._work(todo, ShardWork(config, protocol, described, self.output.profile), session, console)
+        with Progress(console, (), 1) as progress:
+            summary = outputs.read(Summary.of(asked, plan.refused, session), progress)
+            document = {
+                "schema": SCHEMA,
+                "command": "batch",
+                "invocation": invocation("batch", self),
+                "versions": versions(),
+                "config": described | {"inputs": settings(self.inputs.plain()), "sharding": settings(self.sharding)},
+                "seed": config.seed,
+                "totals": summary.totals(session, time.perf_counter() - wall, cpu_seconds() - cpu),
+                "failed": summary.failed,
+                "jobs": summary.jobs(),
+                "profile": profile_entry(session.profile or None),
+            }
+            outputs.write(document, summary, progress)
+        self._show(document, summary, session, outputs, time.perf_counter() - wall)
+        return NOTHING_USABLE if summary.failed or (asked and not summary.statistics.all.usable) else 0
+
+    def _outputs(self) -> Outputs:
+        """The files that are written; a part of a batch has results and a summary only.
+
+        Raises:
+            GraspRefineError: the index cannot be of the kind that is asked for.
+        """
+        out = self.output.out.absolute()
+        index = index_path(out, self.output.index)
+        whole = self.sharding.shard is None
+        return Outputs(out, index if whole else None, self.output.report and whole, self.output.json)
+
+    def _show(
+        self, document: dict[str, Any], summary: Summary, session: Session, outputs: Outputs, wall_s: float
+    ) -> None:
+        """Print the tables."""
+        console = screen()
+        console.print(batch_table(document, summary.statistics))
+        if session.profile:
+            console.print(profile_table(session.profile))
+        if outputs.index is None:
+            console.print("index and report are written by the same command without --shard, when all parts are done")
+        written = outputs.files or (outputs.out,)
+        console.print(f"{wall_s:.1f} s; wrote", *written, soft_wrap=True, markup=False)
+
+    def _checked(self) -> tuple[Config, Protocol | None, tuple[int, int]]:
+        """How grasps are refined and simulated, and which part of how many is done.
+
+        Raises:
+            GraspRefineError: an option that cannot be.
+        """
+        if not self.jobs:
+            raise GraspRefineError(
+                "name what is to be refined: grasp files, a folder, a pattern, sample:N, or a job list (.toml, .csv)"
+            )
+        part = self.sharding.part()
+        config = self.settings.config(nearest=self.inputs.targets == NEAREST)
+        return config, self.proof.protocol(), part
+
+    def _plan(self, out: Path, described: dict[str, Any], seed: int, progress: Progress) -> Plan:
+        """All shards of all jobs; those that cannot be done are told.
+
+        Raises:
+            GraspRefineError: none can be done.
+        """
+        jobs = read_jobs(self.jobs, self.inputs.plain(), together=self.sharding.together)
+        # Results of an earlier run may lie in the folder of the grasps.
+        inside = out.resolve()
+        jobs = [job for job in jobs if job.named or not Path(str(job.inputs.grasps)).resolve().is_relative_to(inside)]
+        if not jobs:
+            raise GraspRefineError(
+                f"{', '.join(self.jobs)}: no jobs in it but the results in {out}; give another --out"
+            )
+        planner = Planner(out, self.sharding.shard_size, uuid4().hex, described, seed)
+        plan = planner.plan(
+            jobs, progress.say, lambda number, name: progress.wait(f"planning {number + 1}/{len(jobs)}: {name}")
+        )
+        if not plan.shards and not plan.refused:
+            raise GraspRefineError(f"{', '.join(self.jobs)}: no jobs in it but results of a batch")
+        if not plan.shards:
+            more = f" (and {count_text(len(plan.refused) - 1, 'more job')})" if len(plan.refused) > 1 else ""
+            raise GraspRefineError(f"no job can be done: {plan.refused[0].job}: {plan.refused[0].message}{more}")
+        if plan.results:
+            files = count_text(plan.results, "file")
+            progress.say(f"no grasps to refine but results of a batch: {files}; named, they would be refined")
+        for refused in plan.refused:
+            progress.say(f"{refused.job} cannot be done: {refused.message}")
+        lists = (Path(source) for source in self.jobs if not source.startswith(SAMPLE))
+        return replace(plan, files=(*plan.files, *lists))
+
+    def _work(self, todo: list[Shard], work: ShardWork, session: Session, console: Console) -> None:
+        """Do what is left, and note what becomes of each shard.
+
+        Raises:
+            KeyboardInterrupt: as it came; what is complete by then stays.
+        """
+        if not todo:
+            return
+        clean(todo)
+        workers = min(self.sharding.workers or usable_cores(), len(todo))
+        simulated = work.protocol is not None
+        began = time.perf_counter()
+        with Progress(console, todo, workers, session.skipped, simulated=simulated) as progress:
+            if self.sharding.dask is not None:
+                from grasp_refine_apps.batch.cluster import run_on_cluster
+
+                run = partial(run_on_cluster, address=self.sharding.dask)
+            else:
+                run = partial(run_local, workers=workers)
+            by_number = {shard.number: shard for shard in todo}
+            unusable = unusable_objects(
+                todo, lambda number: progress.wait(f"reading objects, {number + 1} of {len(todo)} shards")
+            )
+            for failed in unusable:
+                session.take(failed, by_number[failed.number], progress)
+            usable = [shard for shard in todo if shard.number not in session.failed]
+            try:
+                with closing(
+                    run(
+                        usable,
+                        work,
+                        patience_s=self.sharding.patience,
+                        tries=self.sharding.tries,
+                        beat=progress.beat,
+                    )
+                ) as results:
+                    for result in results:
+                        session.take(result, by_number[result.number], progress)
+            except KeyboardInterrupt:
+                there = f"{len(session.complete)} of {count_text(session.asked, 'shard')} complete"
+                goes_on = "without --again, the command" if self.sharding.again else "the same command"
+                progress.say(f"{there}; {goes_on} goes on from there")
+                raise
+            finally:
+                # What workers that were killed have half written.
+                clean(todo)
+        session.wall_s = time.perf_counter() - began
+
+
+def _tell_states(shards: Sequence[Shard], states: Mapping[int, State], progress: Progress) -> None:
+    """Say what there is already, and what of it is made anew."""
+    count = Counter(states.values())
+    if count[State.COMPLETE]:
+        progress.say(f"{count[State.COMPLETE]} of {count_text(len(shards), 'shard')} complete and skipped")
+    if count[State.CHANGED]:
+        progress.say(f"of other inputs, settings or versions, and made anew: {count[State.CHANGED]}")
+    damaged = [shard.path for shard in shards if states[shard.number] is State.DAMAGED]
+    for path in damaged[:MOST_NAMED]:
+        progress.say(f"{path} cannot be read and is made anew")
+    if len(damaged) > MOST_NAMED:
+        progress.say(f"and so for {count_text(len(damaged) - MOST_NAMED, 'other')}")

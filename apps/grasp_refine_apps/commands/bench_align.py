@@ -1,0 +1,232 @@
+"""`refine-grasp bench align`: how well, and how fast, witness derivatives bring two bodies into contact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from rich.console import Console
+from rich.markup import escape
+from tyro.conf import DisallowNone, arg
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.witness.slip import Coupling
+from grasp_refine_apps.bench.align.bodies import Kind
+from grasp_refine_apps.bench.align.page import page
+from grasp_refine_apps.bench.align.presets import EPSILON, PRESETS, Preset
+from grasp_refine_apps.bench.align.saved import save_task
+from grasp_refine_apps.bench.align.study import Outcome, Study, run_study
+from grasp_refine_apps.bench.align.table import bench_table
+from grasp_refine_apps.bench.align.variants import MethodName, NeighborhoodName, SolverName, Variant, WitnessName
+from grasp_refine_apps.commands.benchmark import check_asked, run_benchmark
+from grasp_refine_apps.commands.options import Overwrite, check_device, check_numbers, flag
+
+Class = Literal["vertex-vertex", "face-vertex", "vertex-face", "face-face"]
+PresetName = Literal[
+    "table1", "table2", "table3", "table4", "margin", "step-size", "coupling", "solvers", "patch", "smoke"
+]
+
+VARIED = ("methods", "neighborhoods", "couplings", "transport", "optimise", "step_sizes")
+"""Options that say what is compared of descent."""
+DESCENT_ONLY = (*VARIED, "dtype", "device")
+"""Options that only descent reads."""
+COMPARED = ("solvers", *VARIED, "margins", "witnesses", "epsilon")
+"""Options that say what is compared; a preset says it itself."""
+
+
+@dataclass(frozen=True)
+class BenchAlign:
+    """Measure run time against error on the alignment task of arXiv 2511.06267.
+
+    Two random bodies, a wanted contact point on each: body 2 moves by normalised gradient descent, or by
+    Levenberg-Marquardt, until the witness points lie on the targets. The error of a task is
+    |x_a - t_a|^2 + |x_b - t_b|^2 + (d - margin)^2 in m^2, so that 1e-6 is about a millimetre. Every combination of
+    what is asked for is run on the same tasks. Without options, the paper's method on the embedded objects.
+    """
+
+    preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
+    """An experiment of the paper, or one of our own: table1 (all methods), table2 (smoothing x sampling x gradients),
+    table3 (time of a query by method), table4 (time of a backward pass), margin, step-size, coupling, solvers
+    (levenberg-marquardt against descent), patch (plain against patch witness points, targets on two faces), smoke
+    (under a minute)."""
+    meshes: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: embedded)")] = None
+    """Folder of meshes from which pairs are drawn."""
+    kinds: tuple[Kind, ...] = ("convex", "concave")
+    """convex: hulls of the meshes; concave: their CoACD pieces (cached)."""
+    pairs: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 8, or the preset's)")] = None
+    """Pairs of bodies of each kind."""
+    targets: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 64, or the preset's)")] = None
+    """Accepted targets of each pair. zeroth-order and finite-difference run an eighth of them."""
+    classes: Annotated[
+        DisallowNone[tuple[Class, ...] | None], arg(help_behavior_hint="(default: all but face-face)")
+    ] = None
+    """Where the targets lie, on body 1 and on body 2. Face-face targets are counted apart."""
+    solvers: Annotated[DisallowNone[tuple[SolverName, ...] | None], arg(help_behavior_hint="(default: descent)")] = None
+    """How the bodies move: the paper's normalised gradient descent, or levenberg-marquardt, which ends each task when
+    its error is below 1e-14 m^2. The latter differentiates by contact kinematics over neighbourhoods of its own, moves
+    body 2 and runs in double precision on the CPU; a budget is the most iterations, each one query, of a task."""
+    methods: Annotated[DisallowNone[tuple[MethodName, ...] | None], arg(help_behavior_hint="(default: distance)")] = (
+        None
+    )
+    """How descent differentiates witness points."""
+    neighborhoods: Annotated[
+        DisallowNone[tuple[NeighborhoodName, ...] | None], arg(help_behavior_hint="(default: adaptive)")
+    ] = None
+    """Which samples smoothing uses."""
+    couplings: Annotated[DisallowNone[tuple[Coupling, ...] | None], arg(help_behavior_hint="(default: one-sided)")] = (
+        None
+    )
+    """How the slips of both bodies act together; one-sided are the paper's equations."""
+    transport: Annotated[DisallowNone[bool | None], arg(help_behavior_hint="(default: on)")] = None
+    """Equivalent gradient transport: the gradient of body 1 acts through body 2."""
+    optimise: Annotated[DisallowNone[Literal["T2", "T1T2"] | None], arg(help_behavior_hint="(default: T2)")] = None
+    """Which bodies move."""
+    margins: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: 0.001)")] = None
+    """Contact margins in metres."""
+    step_sizes: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: 10)")] = None
+    """Sizes s_r of the first steps; s_t = s_r / 1000."""
+    witnesses: Annotated[DisallowNone[tuple[WitnessName, ...] | None], arg(help_behavior_hint="(default: plain)")] = (
+        None
+    )
+    """Which witness points the solver sees: plain, or patch, of all that are within epsilon of being the closest those
+    nearest to the targets, for targets on two faces. With patch, all rows are also judged by it."""
+    epsilon: Annotated[
+        DisallowNone[float | None], arg(metavar="METRES", help_behavior_hint=f"(default: {EPSILON:g} with patch)")
+    ] = None
+    """Epsilon of the patch witness in metres."""
+    budgets: Annotated[
+        DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 2000, or the preset's)")
+    ] = None
+    """Budgets in iterations; several make a line in the picture of error against time."""
+    seconds: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: none)")] = None
+    """Budgets in CPU seconds per pair, all its targets together, instead of iterations; of descent only."""
+    seed: int = 0
+    """Seed of pairs, targets, initial poses and samples."""
+    dtype: Literal["float64", "float32"] = "float64"
+    """Number type of poses and losses of descent; queries and derivatives always run in double precision."""
+    device: str = "cpu"
+    """Torch device of poses and losses of descent."""
+    threads: int = 1
+    """Threads of torch in each process; more than one is slower for matrices this small."""
+    workers: int = 1
+    """Processes. CPU times are least disturbed with 1."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write all rows to this file, in SI units."""
+    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write a report with charts and pictures of typical failures to this file."""
+    save: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write one task as an .npz that `refine-grasp view` opens: both bodies, their targets, and where each method
+    moved them, iterate by iterate. It is the first task of the first pair that can surely be solved, run once more and
+    alone by each method, at its largest budget; another --seed, --kinds or --classes gives another task."""
+    overwrite: Overwrite = False
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            GraspRefineError: options that do not go together, or meshes that cannot be used.
+        """
+        study = self.study()
+        title = f"alignment, {study.targets} targets a pair, seed {study.seed}; accuracies in %"
+
+        def run(console: Console, progress: Callable[[float, str], None]) -> Outcome:
+            outcome = run_study(study, lambda line: console.print(escape(line), style="dim", soft_wrap=True), progress)
+            if self.save is not None and outcome.recorded is not None and outcome.rows:
+                save_task(self.save, outcome.recorded)
+            return outcome
+
+        return run_benchmark(
+            "bench align",
+            replace(self, json=None, html=None, overwrite=False, save=None),
+            self,
+            run,
+            lambda outcome: [bench_table(outcome.rows, title)],
+            lambda document, outcome: page(document, outcome.failures),
+            also=() if self.save is None else (self.save,),
+        )
+
+    def study(self) -> Study:
+        """What the options ask for.
+
+        Raises:
+            GraspRefineError: a number out of its range, or options that do not go together.
+        """
+        check_numbers(self)
+        check_asked(self, COMPARED)
+        for name in ("seconds", "epsilon"):
+            value = getattr(self, name)
+            if 0.0 in (value if isinstance(value, tuple) else (value,)):
+                raise GraspRefineError(f"{flag(name)} must be positive, got 0")
+        if self.budgets is not None and self.seconds is not None:
+            raise GraspRefineError(
+                "--budgets and --seconds exclude each other: a budget is in iterations or in CPU seconds"
+            )
+        preset = PRESETS[self.preset] if self.preset is not None else Preset(self._variants())
+        check_device(self.device, self.dtype)
+        if self.seconds is not None and any(variant.solver != "descent" for variant in preset.variants):
+            raise GraspRefineError(
+                "--seconds is of descent only: levenberg-marquardt ends each task on its own, so give --budgets"
+            )
+        budgets = preset.budgets if self.budgets is None else self.budgets
+        timed: list[dict[str, Any]] = (
+            [{"budget": None, "budget_s": s} for s in self.seconds or ()] or [{"budget": n} for n in budgets] or [{}]
+        )
+        return Study(
+            variants=tuple(
+                dict.fromkeys(replace(variant, **budget) for variant in preset.variants for budget in timed)
+            ),
+            meshes=self.meshes,
+            kinds=tuple(dict.fromkeys(self.kinds)),
+            classes=preset.classes if self.classes is None else tuple(dict.fromkeys(self.classes)),
+            pairs=preset.pairs if self.pairs is None else self.pairs,
+            targets=preset.targets if self.targets is None else self.targets,
+            seed=self.seed,
+            dtype=self.dtype,
+            device=self.device,
+            threads=self.threads,
+            workers=self.workers,
+            record=self.save is not None,
+        )
+
+    def _variants(self) -> tuple[Variant, ...]:
+        """Every combination of what is compared; what a method ignores is not varied."""
+        solvers, witnesses = self.solvers or ("descent",), self.witnesses or ("plain",)
+        if "descent" not in solvers:
+            for name in DESCENT_ONLY:
+                if getattr(self, name) != getattr(BenchAlign, name):
+                    raise GraspRefineError(
+                        f"{flag(name)} is of descent only: leave it out, or add descent to --solvers"
+                    )
+        if self.epsilon is not None and "patch" not in witnesses:
+            raise GraspRefineError("--epsilon is of the patch witness only: leave it out, or give --witnesses patch")
+        made = [
+            Variant(method, near, coupling, margin=margin, step_size=size)
+            for method, near, coupling, margin, size in product(
+                self.methods or ("distance",),
+                self.neighborhoods or ("adaptive",),
+                self.couplings or ("one-sided",),
+                self.margins or (Variant.margin,),
+                self.step_sizes or (Variant.step_size,),
+            )
+        ]
+        changes: dict[str, Any] = {}
+        if self.transport is not None:
+            changes["transport"] = self.transport
+        if self.optimise is not None:
+            changes["optimise"] = self.optimise
+        made = [replace(variant, **changes) for variant in made]
+        by_solver = {
+            "descent": made,
+            "levenberg-marquardt": [Variant.least_squares(margin=m) for m in self.margins or (Variant.margin,)],
+        }
+        epsilon = (EPSILON if self.epsilon is None else self.epsilon) if "patch" in witnesses else None
+        made = [
+            replace(variant, witness=witness, epsilon=epsilon)
+            for solver, witness in product(solvers, witnesses)
+            for variant in by_solver[solver]
+        ]
+        distinct = {tuple(variant.columns().values()): variant for variant in reversed(made)}
+        return tuple(reversed(distinct.values()))

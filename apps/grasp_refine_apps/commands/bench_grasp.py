@@ -1,0 +1,241 @@
+"""`refine-grasp bench grasp`: how accurate and how fast grasps are refined, by solver and batch size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Literal
+
+import torch
+from rich.console import Console
+from rich.markup import escape
+from tyro.conf import DisallowNone, arg
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.hands.hand import list_hands, needs_urdf
+from grasp_refine.refinement.config import Config
+from grasp_refine_apps.bench.grasp.page import page
+from grasp_refine_apps.bench.grasp.presets import PRESETS, Preset
+from grasp_refine_apps.bench.grasp.sets import PLACES, GraspSet, Group
+from grasp_refine_apps.bench.grasp.study import COUNT, Outcome, Study, run_study
+from grasp_refine_apps.bench.grasp.table import bench_tables
+from grasp_refine_apps.bench.grasp.tasks import Disturbance, Kind
+from grasp_refine_apps.bench.grasp.variants import DerivativeName, SolverName, Variant
+from grasp_refine_apps.commands.benchmark import check_asked, run_benchmark
+from grasp_refine_apps.commands.inputs import AUTO, EXAMPLE_HAND, SAMPLE, Inputs
+from grasp_refine_apps.commands.options import Overwrite, check_numbers
+
+PresetName = Literal["targets", "nothing", "time-to-error", "contacts", "pieces", "workers", "smoke"]
+SetName = Literal[
+    "bodex_shadow", "dexgraspnet_shadow", "frogger_allegro", "leap_cube", "sampled_barrett", "sampled_robotiq"
+]
+
+COMPARED = ("tasks", "solvers", "derivatives", "budgets")
+"""Options that say what is compared; a preset says it itself."""
+BATCHES = (1, 16, 64, 256)
+"""Batch sizes where nobody says which."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is measured, and how."""
+
+    preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
+    """An experiment: targets (disturbed true grasps, batch 1 to 256), nothing (real grasps as they come, batch 1 to
+    256), time-to-error (all solvers at several budgets, for a picture of error over time), contacts (time by number of
+    contacts, and of joints: all hands), pieces (by number of convex pieces: a box cut into 1 to 64), workers (grasps
+    per second with 1 and 2 processes), smoke (under a minute)."""
+    assets: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
+    """Folder with hands/, objects/ and grasps/normalised/, of which --sets are taken, instead of --hand, --object and
+    --grasps. Without any of these, the embedded Allegro examples."""
+    sets: Annotated[
+        DisallowNone[tuple[SetName, ...] | None], arg(help_behavior_hint="(default: all; sampled: of contacts only)")
+    ] = None
+    """Sets of grasps in the folder of assets; grasps of sampled ones are drawn."""
+    tasks: Annotated[DisallowNone[tuple[Kind, ...] | None], arg(help_behavior_hint="(default: both)")] = None
+    """targets: true grasps, whose fingertips all touch, are disturbed and must come back to where they touched;
+    nothing: real grasps as they come are to touch and not to penetrate."""
+    solvers: Annotated[
+        DisallowNone[tuple[SolverName, ...] | None], arg(help_behavior_hint="(default: levenberg-marquardt)")
+    ] = None
+    """How the hand moves."""
+    derivatives: Annotated[
+        DisallowNone[tuple[DerivativeName, ...] | None], arg(help_behavior_hint="(default: contact-kinematics)")
+    ] = None
+    """How descent and adam differentiate witness points."""
+    budgets: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: the solver's)")] = None
+    """Most iterations of a grasp; each budget is a run of its own, a point in the picture of error over time."""
+    batches: Annotated[
+        DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 1 16 64 256, or the preset's)")
+    ] = None
+    """Grasps that are worked on at once; with 1, each is a call of its own. Times are means."""
+    count: Annotated[
+        DisallowNone[int | None], arg(help_behavior_hint=f"(default: {COUNT} with targets, else all; or the preset's)")
+    ] = None
+    """Tasks on each object at each scale."""
+    scenes: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all, or the preset's)")] = None
+    """Objects at one scale of each set, evenly chosen."""
+    singles: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 32, or the preset's)")] = None
+    """Tasks of a set that are run at batch 1, about evenly from all objects."""
+    shift: float = Disturbance.translation
+    """Disturbance: metres by which the root is moved in a random direction."""
+    turn: Annotated[float, arg(help_behavior_hint="(default: 0.2618, which is 15 degrees)")] = Disturbance.rotation
+    """Disturbance: radians by which the root is turned about a random axis."""
+    noise: float = Disturbance.joints
+    """Disturbance: standard deviation of joint values in radians, clipped to the limits."""
+    tolerance: float = Config.tolerance
+    """A grasp is done when its loss (m^2) is below this."""
+    seed: int = 0
+    """Seed of disturbances, and of what solvers draw."""
+    threads: int = 1
+    """Threads of torch in each process."""
+    workers: int = 1
+    """Processes. CPU times are least disturbed with 1."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write all rows to this file, in SI units but for times, which are in ms."""
+    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write a report with a picture of error over time to this file."""
+    overwrite: Overwrite = False
+
+
+@dataclass(frozen=True)
+class BenchGrasp:
+    """Measure how accurate and how fast grasps are refined, by solver, batch size and budget.
+
+    All accuracies and penetrations are those of a plain query of the final grasps, not what a solver says. Without
+    options, Levenberg-Marquardt on the embedded Allegro examples.
+    """
+
+    inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
+    options: Annotated[Options, arg(name="")] = field(default_factory=Options)
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            GraspRefineError: options that do not go together, or grasps that cannot be used.
+        """
+        study = self.study()
+        torch.set_num_threads(self.options.threads)
+
+        def run(console: Console, progress: Callable[[float, str], None]) -> Outcome:
+            def say(line: str) -> None:
+                console.print(escape(line), style="dim", soft_wrap=True)
+
+            return run_study(study, [self._load(*named, say) for named in self._sources()], say, progress)
+
+        return run_benchmark(
+            "bench grasp",
+            replace(self, options=replace(self.options, json=None, html=None, overwrite=False)),
+            self.options,
+            run,
+            lambda outcome: [part for table in bench_tables(outcome.rows) for part in (table, "")],
+            lambda document, outcome: page(document),
+        )
+
+    def study(self) -> Study:
+        """What the options ask for.
+
+        Raises:
+            GraspRefineError: a number out of its range, or options that do not go together.
+        """
+        options = self.options
+        check_numbers(options)
+        check_asked(options, COMPARED)
+        if self.inputs.targets != AUTO:
+            raise GraspRefineError("--targets: the benchmark makes its own targets, from grasps that touch exactly")
+        preset = PRESETS[options.preset] if options.preset is not None else Preset(self._variants())
+        variants = preset.variants
+        if options.workers > 1 and any(variant.processes is not None for variant in variants):
+            raise GraspRefineError(f"--preset {options.preset} has processes of its own: leave out --workers")
+        if options.batches is not None:
+            variants = tuple(replace(variant, batch=batch) for variant in variants for batch in options.batches)
+        return Study(
+            variants=tuple(dict.fromkeys(variants)),
+            kinds=preset.kinds if options.tasks is None else tuple(dict.fromkeys(options.tasks)),
+            count=preset.count if options.count is None else options.count,
+            scenes=preset.scenes if options.scenes is None else options.scenes,
+            singles=preset.singles if options.singles is None else options.singles,
+            disturbance=Disturbance(options.shift, options.turn, options.noise),
+            tolerance=options.tolerance,
+            seed=options.seed,
+            threads=options.threads,
+            workers=options.workers,
+        )
+
+    def _variants(self) -> tuple[Variant, ...]:
+        """Every combination of what is compared; Levenberg-Marquardt has no derivatives to choose."""
+        options = self.options
+        solvers = options.solvers or (Variant.solver,)
+        if options.derivatives is not None and set(solvers) == {"levenberg-marquardt"}:
+            raise GraspRefineError("--derivatives is of descent and adam only: leave it out, or add one to --solvers")
+        usual = (Variant.derivative,)
+        return tuple(
+            Variant(solver, derivative, budget, batch)
+            for solver in solvers
+            for derivative, budget, batch in product(
+                usual if solver == "levenberg-marquardt" else options.derivatives or usual,
+                options.budgets or (None,),
+                options.batches or BATCHES,
+            )
+        )
+
+    def _sources(self) -> list[tuple[str, list[Inputs]]]:
+        """Names of the sets, each with what is to be loaded."""
+        inputs, options = self.inputs, self.options
+        hand = inputs.hand or EXAMPLE_HAND
+        plain = replace(inputs, threshold=Inputs.threshold) == Inputs()
+        if options.assets is None:
+            if options.sets is not None:
+                raise GraspRefineError("--sets are those of a folder of assets: give it with --assets")
+            if not plain:
+                return [(inputs.grasps.stem if inputs.grasps is not None else f"{hand} example", [inputs])]
+            hands = [hand]
+            if options.preset is not None and PRESETS[options.preset].every_hand:
+                hands = [name for name in list_hands() if not needs_urdf(name)]
+            return [
+                (f"{name} examples", [replace(inputs, hand=name, grasps=path) for path in _examples(name)])
+                for name in hands
+            ]
+        if not plain:
+            raise GraspRefineError(
+                "--assets has hands, objects and grasps of its own: leave it out, or else --hand, --object, --objects, "
+                "--object-name, --scale, --grasps and --index"
+            )
+        folder, found = options.assets, []
+        sampled = options.preset is not None and PRESETS[options.preset].every_hand
+        usual = tuple(name for name, place in PLACES.items() if sampled or place.sampled is None)
+        for name in dict.fromkeys(options.sets or usual):
+            path, place = folder / "grasps" / "normalised" / f"{name}.npz", PLACES[name]
+            if place.sampled is not None:
+                path = Path(f"{SAMPLE}{place.sampled}")
+            elif not path.is_file():
+                raise GraspRefineError(f"--assets {folder}: has no set {name}, that is grasps/normalised/{name}.npz")
+            objects = folder / "objects" if place.object is None else None
+            found.append(
+                (
+                    name,
+                    [replace(inputs, hand=str(folder / place.hand), object=place.object, objects=objects, grasps=path)],
+                )
+            )
+        return found
+
+    def _load(self, name: str, parts: list[Inputs], say: Callable[[str], None]) -> GraspSet:
+        """A set, joined of what several inputs mean."""
+        problems = [part.load(self.options.seed, say) for part in parts]
+        return GraspSet(
+            name,
+            tuple(
+                Group(group.object, group.scale, group.scene, group.index)
+                for problem in problems
+                for group in problem.groups
+            ),
+        )
+
+
+def _examples(hand: str) -> list[Path]:
+    """The example grasps of a hand that comes with the program."""
+    return sorted((resource_dir("robots") / hand).glob("*.npz"))

@@ -1,0 +1,143 @@
+"""`refine-grasp bench hold`: how many grasps hold after refinement, against what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.markup import escape
+from tyro.conf import DisallowNone, arg
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.pipeline.problem import Problem
+from grasp_refine.refinement.config import Config
+from grasp_refine.validation.protocol import SettingName
+from grasp_refine.validation.validate import model_of
+from grasp_refine_apps.bench.hold.methods import methods
+from grasp_refine_apps.bench.hold.page import page
+from grasp_refine_apps.bench.hold.presets import PRESETS, Preset
+from grasp_refine_apps.bench.hold.runner import Group
+from grasp_refine_apps.bench.hold.study import Outcome, Study, run_study
+from grasp_refine_apps.bench.hold.table import bench_tables
+from grasp_refine_apps.commands.benchmark import check_asked, run_benchmark
+from grasp_refine_apps.commands.inputs import AUTO, Inputs
+from grasp_refine_apps.commands.options import Overwrite, check_numbers
+
+PresetName = Literal["smoke"]
+
+COMPARED = ("starts",)
+"""Options that say what is compared; a preset says it itself."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is measured, and how."""
+
+    preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
+    """An experiment: smoke (every method on two grasps, in seconds)."""
+    starts: Annotated[
+        DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 1 6, or the preset's)")
+    ] = None
+    """From how many starts grasps that may not hold are tried; each number is a run of its own."""
+    settings: tuple[SettingName, ...] = ("force-closure", "strict")
+    """How grasps are simulated: force-closure (friction 0.6), strict (friction 0.3), or tabletop (lifted off a
+    table)."""
+    count: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all, or the preset's)")] = None
+    """Most grasps on each object at each scale, the first ones."""
+    width: int = Config.width
+    """Most grasps that are refined at once."""
+    threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
+    """CPU threads of the simulation; refinement has one."""
+    seed: int = 0
+    """Seed of everything that is drawn."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write all rows to this file, in SI units but for times, which are in ms."""
+    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write a report with a picture of success over time to this file."""
+    overwrite: Overwrite = False
+
+
+@dataclass(frozen=True)
+class BenchHold:
+    """Measure how many grasps hold in simulation, against the CPU time of refinement.
+
+    The same grasps as they came, with pregrasps and squeezes of our own, refined by geometry only, and refined so that
+    forces balance, from one start or several. Without options, the example grasps of the embedded hand on the embedded
+    mug.
+    """
+
+    inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
+    options: Annotated[Options, arg(name="")] = field(default_factory=Options)
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            GraspRefineError: options that do not go together, or grasps that cannot be used.
+        """
+        options = self.options
+        check_numbers(options)
+        check_asked(options, COMPARED)
+        if self.inputs.targets != AUTO:
+            raise GraspRefineError("--targets: the benchmark refines grasps for which nobody says where to touch")
+        preset = PRESETS[options.preset] if options.preset is not None else Preset()
+        count = options.count if options.count is not None else preset.count
+        settings = tuple(dict.fromkeys(options.settings))
+        # The tensors of a batch of grasps are small.
+        torch.set_num_threads(1)
+
+        def run(console: Console, progress: Callable[[float, str], None]) -> Outcome:
+            def say(line: str) -> None:
+                console.print(escape(line), style="dim", soft_wrap=True)
+
+            problem = self.inputs.load(options.seed, say)
+            model = model_of(problem.hand)
+            stages = "file" in problem.closing().values()
+            notes = [*problem.notes, *model.notes]
+            if not stages:
+                notes.append("the grasps come without pregrasps and squeezes: as they came, they get ours")
+            for note in notes:
+                say(f"note: {note}")
+            study = Study(
+                methods(options.starts or preset.starts, stages=stages),
+                settings,
+                width=options.width,
+                seed=options.seed,
+                threads=options.threads,
+            )
+            return run_study(study, model, _groups(problem, count, stages=stages), progress)
+
+        return run_benchmark(
+            "bench hold",
+            replace(self, options=replace(options, json=None, html=None, overwrite=False)),
+            options,
+            run,
+            lambda outcome: [part for table in bench_tables(outcome.rows, settings) for part in (table, "")],
+            lambda document, outcome: page(document, settings),
+        )
+
+
+def _groups(problem: Problem, count: int | None, *, stages: bool) -> list[Group]:
+    """The first grasps on each object at each scale, without their targets."""
+    groups = []
+    for group in problem.groups:
+        scene, rows = group.scene, np.arange(len(group.rows))[:count]
+        groups.append(
+            Group(
+                group.object,
+                replace(
+                    scene,
+                    T_world_root=scene.T_world_root[rows],
+                    q=scene.q[rows],
+                    target_link=None,
+                    target_object=None,
+                ),
+                group.motion().select(rows) if stages else None,
+            )
+        )
+    return groups

@@ -1,0 +1,171 @@
+"""`refine-grasp bench queries`: what a witness query costs, forward and backward, and what skips save."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Literal
+
+from rich.console import Console
+from rich.markup import escape
+from tyro.conf import DisallowNone, arg
+
+from grasp_refine.collision.engine import chosen, engines
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.refinement.config import Config
+from grasp_refine_apps.bench.queries.cases import Kind, State
+from grasp_refine_apps.bench.queries.page import page
+from grasp_refine_apps.bench.queries.peers import PeerName
+from grasp_refine_apps.bench.queries.presets import BATCHES, DEFAULT, MIXED, PRESETS, Preset, cases_of
+from grasp_refine_apps.bench.queries.runner import MethodName
+from grasp_refine_apps.bench.queries.skip import Example, several
+from grasp_refine_apps.bench.queries.study import Outcome, Study, run_study
+from grasp_refine_apps.bench.queries.table import bench_tables
+from grasp_refine_apps.commands.benchmark import check_asked, run_benchmark
+from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine_apps.commands.options import Overwrite, check_numbers
+
+PresetName = Literal["full", "skips", "smoke"]
+EngineName = Literal["native", "python"]
+
+COMPARED = ("kinds", "pieces", "vertices", "states", "batches")
+"""Options that say what is measured; a preset says it itself."""
+
+
+@dataclass(frozen=True)
+class BenchQueries:
+    """Measure what a witness query costs, forward and backward, against coal and MuJoCo, and what skips save.
+
+    A query finds the closest or deepest points of two bodies over all their convex pieces; its derivative says how
+    these points follow the motion of both bodies. Bodies and poses are generated. The peers, timed in the same run, ask
+    every pair of pieces. Without options: batches, vertices, pieces and states, one varied at a time, in a few minutes.
+    """
+
+    preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
+    """An experiment: full (every combination, about half an hour), skips (only what skips save), smoke (in seconds)."""
+    kinds: Annotated[DisallowNone[tuple[Kind, ...] | None], arg(help_behavior_hint="(default: all)")] = None
+    """convex: one piece against one; mixed: one against several, as a link against an object; concave: several against
+    several. With any of these five options, every combination of their values is measured, and skips only if asked."""
+    pieces: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 16)")] = None
+    """Convex pieces of each body that is not convex."""
+    vertices: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 32)")] = None
+    """Vertices of each piece."""
+    states: Annotated[DisallowNone[tuple[State, ...] | None], arg(help_behavior_hint="(default: near)")] = None
+    """far (200 mm apart), near (4 mm), touching, shallow (1 mm deep), deep (5 mm)."""
+    batches: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 1 16 256 1024)")] = None
+    """Poses in one call."""
+    engines: Annotated[DisallowNone[tuple[EngineName, ...] | None], arg(help_behavior_hint="(default: all there)")] = (
+        None
+    )
+    """Who answers; the others are compared with the first."""
+    methods: tuple[MethodName, ...] = Study.methods
+    """How witness points are differentiated."""
+    peers: tuple[PeerName, ...] = Study.peers
+    """coal-fresh: coal.distance with new objects each time; coal-reused: its ComputeDistance, with the same ones;
+    mujoco: mj_geomDistance."""
+    rounds: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 7, or the preset's)")] = None
+    """How often each time of a query is taken; medians count."""
+    skips: Annotated[DisallowNone[bool | None], arg(help_behavior_hint="(default: yes, see --kinds)")] = None
+    """Whether to undo what the program skips, and to count what that costs."""
+    hands: Annotated[DisallowNone[tuple[str, ...] | None], arg(help_behavior_hint="(default: allegro shadow)")] = None
+    """Hands with example grasps, on which skips are shown."""
+    objects: Annotated[DisallowNone[tuple[str, ...] | None], arg(help_behavior_hint="(default: mug rounded_box)")] = (
+        None
+    )
+    """Objects of these examples."""
+    count: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 16, or the preset's)")] = None
+    """Grasps of each example: its own, then disturbed ones."""
+    seed: int = 0
+    """Seed of bodies, poses, and what solvers draw."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write all rows to this file, in SI units but for times of queries, which are in us."""
+    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write a report with charts to this file."""
+    overwrite: Overwrite = False
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            GraspRefineError: options that do not go together, or an engine or example that is not there.
+        """
+        preset, study = self.preset_of(), self.study()
+
+        def run(console: Console, progress: Callable[[float, str], None]) -> Outcome:
+            def say(line: str) -> None:
+                console.print(escape(line), style="dim", soft_wrap=True)
+
+            return run_study(study, [self._example(*both, preset.count, say) for both in preset.examples], progress)
+
+        return run_benchmark(
+            "bench queries",
+            replace(self, json=None, html=None, overwrite=False),
+            self,
+            run,
+            lambda outcome: [part for table in bench_tables(outcome.rows) for part in (table, "")],
+            lambda document, outcome: page(document),
+        )
+
+    def preset_of(self) -> Preset:
+        """The experiment that the options ask for.
+
+        Raises:
+            GraspRefineError: a number out of its range, or options that do not go together.
+        """
+        check_numbers(self)
+        check_asked(self, COMPARED)
+        for name, values, least in (("pieces", self.pieces, 2), ("vertices", self.vertices, 4)):
+            if values and min(values) < least:
+                raise GraspRefineError(f"--{name} must be at least {least}, got {min(values)}")
+        preset = PRESETS[self.preset] if self.preset is not None else DEFAULT
+        custom = any(getattr(self, name) is not None for name in COMPARED)
+        if custom:
+            cases = cases_of(
+                self.kinds or ("convex", "mixed", "concave"),
+                self.pieces or (MIXED.pieces,),
+                self.vertices or (MIXED.vertices,),
+                self.states or (MIXED.state,),
+                self.batches or BATCHES,
+            )
+            preset = replace(preset, cases=cases)
+        shown = not custom if self.skips is None else self.skips
+        if self.count is not None:
+            preset = replace(preset, count=self.count)
+        if not shown:
+            if any(getattr(self, name) is not None for name in ("hands", "objects", "count")):
+                raise GraspRefineError("--hands, --objects and --count are for skips: add --skips, or leave them out")
+            if not preset.cases:
+                raise GraspRefineError("--preset skips --no-skips: nothing is left to measure")
+            return replace(preset, examples=(), commands=())
+        hands, objects = (
+            tuple(dict.fromkeys(asked or (both[side] for both in preset.examples)))
+            for side, asked in enumerate((self.hands, self.objects))
+        )
+        return replace(preset, examples=tuple(product(hands, objects)))
+
+    def study(self) -> Study:
+        """What is run.
+
+        Raises:
+            GraspRefineError: as `preset_of`, or an engine that is not there.
+        """
+        preset = self.preset_of()
+        asked = dict.fromkeys(self.engines or engines())
+        return Study(
+            cases=preset.cases,
+            engines=tuple(chosen(name) for name in asked),
+            methods=tuple(dict.fromkeys(self.methods)),
+            peers=tuple(dict.fromkeys(self.peers)),
+            rounds=preset.rounds if self.rounds is None else self.rounds,
+            least_s=preset.least_s,
+            skip_rounds=preset.skip_rounds,
+            commands=preset.commands,
+            seed=self.seed,
+        )
+
+    def _example(self, hand: str, obj: str, count: int, say: Callable[[str], None]) -> Example:
+        """So many grasps of a hand on an object, the example's own first."""
+        (group,) = Inputs(hand=hand, object=obj).load(self.seed, say).groups
+        return Example(hand, obj, several(group.scene, count, self.seed), Config(seed=self.seed))

@@ -1,0 +1,197 @@
+"""`refine-grasp convert`: grasps of one program as files of another."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+from tyro.conf import DisallowNone, Positional, arg
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.json_files import SCHEMA, check_no_input, check_writable, save_json
+from grasp_refine.core.versions import versions
+from grasp_refine.grasps.formats.agreement import fingertip_distances
+from grasp_refine.grasps.formats.format import Format, Load
+from grasp_refine.grasps.formats.listing import FormatName, format_named
+from grasp_refine.grasps.formats.reading import Reading, reading
+from grasp_refine.grasps.formats.writing import check_output, written
+from grasp_refine.grasps.grasp_set import GraspSet, match_joints
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.source import check_known
+from grasp_refine.scene.convention_check import joint_notes, position_notes
+from grasp_refine_apps.commands.ending import NOTHING_USABLE
+from grasp_refine_apps.commands.options import Overwrite
+from grasp_refine_apps.report.screen import screen
+
+LIMIT = 1e-6
+"""How far apart fingertips may be, in metres, when a written file is read again."""
+
+CANDIDATES = 16
+"""Surface points per link; nothing here looks at them."""
+
+
+@dataclass(frozen=True)
+class Convert:
+    """Write the grasps of one program as files of another: joints by name, frames and scales as each format has them.
+
+    ours: one .npz file with everything. dexgraspbench, dexonomy: folders with one .npy file per grasp. bodex,
+    dexgraspnet: folders with one .npy file per object. leap_cache: one .npy file of the LEAP hand with a cube.
+
+    What was written is read again before it takes its place: fingertips must be where they were to 1e-6 m, which shows
+    that nothing was lost on the way. A folder is never replaced. Pickles are read without running them. Grasps that are
+    not finite are left out, and counted.
+    """
+
+    source: Annotated[Positional[Path], arg(metavar="IN")]
+    """A grasp file, or a folder of them."""
+    output: Annotated[Positional[Path], arg(metavar="OUT")]
+    """The new file, or a new folder."""
+    to: FormatName
+    """The format to write."""
+    format: Annotated[DisallowNone[FormatName | None], arg(help_behavior_hint="(default: as IN looks)")] = None
+    """The format of IN."""
+    hand: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: as IN says)")] = None
+    """The hand that the grasps are for: a name that `refine-grasp hands` lists, a folder or a .urdf file. Needed where
+    IN names neither hand nor joints and fits several."""
+    urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
+    """The hand's URDF, where it comes without one."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write what was done to this file."""
+    overwrite: Overwrite = False
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            GraspRefineError: an input that cannot be used; then nothing is written.
+        """
+        began = time.perf_counter()
+        outputs = [path for path in (self.output, self.json) if path is not None]
+        for path in outputs:
+            check_no_input(path, (self.source,), "is the input; give another name")
+        # Whether OUT is to be a folder is known once the grasps are.
+        check_writable(self.json, None if self.output.is_dir() else self.output, overwrite=self.overwrite)
+        said, console = screen(stderr=True), screen()
+        hand = None if self.hand is None else load_hand(self.hand, urdf=self.urdf, candidates=CANDIDATES)
+        with Progress(console=said, transient=True, disable=not said.is_terminal) as bar:
+            task = bar.add_task("reading", total=None)
+            read = reading(
+                self.source,
+                format=self.format,
+                hand=hand,
+                tell=lambda done, total: bar.update(task, completed=done, total=total),
+            )
+            for path in outputs:
+                check_no_input(path, read.files, "is one of the files of the input; give another name")
+            known = np.flatnonzero(read.grasps.finite)
+            if not len(known):
+                raise GraspRefineError(
+                    f"{self.source}: none of its {len(read.grasps)} grasps is finite: nothing to convert"
+                )
+            grasps, left = read.grasps.select(known), len(read.grasps) - len(known)
+            to, load = format_named(self.to), self._load(grasps)
+            parts, lost = to.write(grasps, load)
+            if left:
+                lost = [*lost, f"{left} of {len(read.grasps)} grasps {'is' if left == 1 else 'are'} left out"]
+            check_output(self.output, to, parts)
+            bar.update(task, description="writing and checking", total=None)
+            own = load(grasps.base_link)
+            doubts = (*joint_notes(own, match_joints(grasps, own)[0]), *position_notes(grasps.hand_pose))
+            # They may be why what was written is read as something else.
+            _tell(doubts, said)
+            try:
+                with written(self.output, to, parts) as (place, rows):
+                    again = reading(place, format=self.to, hand=load(grasps.base_link))
+                    difference, changed = _checked(grasps.select(rows), again.grasps, load)
+            except _Disagreement as found:
+                said.print(f"{self.output}: not written: {found}", soft_wrap=True, markup=False)
+                return NOTHING_USABLE
+        notes = tuple(dict.fromkeys([*doubts, *read.notes, *lost, *changed]))
+        _tell(notes[len(doubts) :], said)
+        if self.json is not None:
+            document = {
+                "schema": SCHEMA,
+                "command": "convert",
+                "versions": versions(),
+                "input": {"path": self.source, "format": read.format.name, "files": len(read.files)},
+                "output": {"path": self.output, "format": self.to, "files": len(parts)},
+                "hand": read.grasps.hand,
+                "grasps": len(grasps),
+                "left_out": left,
+                "objects": Counter(grasps.object.tolist()),
+                "largest_difference_m": difference,
+                "limit_m": LIMIT,
+                "notes": notes,
+                "wall_s": time.perf_counter() - began,
+            }
+            save_json(self.json, document)
+        for line in _summary(read, self.source, self.output, to, len(parts), difference):
+            console.print(line, soft_wrap=True, markup=False)
+        return 0
+
+    def _load(self, grasps: GraspSet) -> Load:
+        """What gives the hand of the grasps."""
+        source = self.hand or grasps.hand
+        if self.hand is None:
+            check_known(source, self.source)
+
+        @cache
+        def load(base_link: str) -> Hand:
+            return load_hand(source, base_link=base_link, urdf=self.urdf, candidates=CANDIDATES)
+
+        return load
+
+
+def _tell(notes: Sequence[str], console: Console) -> None:
+    for note in notes:
+        console.print(f"note: {note}", style="dim", soft_wrap=True, markup=False)
+
+
+class _Disagreement(GraspRefineError):
+    """What was written is read as something else."""
+
+
+def _checked(before: GraspSet, after: GraspSet, load: Load) -> tuple[float, list[str]]:
+    """The largest distance of fingertips in metres, and what else is not as it was, in words.
+
+    Raises:
+        _Disagreement: the distance is too large.
+    """
+    if len(before) != len(after):
+        raise _Disagreement(f"{len(before)} grasps were written, {len(after)} are read")
+    distances = fingertip_distances(before, after, load)
+    worst = int(np.argmax(np.nan_to_num(distances, nan=np.inf)))
+    if not distances[worst] <= LIMIT:
+        raise _Disagreement(
+            f"read again, the fingertips of grasp {worst} ('{before.object[worst]}') are {distances[worst]:.3g} m from "
+            f"where they were, more than {LIMIT:g} m"
+        )
+    pairs = zip(*(_named(grasps) for grasps in (before, after)), strict=True)
+    other = [f"{one} will be read as {two}" for one, two in dict.fromkeys(pairs) if one != two]
+    return float(distances[worst]), other
+
+
+def _named(grasps: GraspSet) -> Sequence[str]:
+    return [f"object '{n}' of scale {s:g}" for n, s in zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)]
+
+
+def _summary(read: Reading, source: Path, output: Path, to: Format, files: int, difference: float) -> list[str]:
+    objects = len(np.unique(read.grasps.object))
+    return [
+        f"read   {source}: {read.format.name}, {_count(len(read.files), 'file')}",
+        f"       {_count(len(read.grasps), 'grasp')} of hand {read.grasps.hand} on {_count(objects, 'object')}",
+        f"wrote  {output}: {to.name}, {_count(files, 'file')}",
+        f"check  read again, fingertips are at most {difference:.2g} m from where they were (limit {LIMIT:g} m)",
+    ]
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"

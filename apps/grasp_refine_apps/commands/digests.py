@@ -1,0 +1,100 @@
+"""Hashes of everything that the result of a shard depends on: contents of files, and settings."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from grasp_refine import __version__
+from grasp_refine.core.errors import HandError
+from grasp_refine.core.json_files import dumps
+from grasp_refine.hands.mesh_files import resolve_mesh
+from grasp_refine.hands.source import hand_files
+from grasp_refine.objects.source import ObjectSource
+from grasp_refine.results.document import settings
+from grasp_refine.results.result_files import fingerprint
+from grasp_refine_apps.commands.inputs import AUTO, NEAREST, Inputs
+
+LAYOUT = 1
+"""Of result files; another number makes all of them be computed again."""
+
+PATHS = ("hand", "urdf", "mjcf", "object", "object_name", "objects", "grasps", "targets", "index")
+"""Inputs whose contents count, not what they are called."""
+
+NO_MATTER = ("other_object",)
+"""Inputs that say only whether a command is taken."""
+
+_NAMED = re.compile(r"""(?:filename|file)\s*=\s*["']([^"']+)["']""")
+"""How URDF and MJCF files name meshes."""
+
+_FOLDER = re.compile(r"""(?:meshdir|assetdir)\s*=\s*["']([^"']+)["']""")
+"""How MJCF files name the folder of their meshes."""
+
+
+class Digests:
+    """Hashes of files, each read once."""
+
+    def __init__(self) -> None:
+        """Know none yet."""
+        self._files: dict[Path, dict[str, str]] = {}
+        self._hands: dict[tuple[Any, ...], tuple[str, str]] = {}
+
+    def file(self, path: Path) -> dict[str, str]:
+        """Path and sha256 of a file or a folder, as `report.results.fingerprint`."""
+        if path not in self._files:
+            self._files[path] = fingerprint(path)
+        return self._files[path]
+
+    def hand(self, source: str, inputs: Inputs, say: Callable[[str], None]) -> tuple[str, str]:
+        """The hand's name, and a hash of its files and all meshes that they name.
+
+        Raises:
+            AssetError, HandError: there is no such hand, or it cannot be read.
+        """
+        key = (source, inputs.urdf, inputs.mjcf)
+        if key not in self._hands:
+            name, toml = hand_files(source, inputs.urdf, inputs.mjcf, say)
+            assert toml.urdf is not None
+            described = [path for path in (toml.urdf, toml.path, toml.mjcf) if path is not None]
+            files = dict.fromkeys(file for path in described for file in (path, *_meshes(path)))
+            # Not where they lie: a copy of a hand is the same hand.
+            contents = [(file.name, self.file(file)["sha256"]) for file in files]
+            self._hands[key] = (toml.name or name, _sha256(contents))
+        return self._hands[key]
+
+    def object(self, source: ObjectSource) -> str:
+        """Hash of a mesh file or a folder of pieces; of what has no file, its name."""
+        path = Path(source.source)
+        return self.file(path)["sha256"] if path.exists() else str(source.source)
+
+    def stamp(self, inputs: Inputs, **depends: Any) -> str:
+        """Hash of the inputs' settings, the targets, this version, and all that it `depends` on besides."""
+        told = {name: value for name, value in settings(inputs).items() if name not in (*PATHS, *NO_MATTER)}
+        targets = inputs.targets
+        if targets not in (AUTO, NEAREST):
+            targets = self.file(Path(targets))["sha256"]
+        return _sha256({"layout": LAYOUT, "version": __version__, "inputs": told, "targets": targets, **depends})
+
+
+def _meshes(path: Path, seen: tuple[Path, ...] = ()) -> list[Path]:
+    """The meshes, and the files with more of them, that a URDF or MJCF file names and that are there."""
+    text = path.read_text(encoding="utf-8", errors="replace")
+    found, folders = [], sorted(set(_FOLDER.findall(text)))
+    for name in sorted(set(_NAMED.findall(text))):
+        try:
+            files = [resolve_mesh(name, path)]
+        except HandError:
+            # What is missing is told when the hand is loaded; MJCF files may name a folder for their meshes.
+            files = [file for folder in folders if (file := path.parent / folder / name).is_file()]
+        found += files
+        for file in files:
+            if file.suffix == ".xml" and file not in (*seen, path):
+                found += _meshes(file, (*seen, path))
+    return found
+
+
+def _sha256(value: Any) -> str:
+    return hashlib.sha256(dumps(value).encode()).hexdigest()

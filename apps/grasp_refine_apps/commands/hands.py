@@ -1,0 +1,187 @@
+"""`refine-grasp hands`: the hands that come with the program, or everything that was read of one hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from rich.console import Console
+from tyro.conf import DisallowNone, Positional, arg
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.json_files import SCHEMA, check_writable, save_json, save_text
+from grasp_refine.core.versions import versions
+from grasp_refine.hands.hand import Hand, list_hands, load_hand, needs_urdf
+from grasp_refine.hands.link_geometry import HULL_LIMIT
+from grasp_refine.hands.source import HAND_TOML
+from grasp_refine_apps.commands.ending import NOTHING_USABLE
+from grasp_refine_apps.commands.options import Overwrite, check_hull_limit
+from grasp_refine_apps.report.hand_facts import examples, facts_without_urdf, hand_facts
+from grasp_refine_apps.report.hand_table import bullets, list_table, show_hand
+from grasp_refine_apps.report.screen import screen
+
+if TYPE_CHECKING:
+    from grasp_refine_apps.report.hand_check import HandCheck
+
+CANDIDATES = 16
+"""Surface points per link; nothing here looks at them."""
+
+ASK_FOR_ONE = "without a hand, by its name or URDF: refine-grasp hands HAND"
+
+
+@dataclass(frozen=True)
+class Hands:
+    """List the hands that come with the program, show what is read of one, or check a URDF that you bring."""
+
+    hand: Annotated[
+        Positional[DisallowNone[str | None]], arg(metavar="[HAND]", help_behavior_hint="(default: list all)")
+    ] = None
+    """A name from the list, a folder with a hand.toml or one URDF, or a .urdf file."""
+    urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: as named)")] = None
+    """The hand's URDF, where it comes without one."""
+    mjcf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: as named)")] = None
+    """The same hand as an MJCF file, to see whether they match."""
+    base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: as said)")] = None
+    """Link that the hand begins at; the root of the URDF moves all joints, also those of an arm. By default what the
+    hand.toml says, else the palm of a hand on an arm, else the root."""
+    hull_limit: float = HULL_LIMIT
+    """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it, as for `run`."""
+    check: Annotated[bool, arg(help_behavior_hint="")] = False
+    """Say what was understood and why, and what looks wrong."""
+    write: Annotated[bool, arg(help_behavior_hint="")] = False
+    """With --check: write a hand.toml to start from, beside the URDF."""
+    out: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: that of the URDF)")] = (
+        None
+    )
+    """With --write: the folder of the hand.toml."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write what is known about the hands to this file."""
+    overwrite: Overwrite = False
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            GraspRefineError: no such hand, one that cannot be read, or files that cannot be written.
+        """
+        check_writable(self.json, overwrite=self.overwrite, inside=self.out)
+        check_hull_limit(self.hull_limit)
+        if self.hand is None:
+            return self._list()
+        if (self.write and not self.check) or (self.out is not None and not self.write):
+            raise GraspRefineError("--write goes with --check, and --out with both")
+        hand = load_hand(
+            self.hand,
+            base_link=self.base_link,
+            urdf=self.urdf,
+            mjcf=self.mjcf,
+            candidates=CANDIDATES,
+            hull_limit=self.hull_limit,
+            progress=lambda line: screen(stderr=True).print(line, markup=False, style="dim", soft_wrap=True),
+        )
+        return self._check(hand) if self.check else self._show(hand)
+
+    def _list(self) -> int:
+        given = {"--urdf": self.urdf, "--mjcf": self.mjcf, "--base-link": self.base_link, "--out": self.out}
+        asked = [option for option, value in given.items() if value is not None]
+        asked += ["--check"] * self.check + ["--write"] * self.write
+        if asked:
+            raise GraspRefineError(f"{' and '.join(asked)} {ASK_FOR_ONE} {asked[0]}")
+        waiting = [name for name in list_hands() if needs_urdf(name)]
+        hands = [load_hand(name, candidates=CANDIDATES) for name in list_hands() if name not in waiting]
+        self._save([hand_facts(hand) for hand in hands] + [facts_without_urdf(name) for name in waiting])
+        console = screen()
+        console.print(list_table(hands, waiting), "")
+        for hand in hands:
+            for note in hand.notes:
+                console.print(f"{hand.name}: {note}", markup=False, soft_wrap=True)
+        if waiting:
+            console.print(
+                f"{', '.join(waiting)}: the URDF is not ours; it is fetched when the hand is used (refine-grasp assets "
+                "list hands), or give yours with --urdf FILE",
+                markup=False,
+            )
+        console.print(
+            "refine-grasp hands HAND shows the joints, links and contact links of one; a URDF file will do.\n"
+            "refine-grasp hands --check my_hand.urdf says what looks wrong in yours; --write writes a hand.toml."
+        )
+        return 0
+
+    def _show(self, hand: Hand) -> int:
+        # This loads torch and MuJoCo, which a list of hands does not need.
+        from grasp_refine_apps.report.hand_check import simulation_notes
+
+        notes = simulation_notes(hand)
+        self._save([hand_facts(hand) | ({"simulation": notes} if notes else {})])
+        console = screen()
+        show_hand(hand, console)
+        if not hand.contacts_guessed:
+            console.print("contact links are those that hand.toml names")
+        for note in hand.notes:
+            console.print(f"note: {note}", markup=False, soft_wrap=True)
+        for note in notes:
+            console.print(f"in simulation: {note}", markup=False, soft_wrap=True)
+        _show_examples(hand, console)
+        return 0
+
+    def _check(self, hand: Hand) -> int:
+        from grasp_refine_apps.report.hand_check import check_hand
+        from grasp_refine_apps.report.hand_toml_text import hand_toml_text
+
+        written = (self.out or hand.urdf.parent) / HAND_TOML if self.write else None
+        check_writable(written, overwrite=self.overwrite, inside=self.out)
+        found = check_hand(hand)
+        if written is not None:
+            save_text(written, hand_toml_text(hand, written.parent))
+        self._save([hand_facts(hand) | {"check": found.document(), "written": written}])
+        console = screen()
+        show_hand(hand, console)
+        _show_check(hand, found, console)
+        _show_examples(hand, console)
+        if written is not None:
+            used = "its folder, or this URDF," if written.parent == hand.urdf.parent else "its folder"
+            told = f"wrote {written}: edit it; it is read when you name {used} as the hand"
+        elif hand.toml is not None:
+            told = f"{hand.toml} was used"
+        else:
+            told = f"no {HAND_TOML} says what the URDF does not; --write writes one to start from"
+        console.print(f"\n{told}", markup=False, soft_wrap=True)
+        return NOTHING_USABLE if found.refused else 0
+
+    def _save(self, facts: list[dict[str, Any]]) -> None:
+        if self.json is not None:
+            save_json(self.json, {"schema": SCHEMA, "command": "hands", "versions": versions(), "hands": facts})
+
+
+def _show_check(hand: Hand, found: HandCheck, console: Console) -> None:
+    # Sections of their own say these.
+    begins = [note for note in hand.notes if note.startswith("the hand begins")]
+    notes = [note for note in hand.notes if note not in begins and not note.startswith("contact links guessed")]
+    pairs = found.pairs
+    ignored = [f"ignored: {a} and {b}, which overlap at the rest pose" for a, b in pairs.at_rest]
+    ignored += [f"ignored: {a} and {b}, which overlap nearly always" for a, b in pairs.nearly_always]
+    if ignored:
+        ignored.append("if they should be watched, say a rest_pose in which they do not overlap")
+    refused = [f"MuJoCo does not take the hand: {found.refused}"] if found.refused else []
+    sections = {
+        "begins at": [f"link '{hand.base_link}': {hand.base_why}", *begins],
+        "meant to touch the object": found.contacts,
+        "links that must not run into each other": [
+            f"pairs that are watched: {len(pairs.watched)}; neighbours: {pairs.neighbours}; never meet: {pairs.never}",
+            *ignored,
+        ],
+        "in simulation": [*refused, *found.simulation],
+        "to look at": [*notes, *found.suspicious],
+    }
+    for title, lines in sections.items():
+        console.print(f"[bold]{title}[/]")
+        console.print(bullets(lines or ["nothing"]))
+    if found.size:
+        console.print("size at rest: {:.0f} x {:.0f} x {:.0f} mm".format(*(side * 1e3 for side in found.size)))
+
+
+def _show_examples(hand: Hand, console: Console) -> None:
+    if examples(hand):
+        names = ", ".join(path.name for path in examples(hand))
+        console.print(f"example grasps: {names}", markup=False)

@@ -1,0 +1,42 @@
+"""The command line that asks for the same again."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+from grasp_refine_apps.commands.options import flag
+
+WRITTEN = ("json", "html", "overwrite")
+"""Options about files that are written."""
+
+POSITIONAL = ("jobs",)
+"""Options without a name on the command line."""
+
+
+def invocation(command: str, options: Any) -> str:
+    """The command line that asks for what `options` do, without the files that are written.
+
+    Args:
+        command: Words of the command, such as "bench align".
+        options: Its dataclass; the options of those inside it have no prefix.
+    """
+    return shlex.join(["refine-grasp", *command.split(), *words(options)])
+
+
+def words(options: Any) -> Iterator[str]:
+    """The options that differ from their defaults."""
+    for option in fields(options):
+        value = getattr(options, option.name)
+        if is_dataclass(value):
+            yield from words(value)
+        elif value == option.default or option.name in WRITTEN:
+            continue
+        elif option.name in POSITIONAL:
+            yield from map(str, value)
+        elif isinstance(value, bool):
+            yield flag(option.name, "--" if value else "--no-")
+        else:
+            yield from (flag(option.name), *map(str, value if isinstance(value, tuple) else (value,)))

@@ -1,0 +1,248 @@
+"""What a batch is asked to refine: grasp files in folders, by patterns, or listed in a TOML or CSV file."""
+
+from __future__ import annotations
+
+import csv
+import glob
+import itertools
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from math import isnan
+from pathlib import Path
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from grasp_refine.core.errors import GraspRefineError, told, visible
+from grasp_refine.core.names import at_home, exists, is_folder, is_sound
+from grasp_refine.core.toml_file import UNREADABLE, read_toml
+from grasp_refine.grasps.formats.folders import natural, told_apart
+from grasp_refine.grasps.formats.reading import SUFFIXES
+from grasp_refine_apps.commands.inputs import SAMPLE, Inputs
+
+LISTS = (".toml", ".csv")
+"""Endings of job lists."""
+
+KEYS = tuple(field.name for field in fields(Inputs) if field.name != "index")
+"""What a job list may say of a job, besides its name: the options of `refine-grasp run` of these names."""
+
+NAMES_OR_PATHS = ("hand", "object", "targets")
+"""Inputs that are names, or paths where they can be nothing else."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Grasps of one file, or sampled ones, with their hand and objects."""
+
+    name: str
+    """What it is called in results; no two jobs of a batch are called the same. That of a file may not be sound."""
+    inputs: Inputs
+    """What is refined; the grasps are always given, and nothing depends on the working folder."""
+    named: bool = True
+    """Whether its file was named, and not found in a folder or by a pattern: then it is refined whatever it is."""
+
+
+def read_jobs(sources: Sequence[str], defaults: Inputs, *, together: bool = False) -> list[Job]:
+    """The jobs that some sources name; what is named twice counts once.
+
+    Args:
+        sources: Job lists (.toml, .csv), grasp files, folders of them at any depth, patterns such as "sets/*.npz", or
+            sample:N.
+        defaults: What a job does not say itself.
+        together: A folder is one job.
+
+    Raises:
+        GraspRefineError: a source that names nothing, or a list that cannot be read; names the line.
+    """
+    found: list[Job] = []
+    for source in sources:
+        if Path(source).suffix.lower() in LISTS and not is_folder(Path(source)):
+            found += _listed(Path(source), defaults, together)
+        else:
+            found += _jobs(source, defaults, "", together)
+    if not found:
+        raise GraspRefineError(f"{', '.join(sources)}: no jobs in it")
+    once = {job.inputs: job for job in reversed(found)}
+    jobs = [job for job in found if once[job.inputs] is job]
+    for job in jobs:
+        if not job.name.strip("/"):
+            raise GraspRefineError(f"'{job.name}' cannot be the name of a job: it is the folder of its results")
+    names = told_apart(job.name for job in jobs)
+    return [replace(job, name=name) for job, name in zip(jobs, names, strict=True)]
+
+
+def _jobs(source: str, inputs: Inputs, name: str, together: bool) -> Iterator[Job]:
+    """A job for each grasp file that a source means, with these inputs.
+
+    Raises:
+        GraspRefineError: it means none.
+    """
+    if source.startswith(SAMPLE):
+        yield Job(name or source.replace(":", "_"), _anywhere(replace(inputs, grasps=Path(source))))
+        return
+    path = at_home(Path(source))
+    if not glob.has_magic(source) or exists(path):
+        # A file that is not there is told with its job, so that the others can go on.
+        folder = is_folder(path)
+        named = together or not folder
+        found = [(path.stem if path.suffix and not folder else path.name, path)] if named else _below(path, path)
+    else:
+        fixed = Path(*itertools.takewhile(lambda part: not glob.has_magic(part), path.parts))
+        found, named = [], False
+        for match in map(Path, sorted(glob.glob(str(path), recursive=True), key=natural)):
+            whole = together or not match.is_dir()
+            found += [(_named(match, fixed), match)] if whole else _below(match, fixed)
+    if not found:
+        what = "matches no grasp files" if glob.has_magic(source) else "no grasp files in this folder or below it"
+        raise GraspRefineError(f"{source}: {what}; they end with {', '.join(SUFFIXES)}")
+    for stem, file in found:
+        label = stem if not name else name if len(found) == 1 else f"{name}/{stem}"
+        yield Job(label, _anywhere(replace(inputs, grasps=file)), named)
+
+
+def _below(folder: Path, within: Path) -> list[tuple[str, Path]]:
+    """Name and path of each grasp file in a folder and below it, also behind links; names begin at `within`."""
+    found, seen = [], set()
+    for place, folders, files in os.walk(folder, followlinks=True):
+        real = os.path.realpath(place)
+        if real in seen:
+            folders.clear()
+            continue
+        seen.add(real)
+        # Hidden files are half written ones of another batch.
+        found += [Path(place, file) for file in files if not file.startswith(".")]
+    found = [file for file in found if file.suffix.lower() in SUFFIXES and file.is_file()]
+    found.sort(key=lambda file: natural(file.relative_to(folder).as_posix()))
+    return [(_named(file, within), file) for file in found]
+
+
+def _named(file: Path, within: Path) -> str:
+    """The name of a file that was found in a folder."""
+    return file.relative_to(within).with_suffix("").as_posix()
+
+
+def _listed(path: Path, defaults: Inputs, together: bool) -> Iterator[Job]:
+    """The jobs of a list."""
+    rows, common = _read_toml(path) if path.suffix.lower() == ".toml" else (_read_csv(path), {})
+    defaults = replace(defaults, **_values(common, path, f"{path}: [defaults]"))
+    for number, row in enumerate(rows, 1):
+        where = f"{path}: job {number}"
+        row = dict(row)
+        name = row.pop("name", "")
+        if not isinstance(name, str):
+            raise GraspRefineError(f"{where}: name must be text, got {told(name)}")
+        if not is_sound(name):
+            raise GraspRefineError(
+                f"{where}: '{visible(name)}' cannot be the name of a job: it holds control characters"
+            )
+        inputs = replace(defaults, **_values(row, path, where))
+        if inputs.grasps is None:
+            raise GraspRefineError(f'{where}: says no grasps = "FILE" (or a folder, a pattern, or sample:N)')
+        yield from _jobs(str(inputs.grasps), inputs, name, together)
+
+
+def _read_toml(path: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """The [[job]] tables, and what [defaults] says."""
+    try:
+        raw = read_toml(path)
+    except UNREADABLE as error:
+        raise GraspRefineError(f"{path}: cannot be read as a TOML job list ({_reason(error)})") from None
+    unknown = [key for key in raw if key not in ("job", "defaults")]
+    if unknown:
+        raise GraspRefineError(
+            f"{path}: '{unknown[0]}' means nothing here; a job list has [defaults] and [[job]] tables"
+        )
+    jobs, common = raw.get("job", []), raw.get("defaults", {})
+    if not (isinstance(jobs, list) and all(isinstance(job, dict) for job in jobs) and isinstance(common, dict)):
+        raise GraspRefineError(f"{path}: jobs are [[job]] tables, what they share is a [defaults] table")
+    return jobs, common
+
+
+def _read_csv(path: Path) -> list[dict[str, Any]]:
+    """The rows below the header; empty cells are left out."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.DictReader(file, strict=True)
+            rows = list(reader)
+            header = reader.fieldnames or []
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise GraspRefineError(f"{path}: cannot be read as a CSV job list ({_reason(error)})") from None
+    _check_keys(header, f"{path}: its header")
+    for number, row in enumerate(rows, 1):
+        if None in row or None in row.values():
+            raise GraspRefineError(f"{path}: job {number}: has not as many cells as the header, {len(header)}")
+    return [{key: cell.strip() for key, cell in row.items() if cell.strip()} for row in rows]
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
+
+
+def _check_keys(keys: Sequence[str], where: str) -> None:
+    """Refuse what no job has."""
+    for key in keys:
+        if key not in (*KEYS, "name"):
+            raise GraspRefineError(f"{where}: '{key}' is nothing that a job has; there are name, {', '.join(KEYS)}")
+
+
+def _values(raw: Mapping[str, Any], path: Path, where: str) -> dict[str, Any]:
+    """The fields of `Inputs` that a table gives."""
+    _check_keys(list(raw), where)
+    if "name" in raw:
+        raise GraspRefineError(f"{where}: a name is what no two jobs share; give it in [[job]]")
+    hints = get_type_hints(Inputs)
+    return {key: _value(key, value, hints[key], path.parent, f"{where}: {key}") for key, value in raw.items()}
+
+
+def _value(key: str, value: Any, hint: Any, folder: Path, where: str) -> Any:
+    """A value of a list as its field holds it; paths are relative to the list, where something lies there."""
+    kinds = [kind for kind in _alternatives(hint) if kind is not type(None)]
+    choices = [choice for kind in kinds if get_origin(kind) is Literal for choice in get_args(kind)]
+    if float in kinds:
+        try:
+            number = float(value) if not isinstance(value, bool) else float("nan")
+        except (TypeError, ValueError, OverflowError):
+            number = float("nan")
+        if isnan(number):
+            raise GraspRefineError(f"{where} must be a number, got {told(value)}")
+        return number
+    if not isinstance(value, str) or not value:
+        raise GraspRefineError(f"{where} must be text, got {told(value)}")
+    if choices and value not in choices:
+        raise GraspRefineError(f"{where} must be one of {', '.join(choices)}, got '{value}'")
+    if choices or value.startswith(SAMPLE) or not (Path in kinds or (key in NAMES_OR_PATHS and _is_path(value))):
+        return value if Path not in kinds else Path(value)
+    near = folder / at_home(Path(value))
+    there = exists(near) or (glob.has_magic(value) and bool(glob.glob(str(near), recursive=True)))
+    value = str(near) if there else value
+    return Path(value) if Path in kinds else value
+
+
+def _is_path(name: str) -> bool:
+    """Whether a name of a hand or an object can only be a path: names win over folders that are called the same."""
+    return ":" not in name and ("/" in name or bool(Path(name).suffix))
+
+
+def _alternatives(hint: Any) -> tuple[Any, ...]:
+    """The types of a field, without what is annotated to them."""
+    if hasattr(hint, "__metadata__"):
+        return _alternatives(get_args(hint)[0])
+    if get_origin(hint) in (Union, UnionType):
+        return tuple(kind for part in get_args(hint) for kind in _alternatives(part))
+    return (hint,)
+
+
+def _anywhere(inputs: Inputs) -> Inputs:
+    """The same, with absolute paths: a worker may run in another folder."""
+
+    def absolute(value: Any) -> Any:
+        if value is None or str(value).startswith(SAMPLE):
+            return value
+        path = at_home(Path(value))
+        return type(value)(path.absolute()) if exists(path) else value
+
+    given = {name: absolute(getattr(inputs, name)) for name in ("urdf", "mjcf", "objects", "grasps")}
+    for name in NAMES_OR_PATHS:
+        value = getattr(inputs, name)
+        given[name] = absolute(value) if value is not None and _is_path(value) else value
+    return replace(inputs, **given)

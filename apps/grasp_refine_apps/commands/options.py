@@ -1,0 +1,181 @@
+"""Options from the command line into the dataclass of a command, and the ranges of the numbers in them."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+from math import isfinite
+from typing import Annotated, Any, TypeVar, get_type_hints
+
+import tyro
+from tyro.constructors import PrimitiveConstructorSpec
+
+from grasp_refine.core.errors import GraspRefineError
+
+Command = TypeVar("Command")
+
+Overwrite = Annotated[
+    bool, tyro.conf.arg(help="Replace files that exist; without it they are kept.", help_behavior_hint="")
+]
+"""The option `--overwrite` of commands that write files."""
+
+LARGEST_SEED = 2**32 - 1
+
+MAY_BE_ZERO = ("seed", "restarts", "noise")
+"""Whole numbers that may be 0."""
+
+MAY_BE_INFINITE = ("max_move",)
+"""Limits, of which there may be none."""
+
+
+def _indices(words: list[str]) -> tuple[int, ...]:
+    """Integers separated by spaces or commas.
+
+    Raises:
+        ValueError: a word is none.
+    """
+    return tuple(int(word) for word in ",".join(words).split(",") if word)
+
+
+INDICES = PrimitiveConstructorSpec(
+    nargs="*",
+    metavar="I [I ...]",
+    instance_from_str=_indices,
+    is_instance=lambda value: isinstance(value, tuple),
+    str_from_instance=lambda value: [str(number) for number in value],
+)
+"""Option that takes integers, as in 0 3 7 or 0,3,7."""
+
+_FRAME, _RULE = "│| \n", "│╭╮╰╯─|+- "
+"""What tyro draws its boxes with, also where it has only ASCII."""
+_ANSI = re.compile(r"\x1b\[[0-9;]*m")
+_PUNCTUATION = re.compile(r"[.;:?]$")
+_CHOICES = re.compile(r"(?<=one of )\('[^()]*'\)")
+_UNRECOGNIZED = "unrecognized options: "
+
+
+def parse(command: type[Command], program: str, arguments: Sequence[str]) -> Command:
+    """The options of a command.
+
+    Raises:
+        GraspRefineError: options that do not exist, lack a value or have a wrong one.
+        SystemExit: with code 0, after `--help` was printed.
+    """
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            parsed = tyro.cli(command, prog=program, args=arguments)
+    except SystemExit as end:
+        if not end.code:
+            raise
+        complaint = _one_line(said.getvalue())
+        raise GraspRefineError(f"{complaint}{_grasps_hint(complaint, command)}; see {program} --help") from None
+    sys.stderr.write(said.getvalue())
+    return parsed
+
+
+def _one_line(box: str) -> str:
+    """What tyro says in a box of several paragraphs: the complaint, and the options that may have been meant."""
+    paragraphs: list[list[str]] = [[]]
+    for line in _ANSI.sub("", box).splitlines()[1:]:
+        text = line.strip(_FRAME)
+        if text.strip(_RULE):
+            paragraphs[-1].append(text)
+        else:
+            paragraphs.append([])
+    complaint = " ".join(next(filter(None, paragraphs), box.split()))
+    complaint = complaint[:1].lower() + complaint[1:]
+    meant = [
+        text.split()[0].rstrip(",")
+        for paragraph in paragraphs
+        if paragraph and paragraph[0].startswith("Perhaps")
+        for text in paragraph[1:]
+        if text.startswith("--")
+    ]
+    guess = f"; perhaps {' or '.join(dict.fromkeys(meant))}" if meant else ""
+    return _PUNCTUATION.sub("", _CHOICES.sub(_sorted_choices, complaint)) + guess
+
+
+def _sorted_choices(found: re.Match[str]) -> str:
+    """The choices that tyro lists, in alphabetical order: it has them in that of a set, with the None of no option."""
+    return ", ".join(sorted(set(re.findall(r"'([^']*)'", found[0])) - {"None"}))
+
+
+def _grasps_hint(complaint: str, command: type[Any]) -> str:
+    """Say how a grasp file is given where a word without an option looks like one."""
+    word = complaint.removeprefix(_UNRECOGNIZED).split()[0] if complaint.startswith(_UNRECOGNIZED) else "-"
+    return "" if word.startswith("-") or not _has_option(command, "grasps") else f"; perhaps --grasps {word}"
+
+
+def _has_option(command: Any, name: str) -> bool:
+    """Whether a dataclass of options, or one inside it, has a field of this name."""
+    types = get_type_hints(command)
+    return name in types or any(_has_option(kind, name) for kind in types.values() if is_dataclass(kind))
+
+
+def flag(name: str, prefix: str = "--") -> str:
+    """The option of a field."""
+    return prefix + name.replace("_", "-")
+
+
+def check_numbers(options: Any, prefix: str = "--") -> None:
+    """Nothing, when the numbers in a dataclass, and in those inside it, are such as settings can be.
+
+    Floats are finite and not negative, whole numbers at least 1, some of them at least 0.
+
+    Raises:
+        GraspRefineError: names the option, its value and what it may be.
+    """
+    for field in fields(options):
+        value = getattr(options, field.name)
+        option = flag(field.name, prefix)
+        if is_dataclass(value):
+            check_numbers(value, f"{option}.")
+            continue
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, float):
+                limit = field.name in MAY_BE_INFINITE
+                if not (number >= 0 and (limit or isfinite(number))):
+                    words = "at least 0" if limit else "finite and not negative"
+                    raise GraspRefineError(f"{option} must be {words}, got {number:g}")
+            if type(number) is not int:
+                continue
+            if field.name == "seed" and not 0 <= number <= LARGEST_SEED:
+                raise GraspRefineError(f"{option} must be 0 to {LARGEST_SEED}, got {number}")
+            least = 0 if field.name in MAY_BE_ZERO else 1
+            if number < least:
+                raise GraspRefineError(f"{option} must be at least {least}, got {number}")
+
+
+def check_hull_limit(metres: float) -> None:
+    """Nothing, when so many metres can be a limit of how far hulls stand out; infinite: no limit.
+
+    Raises:
+        GraspRefineError: it is not above 0.
+    """
+    if not metres > 0:
+        raise GraspRefineError(f"--hull-limit must be above 0 metres, or inf, got {metres:g}")
+
+
+def check_device(device: str, dtype: str) -> None:
+    """Nothing, when torch can hold numbers of a type on a device.
+
+    Raises:
+        GraspRefineError: it cannot.
+    """
+    if device == "cpu":
+        return
+    import torch
+
+    try:
+        torch.zeros(1, dtype=getattr(torch, dtype), device=device).item()
+    except (RuntimeError, AssertionError, TypeError, NotImplementedError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise GraspRefineError(
+            f"--device {device} with --dtype {dtype} does not work here ({reason}); "
+            "`refine-grasp doctor` lists the devices"
+        ) from None

@@ -1,0 +1,255 @@
+"""`refine-grasp run`: refine the grasps of a hand, say before and after what changed, and write them to files."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+from tyro.conf import DisallowNone, arg
+
+from grasp_refine.collision.engine import chosen
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.json_files import check_no_input, check_writable, save_json
+from grasp_refine.core.profiling import Stopwatch, cpu_seconds
+from grasp_refine.core.versions import versions
+from grasp_refine.pipeline.problem import Draft, Problem, UncutGroup
+from grasp_refine.pipeline.recorded_objects import object_entries, pieces_digest, surface_digest
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.force_closure_search import most_iterations
+from grasp_refine.refinement.losses import Weights
+from grasp_refine.results.document import run_document, settings
+from grasp_refine.results.outcome import Outcome
+from grasp_refine.results.profile import profile_table
+from grasp_refine.results.result_files import fingerprint, is_same_refinement, result_paths, save_results
+from grasp_refine.results.simulated import Proof
+from grasp_refine.results.table import grasp_table
+from grasp_refine.results.verdict import should_hold
+from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import links_of
+from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.trials import Trials
+from grasp_refine_apps.commands.digests import Digests
+from grasp_refine_apps.commands.ending import NOTHING_USABLE
+from grasp_refine_apps.commands.inputs import NEAREST, Inputs
+from grasp_refine_apps.commands.options import Overwrite
+from grasp_refine_apps.commands.refining import proved, refined
+from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.commands.validation_options import Proving
+from grasp_refine_apps.report.progress import Reporter
+from grasp_refine_apps.report.screen import screen
+
+
+@dataclass(frozen=True)
+class Output:
+    """What is told."""
+
+    out: Path = Path("grasp-refine-results")
+    """Folder for the refined grasps, <hand>_<object>.npz."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write what was measured of each grasp to this file, in SI units."""
+    overwrite: Overwrite = False
+    verbose: bool = False
+    """List all grasps, also when there are more than 40."""
+    profile: bool = False
+    """Show where the time went, by stage: also in the --json file."""
+    view: bool = False
+    """Show what came out in a browser, as `refine-grasp view` does."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Refine grasps of a hand on an object, and say before and after what changed.
+
+    Without options, the example grasps of the embedded hand on the embedded mug.
+    """
+
+    inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
+    settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
+    proof: Annotated[Proving, arg(name="")] = field(default_factory=Proving)
+    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            GraspRefineError: an input that cannot be used; then nothing is written.
+        """
+        wall, cpu = time.perf_counter(), cpu_seconds()
+        config = self.settings.config(nearest=self.inputs.targets == NEAREST)
+        protocol = self.proof.protocol()
+        if self.inputs.table is None and config.weights.table != Weights.table:
+            raise GraspRefineError("--weights.table needs a --table")
+        described = {
+            "inputs": settings(self.inputs),
+            "refine": settings(config),
+            "proof": settings(self.proof),
+            "protocol": settings(protocol),
+        }
+        # The tensors of a batch of grasps are small.
+        torch.set_num_threads(1)
+        watch = Stopwatch() if self.output.profile else None
+        with watch or nullcontext(), Reporter(screen(stderr=True)) as reporter:
+            check_writable(self.output.json, overwrite=self.output.overwrite, inside=self.output.out)
+            draft = self.inputs.draft(config.seed, reporter.say, reporter.wait)
+            self._check_used(draft, config)
+            stamps = self._stamps(draft, described["refine"])
+            paths = self._paths(draft, stamps, protocol)
+            problem = self.inputs.cut(draft, config.seed, reporter.say)
+            for note in problem.notes:
+                reporter.say(f"note: {note}")
+            held = config.holds and not _aimed(draft, config)
+            most = most_iterations(config) if held else config.solver.iterations
+            reporter.start(problem.hand.name, len(problem), most, config.starts if held else 0)
+            parts = [
+                refined(group, config, reporter.group(group.object, len(group.rows)), HandObject.of(group.scene))
+                for group in problem.groups
+            ]
+            proof = None if protocol is None else _proved(problem, parts, protocol, reporter)
+            outcome = Outcome.join(parts).select(problem.order)
+        wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
+        profile = None if watch is None else watch.profile
+        if outcome.usable.any():
+            self._save(problem, outcome, paths, stamps, described, proof)
+        if self.output.json is not None:
+            save_json(
+                self.output.json,
+                run_document(outcome, config, proof, config=described, wall_s=wall, cpu_s=cpu, profile=profile),
+            )
+        console = screen()
+        console.print(grasp_table(outcome, problem.hand.name, config, proof, verbose=self.output.verbose))
+        if not should_hold(outcome.quality[:, 1]).all():
+            for note in problem.convention_notes:
+                console.print(f"mend the file first: {note}", soft_wrap=True, markup=False)
+        if profile is not None:
+            console.print(profile_table(profile))
+        if not outcome.usable.any():
+            console.print("nothing usable came out; no grasps were written")
+            return NOTHING_USABLE
+        written = [*paths.values(), *([self.output.json] if self.output.json else [])]
+        between = " " if len(written) == 1 else "\n  "
+        console.print(f"{wall:.1f} s; wrote", *written, sep=between, soft_wrap=True, markup=False)
+        return self._viewed(paths) if self.output.view else 0
+
+    def _viewed(self, paths: dict[str, Path]) -> int:
+        """Show the result of the first object until interrupted."""
+        from grasp_refine_apps.commands.view import Serving, View
+
+        first, path = next(iter(paths.items()))
+        if len(paths) > 1:
+            screen().print(f"showing {first}; refine-grasp view {self.output.out} shows all", soft_wrap=True)
+        # The result's scale takes the mesh to metres.
+        other = ("index", "targets", "scale", "unit", "format", "other_object")
+        inputs = replace(self.inputs, grasps=path, **{name: getattr(Inputs, name) for name in other})
+        # Not to fail now because some port is taken.
+        return View(inputs=inputs, settings=self.settings, serving=Serving(port=0)).execute()
+
+    def _check_used(self, draft: Draft, config: Config) -> None:
+        """Refuse options that would mean nothing for these grasps.
+
+        Raises:
+            GraspRefineError: names them.
+        """
+        touching = config.touching
+        touching.named(draft.hand, links_of(draft.hand))
+        if touching != Touching() and draft.aimed:
+            raise GraspRefineError(
+                "--contacts, --reach and --reach-others are for grasps without targets: the targets say what touches"
+            )
+        if _aimed(draft, config):
+            self.settings.check_aimed()
+
+    def _stamps(self, draft: Draft, refine: Any) -> dict[str, str]:
+        """Object name -> hash of all that its refined grasps depend on, where they are not simulated."""
+        digests = Digests()
+        _, hand = digests.hand(self.inputs.hand or draft.hand.name, self.inputs, lambda line: None)
+        source = draft.sampled or digests.file(draft.files[0])["sha256"]
+
+        def stamp(groups: Iterable[UncutGroup]) -> str:
+            return digests.stamp(
+                self.inputs,
+                refine=refine,
+                engine=chosen("auto"),
+                source=source,
+                hand=hand,
+                objects=[(group.key, surface_digest(group.uncut.mesh)) for group in groups],
+                pieces=[pieces_digest(group.uncut.pieces) for group in groups],
+                rows=[group.rows for group in groups],
+            )
+
+        names = dict.fromkeys(group.object for group in draft.groups)
+        return {name: stamp([group for group in draft.groups if group.object == name]) for name in names}
+
+    def _paths(self, draft: Draft, stamps: Mapping[str, str], protocol: Protocol | None) -> dict[str, Path]:
+        """Object name -> result file, which takes the place of no input, and of the same result only.
+
+        Raises:
+            GraspRefineError: it would.
+        """
+        out = self.output
+        paths = result_paths(out.out, draft.hand.name, tuple(stamps))
+        for path in filter(None, (*paths.values(), out.json)):
+            check_no_input(path, draft.files, "the results would overwrite an input; give another --out or --json")
+        for name, path in paths.items():
+            again = is_same_refinement(path, stamps[name], settings(protocol))
+            check_writable(path, overwrite=out.overwrite or again, inside=out.out)
+        check_writable(*paths.values(), out.json, overwrite=True, inside=out.out)
+        return paths
+
+    def _save(
+        self,
+        problem: Problem,
+        outcome: Outcome,
+        paths: dict[str, Path],
+        stamps: Mapping[str, str],
+        described: Mapping[str, Any],
+        proof: Proof | None,
+    ) -> None:
+        source: dict[str, Any] = fingerprint(problem.files[0])
+        provenance = {
+            "versions": versions(),
+            "seed": described["refine"]["seed"],
+            "config": described,
+            # Which grasps were drawn depends on the hand, the object and the seed.
+            "source": {"sampled": problem.sampled, "hand": source} if problem.sampled else source,
+            "urdf": fingerprint(problem.hand.urdf),
+        }
+        links = problem.groups[0].scene.links
+        for name, path in paths.items():
+            rows = np.flatnonzero(outcome.object == name)
+            trials = None if proof is None else (proof.before.select(rows), proof.after.select(rows))
+            objects = object_entries(group for group in problem.groups if group.object == name)
+            of_object = provenance | {"objects": objects, "stamp": stamps[name]}
+            save_results(path, problem.hand, links, outcome.select(rows), of_object, trials)
+
+
+def _aimed(draft: Draft, config: Config) -> bool:
+    """Whether links have targets."""
+    return config.nearest or draft.aimed
+
+
+def _proved(problem: Problem, parts: Sequence[Outcome], protocol: Protocol, reporter: Reporter) -> Proof:
+    """What simulation says of all grasps before and after, in the order in which they were asked for."""
+    from grasp_refine.validation.validate import model_of
+    from grasp_refine.validation.world import build_world
+
+    model = model_of(problem.hand)
+    for note in model.notes:
+        reporter.say(f"note: {note}")
+    trials = []
+    for group, part in zip(problem.groups, parts, strict=True):
+        world = build_world(model, group.scene.object, protocol, group.scene.table)
+        trials.append(proved(group, part, world, reporter.telling(group.object, len(part))))
+    before, after = zip(*trials, strict=True)
+    return Proof(
+        protocol,
+        Trials.join(before).select(problem.order),
+        problem.closing(),
+        Trials.join(after).select(problem.order),
+    )

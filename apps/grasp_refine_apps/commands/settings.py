@@ -1,0 +1,345 @@
+"""The options that say how grasps are refined; every command that refines has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from math import inf
+from typing import Annotated, Any, Literal, get_args, get_type_hints
+
+from tyro.conf import DisallowNone, Suppress, arg
+from tyro.constructors import PrimitiveConstructorSpec
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.losses import Scales, Weights
+from grasp_refine.refinement.max_move import MaxMove
+from grasp_refine.refinement.solvers.adam import Adam
+from grasp_refine.refinement.solvers.descent import Descent
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.witness.analytical import Analytical
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.direction import Direction
+from grasp_refine.witness.distance import Distance
+from grasp_refine.witness.finite_difference import FiniteDifference
+from grasp_refine.witness.neighborhood import Adaptive, Fixed
+from grasp_refine.witness.rigid import Rigid
+from grasp_refine.witness.rings import Neighbor
+from grasp_refine.witness.zeroth_order import ZerothOrder
+from grasp_refine_apps.commands.options import check_device, check_numbers
+
+FIRST_ORDER_TOLERANCE = 1e-7
+"""Default of --tolerance with descent and adam, which slow down on the way to smaller losses."""
+
+
+def _three(words: list[str]) -> tuple[float, ...]:
+    """Three numbers, with commas or spaces between them.
+
+    Raises:
+        ValueError: they are others.
+    """
+    numbers = [word for word in ",".join(words).split(",") if word]
+    if len(numbers) != 3:
+        raise ValueError(f"needs 3 numbers, as in 0.01,0.1,0.2, got {len(numbers)}")
+    return tuple(float(number) for number in numbers)
+
+
+THREE = PrimitiveConstructorSpec(
+    nargs="*",
+    metavar="M,RAD,RAD",
+    instance_from_str=_three,
+    is_instance=lambda value: value is None or isinstance(value, tuple),
+    str_from_instance=lambda value: [",".join(f"{number:g}" for number in value or ())],
+)
+"""How three numbers are written as one option."""
+
+
+# What has an option of its own, without a prefix, is left out of the options of a method.
+@dataclass(frozen=True)
+class DescentOptions(Descent):
+    """The options of normalised gradient descent."""
+
+    iterations: Suppress[int] = Descent.iterations
+    transport: Suppress[bool] = Descent.transport
+
+
+@dataclass(frozen=True)
+class AdamOptions(Adam):
+    """The options of Adam."""
+
+    iterations: Suppress[int] = Adam.iterations
+    transport: Suppress[bool] = Adam.transport
+
+
+@dataclass(frozen=True)
+class LevenbergMarquardtOptions(LevenbergMarquardt):
+    """The options of Levenberg-Marquardt."""
+
+    iterations: Suppress[int] = LevenbergMarquardt.iterations
+
+
+@dataclass(frozen=True)
+class ContactKinematicsOptions(ContactKinematics):
+    """The options of contact kinematics."""
+
+    neighborhood: Suppress[Adaptive | Fixed | Neighbor] = field(default_factory=Adaptive)
+    seed: Suppress[int] = ContactKinematics.seed
+
+
+@dataclass(frozen=True)
+class DistanceOptions(Distance):
+    """The options of distance smoothing."""
+
+    neighborhood: Suppress[Adaptive | Fixed | Neighbor] = field(default_factory=Adaptive)
+    seed: Suppress[int] = Distance.seed
+
+
+@dataclass(frozen=True)
+class DirectionOptions(Direction):
+    """The options of direction smoothing."""
+
+    neighborhood: Suppress[Adaptive | Fixed | Neighbor] = field(default_factory=Adaptive)
+    seed: Suppress[int] = Direction.seed
+
+
+@dataclass(frozen=True)
+class ZerothOrderOptions(ZerothOrder):
+    """The options of zeroth-order smoothing."""
+
+    seed: Suppress[int] = ZerothOrder.seed
+
+
+@dataclass(frozen=True)
+class AnalyticalOptions(Analytical):
+    """The options of analytical derivatives."""
+
+
+@dataclass(frozen=True)
+class FiniteDifferenceOptions(FiniteDifference):
+    """The options of finite differences."""
+
+
+@dataclass(frozen=True)
+class RigidOptions(Rigid):
+    """Rigid points have no options."""
+
+
+@dataclass(frozen=True)
+class WeightsOptions(Weights):
+    """The weights of the terms; directions of contacts can be wanted in Python only."""
+
+    direction: Suppress[float] = Weights.direction
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How grasps are refined. A method that is chosen by name has its options in the field of that name."""
+
+    solver: Literal["levenberg-marquardt", "descent", "adam"] = "levenberg-marquardt"
+    """How the hand moves: by damped Gauss-Newton steps, normalised gradient descent (the paper's), or Adam."""
+    derivative: Literal[
+        "contact-kinematics", "distance", "direction", "analytical", "zeroth-order", "finite-difference", "rigid"
+    ] = "contact-kinematics"
+    """How descent and adam differentiate witness points: by fitted curvatures, by the paper's distance smoothing, or by
+    what it is compared with (`bench align` measures them all)."""
+    neighborhood: Literal["adaptive", "fixed", "neighbor"] = "adaptive"
+    """Which samples stand for the surface near a witness: as far as the target is, within a fixed fraction of the body,
+    or the mesh vertices around it."""
+    iterations: Annotated[
+        DisallowNone[int | None],
+        arg(help_behavior_hint=f"(default: {LevenbergMarquardt.iterations}; descent, adam: {Descent.iterations})"),
+    ] = None
+    """Most iterations per grasp or, where grasps should hold, of each stage of a start, which has 15 to 40 anyway."""
+    starts: int = Config.starts
+    """Without targets, a grasp that may still slip is tried again from starts nearby, until it should hold or was tried
+    from so many; the best one counts. More find more grasps that hold, farther from those that were given."""
+    max_move: Annotated[
+        DisallowNone[tuple[float, ...] | None], THREE, arg(help_behavior_hint="(default: no limit)")
+    ] = None
+    """How far a refined grasp may be from the given one, as in 0.01,0.1,0.2: the hand by so many metres and radians,
+    each joint by so many radians (a prismatic one: metres); inf: no limit."""
+    seconds: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: no limit)")] = None
+    """CPU time after which levenberg-marquardt tries no more at a grasp; the best until then counts."""
+    geometry_only: bool = False
+    """Links should touch and nothing should penetrate, as near as possible; whether the grasp holds is only told. Much
+    faster, and grasps move less."""
+    tolerance: Annotated[
+        DisallowNone[float | None],
+        arg(help_behavior_hint=f"(default: {Config.tolerance:g}; descent, adam: {FIRST_ORDER_TOLERANCE:g})"),
+    ] = None
+    """Converged when the loss (m^2) is below this; 1e-10 is a hundredth of a millimetre, 1e-7 a third of one."""
+    margin: float = Config.margin
+    """Gap in metres that contact links should keep."""
+    reach: float = Touching.reach
+    """Without targets, contact links (fingertips) within this distance (metres) of the object should touch it."""
+    reach_others: float = Touching.reach_others
+    """The same of all other links."""
+    contacts: Annotated[
+        tuple[str, ...], arg(metavar="LINK|FINGER [...]", help_behavior_hint="(default: those within reach)")
+    ] = ()
+    """Links, or fingers as `refine-grasp hands` lists them, that should touch, instead of those within reach."""
+    transport: bool = Descent.transport
+    """Equivalent gradient transport with descent or adam: the object's gradient acts through the links."""
+    width: int = Config.width
+    """Most grasps that levenberg-marquardt works on at once."""
+    seed: int = Config.seed
+    """Seed of everything that is drawn."""
+    dtype: Literal["float64", "float32"] = Config.dtype
+    """Number type of kinematics and losses; collision queries always run in double precision."""
+    device: str = Config.device
+    """Torch device of kinematics and losses, such as cuda; collision queries always run on the CPU."""
+    levenberg_marquardt: LevenbergMarquardtOptions = field(default_factory=LevenbergMarquardtOptions)
+    """With --solver levenberg-marquardt."""
+    descent: DescentOptions = field(default_factory=DescentOptions)
+    """With --solver descent."""
+    adam: AdamOptions = field(default_factory=AdamOptions)
+    """With --solver adam."""
+    contact_kinematics: ContactKinematicsOptions = field(default_factory=ContactKinematicsOptions)
+    """With --derivative contact-kinematics."""
+    distance: DistanceOptions = field(default_factory=DistanceOptions)
+    """With --derivative distance."""
+    direction: DirectionOptions = field(default_factory=DirectionOptions)
+    """With --derivative direction."""
+    analytical: AnalyticalOptions = field(default_factory=AnalyticalOptions)
+    """With --derivative analytical."""
+    zeroth_order: ZerothOrderOptions = field(default_factory=ZerothOrderOptions)
+    """With --derivative zeroth-order."""
+    finite_difference: FiniteDifferenceOptions = field(default_factory=FiniteDifferenceOptions)
+    """With --derivative finite-difference."""
+    rigid: Suppress[RigidOptions] = field(default_factory=RigidOptions)
+    adaptive: Adaptive = field(default_factory=Adaptive)
+    """With --neighborhood adaptive."""
+    fixed: Fixed = field(default_factory=Fixed)
+    """With --neighborhood fixed."""
+    neighbor: Neighbor = field(default_factory=Neighbor)
+    """With --neighborhood neighbor."""
+    weights: WeightsOptions = field(default_factory=WeightsOptions)
+    """How much each term of the loss, a sum of squares, counts."""
+    scales: Scales = field(default_factory=Scales)
+    """Which movements count the same, with --weights.stay-near."""
+
+    def config(self, *, nearest: bool = False) -> Config:
+        """The settings of the refinement.
+
+        Args:
+            nearest: Links should touch where they are nearest at first.
+
+        Raises:
+            GraspRefineError: a number out of its range, options of a method that was not chosen, or a device that
+                is not here.
+        """
+        check_numbers(self)
+        for choice in ("solver", "derivative", "neighborhood"):
+            self._check_unused(choice)
+        check_device(self.device, self.dtype)
+        if self.neighborhood != Settings.neighborhood and not self._has_samples():
+            raise GraspRefineError(f"--derivative {self.derivative} has no use for --neighborhood {self.neighborhood}")
+        if self.solver == "levenberg-marquardt":
+            self._check_least_squares()
+            self._check_holding()
+            if nearest:
+                self.check_aimed()
+        else:
+            self._check_first_order()
+        if self.scales != Scales() and self.weights.stay_near == 0:
+            raise GraspRefineError("--scales.* say what --weights.stay-near means, which is 0")
+        solver, derivative, neighborhood = (
+            getattr(self, name.replace("-", "_")) for name in (self.solver, self.derivative, self.neighborhood)
+        )
+        iterations = solver.iterations if self.iterations is None else self.iterations
+        tolerance = self.tolerance
+        if tolerance is None:
+            tolerance = Config.tolerance if self.solver == "levenberg-marquardt" else FIRST_ORDER_TOLERANCE
+        return Config(
+            solver=_method(solver, iterations=iterations, transport=self.transport),
+            derivative=_method(derivative, neighborhood=neighborhood, seed=self.seed),
+            touching=Touching(self.reach, self.reach_others, max(self.reach, Touching.farthest), self.contacts),
+            nearest=nearest,
+            weights=_method(replace(self.weights, wrench=0.0) if self.geometry_only else self.weights),
+            scales=self.scales,
+            max_move=MaxMove() if self.max_move is None else MaxMove(*self.max_move),
+            starts=self.starts,
+            margin=self.margin,
+            tolerance=tolerance,
+            seconds=inf if self.seconds is None else self.seconds,
+            width=self.width,
+            seed=self.seed,
+            dtype=self.dtype,
+            device=self.device,
+        )
+
+    def check_aimed(self) -> None:
+        """Refuse what means nothing where links have targets.
+
+        Raises:
+            GraspRefineError: names it.
+        """
+        for option in self._of_holding():
+            raise GraspRefineError(f"{option} is for grasps without targets: here the targets say where links touch")
+
+    def _of_holding(self) -> list[str]:
+        """The options that say how grasps are made to hold, of those that were given."""
+        given = {
+            "--starts": self.starts != Settings.starts,
+            "--geometry-only": self.geometry_only,
+            "--weights.wrench": self.weights.wrench != Weights.wrench,
+        }
+        return [option for option, is_given in given.items() if is_given]
+
+    def _check_first_order(self) -> None:
+        """Refuse what descent and Adam would ignore."""
+        given = {
+            "--width": self.width != Settings.width,
+            "--max-move": self.max_move is not None,
+            "--seconds": self.seconds is not None,
+        }
+        for option in (*(option for option, is_given in given.items() if is_given), *self._of_holding()):
+            raise GraspRefineError(f"{option} is for --solver levenberg-marquardt; it is {self.solver}")
+
+    def _check_holding(self) -> None:
+        """Refuse what cannot be, or would mean nothing, where grasps should hold or should not."""
+        if self.seconds == 0:
+            raise GraspRefineError("--seconds must be above 0, got 0")
+        others = [option for option in self._of_holding() if option != "--geometry-only"]
+        if self.geometry_only and others:
+            raise GraspRefineError(f"with --geometry-only, {others[0]} means nothing: leave one of them out")
+        if self.weights.wrench == 0 and self.starts != Settings.starts:
+            raise GraspRefineError("--starts is for grasps that should hold: with --weights.wrench 0 it means nothing")
+
+    def _check_least_squares(self) -> None:
+        """Refuse what Levenberg-Marquardt would ignore."""
+        for name in ("derivative", "neighborhood", "transport", "dtype", "device"):
+            value = getattr(self, name)
+            if value != getattr(Settings, name):
+                said = f"--{name}" if isinstance(value, bool) else f"--{name} {value}"
+                raise GraspRefineError(
+                    f"{said} is for --solver descent or adam: levenberg-marquardt has contact kinematics of its own, "
+                    "in double precision on the CPU"
+                )
+
+        for choice in ("derivative", "neighborhood"):
+            for name in get_args(get_type_hints(Settings)[choice]):
+                options = getattr(self, name.replace("-", "_"))
+                if options != type(options)():
+                    raise GraspRefineError(f"options --{name}.* are for --solver descent or adam")
+        if self.weights.joint_limits != Weights.joint_limits:
+            raise GraspRefineError("--weights.joint-limits is for --solver descent or adam: here limits hold exactly")
+
+    def _has_samples(self) -> bool:
+        """Whether the derivative method looks at surface samples."""
+        return hasattr(getattr(self, self.derivative.replace("-", "_")), "neighborhood")
+
+    def _check_unused(self, choice: str) -> None:
+        """Refuse options of the methods that were not chosen, which would be ignored."""
+        chosen = getattr(self, choice)
+        for name in get_args(get_type_hints(Settings)[choice]):
+            options = getattr(self, name.replace("-", "_"))
+            if name != chosen and options != type(options)():
+                raise GraspRefineError(f"options --{name}.* need --{choice} {name}; it is {chosen}")
+
+
+def _method(options: Any, **others: object) -> Any:
+    """The method that `options` describe, with the values of what has options of its own, where it has such a field."""
+    given = {field.name: getattr(options, field.name) for field in fields(options)}
+    described: Any = type(options).__base__
+    return described(**given | {name: value for name, value in others.items() if name in given})

@@ -1,0 +1,246 @@
+"""What a batch consists of: the grasps of each job, by object, in shards of a size that fits into memory."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from grasp_refine.core.errors import GraspRefineError, visible
+from grasp_refine.core.names import is_sound
+from grasp_refine.grasps.formats.folders import object_folder
+from grasp_refine.grasps.grasp_set import choose_rows
+from grasp_refine.hands.source import check_known
+from grasp_refine.objects.source import ObjectSource, chosen_object
+from grasp_refine_apps.batch.record import is_result
+from grasp_refine_apps.batch.shard import Shard
+from grasp_refine_apps.commands.digests import Digests
+from grasp_refine_apps.commands.input_cache import Kept, KeptInputs
+from grasp_refine_apps.commands.inputs import SAMPLE, Inputs
+from grasp_refine_apps.commands.job_list import Job
+from grasp_refine_apps.commands.sources import on_disk
+
+READ = ("grasps", "hand", "urdf", "mjcf", "object", "objects", "targets")
+"""Inputs that may be files or folders."""
+
+RESERVED = ("report.html", "index.csv", "index.parquet")
+"""Files beside the folders of results."""
+
+LONGEST = 150
+"""Bytes of a name; what is added to it while it is written, and when it fails, has to fit as well (255)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What a worker needs to know of a shard."""
+
+    batch: str
+    """Tells batches apart: what is kept in memory for one may not be used for another."""
+    job: str
+    """Name of the job."""
+    inputs: Inputs
+    """The inputs of the job."""
+    source: dict[str, Any]
+    """The grasp file, or the hand of sampled grasps, and its hash."""
+    hand: tuple[str, str]
+    """Where the hand comes from, and the hash of its files."""
+    object: str
+    """The object, as the grasp file calls it."""
+    object_digest: str
+    """Hash of the object's files."""
+    object_source: ObjectSource
+    """Where the object comes from."""
+    scales: tuple[float, ...]
+    """Scales of the object, as `Sources.read_object` takes them."""
+    rows: np.ndarray
+    """Rows in the grasp file (n,); empty where grasps are sampled."""
+    index: np.ndarray
+    """Their numbers among the grasps of the object (n,)."""
+    sampled: tuple[int, int] | None = None
+    """How many grasps are sampled, and in the how manieth draw."""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A job that cannot be done at all."""
+
+    job: str
+    """Its name."""
+    message: str
+    """Why, in one line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """All shards of a batch, those of one hand and object after each other."""
+
+    shards: tuple[Shard, ...]
+    """The shards; a shard's `number` is its place."""
+    refused: tuple[Refused, ...]
+    """Jobs that cannot be done."""
+    files: tuple[Path, ...]
+    """All files and folders that are named as inputs, none of which may be overwritten."""
+    results: int
+    """How many files were found that are results of a batch, and so no grasps to refine."""
+
+
+@dataclass(frozen=True)
+class Planner:
+    """How jobs are cut into shards."""
+
+    out: Path
+    """Folder of the results."""
+    size: int
+    """Most grasps of a shard."""
+    batch: str
+    """What `Task.batch` will be."""
+    depends: dict[str, Any]
+    """All settings that results depend on."""
+    seed: int
+    """Of everything that is drawn."""
+
+    def plan(self, jobs: list[Job], say: Callable[[str], None], progress: Callable[[int, str], None]) -> Plan:
+        """The shards of all jobs.
+
+        Args:
+            jobs: What is refined.
+            say: Hears what is fetched.
+            progress: Hears how many jobs are planned, and which one is next.
+        """
+        digests, kept, results = Digests(), Kept(), 0
+        shards: list[Shard] = []
+        refused: list[Refused] = []
+        for number, job in enumerate(jobs):
+            progress(number, visible(job.name))
+            inputs = KeptInputs.of(job.inputs, kept)
+            try:
+                if not is_sound(job.name):
+                    raise GraspRefineError("the name of its file holds control characters; rename it")
+                if not job.named and is_result(Path(str(inputs.grasps))):
+                    results += 1
+                    continue
+                shards += list(self._shards(job, inputs, digests, say))
+            except GraspRefineError as error:
+                refused.append(Refused(visible(job.name), " ".join(str(error).split())))
+        # What shares a hand and an object is done together; else jobs stay in order.
+        first: dict[str, int] = {}
+        for place, shard in enumerate(shards):
+            first.setdefault(shard.group, place)
+        shards.sort(key=lambda shard: first[shard.group])
+        named = [getattr(job.inputs, name) for job in jobs for name in READ]
+        files = dict.fromkeys(Path(path) for path in named if path is not None)
+        paths = _distinct([shard.path for shard in shards])
+        numbered = [
+            replace(shard, number=n, path=path) for n, (shard, path) in enumerate(zip(shards, paths, strict=True))
+        ]
+        return Plan(tuple(numbered), tuple(refused), tuple(files), results)
+
+    def _shards(self, job: Job, inputs: KeptInputs, digests: Digests, say: Callable[[str], None]) -> Iterator[Shard]:
+        """The shards of a job, still without numbers.
+
+        Raises:
+            GraspRefineError: the job cannot be done.
+        """
+        inputs.check_numbers()
+        if str(inputs.grasps).startswith(SAMPLE):
+            yield from self._sampled(job, inputs, digests, say)
+            return
+        assert inputs.grasps is not None  # a job names them
+        path = on_disk(inputs.grasps, say)
+        read = inputs.read(path, say)
+        if inputs.hand is None:
+            check_known(read.grasps.hand, path)
+        named = inputs.hand or read.grasps.hand
+        hand, digest = digests.hand(named, inputs, say)
+        of_job = partial(Task, self.batch, job.name, job.inputs, source=digests.file(path), hand=(named, digest))
+        for name, where in inputs.named_objects(read.grasps, path, say).items():
+            of_object = partial(of_job, object=name, object_digest=digests.object(where), object_source=where)
+            rows = choose_rows(read.grasps, object_name=name, index=None)
+            scales = read.grasps.scale[rows] * inputs.scale
+            # Grasps on objects of one size are refined at once.
+            order = np.argsort(scales, kind="stable")
+            for number, start in enumerate(range(0, len(rows), self.size)):
+                index = order[start : start + self.size]
+                some = tuple(np.unique(scales[index]).tolist())
+                yield self._shard(of_object(rows=rows[index], index=index, scales=some), hand, number, digests)
+
+    def _sampled(self, job: Job, inputs: KeptInputs, digests: Digests, say: Callable[[str], None]) -> Iterator[Shard]:
+        """The shards of a job whose grasps are drawn, each in a draw of its own."""
+        count = inputs.sample_count()
+        assert inputs.hand is not None and inputs.object is not None  # or it refuses
+        hand, digest = digests.hand(inputs.hand, inputs, say)
+        where = chosen_object(inputs.object, say)
+        name = where.asset.name if where.asset is not None else Path(str(where.source)).stem
+        for number, start in enumerate(range(0, count, self.size)):
+            size, nothing = min(self.size, count - start), np.zeros(0, dtype=np.int64)
+            task = Task(
+                self.batch,
+                job.name,
+                job.inputs,
+                source={"sampled": f"{SAMPLE}{size}", "draw": number, "hand": digest},
+                hand=(inputs.hand, digest),
+                object=name,
+                object_digest=digests.object(where),
+                object_source=where,
+                scales=(inputs.scale * (1.0 if where.asset is None else where.asset.scale),),
+                rows=nothing,
+                index=nothing,
+                sampled=(size, number),
+            )
+            yield self._shard(task, hand, number, digests)
+
+    def _shard(self, task: Task, hand: str, number: int, digests: Digests) -> Shard:
+        stamp = digests.stamp(
+            task.inputs,
+            **self.depends,
+            seed=self.seed,
+            source=task.source.get("sha256", task.source),
+            hand=task.hand[1],
+            object=[task.object, task.object_digest],
+            rows=task.rows,
+            sampled=task.sampled,
+        )
+        stem = _short(f"{object_folder(hand)}_{object_folder(task.object)}")
+        first, *rest = (_short(object_folder(part)) for part in task.job.split("/") if part)
+        folder = self.out.joinpath(f"{first}_" if first in RESERVED else first, *rest)
+        size = task.sampled[0] if task.sampled is not None else len(task.rows)
+        return Shard(
+            number=-1,
+            group=f"{task.hand[1]} {task.object} {task.object_digest}",
+            name=f"{task.job}: {hand}, {task.object}, part {number}",
+            size=size,
+            path=folder / f"{stem}_{number:05d}.npz",
+            stamp=stamp,
+            task=task,
+        )
+
+
+def part_of(shards: tuple[Shard, ...], part: int, parts: int) -> tuple[Shard, ...]:
+    """The shards of one of several parts (from 1 on) of a batch: a run of them, with about as many grasps as others."""
+    sizes = np.array([shard.size for shard in shards])
+    middles = np.cumsum(sizes) - 0.5 * sizes
+    place = (middles * parts / sizes.sum()).astype(int)
+    return tuple(shard for shard, at in zip(shards, place.tolist(), strict=True) if at == part - 1)
+
+
+def _distinct(paths: list[Path]) -> list[Path]:
+    """The paths, those that came before with another name: what differs in a name may be what no file can have."""
+    taken: set[Path] = set()
+    for place, path in enumerate(paths):
+        while path in taken:
+            path = path.with_stem(f"{path.stem}_")
+        taken.add(path)
+        paths[place] = path
+    return paths
+
+
+def _short(name: str) -> str:
+    """The name, or what stands for one that is too long for a file."""
+    if len(name.encode()) <= LONGEST:
+        return name
+    return f"{name.encode()[: LONGEST - 9].decode(errors='ignore')}_{hashlib.sha256(name.encode()).hexdigest()[:8]}"

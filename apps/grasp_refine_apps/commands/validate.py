@@ -1,0 +1,265 @@
+"""`refine-grasp validate`: what grasps of any file are worth, by geometry and in simulation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import torch
+from rich.markup import escape
+from tyro.conf import DisallowNone, Positional, arg
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.json_files import check_no_input, check_writable, save_json
+from grasp_refine.core.profiling import cpu_seconds
+from grasp_refine.pipeline.problem import Draft, Group, Problem
+from grasp_refine.results.document import settings
+from grasp_refine.results.result_files import fingerprint
+from grasp_refine.results.simulated import closing_line
+from grasp_refine.results.validation_document import check_table, flat_rows, save_table, validate_document
+from grasp_refine.results.validation_table import comparison_table, validation_table
+from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.trials import Trials
+from grasp_refine.validation.validate import Validated, model_of, validate
+from grasp_refine.validation.world import World, build_world
+from grasp_refine_apps.commands.ending import NOTHING_USABLE
+from grasp_refine_apps.commands.options import Overwrite, check_numbers, flag
+from grasp_refine_apps.commands.recording import Recording
+from grasp_refine_apps.commands.simulating import Robustness, Simulation
+from grasp_refine_apps.commands.sources import Sources
+from grasp_refine_apps.report.progress import Reporter
+from grasp_refine_apps.report.screen import screen
+
+
+@dataclass(frozen=True)
+class Told:
+    """What is told."""
+
+    compare: Annotated[
+        DisallowNone[tuple[Path, Path] | None], arg(metavar="BEFORE AFTER", help_behavior_hint="(default: none)")
+    ] = None
+    """Two files with the same grasps, instead of FILE: say what became better and worse."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write everything that was found of each grasp to this file, in SI units."""
+    rows: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write one row per grasp to this .csv or .parquet file."""
+    overwrite: Overwrite = False
+    verbose: bool = False
+    """List all grasps, also when there are more than 40."""
+
+
+@dataclass(frozen=True)
+class Validate:
+    """Say what grasps are worth: measure their geometry, and simulate whether they hold.
+
+    Any grasp file will do, refined or not. The hand closes from the pregrasp over the grasp to the squeeze; then the
+    object, without gravity, is pushed in six directions for two seconds each. A grasp holds if the object never moves
+    by 5 cm or turns by 15 degrees (the protocol of DexGraspBench).
+    """
+
+    files: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE [FILE ...]", help_behavior_hint="")] = ()
+    """Grasp files (.npz)."""
+    sources: Annotated[Sources, arg(name="")] = field(default_factory=Sources)
+    simulation: Annotated[Simulation, arg(name="")] = field(default_factory=Simulation)
+    robustness: Annotated[Robustness, arg(name="")] = field(default_factory=Robustness)
+    recording: Annotated[Recording, arg(name="")] = field(default_factory=Recording)
+    told: Annotated[Told, arg(name="")] = field(default_factory=Told)
+
+    def execute(self) -> int:
+        """Do it; returns the exit code.
+
+        Raises:
+            GraspRefineError: an input that cannot be used; then nothing is written.
+        """
+        wall, cpu, started = time.perf_counter(), cpu_seconds(), time.process_time()
+        check_numbers(self.simulation)
+        protocol = self.simulation.protocol() if self.simulation.simulate else None
+        files = self.told.compare or self.files
+        self._check(protocol, files)
+        torch.set_num_threads(1)
+        with Reporter(screen(stderr=True)) as reporter:
+            drafts = [self.sources.draft_from(path, reporter.say) for path in files]
+            if self.told.compare is not None:
+                _check_comparable(*drafts)
+            self.recording.check(protocol, files, drafts, overwrite=self.told.overwrite)
+            problems = [self.sources.cut(draft, self.robustness.seed, reporter.say) for draft in drafts]
+            for note in dict.fromkeys(note for problem in problems for note in problem.notes):
+                reporter.say(f"note: {note}")
+            examined = [self._examined(problem, protocol, reporter) for problem in problems]
+        wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
+        found = [part.validated for part in examined]
+        compiling = sum(part.compile_cpu_s for part in examined)
+        times = {"wall_s": wall, "cpu_s": cpu, "start_cpu_s": started, "compile_cpu_s": compiling}
+        self._show(files, examined, protocol, times)
+        written = self._write(files, examined, protocol, times)
+        console = screen()
+        console.print(f"{wall:.1f} s" + ("; wrote" if written else ""), *written, soft_wrap=True, markup=False)
+        # Last, so that a replay that cannot be written costs nothing but itself.
+        for folder, part in zip(self.recording.folders(files), examined, strict=False):
+            for trial in part.trials:
+                for line in self.recording.record(*trial, part.problem.hand.name, folder):
+                    console.print(line, soft_wrap=True, markup=False)
+        known = any(np.isfinite(part.metrics.penetration_m).any() for part in found)
+        return 0 if known else NOTHING_USABLE
+
+    def _show(
+        self,
+        files: tuple[Path, ...],
+        examined: Sequence[_Examined],
+        protocol: Protocol | None,
+        times: Mapping[str, float],
+    ) -> None:
+        """Print the tables."""
+        console = screen()
+        for path, part in zip(files, examined, strict=True):
+            if len(files) > 1:
+                console.print(f"[bold]{escape(str(path))}[/]\n", soft_wrap=True)
+            frictions, verbose = self.robustness.frictions, self.told.verbose
+            console.print(
+                validation_table(part.validated, part.problem.hand.name, protocol, frictions, verbose=verbose)
+            )
+            if protocol is not None:
+                console.print(closing_line(part.problem.closing(self.simulation.closing)))
+            if len(files) > 1:
+                console.print()
+        if self.told.compare is not None:
+            before, after = examined
+            console.print(comparison_table(before.validated, after.validated, before.problem.hand.name, protocol))
+        if protocol is not None:
+            cost = np.concatenate([part.validated.cpu_s for part in examined])
+            rest = times["cpu_s"] - times["compile_cpu_s"] - cost.sum()
+            console.print(
+                f"CPU: {times['start_cpu_s']:.1f} s to load the program, {times['compile_cpu_s']:.2f} s to compile, "
+                f"{cost.sum():.1f} s to simulate ({cost.mean() * 1e3:.0f} ms a grasp), {rest:.1f} s for the rest"
+            )
+
+    def _check(self, protocol: Protocol | None, files: tuple[Path, ...]) -> None:
+        """Refuse options that cannot be, or that would mean nothing.
+
+        Raises:
+            GraspRefineError: names them.
+        """
+        check_numbers(self.robustness)
+        if self.told.compare is not None and self.files:
+            raise GraspRefineError("--compare BEFORE AFTER stands instead of FILE: give one of them")
+        if not files:
+            raise GraspRefineError("name a grasp file: refine-grasp validate FILE, or --compare BEFORE AFTER")
+        if protocol is None and (self.simulation != Simulation(simulate=False) or self.robustness != Robustness()):
+            raise GraspRefineError("with --no-simulate, options of the simulation mean nothing: leave them out")
+        if 0 in self.robustness.frictions:
+            raise GraspRefineError("--frictions must be above 0")
+        if len(set(self.robustness.frictions)) < len(self.robustness.frictions):
+            raise GraspRefineError("--frictions names a coefficient twice")
+        if self.robustness.noise == 0:
+            for option in ("noise_offset", "noise_degrees"):
+                if getattr(self.robustness, option) != getattr(Robustness, option):
+                    raise GraspRefineError(f"{flag(option)} needs --noise N")
+        for path in filter(None, (self.told.json, self.told.rows)):
+            check_no_input(path, files, "would overwrite an input; give another name")
+        check_writable(self.told.json, self.told.rows, overwrite=self.told.overwrite, inside=self.recording.replays)
+        if self.told.rows is not None:
+            check_table(self.told.rows)
+
+    def _examined(self, problem: Problem, protocol: Protocol | None, reporter: Reporter) -> _Examined:
+        """All grasps of a file."""
+        model, compiling = None, -time.process_time()
+        if protocol is not None:
+            model = model_of(problem.hand)
+            for note in model.notes:
+                reporter.say(f"note: {note}")
+        compiling += time.process_time()
+        checks = self.robustness.checks(self.simulation.threads)
+        parts, trials = [], []
+        for group in problem.groups:
+            scene = group.scene
+            world = motion = None
+            if protocol is not None and model is not None:
+                compiling -= time.process_time()
+                world = build_world(model, scene.object, protocol, scene.table)
+                compiling += time.process_time()
+                motion = group.motion(self.simulation.closing)
+            found = validate(
+                scene,
+                name=group.object,
+                scale=group.scale,
+                rows=group.rows,
+                index=group.index,
+                world=world,
+                motion=motion,
+                checks=checks,
+                tell=reporter.telling(group.object, len(group.rows)),
+            )
+            parts.append(found)
+            if world is not None and motion is not None and found.trials is not None:
+                trials.append((group, world, motion, found.trials))
+        validated = Validated.join(parts).select(problem.order)
+        return _Examined(problem, validated, tuple(trials), compiling)
+
+    def _write(
+        self,
+        files: tuple[Path, ...],
+        examined: Sequence[_Examined],
+        protocol: Protocol | None,
+        times: Mapping[str, float],
+    ) -> list[Path]:
+        """Write the files that were asked for; returns them."""
+        frictions, written = self.robustness.frictions, []
+        found = [part.validated for part in examined]
+        if self.told.json is not None:
+            described = {
+                "files": [
+                    {**fingerprint(path), "closing": part.problem.closing(self.simulation.closing)}
+                    for path, part in zip(files, examined, strict=True)
+                ],
+                "inputs": settings(self.sources),
+                "simulation": settings(self.simulation),
+                "robustness": settings(self.robustness),
+                "protocol": settings(protocol),
+            }
+            document = validate_document(
+                found,
+                files,
+                protocol=protocol,
+                frictions=frictions,
+                config=described,
+                seed=self.robustness.seed,
+                times=times,
+            )
+            save_json(self.told.json, document)
+            written.append(self.told.json)
+        if self.told.rows is not None:
+            save_table(self.told.rows, flat_rows(found, files, protocol, frictions))
+            written.append(self.told.rows)
+        return written
+
+
+@dataclass(frozen=True, eq=False)
+class _Examined:
+    """The grasps of one file, with what was found of them."""
+
+    problem: Problem
+    """The grasps."""
+    validated: Validated
+    """What was found, in the order in which they were asked for."""
+    trials: tuple[tuple[Group, World, Motion, Trials], ...]
+    """By object and scale: where and how the grasps were simulated, and what it came to."""
+    compile_cpu_s: float
+    """CPU time of making models for MuJoCo, seconds."""
+
+
+def _check_comparable(before: Draft, after: Draft) -> None:
+    """Nothing, when two files hold the same grasps as far as one can tell.
+
+    Raises:
+        GraspRefineError: they do not.
+    """
+    counts = len(before.names), len(after.names)
+    if counts[0] != counts[1]:
+        raise GraspRefineError(f"--compare needs the same grasps in both files: {counts[0]} against {counts[1]}")
+    if before.names != after.names:
+        raise GraspRefineError("--compare needs the same grasps in both files: their objects differ")

@@ -1,0 +1,36 @@
+"""The options that say how it is proved that grasps hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import Annotated
+
+from tyro.conf import DisallowNone, arg
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
+
+
+@dataclass(frozen=True)
+class Proving:
+    """How it is proved that grasps hold; `refine-grasp validate` can do more."""
+
+    validate: bool = False
+    """Simulate the grasps before and after: does the object stay in the hand when it is pushed?"""
+    setting: SettingName = "force-closure"
+    """The protocol: force-closure (friction 0.6), strict (friction 0.3), or tabletop (lifted off a table)."""
+    friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the setting)")] = None
+    """Another coefficient of sliding friction."""
+
+    def protocol(self) -> Protocol | None:
+        """How grasps are simulated; None: not at all.
+
+        Raises:
+            GraspRefineError: an option that cannot be, or means nothing.
+        """
+        if not self.validate and self != Proving():
+            raise GraspRefineError("--setting and --friction are for --validate: how grasps are simulated")
+        if self.friction is not None and not 0 < self.friction < inf:
+            raise GraspRefineError(f"--friction must be above 0, got {self.friction:g}")
+        return SETTINGS[self.setting].slippery(self.friction) if self.validate else None

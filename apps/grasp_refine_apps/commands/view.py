@@ -1,0 +1,218 @@
+"""`refine-grasp view`: grasps in a browser, to be looked at, refined, steered, tested and taken away."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+import webbrowser
+from contextlib import AbstractContextManager, closing, suppress
+from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from tyro.conf import DisallowNone, Positional, arg
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.json_files import SCHEMA, check_writable, save_json
+from grasp_refine.core.se3 import pose_from_transform
+from grasp_refine.core.versions import versions
+from grasp_refine.grasps.formats.listing import OURS
+from grasp_refine.grasps.formats.reading import Reading
+from grasp_refine.grasps.grasp_set import GraspSet
+from grasp_refine.hands.hand import Hand
+from grasp_refine.validation.replay.replay import Stage
+from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine_apps.commands.options import Overwrite
+from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.report.progress import Reporter
+from grasp_refine_apps.report.screen import screen
+
+if TYPE_CHECKING:
+    import viser
+
+    from grasp_refine_apps.viewer.controller import Controller
+    from grasp_refine_apps.viewer.shown_motion import ShownMotion
+    from grasp_refine_apps.viewer.validated import Proved
+    from grasp_refine_apps.viewer.validations import Proofs
+
+
+LOOK = 0.2
+"""Seconds after which a signal is noticed at the latest."""
+
+LONGEST_END = 5.0
+"""Seconds that cleaning up may take at the end."""
+
+
+@dataclass(frozen=True)
+class Serving:
+    """Where the page is."""
+
+    host: str = "127.0.0.1"
+    """Address to listen on. Whoever can reach it can do everything that the page can: only this machine by default."""
+    port: int = 8080
+    """Port to listen on; 0: any that is free."""
+    open: bool = True
+    """Open the page in a browser, where there is a screen."""
+    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write to this file, once the page is there, where it is."""
+    overwrite: Overwrite = False
+
+
+@dataclass(frozen=True)
+class View:
+    """Show grasps in a browser: refine them before your eyes, steer them, test them, compare them, take them away.
+
+    Opens grasp files of any kind, what `run` and `validate` write, and tasks that `bench align --save` wrote. Without
+    files, the example grasps of the embedded hand on the embedded mug. The page stays until Ctrl-C.
+    """
+
+    files: Annotated[
+        Positional[tuple[Path, ...]], arg(metavar="[FILE ...]", help_behavior_hint="(default: an example)")
+    ] = ()
+    """A grasp file or a folder of them, instead of --grasps, and with it, if you like, what `validate --json` or
+    `run --json` wrote about it; or a replay of `validate --replays`; or a task of `bench align --save`."""
+    inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
+    settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
+    serving: Annotated[Serving, arg(name="")] = field(default_factory=Serving)
+
+    def execute(self) -> int:
+        """Show it until interrupted; returns the exit code.
+
+        Raises:
+            GraspRefineError: what should be opened cannot be used, the port is taken, or viser is not installed.
+        """
+        if find_spec("viser") is None:
+            raise GraspRefineError("the viewer needs viser: pip install 'grasp-refine[viewer]'")
+        from grasp_refine_apps.viewer.page import address, close_server, open_server
+
+        check_writable(self.serving.json, overwrite=self.serving.overwrite)
+        # First, so that a browser can load the page while the rest is being loaded.
+        server = open_server(self.serving.host, self.serving.port)
+        try:
+            with self._shown(server):
+                screen().print(f"{address(server)} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
+                if self.serving.json is not None:
+                    where = {"address": address(server), "host": server.get_host(), "port": server.get_port()}
+                    save_json(self.serving.json, {"schema": SCHEMA, "command": "view", "versions": versions(), **where})
+                if self.serving.open and _has_screen():
+                    webbrowser.open(address(server))
+                _wait()
+        except KeyboardInterrupt:
+            # While it was still being loaded.
+            return 0
+        finally:
+            close_server(server)
+        return 0
+
+    def _shown(self, server: viser.ViserServer) -> AbstractContextManager[Any]:
+        """What the files mean, on the page.
+
+        Raises:
+            GraspRefineError: they cannot be opened, or not together.
+        """
+        from grasp_refine_apps.bench.align.saved import is_task, load_task
+
+        if any(is_task(path) for path in self.files):
+            if len(self.files) > 1 or self.inputs != Inputs() or self.settings != Settings():
+                raise GraspRefineError("a task of bench align is opened alone: leave other files and options out")
+            from grasp_refine_apps.viewer.alignment import AlignmentPage
+
+            return closing(AlignmentPage(server, load_task(self.files[0])))
+        from grasp_refine_apps.viewer.panels.app import Viewer
+
+        return Viewer(server, self._controller())
+
+    def _controller(self) -> Controller:
+        """The grasps that the files mean, with what documents say of them."""
+        from grasp_refine_apps.viewer.collection import Collection
+        from grasp_refine_apps.viewer.controller import Controller
+        from grasp_refine_apps.viewer.shown_motion import is_replay
+        from grasp_refine_apps.viewer.validation_file import read_proofs
+        from grasp_refine_apps.viewer.validations import with_proofs
+
+        self.settings.config()
+        documents = [read_proofs(path) for path in self.files if path.suffix.lower() == ".json"]
+        grasps = [path for path in self.files if path.suffix.lower() != ".json"]
+        if len(grasps) > 1 or (grasps and self.inputs.grasps is not None):
+            raise GraspRefineError(
+                "one grasp file at a time, or a folder of them, such as the one that run wrote; "
+                f"got {', '.join(map(str, [*grasps, *filter(None, [self.inputs.grasps])]))}"
+            )
+        inputs = self.inputs if not grasps else replace(self.inputs, grasps=grasps[0])
+        with Reporter(screen(stderr=True)) as reporter:
+            if grasps and is_replay(grasps[0]):
+                return self._replayed(grasps[0], reporter)
+            if documents and inputs.grasps is None:
+                inputs = replace(inputs, grasps=_told_file(documents[0]))
+            problem = inputs.load(self.settings.seed, reporter.say, reporter.wait)
+            for note in problem.notes:
+                reporter.say(f"note: {note}")
+        collection = Collection.of(problem)
+        proofs: dict[int, Proved] = {}
+        for document in documents:
+            proofs |= document.of(collection)
+        return Controller(with_proofs(collection, proofs) if proofs else collection, self.settings, proofs)
+
+    def _replayed(self, path: Path, reporter: Reporter) -> Controller:
+        """The grasp of a replay, with its motion."""
+        from grasp_refine.validation.replay.replay import load_replay
+        from grasp_refine.validation.validate import model_of
+        from grasp_refine_apps.viewer.collection import Collection
+        from grasp_refine_apps.viewer.controller import Controller
+        from grasp_refine_apps.viewer.shown_motion import shown_motion
+
+        replay = load_replay(path)
+        hand = self.inputs.load_hand(self.inputs.hand or replay.hand, None, reporter.say)
+        motion = shown_motion(hand, model_of(hand), replay)
+        problem = self.inputs.load_read(_grasp_of(motion, hand), path, self.settings.seed, reporter.say)
+        controller = Controller(Collection.of(problem), self.settings)
+        controller.show_motion(motion)
+        controller.say("this is a simulation: play it in the tab Prove")
+        return controller
+
+
+def _told_file(document: Proofs) -> Path:
+    """The grasp file that a document is about.
+
+    Raises:
+        GraspRefineError: it does not name one that is there.
+    """
+    found = [Path(path) for path in document.files.values() if Path(path).exists()]
+    if len(found) != 1:
+        raise GraspRefineError(f"{document.path}: give the grasp file that it is about, too")
+    return found[0]
+
+
+def _grasp_of(motion: ShownMotion, hand: Hand) -> Reading:
+    """The grasp that a simulation closed to: where the hand was when it began to squeeze."""
+    at = max(int(np.searchsorted(motion.stage, Stage.SQUEEZE)) - 1, 0)
+    grasps = GraspSet(
+        hand=motion.hand,
+        base_link=hand.base_link,
+        joint_names=hand.joint_names,
+        object=np.array([motion.object]),
+        scale=np.ones(1),
+        hand_pose=pose_from_transform(motion.T_root[at : at + 1]),
+        q=motion.q[at : at + 1],
+    )
+    return Reading(grasps, OURS, (), ())
+
+
+def _wait() -> None:
+    """Return when the user has had enough; then there are so many seconds to clean up."""
+    with suppress(KeyboardInterrupt):
+        while True:
+            # Where another thread gets the signal, this one is not woken by it.
+            time.sleep(LOOK)
+    last = threading.Timer(LONGEST_END, os._exit, (0,))
+    last.daemon = True
+    last.start()
+
+
+def _has_screen() -> bool:
+    """Whether a browser could open here."""
+    return sys.platform == "darwin" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))

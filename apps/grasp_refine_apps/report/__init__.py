@@ -1,0 +1,1 @@
+"""Parts of reports: console, progress, tables of hands, charts and HTML."""

@@ -1,0 +1,167 @@
+"""What was understood of a hand's files, why, and what in them deserves a second look."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.se3 import transform_points
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand, Joint
+from grasp_refine.hands.self_collision import Judged, judged_pairs
+from grasp_refine.hands.urdf import joints_fixed_and_mimicking, links_with_visuals
+from grasp_refine.validation.messages import complaint, unlogged
+from grasp_refine.validation.mjcf_model import mjcf_model
+from grasp_refine.validation.urdf_model import urdf_model
+
+TURN, SLIDE = 4 * np.pi, 1.0
+"""Limits beyond these, in rad and m, look like degrees or millimetres."""
+
+SIZES = (0.02, 1.0)
+"""Hands are of a size between these, in metres."""
+
+HEAVY = 20.0
+"""Mass in kg above which a hand is not one."""
+
+
+@dataclass(frozen=True)
+class HandCheck:
+    """What there is to say of a hand beyond its joints and links."""
+
+    contacts: tuple[str, ...]
+    """Each contact link, and why it is one."""
+    pairs: Judged
+    """Which links are watched for touching each other."""
+    simulation: tuple[str, ...]
+    """What is different in simulation."""
+    refused: str
+    """Why MuJoCo does not take the hand; "" where it does."""
+    suspicious: tuple[str, ...]
+    """What is missing or looks wrong."""
+    size: tuple[float, ...]
+    """Extent (3,) in metres along the axes of the base link, at the rest pose; empty where nothing is solid."""
+
+    def document(self) -> dict[str, Any]:
+        """The same for JSON."""
+        return asdict(self)
+
+
+def check_hand(hand: Hand) -> HandCheck:
+    """Look at a hand.
+
+    Raises:
+        HandError: it has an MJCF that cannot be used.
+    """
+    notes, refused = _simulated(hand)
+    size = _size(hand)
+    return HandCheck(_contacts(hand), judged_pairs(hand), notes, refused, tuple(_suspicious(hand, size)), size)
+
+
+def _simulated(hand: Hand) -> tuple[tuple[str, ...], str]:
+    notes = simulation_notes(hand)
+    try:
+        with unlogged():
+            model = urdf_model(hand).spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        return notes, complaint(error)
+    sizes = {"joints": model.njnt, "followers": model.neq, "convex geoms": model.ngeom, "actuators": model.nu}
+    listed = ", ".join(f"{what} {number}" for what, number in sizes.items())
+    return (f"MuJoCo takes the hand: {listed}", *notes), ""
+
+
+def simulation_notes(hand: Hand) -> tuple[str, ...]:
+    """What there is to know of how the hand is simulated.
+
+    Raises:
+        HandError: its MJCF cannot be used.
+    """
+    if hand.mjcf is None:
+        return urdf_model(hand).notes
+    model = mjcf_model(hand, hand.mjcf)
+    joints = count_text(len(model.joints), "joint")
+    matched = f"{hand.mjcf.name} moves like the URDF: {joints} matched by name and place"
+    return (matched, *model.notes)
+
+
+def _contacts(hand: Hand) -> tuple[str, ...]:
+    above = {joint.child: joint for joint in hand.joints}
+    ways: dict[str, list[Joint]] = {}
+    for contact in hand.contacts:
+        link, way = contact.link, []
+        while link in above:
+            way.append(above[link])
+            link = above[link].parent
+        ways[contact.link] = [joint for joint in way if joint.movable]
+    moves = Counter(joint.name for way in ways.values() for joint in way)
+    lines = []
+    for contact in hand.contacts:
+        # The topmost joint that moves no other contact link.
+        own = [joint.name for joint in ways[contact.link] if moves[joint.name] == 1]
+        own = own or [joint.name for joint in ways[contact.link][:1]] or ["none"]
+        guess = f"the last solid link of the branch that joint '{own[-1]}' moves"
+        why = guess if hand.contacts_guessed else "hand.toml says so"
+        finger = "" if contact.group == contact.link else f", finger '{contact.group}'"
+        lines.append(f"{contact.link}{finger}: {why}")
+    return tuple(lines)
+
+
+def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
+    """What is missing or looks wrong; each entry says what follows from it."""
+    independent = [hand.joints_by_name[name] for name in hand.joint_names]
+    unlimited = [hand.joint_names[i] for i in np.flatnonzero(np.isinf(hand.actuator.force_limit))]
+    turning = [j.name for j in independent if j.kind != "prismatic" and max(abs(j.lower), j.upper) > TURN]
+    far = [j.name for j in hand.joints if j.kind == "prismatic" and max(abs(j.lower), j.upper) > SLIDE]
+    visible = links_with_visuals(hand.urdf)
+    unseen = [link.name for link in hand.links if link.body is None and link.name in visible]
+    endless = [j.name for j in independent if j.kind == "continuous"]
+    fixed = [name for name in joints_fixed_and_mimicking(hand.urdf) if name in hand.joints_by_name]
+    mass = sum(link.mass or 0.0 for link in hand.links)
+    found = {
+        "no joint moves: there is nothing to refine but the pose of the palm": [""] * (not independent),
+        "no effort limit for {}: they push as hard as their error times kp; say force_limit in hand.toml": unlimited,
+        "{} can turn more than twice round: are the limits degrees? They must be radians": [
+            name for name in turning if name not in endless
+        ],
+        "{} can slide more than a metre: are the limits millimetres? They must be metres": far,
+        "{} turn without end and rest at 0": endless,
+        "{} are fixed though they mimic a joint: they do not move": fixed,
+        "{} can be seen but have no collision geometry: nothing keeps them out of the object": unseen,
+        "{} move nothing that is solid": _idle(hand),
+        f"the hand is {max(size, default=0):.3g} m large: are the meshes millimetres? URDF is in metres, a mesh has a "
+        "scale": [""] * bool(size and max(size) > SIZES[1]),
+        f"the hand is only {max(size, default=0) * 1e3:.3g} mm large: is a mesh's scale wrong?": [""]
+        * bool(size and max(size) < SIZES[0]),
+        f"the hand weighs {mass:.3g} kg": [""] * (mass > HEAVY),
+        "nothing that moves is solid: there is no link that could touch an object": [""] * (not hand.contacts),
+    }
+    return [text.format(", ".join(names)) for text, names in found.items() if names]
+
+
+def _idle(hand: Hand) -> list[str]:
+    """Independent joints that move no link with collision geometry, not even by followers."""
+    carries = {link.name for link in hand.links if link.body is not None}
+    for joint in reversed(hand.joints):  # children before parents
+        if joint.child in carries:
+            carries.add(joint.parent)
+    matrix, _, names = hand.mimic_map()
+    useful = np.array([hand.joints_by_name[name].child in carries for name in names], dtype=bool)
+    return [name for name, column in zip(hand.joint_names, matrix.T, strict=True) if not column[useful].any()]
+
+
+def _size(hand: Hand) -> tuple[float, ...]:
+    solid = [link for link in hand.links if link.body is not None]
+    if not solid:
+        return ()
+    chain = Chain(hand, [link.name for link in solid])
+    poses = chain(np.eye(4)[None], hand.rest[None]).T_world_link[0]
+    ends = []
+    for link, T in zip(solid, poses, strict=True):
+        for piece in link.solid.pieces:
+            points = transform_points(T, piece.vertices)
+            ends += [points.min(axis=0) - piece.radius, points.max(axis=0) + piece.radius]
+    return tuple(np.ptp(ends, axis=0).tolist())

@@ -1,0 +1,51 @@
+"""Where people read: the terminal, at most 100 columns wide, or a pipe."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+
+from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderableType, RenderHook
+from rich.segment import Segment
+
+from grasp_refine.core.errors import visible
+
+NARROWEST, WIDEST = 80, 100
+"""Narrower tables would lose their numbers, and longer lines are hard to read."""
+
+
+class _Visible:
+    """Renderable whose text controls no terminal: other characters than printable ones and line ends are escaped."""
+
+    def __init__(self, shown: RenderableType) -> None:
+        self._shown = shown
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
+        for segment in console.render(self._shown, options):
+            clean = segment.control or segment.text.isprintable() or segment.text == "\n"
+            yield segment if clean else Segment("\n".join(map(visible, segment.text.split("\n"))), segment.style)
+
+
+class _EscapeControls(RenderHook):
+    """What is printed may hold names out of files of others."""
+
+    def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
+        return [_Visible(shown) for shown in renderables]
+
+
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Let the error through; rich would end the program with a code that means something else here."""
+        raise  # noqa: PLE0704
+
+
+def screen(*, stderr: bool = False) -> Console:
+    r"""A console as wide as the terminal, but not wider than is good to read; plain text where there is none.
+
+    Names of files may come from others: what controls a terminal is printed as an escape, such as \x1b.
+    """
+    columns = shutil.get_terminal_size((WIDEST, 24)).columns
+    width = max(NARROWEST, min(WIDEST, columns))
+    console = _Console(width=width, stderr=stderr, highlight=False, emoji=False)
+    console.push_render_hook(_EscapeControls())
+    return console

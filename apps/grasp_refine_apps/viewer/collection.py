@@ -1,0 +1,166 @@
+"""What is open in the viewer: grasps of one hand on one or several objects, and what is known of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from grasp_refine.core.array_records import take
+from grasp_refine.hands.hand import Hand
+from grasp_refine.pipeline.problem import Group, Problem, StageSource
+from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.motion import Motion
+from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, NUMBERS, REASON, STATUS, Column
+from grasp_refine_apps.viewer.marks import Mark, Marks, marks_path
+from grasp_refine_apps.viewer.recorded import recorded
+
+
+@dataclass(frozen=True, eq=False)
+class Collection:
+    """N grasps, numbered in the order in which they were asked for."""
+
+    problem: Problem
+    """The grasps, by object and scale."""
+    group_of: Int[np.ndarray, " N"]
+    """Number of each grasp's group (N,)."""
+    member: Int[np.ndarray, " N"]
+    """Row of each grasp in its group (N,)."""
+    files: tuple[Path, ...]
+    """The files that the grasps lie in: one, or those of a folder; none if they were sampled."""
+    file_of: Int[np.ndarray, " N"]
+    """Number of each grasp's file in `files` (N,)."""
+    row: Int[np.ndarray, " N"]
+    """Its row there (N,)."""
+    T_initial: Float[np.ndarray, "N 4 4"]
+    """Poses of the base link before refinement (N, 4, 4), object frame; where none is recorded, as it is."""
+    q_initial: Float[np.ndarray, "N n"]
+    """Joint values before refinement (N, n)."""
+    refined: Bool[np.ndarray, " N"]
+    """Of which grasps the file tells where they were before refinement (N,)."""
+    columns: Mapping[str, Column]
+    """What is known of the grasps: key -> column."""
+    marks: tuple[Marks, ...]
+    """What people thought of the grasps of each of `files`; where there are none, of all."""
+
+    @staticmethod
+    def of(problem: Problem) -> Collection:
+        """The grasps of a problem, with what their files record and how they were marked.
+
+        Raises:
+            GraspFileError: a result file, or the file of marks beside it, is damaged.
+        """
+        groups, order = problem.groups, problem.order
+        group_of = np.repeat(np.arange(len(groups)), [len(group.rows) for group in groups])[order]
+        member = np.concatenate([np.arange(len(group.rows)) for group in groups])[order]
+        rows = np.concatenate([group.rows for group in groups])[order]
+        T = np.concatenate([group.scene.T_world_root for group in groups])[order]
+        q = np.concatenate([group.scene.q for group in groups])[order]
+        found = recorded(problem)
+        first = problem.files[:1] if not problem.sampled else ()
+        files, file_of, row = first, np.zeros(len(problem), dtype=int), rows
+        refined, columns = np.zeros(len(problem), dtype=bool), {}
+        if found is not None:
+            files, file_of, row = found.files, found.file[rows], found.row[rows]
+            refined = ~np.isnan(found.q[rows]).any(axis=1) & ~np.isnan(found.T[rows]).any(axis=(1, 2))
+            T = np.where(refined[:, None, None], found.T[rows], T)
+            q = np.where(refined[:, None], found.q[rows], q)
+            columns = {column.key: column.with_values(found.columns[column.key][rows]) for column in (*NUMBERS, STATUS)}
+            columns = {key: column for key, column in columns.items() if column.known.any()}
+        marks = tuple(Marks.read(marks_path(path)) for path in files) or (Marks(None),)
+        return Collection(problem, group_of, member, files, file_of, row, T, q, refined, columns, marks)
+
+    def __len__(self) -> int:
+        """Return the number of grasps."""
+        return len(self.row)
+
+    @property
+    def hand(self) -> Hand:
+        """The hand."""
+        return self.problem.hand
+
+    @property
+    def objects(self) -> Shaped[np.ndarray, " N"]:
+        """The name of each grasp's object (N,)."""
+        return np.array([group.object for group in self.problem.groups])[self.group_of]
+
+    def group(self, number: int) -> Group:
+        """The group of a grasp."""
+        return self.problem.groups[self.group_of[number]]
+
+    def label(self, number: int) -> str:
+        """What people call a grasp, such as "mug 3"."""
+        group = self.group(number)
+        return f"{group.object} {group.index[self.member[number]]}"
+
+    def scene(self, number: int) -> Scene:
+        """A scene of this grasp alone, as the file has it, with its targets and the table."""
+        scene, rows = self.group(number).scene, self.member[number : number + 1]
+        return replace(
+            scene,
+            T_world_root=scene.T_world_root[rows],
+            q=scene.q[rows],
+            target_link=take(scene.target_link, rows),
+            target_object=take(scene.target_object, rows),
+            direction=take(scene.direction, rows),
+        )
+
+    def initial(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Pose (4, 4) of the base link in the object's frame and joint values (n,) of a grasp before refinement."""
+        return self.T_initial[number], self.q_initial[number]
+
+    def motion(self, number: int, source: StageSource = "auto") -> Motion:
+        """How the hand closes to this one grasp, as `Group.motion`.
+
+        Raises:
+            GraspFileError: pregrasp and squeeze are to be those of the file, which lacks some.
+        """
+        group, rows = self.group(number), self.member[number : number + 1]
+        alone = Group(
+            group.object,
+            group.scale,
+            self.scene(number),
+            group.grasps.select(rows),
+            group.rows[rows],
+            group.index[rows],
+            np.zeros(1, dtype=int),
+        )
+        return alone.motion(source)
+
+    def with_columns(self, *columns: Column) -> Collection:
+        """The same grasps, of which more is known."""
+        return replace(self, columns={**self.columns, **{column.key: column for column in columns}})
+
+    def mark(self, number: int) -> Mark:
+        """What somebody thought of a grasp."""
+        return self.marks[self.file_of[number]].of(int(self.row[number]))
+
+    def with_mark(self, number: int, mark: Mark) -> Collection:
+        """The same grasps, one of them marked; nothing is written, see `save_marks`."""
+        at, group = self.file_of[number], self.group(number)
+        index = int(group.index[self.member[number]])
+        marks = self.marks[at].marked(int(self.row[number]), mark, object=group.object, index=index)
+        return replace(self, marks=(*self.marks[:at], marks, *self.marks[at + 1 :]))
+
+    def save_marks(self, number: int) -> None:
+        """Write the marks of the file that a grasp lies in beside it.
+
+        Raises:
+            GraspFileError: they cannot be written there; they are still here.
+        """
+        self.marks[self.file_of[number]].save()
+
+    def with_simulation(
+        self, success: Bool[np.ndarray, " N"], reason: Shaped[np.ndarray, " N"], known: Bool[np.ndarray, " N"]
+    ) -> Collection:
+        """The same grasps with what simulation says of those that are `known` (N,): whether they held, and why not."""
+        old = self.columns.get(HELD.key, HELD.with_values(np.full(len(self), ""))).values
+        why = self.columns.get(REASON.key, REASON.with_values(np.full(len(self), ""))).values
+        said = np.where(success, HELD_TEXT, FAILED_TEXT)
+        return self.with_columns(
+            HELD.with_values(np.where(known, said, old)),
+            REASON.with_values(np.where(known, np.where(success, "", reason.astype(str)), why)),
+        )

@@ -1,0 +1,193 @@
+"""The contacts of one grasp as a person wants to see them: where links touch, how far off they are, what they do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from grasp_refine.collision.query import Witness, query
+from grasp_refine.core.se3 import transform_points
+from grasp_refine.forces.quality import quality
+from grasp_refine.forces.squeeze import contacts
+from grasp_refine.forces.wrench import PLANNING_FRICTION, center_of_mass, contact_forces
+from grasp_refine.hands.chain import Frames
+from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine_apps.viewer.target import Target
+
+TOUCHING = Touching()
+"""Which links should touch where nobody says."""
+
+NEARLY = 1e-4
+"""Gaps below this (metres) count as touching, penetrations above it as deep."""
+
+
+@dataclass(frozen=True, eq=False)
+class Forces:
+    """What C contacts do at best, per unit of total pressure, in the object's frame."""
+
+    link: tuple[str, ...]
+    """Name of the link of each contact (C,)."""
+    point: Float[np.ndarray, "C 3"]
+    """Contact points (C, 3) on the object, metres."""
+    normal: Float[np.ndarray, "C 3"]
+    """Unit normals (C, 3) from link to object."""
+    force: Float[np.ndarray, "C 3"]
+    """Force (C, 3) of each link on the object; 0 where none is known."""
+    pressure: Float[np.ndarray, " C"]
+    """Its part along the normal (C,), at least 0; the pressures sum to 1."""
+    residual: float
+    """Norm of what of forces and torques is left over, without unit; NaN where no forces are known."""
+    friction: float
+    """Coefficient of friction within which the forces are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """K links of one grasp that touch the object or should, none twice; all in the object's frame, metres."""
+
+    link: tuple[str, ...]
+    """Their names (K,)."""
+    point_link: Float[np.ndarray, "K 3"]
+    """Witness points (K, 3) on the links: nearest to the object, or deepest in it."""
+    point_object: Float[np.ndarray, "K 3"]
+    """Witness points (K, 3) on the object."""
+    normal: Float[np.ndarray, "K 3"]
+    """Unit normals (K, 3) from link to object."""
+    distance: Float[np.ndarray, " K"]
+    """Signed distances (K,); negative where a link penetrates."""
+    should: Bool[np.ndarray, " K"]
+    """Which of them (K,) should touch."""
+    error: Float[np.ndarray, " K"]
+    """Largest of gap and target misses (K,), as `validation.geometry` measures it; NaN of those that need not touch."""
+    target_link: Float[np.ndarray, "G 3"]
+    """Where the link's point of each of the G targets is now; NaN: that link cannot touch."""
+    target_object: Float[np.ndarray, "G 3"]
+    """Where it should be."""
+    penetration: float
+    """The deepest of all links; NaN where the pose is not finite."""
+    witness: Witness
+    """Witness points (1, L) of all links that were near enough, columns as `prepared.chain.links`."""
+    prepared: HandObject
+    """The hand and the object."""
+    frames: Frames
+    """Where the links are."""
+
+    @property
+    def deep(self) -> Bool[np.ndarray, " K"]:
+        """Which links (K,) penetrate the object noticeably; all that do so are here."""
+        return self.distance < -NEARLY
+
+    @property
+    def deepest(self) -> int | None:
+        """Which of the K links penetrates most; None if none does so noticeably."""
+        return int(self.distance.argmin()) if self.deep.any() else None
+
+    @property
+    def contact_error(self) -> float:
+        """The largest error of a link that should touch; NaN where none should or it is not known."""
+        known = self.error[~np.isnan(self.error)]
+        return float(known.max()) if len(known) else np.nan
+
+    @cached_property
+    def forces(self) -> Forces:
+        """What the contacts do at best: those that `grasp_forces` counts, which need not be those that should touch."""
+        hand, links = self.prepared.hand, self.prepared.chain.links
+        point, normal = contacts(hand, links, self.witness)
+        found = contact_forces(point, normal, center_of_mass(self.prepared.object))
+        near = np.flatnonzero(np.isfinite(point[0, :, 0]))
+        return Forces(
+            link=tuple(links[column] for column in near),
+            point=point[0, near],
+            normal=normal[0, near],
+            force=found.force[0, near],
+            pressure=found.pressure[0, near],
+            residual=float(found.residual[0]),
+            friction=PLANNING_FRICTION,
+        )
+
+    @cached_property
+    def quality(self) -> float:
+        """The quality of the grasp in (0, 1], higher is better; NaN where no forces are known."""
+        hand, chain = self.prepared.hand, self.prepared.chain
+        return float(quality(hand, self.prepared.object, chain, self.frames, self.witness).value[0])
+
+
+def contacts_of(
+    prepared: HandObject,
+    T_object_root: Float[np.ndarray, "4 4"],
+    q: Float[np.ndarray, " n"],
+    *,
+    touching: Bool[np.ndarray, " L"] | None = None,
+    targets: Sequence[Target] = (),
+    margin: float = 0.0,
+) -> Contacts:
+    """The contacts of a grasp.
+
+    Args:
+        prepared: The hand and the object.
+        T_object_root: Pose of the hand's base link in the object's frame.
+        q: Joint values.
+        touching: Links that should touch, columns as `Scene.links`; None: those with a target or, without targets,
+            those that a refinement would choose.
+        targets: Where links should touch.
+        margin: Gap in metres that these links should keep.
+    """
+    hand, links = prepared.hand, prepared.chain.links
+    first = np.array([links.index(link) for link in links])
+    frames = prepared.chain(T_object_root[None], q[None])
+    T_link = frames.T_world_link
+    aimed = np.array([links.index(target.link) if target.link in links else -1 for target in targets], dtype=np.int64)
+    should: np.ndarray | None = None
+    if touching is not None or targets:
+        should = np.zeros(len(links), dtype=bool)
+        should[first[touching] if touching is not None else aimed[aimed >= 0]] = True
+    cutoff = np.where(first == np.arange(len(links)), TOUCHING.cutoff(hand, links), -np.inf)
+    if should is not None:
+        cutoff[should] = np.inf
+    cutoff[aimed[aimed >= 0]] = np.inf
+    witness = query(prepared.pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape), cutoff=cutoff)
+    if should is None:
+        should = TOUCHING.choose(hand, links, witness)[0]
+    valid, distance = witness.valid[0], np.where(witness.valid[0], witness.distance[0], np.inf)
+    target_link, target_object, miss = _targets(targets, aimed, T_link[0], witness)
+    error = np.maximum(np.abs(distance - margin), miss)
+    shown = np.flatnonzero(valid & (should | (distance < NEARLY)) & (first == np.arange(len(links))))
+    return Contacts(
+        link=tuple(links[column] for column in shown),
+        point_link=witness.point_a[0, shown],
+        point_object=witness.point_b[0, shown],
+        normal=witness.normal[0, shown],
+        distance=distance[shown],
+        should=should[shown],
+        error=np.where(should, error, np.nan)[shown],
+        target_link=target_link,
+        target_object=target_object,
+        penetration=max(0.0, -float(distance.min())) if np.isfinite(T_link).all() else np.nan,
+        witness=witness,
+        prepared=prepared,
+        frames=frames,
+    )
+
+
+def _targets(
+    targets: Sequence[Target],
+    aimed: np.ndarray,
+    T_object_link: Float[np.ndarray, "L 4 4"],
+    witness: Witness,
+) -> tuple[Float[np.ndarray, "G 3"], Float[np.ndarray, "G 3"], Float[np.ndarray, " L"]]:
+    """Points of targets on the links and on the object, object frame, and the largest miss of each link (L,)."""
+    on_link = np.full((len(targets), 3), np.nan)
+    on_object = np.array([target.point_object for target in targets], dtype=np.float64).reshape(-1, 3)
+    miss = np.zeros(len(T_object_link))
+    for number, (target, column) in enumerate(zip(targets, aimed, strict=True)):
+        if column >= 0:
+            on_link[number] = transform_points(T_object_link[column], np.asarray(target.point_link, dtype=np.float64))
+            ends = ((witness.point_a, on_link), (witness.point_b, on_object))
+            misses = [np.linalg.norm(found[0, column] - wanted[number]) for found, wanted in ends]
+            miss[column] = max(miss[column], *misses)
+    return on_link, on_object, miss

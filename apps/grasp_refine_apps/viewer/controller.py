@@ -1,0 +1,278 @@
+"""The controller: commands in, states out. It knows no viser.
+
+Commands return at once, can come from any thread and never raise for what a user does: they set a notice. What takes
+long is done by one worker thread; whoever listens is told of every new state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.grasps.grasp_set import GraspSet
+from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.editing import Steering
+from grasp_refine_apps.viewer.jobs import Change
+from grasp_refine_apps.viewer.marks import Mark
+from grasp_refine_apps.viewer.measuring import measured, unmeasured
+from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.refining import refined, targets_of
+from grasp_refine_apps.viewer.shown_motion import ShownMotion
+from grasp_refine_apps.viewer.state import State
+from grasp_refine_apps.viewer.trace import Trace
+from grasp_refine_apps.viewer.validated import Proved
+from grasp_refine_apps.viewer.validating import Prover, protocol_of, prove, watch
+from grasp_refine_apps.viewer.worker import Control, Stopped
+
+
+class Controller(Steering):
+    """What can be done with what is open."""
+
+    def __init__(self, collection: Collection, settings: Any, proofs: Mapping[int, Proved] | None = None) -> None:
+        """Show the first grasp.
+
+        Args:
+            collection: What is open.
+            settings: The options of refinement (`State.settings`).
+            proofs: What simulation said of the grasps, by number.
+        """
+        super().__init__(_opened(State(collection, 0, *_grasp(collection, 0), settings, proofs=proofs or {}), 0))
+        self._prover = Prover()
+        self._measuring = False
+        """Whether there are grasps to be measured when nothing else is to be done."""
+
+    # what is shown
+
+    def change_collection(self, collection: Collection, number: int = 0) -> None:
+        """Show something else: after an upload, or when more is known of the same grasps."""
+        with self._lock:
+            same_grasps = collection.problem is self._state.collection.problem
+            if same_grasps and number == self._state.number:
+                self._set(collection=collection)
+                return
+            self._interrupt()
+            if not same_grasps:
+                self._measuring = False
+                if self._state.job is not None and self._state.job.kind == "measure":
+                    self._halt()
+            self._history.clear()
+            now = replace(self._state, collection=collection, proofs=self._state.proofs if same_grasps else {})
+            self._become(_opened(now, number))
+
+    def show(self, number: int) -> None:
+        """Show another grasp."""
+        with self._lock:
+            if 0 <= number < len(self._state.collection) and number != self._state.number:
+                self.change_collection(self._state.collection, number)
+
+    def set_showing(self, **changes: Any) -> None:
+        """Show or hide parts of the scene: fields of `Showing`."""
+        with self._lock:
+            self._set(showing=replace(self._state.showing, **changes))
+
+    def set_side_by_side(self, beside: bool) -> None:
+        """Draw the grasp as it came beside that which is shown, or not."""
+        self._set(side_by_side=beside)
+
+    def mark(self, number: int, mark: Mark) -> None:
+        """Say what one thinks of a grasp: "good", "bad" or "" for nothing; kept beside the file."""
+        with self._lock:
+            collection = self._state.collection.with_mark(number, mark)
+            self._set(collection=collection)
+            try:
+                collection.save_marks(number)
+            except GraspRefineError as error:
+                self.say(f"{error}; the mark is kept until the viewer ends", bad=True)
+
+    def measure(self) -> None:
+        """Find out what the grasps are worth of which no file tells; whatever the user wants done comes first."""
+        with self._lock:
+            collection = self._state.collection
+            if not unmeasured(collection).any():
+                return
+
+            def work(control: Control) -> None:
+                # What was stopped goes on later; what fails now would fail again.
+                again = False
+                try:
+                    measured(collection, control.tell, control.check, self._know)
+                except Stopped:
+                    again = True
+                    raise
+                finally:
+                    self._measuring &= again
+
+            self._measuring = True
+            self.run_job("measure", "measuring grasps", work)
+
+    def stop(self) -> None:
+        """End what is being done; what it has come to stays."""
+        with self._lock:
+            job = self._state.job
+            self._measuring &= job is None or job.kind != "measure"
+            super().stop()
+
+    def _ended(self) -> None:
+        if self._measuring:
+            self.measure()
+
+    def _know(self, found: Collection) -> None:
+        """Keep what was measured, also when measuring was stopped."""
+        with self._lock:
+            now = self._state.collection
+            if now.problem is found.problem:
+                self._set(collection=now.with_columns(*found.columns.values()))
+
+    # refining
+
+    def set_settings(self, settings: Any) -> None:
+        """Refine with other options from the next start on."""
+        self._set(settings=settings)
+
+    def start(self, paused: bool = False) -> None:
+        """Refine what is shown; go on if that is paused."""
+        with self._lock:
+            job = self._state.job
+            if job is not None and job.kind == "refine":
+                if job.paused and not paused:
+                    self._hold(False)
+                return
+            if job is not None and job.kind != "measure":
+                return
+            try:
+                # Options that cannot be are refused before anything begins.
+                config = self._state.settings.config()
+            except GraspRefineError as error:
+                self.say(str(error), bad=True)
+                return
+            self._push("")
+            pose = self._state.standing
+            self._set(pose=pose, trace=None, frame=None, outcome=None, motion=None, picked=None, proof=None)
+            scene, targets = self._state.scene, self._state.targets
+            name = self._state.collection.group(self._state.number)
+
+            def work(control: Control) -> Change:
+                def show(trace: Trace) -> None:
+                    self._if_wanted(control, pose=trace.pose(len(trace) - 1), trace=trace)
+
+                found = refined(self._hand_object(scene), scene, pose, targets, config, control, show, name)
+                return lambda state: replace(state, pose=found.pose, trace=found.trace, outcome=found.outcome)
+
+            self.run_job("refine", "refining", work)
+            if paused and self._control is not None:
+                self._hold(True)
+
+    def pause(self) -> None:
+        """Hold the refinement, or let it go on."""
+        with self._lock:
+            job = self._state.job
+            if job is not None and job.kind == "refine":
+                self._hold(not job.paused)
+
+    def step_once(self) -> None:
+        """One iteration: begins a refinement that waits after each of them, or lets a waiting one do the next."""
+        with self._lock:
+            if self._state.job is None or self._state.job.kind != "refine":
+                self.start(paused=True)
+            elif not self._state.job.paused:
+                self._hold(True)
+            if self._control is not None:
+                self._control.step()
+
+    def scrub(self, frame: int | None) -> None:
+        """Look at an iteration; None: at where the hand is now."""
+        with self._lock:
+            trace = self._state.trace
+            if trace is not None:
+                frame = None if frame is None else min(max(frame, 0), len(trace) - 1)
+                self._set(frame=frame, motion=None)
+
+    # proving
+
+    def prove(self, setting: str = "force-closure", friction: float | None = None) -> None:
+        """Test the grasp that is shown in MuJoCo."""
+        with self._lock:
+            try:
+                protocol = protocol_of(setting, friction)
+            except GraspRefineError as error:
+                self.say(str(error), bad=True)
+                return
+            now = self._state
+            pose, scene, came, number = now.standing, now.scene, _came(now), now.number
+
+            def work(control: Control) -> Change:
+                prepared, tell, check = self._hand_object(scene), control.tell, control.check
+                found = prove(self._prover, scene, pose, protocol, came=came, prepared=prepared, tell=tell, check=check)
+                return lambda state: replace(state, proof=found, proofs=self._proofs(state, number, pose, found))
+
+            if self.run_job("prove", "testing in MuJoCo", work):
+                # What is proved is what was shown, and stays so.
+                self._set(pose=pose, frame=None, motion=None, proof=None)
+
+    def _proofs(self, state: State, number: int, pose: Pose, found: Proved) -> Mapping[int, Proved]:
+        """What is known of the grasps as their file has them, with what was found of one."""
+        _, _, as_it_came = _grasp(state.collection, number)
+        return {**state.proofs, number: found} if pose.same(as_it_came) else state.proofs
+
+    def watch(self, direction: str) -> None:
+        """Simulate one direction of the proof once more, to be looked at."""
+        with self._lock:
+            now, proof = self._state, self._state.proof
+            if proof is None or direction not in proof.directions:
+                return
+            pose, scene, came = now.pose, now.scene, _came(now)
+
+            def work(control: Control) -> Change:
+                prepared, tell, check = self._hand_object(scene), control.tell, control.check
+                found = watch(
+                    self._prover, scene, pose, proof, direction, came=came, prepared=prepared, tell=tell, check=check
+                )
+                return lambda state: replace(state, motion=found, motion_frame=0)
+
+            self.run_job("replay", f"recording the push along {direction}", work)
+
+    def show_motion_frame(self, frame: int) -> None:
+        """Look at a frame of the simulation."""
+        with self._lock:
+            motion = self._state.motion
+            if motion is not None:
+                self._set(motion_frame=min(max(frame, 0), len(motion) - 1))
+
+    def show_motion(self, motion: ShownMotion) -> None:
+        """Look at a simulation, from its start."""
+        self._set(motion=motion, motion_frame=0)
+
+    def end_motion(self) -> None:
+        """Look at the grasp again."""
+        self._set(motion=None, motion_frame=0)
+
+
+def _came(state: State) -> GraspSet:
+    """The grasp that is shown, as its file has it, with pregrasp and squeeze."""
+    collection, number = state.collection, state.number
+    return collection.group(number).grasps.select(collection.member[number : number + 1])
+
+
+def _grasp(collection: Collection, number: int) -> tuple[Scene, Pose, Pose]:
+    """Scene, hand as it came, and hand as the file has it, of a grasp."""
+    scene = collection.scene(number)
+    return scene, Pose(*collection.initial(number)), Pose(scene.T_world_root[0], scene.q[0])
+
+
+def _opened(state: State, number: int) -> State:
+    """The state when a grasp of the same collection is opened; how things are looked at, and what is done, stays."""
+    scene, initial, pose = _grasp(state.collection, number)
+    looks = ("settings", "proofs", "job", "gizmo", "showing", "side_by_side", "notice", "change")
+    return State(
+        collection=state.collection,
+        number=number,
+        scene=scene,
+        initial=initial,
+        pose=pose,
+        targets=targets_of(scene),
+        proof=state.proofs.get(number),
+        **{name: getattr(state, name) for name in looks},
+    )

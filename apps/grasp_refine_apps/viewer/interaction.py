@@ -1,0 +1,141 @@
+"""What the user does in the scene: clicks on links and on the object, targets and handles that are dragged."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import viser
+from jaxtyping import Float
+
+from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
+from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.nodes import Balls, HandMeshes, Meshes, place
+from grasp_refine_apps.viewer.picking import hit_mesh, nearest_on_surface
+from grasp_refine_apps.viewer.state import State
+
+HELD = 0.5
+"""Seconds for which a handle stays where the user dragged it: states that are drawn may be older."""
+
+
+class Interaction:
+    """Makes commands of it."""
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        controller: Controller,
+        hand: HandMeshes,
+        obj: Meshes,
+        targets: Balls,
+        length: float,
+    ) -> None:
+        """Listen to nothing yet.
+
+        Args:
+            scene: Where the handles are put.
+            controller: Gets the commands.
+            hand: The hand that is seen.
+            obj: The object that is seen.
+            targets: Points on it where links should touch.
+            length: How large the handles are, about, in metres.
+        """
+        self._scene, self._controller, self._length = scene, controller, length
+        self._hand, self._object, self._targets = hand, obj, targets
+        self._gizmos: dict[str, Any] = {}
+        self._picking = False
+        self._dragged = -np.inf
+
+    def draw(self, state: State) -> None:
+        """Listen as a state says, and put the handles where it says."""
+        if state.picking != self._picking:
+            self._picking = state.picking
+            self._listen(state.picking)
+        for kind in [kind for kind in self._gizmos if kind != state.gizmo]:
+            self._gizmos.pop(kind).remove()
+        if state.gizmo == "none" or state.motion is not None:
+            return
+        T = state.T_world_object if state.gizmo == "object" else state.T_world_object @ state.shown.T_object_root
+        node = self._gizmos.get(state.gizmo)
+        if node is None:
+            node = self._scene.add_transform_controls(
+                f"/gizmo_{state.gizmo}", scale=1.2 * self._length, depth_test=False
+            )
+            place(node, T)
+            node.on_update(self._drag_hand if state.gizmo == "hand" else self._drag_object)
+            self._gizmos[state.gizmo] = node
+        elif time.monotonic() - self._dragged > HELD and not np.allclose(_pose_of(node), T, atol=1e-9):
+            place(node, T)
+
+    # Asynchronous, so that they are called at once and in order, before anybody moves the handle.
+    async def _drag_hand(self, event: Any) -> None:
+        if event.client is not None:
+            self._dragged = time.monotonic()
+            self._controller.move_root(inverse(self._controller.state.T_world_object) @ _pose_of(event.target))
+
+    async def _drag_object(self, event: Any) -> None:
+        if event.client is not None:
+            self._dragged = time.monotonic()
+            self._controller.move_object(_pose_of(event.target))
+
+    def _listen(self, picking: bool) -> None:
+        """Let links and object be clicked, or no more."""
+        links = [partial(self._clicked_link, k) for k in range(len(self._hand.shapes))]
+        self._hand.on_click(links if picking else None)
+        self._object.on_click([self._clicked_object] * len(self._object.shapes) if picking else None)
+
+    def listen_to_targets(self, new: Iterable[int]) -> None:
+        """Let targets that were not there before be dragged along the object."""
+        for k in new:
+            self._targets.nodes[k].on_drag(partial(self._drag_target, k))
+
+    def _clicked_link(self, k: int, origin: np.ndarray, direction: np.ndarray) -> None:
+        state, shape = self._controller.state, self._hand.link_shapes[k]
+        if state.motion is not None:
+            return
+        T = state.T_world_object @ self._hand.poses(state.shown.T_object_root, state.shown.q)[shape.link]
+        hit = hit_mesh(*_seen_from(T, origin, direction), shape.vertices, shape.faces)
+        body = state.scene.hand.links_by_name[shape.link].body
+        if hit is not None:
+            # What is seen may lie beside what touches.
+            point = hit.point if body is None else nearest_on_surface(body, hit.point).point
+            self._controller.pick_link(shape.link, point)
+
+    def _clicked_object(self, origin: np.ndarray, direction: np.ndarray) -> None:
+        state = self._controller.state
+        point = None if state.motion is not None else self._on_surface(state, origin, direction)
+        if point is not None:
+            self._controller.pick_object(point)
+
+    def _drag_target(self, k: int, event: Any) -> None:
+        eye = np.array(event.client.camera.position)
+        point = self._on_surface(self._controller.state, eye, np.array(event.end_position) - eye)
+        if point is not None:
+            self._controller.move_target(k, point)
+
+    def _on_surface(self, state: State, origin: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
+        """Where a ray in the world meets the object first (3,), object frame."""
+        ray = _seen_from(state.T_world_object, origin, direction)
+        hits = [hit_mesh(*ray, shape.vertices, shape.faces) for shape in self._object.shapes]
+        known = [hit for hit in hits if hit is not None]
+        if not known:
+            return None
+        first = min(known, key=lambda hit: hit.distance)
+        return nearest_on_surface(state.scene.object.body, first.point).point
+
+    def remove(self) -> None:
+        """Take the handles away."""
+        for node in self._gizmos.values():
+            node.remove()
+
+
+def _pose_of(node: Any) -> Float[np.ndarray, "4 4"]:
+    return transform_from_pose(np.concatenate([node.position, node.wxyz])[None])[0]
+
+
+def _seen_from(T: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A ray in the frame whose pose (4, 4) is T."""
+    return transform_points(inverse(T), origin), T[:3, :3].T @ direction

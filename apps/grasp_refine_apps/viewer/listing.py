@@ -1,0 +1,111 @@
+"""Which grasps of a collection are listed, and in which order: filters, sorting, and steps through the list."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int
+
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.columns import HELD, STATUS, Column
+
+NUMBER, MARK, NO_MARK = "number", "mark", "no mark"
+"""Keys of what is known without any measure, and what the filter calls grasps without a mark."""
+WORST = ("quality_after", "wrench_residual_after", "penetration_after", "contact_error_after")
+"""Keys of the columns that say which grasps are the worst; the first one that is known counts."""
+
+
+@dataclass(frozen=True)
+class Listing:
+    """What of a collection is listed, and how; empty texts mean all."""
+
+    key: str = NUMBER
+    """Key of the column that it is sorted by; `NUMBER`: as in the file."""
+    descending: bool = False
+    """Whether large values come first."""
+    object: str = ""
+    """Name of an object."""
+    status: str = ""
+    """How the refinement ended."""
+    held: str = ""
+    """What simulation said."""
+    mark: str = ""
+    """How grasps were marked; `NO_MARK`: not at all."""
+
+    def numbers(self, collection: Collection) -> Int[np.ndarray, " M"]:
+        """Numbers of the M grasps that are listed, in order; unknown values come last."""
+        column = column_of(collection, self.key)
+        if column is None:
+            every = np.arange(len(collection))
+            order = every[::-1] if self.descending and self.key == NUMBER else every
+        else:
+            order = column.order(descending=self.descending)
+        keep = np.ones(len(collection), dtype=bool)
+        if self.object:
+            keep &= collection.objects == self.object
+        for key, wanted in ((STATUS.key, self.status), (HELD.key, self.held)):
+            if wanted:
+                found = collection.columns.get(key)
+                keep &= np.zeros(len(collection), dtype=bool) if found is None else found.values == wanted
+        if self.mark:
+            keep &= marks_of(collection) == ("" if self.mark == NO_MARK else self.mark)
+        return order[keep[order]]
+
+
+def column_of(collection: Collection, key: str) -> Column | None:
+    """The column that a key names, marks among them; None for `NUMBER` and for what is not known."""
+    if key == MARK:
+        return Column(MARK, "Mark", "what you thought of it", marks_of(collection))
+    return collection.columns.get(key)
+
+
+def marks_of(collection: Collection) -> np.ndarray:
+    """The mark of each grasp (N,), empty where it has none."""
+    return np.array([collection.mark(number) for number in range(len(collection))], dtype=str)
+
+
+def first_descending(collection: Collection, key: str) -> bool:
+    """Which way to sort by a column at first: so that the best grasps come first."""
+    column = column_of(collection, key)
+    return column is not None and column.better == "higher"
+
+
+def step(numbers: Int[np.ndarray, " M"], number: int, by: int) -> int | None:
+    """The grasp that stands `by` places after another one in a list, its ends joined; None: the list is empty.
+
+    From a grasp that is not listed, a step leads to the first, or backwards to the last.
+    """
+    if not len(numbers):
+        return None
+    at = np.flatnonzero(numbers == number)
+    if not len(at):
+        return int(numbers[0 if by > 0 else -1])
+    return int(numbers[(at[0] + by) % len(numbers)])
+
+
+def any_other(numbers: Int[np.ndarray, " M"], number: int, random: np.random.Generator) -> int | None:
+    """A grasp of a list at random, another than `number` if there is one; None: the list is empty."""
+    others = numbers[numbers != number]
+    if len(others):
+        return int(random.choice(others))
+    return int(numbers[0]) if len(numbers) else None
+
+
+def worst(collection: Collection, numbers: Int[np.ndarray, " M"] | None = None, key: str = "") -> int | None:
+    """The worst grasp of a list (default: of all), by a column; None where nothing is known of any.
+
+    Args:
+        collection: Grasps.
+        numbers: Numbers of those that count.
+        key: Key of the column; by default the first of `WORST` that is known.
+    """
+    numbers = np.arange(len(collection)) if numbers is None else numbers
+    for name in (key,) if key else WORST:
+        column = column_of(collection, name)
+        if column is None or column.is_text or not column.known[numbers].any():
+            continue
+        values = column.values[numbers]
+        bad = np.nan_to_num(values if column.better == "lower" else -values, nan=-np.inf)
+        return int(numbers[bad.argmax()])
+    return None

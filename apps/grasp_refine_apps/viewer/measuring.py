@@ -1,0 +1,90 @@
+"""Measures of grasps of which no file tells what they are worth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from grasp_refine.pipeline.problem import Group
+from grasp_refine.validation.metrics import Metrics, metrics
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.columns import NUMBERS, Column
+
+TOGETHER = 8
+"""Grasps that are measured together; between such batches one can stop."""
+MEASURED = {
+    "quality_after": "quality",
+    "penetration_after": "penetration_m",
+    "self_penetration_after": "self_penetration_m",
+    "wrench_residual_after": "wrench_residual",
+    "finger_gap": "contact_distance_m",
+    "contact_number": "contact_number",
+    "limits_violated": "limits_violated",
+}
+"""Key of a column -> the field of `Metrics` that it is filled from."""
+
+
+def unmeasured(collection: Collection) -> Bool[np.ndarray, " N"]:
+    """Of which grasps (N,) neither a file nor measuring has said what they are worth."""
+    known = np.zeros(len(collection), dtype=bool)
+    for key in MEASURED:
+        if key in collection.columns:
+            known |= collection.columns[key].known
+    return ~known
+
+
+def measured(
+    collection: Collection,
+    tell: Callable[[float, str], None],
+    check: Callable[[], None],
+    keep: Callable[[Collection], None] = lambda collection: None,
+) -> Collection:
+    """The collection with the measures of all grasps that were unmeasured.
+
+    Args:
+        collection: Grasps.
+        tell: Hears the share that is done, and what is being done.
+        check: Called often; what it raises ends the measuring.
+        keep: Hears the collection with what is measured so far, also when measuring ends early.
+    """
+    todo = unmeasured(collection)
+    found: list[Metrics] = []
+    numbers: list[np.ndarray] = []
+    try:
+        for group, rows, some in _batches(collection, todo):
+            check()
+            tell(sum(map(len, numbers)) / todo.sum(), "measuring grasps")
+            scene = group.scene
+            found.append(metrics(scene.hand, scene.object, scene.T_world_root[rows], scene.q[rows]))
+            numbers.append(some)
+    finally:
+        if found:
+            columns = _columns(collection, np.concatenate(numbers), Metrics.join(found))
+            collection = collection.with_columns(*columns)
+            keep(collection)
+    return collection
+
+
+def _batches(
+    collection: Collection, todo: Bool[np.ndarray, " N"]
+) -> Iterator[tuple[Group, Int[np.ndarray, " some"], Int[np.ndarray, " some"]]]:
+    """Grasps of one object and scale, a few at a time: their group, their rows in it, their numbers."""
+    for at, group in enumerate(collection.problem.groups):
+        numbers = np.flatnonzero(todo & (collection.group_of == at))
+        for start in range(0, len(numbers), TOGETHER):
+            some = numbers[start : start + TOGETHER]
+            yield group, collection.member[some], some
+
+
+def _columns(collection: Collection, numbers: Int[np.ndarray, " some"], found: Metrics) -> list[Column]:
+    """The columns that measuring fills, with new values for some grasps."""
+    columns = []
+    for column in NUMBERS:
+        if column.key in MEASURED:
+            before = collection.columns.get(column.key)
+            values = np.full(len(collection), np.nan) if before is None else before.values.copy()
+            values[numbers] = getattr(found, MEASURED[column.key])
+            columns.append(column.with_values(values))
+    return columns

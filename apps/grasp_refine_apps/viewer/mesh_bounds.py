@@ -1,0 +1,221 @@
+"""How large a mesh from anyone is, and whether it reaches for other files, found before a reader builds it.
+
+The readers make of a file what it says: a number in a header, a million empty lines or a node that is drawn a million
+times can fill the memory. Here only the bytes are looked at, and what is counted is at least as much as a reader makes
+of them.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from grasp_refine.geometry.mesh import SUFFIXES
+from grasp_refine_apps.viewer.unpacking import UploadError
+
+MOST_FACES = 300_000
+"""Triangles of a mesh, and of all meshes of a hand; scans have 16,000 to 262,000. To cut a concave one into convex
+pieces takes minutes on two cores, 1 to 3 ms per triangle, and nothing interrupts it."""
+MOST_LINES = 2_000_000
+"""Lines of a mesh as text: as many faces with vertices, normals and texture have 1.2 million."""
+LONGEST_LINE = 2**16
+"""Bytes of one of them: a polygon with five thousand corners."""
+MOST_PARTS = 2000
+"""Bodies, materials, nodes and such: readers compare each name with all others."""
+LARGEST_HEADER = 2**22
+"""Bytes of what a GLB says about itself."""
+MOST_NUMBERS = 6 * MOST_FACES
+"""Rows of the arrays of a GLB in all: faces, vertices, normals, colours and texture."""
+MOST_NODES = 16
+"""References to further nodes in a Collada file, which multiply where they are within each other."""
+
+PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
+"""What meshes in a GLB are packed with; no reader of ours unpacks them."""
+ADVICE = "simplify it first (Blender: Decimate; MeshLab: Quadric Edge Collapse Decimation)"
+
+
+def check_mesh_file(path: Path, name: str) -> int:
+    """At least as many triangles as a reader would find in a mesh file.
+
+    Args:
+        path: The file; its ending says what it is.
+        name: What the user calls it, for messages.
+
+    Raises:
+        UploadError: there are too many of anything, it is not what its ending says, or it reaches for other files.
+    """
+    suffix, data = path.suffix.lower(), path.read_bytes()
+    known = {".stl": _stl, ".glb": _glb, ".ply": _ply, ".dae": _dae, ".obj": _obj, ".off": _off}
+    if suffix not in known:
+        raise UploadError(f"{name}: '{suffix}' is no mesh that is read; use one of {', '.join(SUFFIXES)}")
+    try:
+        faces = known[suffix](data, name)
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError, struct.error) as error:
+        reason = " ".join(str(error).split())[:80]
+        raise UploadError(f"{name}: is a damaged {suffix} file ({type(error).__name__}: {reason})") from None
+    check_faces(faces, name)
+    return faces
+
+
+def check_faces(faces: int, name: str) -> None:
+    """Nothing, when a mesh has not too many triangles.
+
+    Raises:
+        UploadError: it has.
+    """
+    if faces > MOST_FACES:
+        raise UploadError(f"{name}: has up to {faces} triangles, more than {MOST_FACES}: {ADVICE}")
+
+
+def _lines(data: bytes, name: str) -> list[bytes]:
+    """The lines of a text of bounded size."""
+    if b"\0" in data:
+        raise UploadError(f"{name}: holds bytes that no text has, so it is not what its ending says")
+    # Readers take whatever ends a line anywhere for its end.
+    count = data.count(b"\n") + data.count(b"\r") + data.count(b"\v") + data.count(b"\f")
+    if count > MOST_LINES:
+        raise UploadError(f"{name}: has {count} lines, more than {MOST_LINES}: {ADVICE}")
+    lines = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
+    longest = max(map(len, lines), default=0)
+    if longest > LONGEST_LINE:
+        raise UploadError(f"{name}: has a line of {longest} letters, more than {LONGEST_LINE}; export the mesh again")
+    return lines
+
+
+def _check_parts(parts: int, name: str) -> None:
+    if parts > MOST_PARTS:
+        raise UploadError(f"{name}: has {parts} bodies, materials or nodes, more than {MOST_PARTS}; join them first")
+
+
+def _obj(data: bytes, name: str) -> int:
+    faces = parts = 0
+    for line in _lines(data, name):
+        line = line.lstrip()
+        if line[:1] == b"f":
+            faces += max(len(line.split()) - 3, 0)
+        elif line[:1] in (b"o", b"u", b"g"):
+            parts += 1
+    _check_parts(parts, name)
+    return faces
+
+
+def _off(data: bytes, name: str) -> int:
+    rows = [row for line in _lines(data, name) if (row := line.split(b"#")[0].split())]
+    if not rows or b"OFF" not in rows[0][0].upper():
+        raise UploadError(f"{name}: does not begin with OFF, so it is no OFF file")
+    # The numbers may follow in the same line.
+    counts = rows[0][1:] or (rows[1] if len(rows) > 1 else [])
+    vertices = int(counts[0])
+    return sum(max(len(row) - 3, 0) for row in rows[max(vertices, 0) + 1 :])
+
+
+def _stl(data: bytes, name: str) -> int:
+    if len(data) >= 84 and len(data) == 84 + 50 * (count := struct.unpack("<I", data[80:84])[0]):
+        return count
+    if not data.lstrip()[:5].lower() == b"solid":
+        raise UploadError(f"{name}: is neither an STL of the size that it says nor one as text, so it is no STL file")
+    text = b"\n".join(_lines(data, name)).lower()
+    _check_parts(text.count(b"solid") // 2, name)
+    return text.count(b"vertex") // 3
+
+
+def _ply(data: bytes, name: str) -> int:
+    head, end, body = data[:LARGEST_HEADER].partition(b"end_header")
+    if data[:3].lower() != b"ply" or not end:
+        raise UploadError(f"{name}: does not begin as PLY files do, so it is no PLY file")
+    counts: Counter[str] = Counter()
+    lines = head.decode("utf-8").splitlines()
+    _check_parts(len(lines), name)
+    for line in lines:
+        if line.startswith("element"):
+            _, element, count = line.split()
+            counts[element] += int(count)
+    if sum(counts.values()) > MOST_LINES or min(counts.values(), default=0) < 0:
+        raise UploadError(f"{name}: says that it has {sum(counts.values())} elements, more than {MOST_LINES}: {ADVICE}")
+    if "ascii" not in lines[1].lower():
+        # Polygons of a binary file all have as many corners as the first; the file is as long as all of them.
+        return max(counts["face"], counts["tristrips"])
+    rows = _lines(data[len(head) :], name)[1 + counts["vertex"] :]
+    return sum(max(len(row.split()) - 3, 0) for row in rows[: counts["face"]])
+
+
+def _glb(data: bytes, name: str) -> int:
+    if data[:4] != b"glTF":
+        raise UploadError(f"{name}: does not begin with glTF, so it is no GLB file")
+    size = struct.unpack("<I", data[12:16])[0]
+    if size > LARGEST_HEADER:
+        raise UploadError(f"{name}: describes itself in {size} bytes, more than {LARGEST_HEADER}; export it again")
+    header = json.loads(data[20 : 20 + size])
+    used = {*header.get("extensionsUsed", []), *header.get("extensionsRequired", [])}
+    if packed := sorted(used & {*PACKED}):
+        raise UploadError(f"{name}: is packed with {packed[0]}, which is not read; export it without compression")
+    for buffer in header.get("buffers", []):
+        # As its reader does it: what is not in the file is taken for the name of another.
+        if "base64," not in buffer.get("uri", "base64,"):
+            raise UploadError(
+                f"{name}: keeps its numbers in another file, '{_short(buffer['uri'])}'; export it as one GLB file"
+            )
+    nodes, meshes, rows = header.get("nodes", []), header.get("meshes", []), header.get("accessors", [])
+    _check_parts(max(len(nodes), len(meshes), sum(len(mesh["primitives"]) for mesh in meshes)), name)
+    if (count := sum(abs(row["count"]) for row in rows)) > MOST_NUMBERS:
+        raise UploadError(f"{name}: says that it has arrays of {count} rows, more than {MOST_NUMBERS}: {ADVICE}")
+    used_by = [child for node in nodes for child in node.get("children", [])]
+    used_by += [root for scene in header.get("scenes", []) for root in scene.get("nodes", [])]
+    _check_parts(len(used_by), name)
+    faces = [sum(_primitive_faces(part, rows) for part in mesh["primitives"]) for mesh in meshes]
+    # A mesh is there as often as nodes hold it, and a node as often as others name it.
+    return sum(faces[nodes[child]["mesh"]] for child in used_by if "mesh" in nodes[child])
+
+
+def _primitive_faces(part: dict[str, Any], rows: list[dict[str, Any]]) -> int:
+    """Triangles of one part of a mesh in a GLB: strips have nearly as many as corners, others a third."""
+    corners = rows[part.get("indices", part["attributes"].get("POSITION"))]["count"]
+    return corners if part.get("mode", 4) == 5 else corners // 3
+
+
+def _dae(data: bytes, name: str) -> int:
+    from lxml import etree
+
+    if b"\0" in data or not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        raise UploadError(f"{name}: is no XML, so it is no Collada file (packed ones are not read)")
+    root = safe_xml(data, name)
+    shapes: Counter[str] = Counter()
+    for geometry in root.iter("{*}geometry"):
+        for part in geometry.iter("{*}triangles", "{*}polylist", "{*}polygons", "{*}tristrips", "{*}trifans"):
+            offsets = [int(entry.get("offset", 0)) for entry in part.iter("{*}input")]
+            numbers = sum(len((p.text or "").split()) for p in part.iter("{*}p"))
+            corners = numbers // (max(offsets, default=0) + 1)
+            shapes[geometry.get("id", "")] += corners // 3 if etree.QName(part).localname == "triangles" else corners
+    further = sum(1 for _ in root.iter("{*}instance_node"))
+    drawn = [(entry.get("url") or "").removeprefix("#") for entry in root.iter("{*}instance_geometry")]
+    if further > MOST_NODES:
+        raise UploadError(f"{name}: refers to nodes {further} times, more than {MOST_NODES}; export it as STL or OBJ")
+    _check_parts(len(drawn) + len(shapes), name)
+    return sum(shapes[key] for key in drawn) * max(1, further**2)
+
+
+def safe_xml(data: bytes, name: str) -> Any:
+    """The outermost element of an XML text that declares nothing: no entities, which can grow or name other files.
+
+    Raises:
+        UploadError: it is no XML, too deep, or declares a document type.
+    """
+    from lxml import etree
+
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, load_dtd=False, remove_comments=True, remove_pis=True
+    )
+    try:
+        root = etree.fromstring(data, parser)
+    except etree.XMLSyntaxError as error:
+        raise UploadError(f"{name}: is no XML ({' '.join(str(error.msg).split())[:80]})") from None
+    if root.getroottree().docinfo.doctype:
+        raise UploadError(f"{name}: declares a DOCTYPE, which can grow without bound or name other files; remove it")
+    return root
+
+
+def _short(text: str) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in str(text))[:80]

@@ -1,0 +1,195 @@
+"""Parts of the 3D scene: each makes its nodes once and then only moves them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+import viser
+from jaxtyping import Float
+
+from grasp_refine.core.se3 import pose_from_transform
+from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.shapes import Color, LinkPoses, LinkShape, Shape
+
+Clicked = Callable[[np.ndarray, np.ndarray], None]
+"""Gets the origin (3,) and the direction (3,) of the ray through a click, world frame."""
+
+
+def place(node: Any, T: Float[np.ndarray, "4 4"]) -> None:
+    """Move a node to a pose (4, 4) in the frame of its parent."""
+    pose = pose_from_transform(T)
+    node.position, node.wxyz = pose[:3], pose[3:]
+
+
+def _told(clicked: Clicked, event: Any) -> None:
+    """Tell where a click came from."""
+    clicked(np.array(event.ray_origin), np.array(event.ray_direction))
+
+
+class Meshes:
+    """Nodes of triangle meshes under one name."""
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        name: str,
+        shapes: Sequence[Shape | LinkShape],
+        *,
+        opacity: float | None = None,
+        wireframe: bool = False,
+        color: Color | None = None,
+        shadow: bool = True,
+        side: Literal["front", "double"] = "double",
+    ) -> None:
+        """Make a node for each shape, `name`/0, `name`/1 and so on; of open surfaces both sides should be drawn."""
+        self.shapes = tuple(shapes)
+        self.nodes = [
+            scene.add_mesh_simple(
+                f"{name}/{k}",
+                shape.vertices,
+                shape.faces,
+                color=color or shape.color,
+                opacity=opacity,
+                wireframe=wireframe,
+                side=side,
+                cast_shadow=shadow,
+                receive_shadow=False,
+            )
+            for k, shape in enumerate(shapes)
+        ]
+        self._visible = True
+
+    def show(self, visible: bool) -> None:
+        """Show or hide all of them."""
+        if visible != self._visible:
+            self._visible = visible
+            for node in self.nodes:
+                node.visible = visible
+
+    def on_click(self, clicked: Sequence[Clicked] | None) -> None:
+        """Call the k-th of `clicked` when the k-th node is clicked; None: nothing, and no outline on hovering."""
+        for k, node in enumerate(self.nodes):
+            node.remove_click_callback("all")
+            if clicked is not None:
+                node.on_click(partial(_told, clicked[k]))
+
+    def remove(self) -> None:
+        """Take all nodes away."""
+        for node in self.nodes:
+            node.remove()
+
+
+class HandMeshes(Meshes):
+    """A hand, whose links are moved to where kinematics says."""
+
+    def __init__(
+        self, scene: viser.SceneApi, name: str, shapes: Sequence[LinkShape], poses: LinkPoses, **looks: Any
+    ) -> None:
+        """Make a node for each link; `looks` as for `Meshes`."""
+        super().__init__(scene, name, shapes, **looks)
+        self.link_shapes = tuple(shapes)
+        self.links = tuple(shape.link for shape in shapes)
+        self._own = tuple(shape.color for shape in shapes)
+        self.poses = poses
+        self._at: Pose | None = None
+
+    def tint(self, links: Collection[str], color: Color) -> None:
+        """Give some links a touch of another colour, and the others their own."""
+        for link, node, own in zip(self.links, self.nodes, self._own, strict=True):
+            red, green, blue = ((2 * a + 3 * b) // 5 for a, b in zip(own, color, strict=True))
+            wanted = own if link not in links else (red, green, blue)
+            if tuple(node.color) != wanted:
+                node.color = wanted
+
+    def move(self, pose: Pose) -> None:
+        """Put the hand at a pose in the frame of its parent."""
+        if pose is self._at or not np.isfinite(pose.T_object_root).all() or not np.isfinite(pose.q).all():
+            return
+        self._at = pose
+        T = self.poses(pose.T_object_root, pose.q)
+        for link, node in zip(self.links, self.nodes, strict=True):
+            place(node, T[link])
+
+
+class Lines:
+    """Line segments that come and go."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, thickness: float) -> None:
+        """None yet; `thickness` in pixels."""
+        self._scene, self._name, self._thickness = scene, name, thickness
+        self._node: Any = None
+
+    def draw(self, points: Float[np.ndarray, "N 2 3"], colors: np.ndarray) -> None:
+        """Draw N segments from and to points, each in its colour (N, 3), 0 to 255."""
+        if self._node is not None and not len(points):
+            self._node.remove()
+            self._node = None
+        elif len(points):
+            colors = np.repeat(np.asarray(colors, dtype=np.uint8)[:, None], 2, axis=1)
+            if self._node is None:
+                self._node = self._scene.add_line_segments(
+                    self._name, points, colors, thickness=self._thickness, thickness_units="screen"
+                )
+            else:
+                self._node.points, self._node.colors = points.astype(np.float32), colors
+
+
+class Balls:
+    """Small balls that come and go, all of one size."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, radius: float, color: Color, opacity: float | None = None):
+        """None yet; `radius` in metres."""
+        self._scene, self._name, self._radius, self._color, self._opacity = scene, name, radius, color, opacity
+        self.nodes: list[Any] = []
+
+    def draw(self, points: Float[np.ndarray, "N 3"], colors: np.ndarray | None = None) -> range:
+        """Draw them at points, in colours (N, 3) or in their own; returns the numbers of those that are new."""
+        before = len(self.nodes)
+        while len(self.nodes) > len(points):
+            self.nodes.pop().remove()
+        for k, point in enumerate(points):
+            color: Any = self._color if colors is None else tuple(int(c) for c in colors[k])
+            if k == len(self.nodes):
+                self.nodes.append(
+                    self._scene.add_icosphere(
+                        f"{self._name}/{k}",
+                        radius=self._radius,
+                        color=color,
+                        opacity=self._opacity,
+                        position=point,
+                        cast_shadow=False,
+                        receive_shadow=False,
+                    )
+                )
+            else:
+                self.nodes[k].position = point
+                if tuple(self.nodes[k].color) != color:
+                    self.nodes[k].color = color
+        return range(before, len(points))
+
+
+class Arrows:
+    """Arrows that come and go."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, size: float) -> None:
+        """None yet; `size` is about how long they are, in metres, and says how thick."""
+        self._scene, self._name, self._size = scene, name, size
+        self._node: Any = None
+
+    def draw(self, points: Float[np.ndarray, "N 2 3"], color: Color) -> None:
+        """Draw N arrows from and to points."""
+        if self._node is not None:
+            self._node.remove()
+            self._node = None
+        if len(points):
+            self._node = self._scene.add_arrows(
+                self._name,
+                points,
+                color,
+                shaft_radius=0.03 * self._size,
+                head_radius=0.075 * self._size,
+                head_length=0.2 * self._size,
+            )

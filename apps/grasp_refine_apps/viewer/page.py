@@ -1,0 +1,166 @@
+"""The page: the server, what stands on it, and the thread that draws."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import re
+import socket
+import threading
+import time
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from typing import Any, Protocol, runtime_checkable
+
+import rich
+import viser
+import websockets.asyncio.server
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.viewer.state import State
+
+RATE = 30.0
+"""Most drawings in a second."""
+
+TITLE = "grasp-refine"
+
+LOCAL = ("127.0.0.1", "localhost", "::1")
+"""What this machine calls itself."""
+
+
+@runtime_checkable
+class Drawn(Protocol):
+    """Something that shows a state."""
+
+    def draw(self, state: State) -> None:
+        """Show it."""
+
+
+class Drawer:
+    """The thread that draws: always the newest state, never two at once."""
+
+    def __init__(self, parts: Sequence[Drawn], first: State) -> None:
+        """Draw the first state, then whatever comes."""
+        self._parts, self._state = tuple(parts), first
+        self._wanted, self._closed = threading.Event(), False
+        self._wanted.set()
+        self._thread = threading.Thread(target=self._run, name="viewer drawing", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def draw(self, state: State) -> None:
+        """Draw this state, unless a newer one comes first."""
+        self._state = state
+        self._wanted.set()
+
+    def close(self) -> None:
+        """End after the present drawing."""
+        self._closed = True
+        self._wanted.set()
+        self._thread.join(5.0)
+
+    def _run(self) -> None:
+        while True:
+            self._wanted.wait()
+            self._wanted.clear()
+            if self._closed:
+                return
+            began, state = time.monotonic(), self._state
+            for part in self._parts:
+                try:
+                    part.draw(state)
+                except Exception:  # noqa: BLE001 - one part that cannot be drawn must not take the others with it
+                    traceback.print_exc()
+            time.sleep(max(0.0, 1.0 / RATE - (time.monotonic() - began)))
+
+
+def open_server(host: str, port: int) -> viser.ViserServer:
+    """The server, listening; a port of 0 is any that is free.
+
+    Raises:
+        GraspRefineError: it cannot listen there.
+    """
+    # viser would go on to the next port silently, or, where a host cannot be, wait for ever.
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or error
+            advice = "give another --port, or --port 0 for any that is free"
+            if isinstance(error, OverflowError):
+                reason, advice = "no such port", "give a --port from 0 to 65535"
+            elif isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+                advice = "give a --host of this machine, such as 127.0.0.1, or 0.0.0.0 for all"
+            raise GraspRefineError(f"cannot listen on {host}:{port} ({reason}): {advice}") from None
+    # Whoever connects without asking for anything would be told on the terminal, with a traceback.
+    logging.getLogger("websockets").addHandler(logging.NullHandler())
+    with _silent(), _only_own_pages(host):
+        server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
+    if port and server.get_port() != port:
+        close_server(server)
+        raise GraspRefineError(f"port {port} was taken meanwhile: give another --port, or 0 for any that is free")
+    _forbid_sharing(server)
+    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+    # Beside the scene, not before it.
+    server.gui.main_panel.dock_right()
+    server.scene.set_up_direction("+z")
+    server.scene.configure_environment_map(None)
+    server.scene.configure_default_lights(True, cast_shadow=False)
+    server.scene.add_light_hemisphere("/light", sky_color=(255, 255, 255), ground_color=(205, 208, 218), intensity=2.4)
+    return server
+
+
+def address(server: viser.ViserServer) -> str:
+    """What to type into a browser."""
+    host = server.get_host()
+    name = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    return f"http://{name}:{server.get_port()}"
+
+
+def close_server(server: viser.ViserServer) -> None:
+    """Stop listening."""
+    with _silent():
+        server.stop()
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Viser greets, and says goodbye, on the terminal, which is ours."""
+    console = rich.get_console()
+    quiet, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = quiet
+
+
+@contextmanager
+def _only_own_pages(host: str) -> Iterator[None]:
+    """A server that is started in here lets in pages that come from this machine only, if that is where it listens.
+
+    Otherwise any page that is open in the same browser could talk to it.
+    """
+    if host not in LOCAL:
+        yield
+        return
+    module: Any = websockets.asyncio.server
+    serve = module.serve
+    names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOCAL)
+    # Programs other than browsers send no origin.
+    own = [None, re.compile(rf"https?://({names})(:\d+)?")]
+    module.serve = partial(serve, origins=own)
+    try:
+        yield
+    finally:
+        module.serve = serve
+
+
+def _forbid_sharing(server: viser.ViserServer) -> None:
+    """Without this, any page that reaches the server could have it open a tunnel to the outside."""
+    server._websock_server.unregister_handler(viser._messages.ShareUrlRequest)

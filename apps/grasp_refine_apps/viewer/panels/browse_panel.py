@@ -1,0 +1,247 @@
+"""The panel that lists all grasps of what is open: sort, filter, step, open, mark."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import viser
+
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, STATUS
+from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.listing import MARK, NO_MARK, NUMBER, Listing, any_other, first_descending, step, worst
+from grasp_refine_apps.viewer.marks import MARKS, Mark
+from grasp_refine_apps.viewer.measuring import unmeasured
+from grasp_refine_apps.viewer.metrics_html import worth_html
+from grasp_refine_apps.viewer.state import State
+from grasp_refine_apps.viewer.table import page_of, pages, table_html
+
+PREVIOUS, NEXT, RANDOM, WORST = "◀ Previous", "Next ▶", "Random", "Worst"
+MEASURE = "Measure all"
+GOOD, BAD, NO = "Good", "Bad", "None"
+ALL = "all"
+"""What the filters call no filter."""
+IN_FILE = "as in the file"
+"""What the list of columns calls no sorting."""
+
+
+class BrowsePanel:
+    """The table of grasps and what can be done with it; all browsers see the same list."""
+
+    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+        """Make the widgets inside the tab or folder that is open."""
+        self._server, self._controller = server, controller
+        self._lock = threading.RLock()
+        self._listing, self._page = Listing(), 0
+        self._collection: Collection | None = None
+        self._number, self._last_click = -1, ""
+        self._listed: np.ndarray = np.zeros(0, dtype=int)
+        self._random = np.random.default_rng()
+
+        gui = server.gui
+        self._worth = gui.add_html("")
+        self._steps = gui.add_button_group(
+            "Open", (PREVIOUS, NEXT, RANDOM, WORST), hint="Open another grasp of the list below"
+        )
+        self._marks = gui.add_button_group(
+            "Mark", (GOOD, BAD, NO), hint="What you think of this grasp; kept in a .marks.csv file beside the grasps"
+        )
+        self._beside = gui.add_checkbox(
+            "Before and after", False, hint="Draw the grasp as it came beside the one that is shown"
+        )
+        # Clicks on the table, which is HTML, arrive as values of this widget, which nobody sees.
+        self._clicks = gui.add_text("click", "", visible=False)
+        self._table = gui.add_html("")
+        self._measure = gui.add_button(
+            MEASURE, hint="Find quality and penetration of the grasps of which the file does not say them"
+        )
+        with gui.add_folder("Sort and filter", expand_by_default=False):
+            self._key = gui.add_dropdown("Sort by", (IN_FILE,), hint="Or click a header of the table")
+            self._descending = gui.add_checkbox("Largest first", False, hint="Or click the header once more")
+            self._filters = {
+                "object": gui.add_dropdown("Object", (ALL,), hint="List grasps of this object only"),
+                "status": gui.add_dropdown("Status", (ALL,), hint="How the refinement ended"),
+                "held": gui.add_dropdown("Simulation", (ALL, HELD_TEXT, FAILED_TEXT), hint="What MuJoCo said"),
+                "mark": gui.add_dropdown("Marked", (ALL, *MARKS, NO_MARK), hint="What you thought of them"),
+            }
+            self._download = gui.add_button("Download marks", hint="All marks as a table of comma-separated values")
+        self._connect()
+
+    def draw(self, state: State) -> None:
+        """Show a state."""
+        with self._lock:
+            other = self._collection is None or self._collection.problem is not state.collection.problem
+            changed = self._collection is not state.collection
+            if not changed and self._number == state.number and self._beside.value == state.side_by_side:
+                return
+            self._collection = state.collection
+            if other:
+                self._listing, self._page = Listing(), 0
+            if changed:
+                self._listed = self._listing.numbers(state.collection)
+                self._draw_choices(state.collection)
+            if other or self._number != state.number:
+                self._page = page_of(self._listed, state.number)
+            # A grasp that is marked may leave the list.
+            self._page = min(self._page, pages(self._listed) - 1)
+            self._number = state.number
+            _set(self._beside, state.side_by_side)
+            self._draw_table()
+
+    def _connect(self) -> None:
+        """Let the widgets call commands; values that we set ourselves come without a client."""
+
+        def on(widget: viser.GuiInputHandle, act: Callable[[viser.GuiEvent], None]) -> None:
+            widget.on_update(lambda event: None if event.client is None else act(event))
+
+        on(self._clicks, lambda event: self._clicked(event.target.value))
+        on(self._key, lambda event: self._sort(self._keys().get(event.target.value, NUMBER)))
+        on(self._descending, lambda event: self._list(descending=event.target.value))
+        on(self._beside, lambda event: self._controller.set_side_by_side(event.target.value))
+        for name, widget in self._filters.items():
+            on(widget, partial(self._filtered, name))
+        self._steps.on_click(lambda event: self._go(event.target.value))
+        self._marks.on_click(lambda event: self._mark(event.target.value))
+        self._measure.on_click(lambda event: self._controller.measure())
+        self._download.on_click(self._send_marks)
+
+    # what is listed
+
+    def _filtered(self, name: str, event: viser.GuiEvent) -> None:
+        """List what another value of a filter lets through."""
+        self._filter(name, event.target.value)
+
+    def _list(self, **changes: Any) -> None:
+        """List other grasps, or in another order."""
+        with self._lock:
+            if self._collection is None:
+                return
+            self._listing = replace(self._listing, **changes)
+            self._listed = self._listing.numbers(self._collection)
+            self._page = 0
+            self._draw_choices(self._collection)
+            self._draw_table()
+
+    def _sort(self, key: str) -> None:
+        """Sort by a column, the best first; by the same one again: the other way round."""
+        with self._lock:
+            if self._collection is None:
+                return
+            again = key == self._listing.key
+            down = not self._listing.descending if again else first_descending(self._collection, key)
+            self._list(key=key, descending=down)
+
+    def _filter(self, name: str, value: str) -> None:
+        self._list(**{name: "" if value == ALL else value})
+
+    def _keys(self) -> dict[str, str]:
+        """What the list of columns calls each -> its key."""
+        columns = {} if self._collection is None else self._collection.columns
+        return {IN_FILE: NUMBER, **{column.title: key for key, column in columns.items()}, "Mark": MARK}
+
+    # commands
+
+    def _clicked(self, click: str) -> None:
+        """Do what a click on the table says; anyone can send anything."""
+        what, _, rest = click.partition(" ")
+        value = rest.split(" ")[0]
+        with self._lock:
+            # Two clicks at once may both be told as the second.
+            if click == self._last_click:
+                return
+            self._last_click = click
+            if what == "sort" and value in self._keys().values():
+                self._sort(value)
+            elif what == "page" and value.isascii() and value.isdigit():
+                self._page = min(int(value[:9]), pages(self._listed) - 1)
+                self._draw_table()
+        if what == "open" and value.isascii() and value.isdigit():
+            self._controller.show(int(value[:9]))
+
+    def _go(self, where: str) -> None:
+        """Open another grasp of the list."""
+        with self._lock:
+            collection, listed, number = self._collection, self._listed, self._number
+        if collection is None or not len(listed):
+            return
+        if where == WORST:
+            found = worst(collection, listed)
+        elif where == RANDOM:
+            found = any_other(listed, number, self._random)
+        else:
+            found = step(listed, number, 1 if where == NEXT else -1)
+        if found is None:
+            self._controller.say(f"which grasp is the worst is not known yet: press {MEASURE} first", bad=True)
+        else:
+            self._controller.show(found)
+
+    def _mark(self, what: str) -> None:
+        """Mark the grasp that is shown."""
+        marks: dict[str, Mark] = {GOOD: "good", BAD: "bad"}
+        self._controller.mark(self._controller.state.number, marks.get(what, ""))
+
+    def _send_marks(self, event: viser.GuiEvent) -> None:
+        """Send the marks to the browser that asks for them."""
+        collection = self._collection
+        if event.client is None or collection is None:
+            return
+        for marks in collection.marks:
+            name = "grasps.marks.csv" if marks.path is None else marks.path.name
+            if marks.by_row:
+                event.client.send_file_download(name, marks.text.encode())
+        if not any(marks.by_row for marks in collection.marks):
+            self._controller.say("no grasp is marked yet", bad=True)
+
+    # widgets
+
+    def _draw_table(self) -> None:
+        """Bring the table and the line above it up to date."""
+        collection, number = self._collection, self._number
+        if collection is None:
+            return
+        html = table_html(collection, self._listing, self._listed, self._page, number, self._clicks._impl.uuid)
+        if self._table.content != html:
+            self._table.content = html
+        html = worth_html(collection, number)
+        if self._worth.content != html:
+            self._worth.content = html
+
+    def _draw_choices(self, collection: Collection) -> None:
+        """Bring the lists of what can be chosen up to date."""
+        keys = self._keys()
+        if self._key.options != tuple(keys):
+            self._key.options = tuple(keys)
+        chosen = next((label for label, key in keys.items() if key == self._listing.key), IN_FILE)
+        status = collection.columns.get(STATUS.key)
+        choices = {
+            "object": (ALL, *dict.fromkeys(collection.objects.tolist())),
+            "status": (ALL,) if status is None else (ALL, *np.unique(status.values[status.known]).tolist()),
+        }
+        for name, options in choices.items():
+            if self._filters[name].options != options:
+                self._filters[name].options = options
+        shown = {name: len(options) > 2 for name, options in choices.items()}
+        shown |= {"held": HELD.key in collection.columns, "mark": True}
+        for name, widget in self._filters.items():
+            _show(widget, visible=shown[name])
+            _set(widget, getattr(self._listing, name) or ALL)
+        _set(self._key, chosen)
+        _set(self._descending, self._listing.descending)
+        _show(self._measure, visible=bool(unmeasured(collection).any()))
+
+
+def _set(widget: Any, value: object) -> None:
+    """Give a widget a value, if it has another one."""
+    if widget.value != value:
+        widget.value = value
+
+
+def _show(widget: viser.GuiInputHandle | viser.GuiButtonHandle, *, visible: bool) -> None:
+    """Show or hide a widget, if it is not so yet."""
+    if widget.visible != visible:
+        widget.visible = visible

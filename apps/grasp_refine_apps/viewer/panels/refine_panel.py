@@ -1,0 +1,182 @@
+"""The panel that refines: start and stop, progress, plots, a timeline of all iterations, and the settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import viser
+
+from grasp_refine.core.plurals import count_text
+from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.results.outcome import Outcome
+from grasp_refine.results.verdict import HOLDS, should_hold
+from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.entries import plain
+from grasp_refine_apps.viewer.forms import Form
+from grasp_refine_apps.viewer.panels.plots import Plot
+from grasp_refine_apps.viewer.panels.rows import in_a_row
+from grasp_refine_apps.viewer.panels.timeline import Timeline, millimetres
+from grasp_refine_apps.viewer.refining import targets_of
+from grasp_refine_apps.viewer.state import State
+from grasp_refine_apps.viewer.target import Target
+
+FIRST = (
+    "solver",
+    "derivative",
+    "neighborhood",
+    "geometry_only",
+    "iterations",
+    "tolerance",
+    "margin",
+    "starts",
+    "seed",
+    "weights",
+)
+"""The settings that most people want."""
+LEFT_OUT = ("device", "dtype")
+"""Settings of batches: one grasp is refined on the CPU here."""
+
+
+class RefinePanel:
+    """Widgets of the refinement."""
+
+    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+        """Make the widgets inside the tab or folder that is open."""
+        self._controller = controller
+        gui, state = server.gui, controller.state
+        self._start = gui.add_button(
+            "Start", icon=viser.Icon.PLAYER_PLAY, color="green", hint="Refine the grasp that is shown"
+        )
+        self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, hint="Hold the refinement, or let it go on")
+        self._step = gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="Do one iteration, then wait")
+        self._stop = gui.add_button(
+            "Stop", icon=viser.Icon.PLAYER_STOP, hint="End what is being done; the hand stays there"
+        )
+        self._reset = gui.add_button("Reset", icon=viser.Icon.ROTATE, hint="Put the grasp back to how it came")
+        in_a_row(gui, (self._start, self._pause, self._step))
+        in_a_row(gui, (self._stop, self._reset))
+        self._text = gui.add_markdown("")
+        self._bar: Any = gui.add_progress_bar(0.0)
+        self._plot = Plot(gui)
+        with gui.add_folder("Timeline"):
+            self._timeline = Timeline(gui, controller)
+        with gui.add_folder("Settings, from the next start on"):
+            self._form = Form(
+                gui,
+                state.settings,
+                controller.set_settings,
+                lambda words: controller.say(words, bad=True),
+                check=lambda settings: settings.config(),
+                unused=unused,
+                first=FIRST,
+                left_out=LEFT_OUT,
+            )
+            self._defaults = gui.add_button(
+                "Default settings", icon=viser.Icon.RESTORE, hint="All settings as they came"
+            )
+
+        def on_click(button: viser.GuiButtonHandle, act: Callable[[], None]) -> None:
+            button.on_click(lambda event: act())
+
+        for button, act in (
+            (self._start, controller.start),
+            (self._pause, controller.pause),
+            (self._step, controller.step_once),
+            (self._stop, controller.stop),
+            (self._reset, controller.reset),
+            (self._defaults, lambda: controller.set_settings(state.settings)),
+        ):
+            on_click(button, act)
+
+    def draw(self, state: State) -> None:
+        """Show a state."""
+        job = state.job
+        refined = job if job is not None and job.kind == "refine" else None
+        refining, paused = refined is not None, refined is not None and refined.paused
+        busy = job is not None and job.kind not in ("refine", "measure")
+        self._start.disabled = busy or (refining and not paused)
+        self._pause.disabled = not refining
+        self._pause.label = "Resume" if paused else "Pause"
+        self._step.disabled = busy
+        self._stop.disabled = not (refining or busy)
+        self._reset.disabled = not (refining or busy) and _as_it_came(state)
+        self._text.content = words(state)
+        self._bar.value = 0.0 if refined is None else 100.0 * (refined.share or 0.0)
+        self._bar.animated = refined is not None and not paused and refined.share is None
+        self._plot.show(state.trace, state.frame)
+        self._timeline.draw(state)
+        self._form.show(state.settings)
+
+    def close(self) -> None:
+        """End what still plays."""
+        self._timeline.close()
+        self._plot.close()
+
+
+def unused(settings: Any) -> set[str]:
+    """Names of the settings that mean nothing beside the others: `config` refuses them."""
+    names: set[str] = set()
+    if settings.solver == "levenberg-marquardt":
+        names |= {"derivative", "neighborhood", "transport", "weights.joint_limits"}
+    else:
+        names |= {"width", "max_move", "seconds", "starts", "geometry_only", "weights.wrench"}
+        if not hasattr(getattr(settings, settings.derivative.replace("-", "_")), "neighborhood"):
+            names.add("neighborhood")
+    if settings.geometry_only:
+        names |= {"starts", "weights.wrench"}
+    if settings.weights.wrench == 0.0:
+        names.add("starts")
+    if settings.weights.stay_near == 0.0:
+        names.add("scales")
+    return names
+
+
+def words(state: State) -> str:
+    """What is being done, or what came out, in Markdown."""
+    job = state.job
+    if job is not None and job.kind == "refine":
+        return f"**{'Paused' if job.paused else 'Refining'}**: {job.what}"
+    if job is not None and job.kind != "measure":
+        return f"Busy: {job.what}"
+    if state.outcome is not None:
+        return outcome_words(state.outcome)
+    if state.trace is not None:
+        return "Stopped, or moved since. **Start** refines from where the hand is now."
+    return "**Start** moves the hand until its links touch the object as they should and it holds."
+
+
+def outcome_words(outcome: Outcome) -> str:
+    """What became of one grasp, before and after, and what to do about it; a table in Markdown."""
+    status = Status(outcome.status[0])
+    error = [np.nan if np.isnan(side).all() else np.nanmax(side) for side in outcome.contact_error[0]]
+    rows = (
+        ("contact error, mm", [millimetres(value) for value in error]),
+        ("penetration, mm", [millimetres(value) for value in outcome.penetration[0]]),
+        ("quality, 0 to 1", ["-" if np.isnan(value) else f"{value:.2f}" for value in outcome.quality[0]]),
+    )
+    table = "\n".join(f"| {name} | {before} | **{after}** |" for name, (before, after) in rows)
+    count, seconds = int(outcome.iterations[0]), float(outcome.wall_s[0])
+    tries = f" from {outcome.starts[0]} starts" if outcome.starts[0] > 1 else ""
+    head = f"**{status.label.capitalize()}** after {count_text(count, 'iteration')}{tries}, {seconds:.1f} s"
+    if outcome.usable[0]:
+        verdict = "should hold" if should_hold(outcome.quality[:, 1])[0] else "may slip"
+        head += f"\n\nBy its quality, an estimate, it **{verdict}** (from {HOLDS:.3f} on); **Prove** simulates"
+    advice = f"\n\n{plain(status.advice)}" if status.advice else ""
+    return f"{head}{advice}\n\n| | before | after |\n|:---|---:|---:|\n{table}"
+
+
+def _as_it_came(state: State) -> bool:
+    """Whether there is nothing to reset."""
+    return (
+        state.trace is None
+        and np.array_equal(state.T_world_object, np.eye(4))
+        and state.pose.same(state.initial)
+        and _aims(state.targets) == _aims(targets_of(state.scene))
+    )
+
+
+def _aims(targets: tuple[Target, ...]) -> list[tuple[str, list[float], list[float]]]:
+    """Targets as values that can be compared."""
+    return [(target.link, target.point_link.tolist(), target.point_object.tolist()) for target in targets]

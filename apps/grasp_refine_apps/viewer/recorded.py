@@ -1,0 +1,111 @@
+"""What grasp files hold beside grasps: where each came from and what it was worth, found row by row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from grasp_refine.core.npz_files import NpzFile, load_npz
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps, match_joints, unit_poses
+from grasp_refine.pipeline.problem import Problem
+from grasp_refine_apps.viewer.columns import NUMBERS, STATUS
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """What is recorded of the R rows that the files of a problem have together."""
+
+    file: Shaped[np.ndarray, " R"]
+    """Number of the file in `files` (R,)."""
+    row: Shaped[np.ndarray, " R"]
+    """Row in that file (R,)."""
+    files: tuple[Path, ...]
+    """The files that have rows."""
+    columns: dict[str, Shaped[np.ndarray, " R"]]
+    """Key of a measure -> its values (R,), NaN or empty where unknown."""
+    T: Float[np.ndarray, "R 4 4"]
+    """Poses of the base link before refinement, object frame; NaN where none is recorded."""
+    q: Float[np.ndarray, "R n"]
+    """Joint values before refinement, in the order of the hand; NaN where none are recorded."""
+
+
+def recorded(problem: Problem) -> Recorded | None:
+    """What is recorded in the files of a problem; None where its grasps are no rows of our grasp files.
+
+    Raises:
+        GraspFileError: a result file is damaged.
+    """
+    files = row_files(problem)
+    if not files:
+        return None
+    loaded = [load_npz(path) for path in files]
+    if not all("hand_pose" in file.entries for file in loaded):
+        return None
+    parts = [_of_file(file, problem) for file in loaded]
+    if sum(len(part.row) for part in parts) <= max(int(group.rows.max()) for group in problem.groups):
+        return None
+    return Recorded(
+        file=np.repeat(np.arange(len(parts)), [len(part.row) for part in parts]),
+        row=np.concatenate([part.row for part in parts]),
+        files=files,
+        columns={key: np.concatenate([part.columns[key] for part in parts]) for key in parts[0].columns},
+        T=np.concatenate([part.T for part in parts]),
+        q=np.concatenate([part.q for part in parts]),
+    )
+
+
+def row_files(problem: Problem) -> tuple[Path, ...]:
+    """The .npz files whose rows, one file after the other, are those that `Group.rows` number."""
+    if problem.sampled:
+        return ()
+    first, *others = problem.files
+    files = tuple(path for path in others if path.is_relative_to(first)) if first.is_dir() else (first,)
+    return files if all(path.suffix == ".npz" for path in files) else ()
+
+
+def _of_file(file: NpzFile, problem: Problem) -> Recorded:
+    """What one file records; every measure has a value for each of its rows, known or not."""
+    count = len(file.numbers("hand_pose", allowed="any"))
+    columns = {column.key: np.full(count, np.nan) for column in NUMBERS} | {STATUS.key: np.full(count, "")}
+    # Other entries of grasp files may be called anything.
+    if "provenance" in file.entries:
+        for key in set(columns) & set(file.entries):
+            value = file.text(key) if key == STATUS.key else file.numbers(key, allowed="nan")
+            columns[key] = file.per_row(key, value, count)
+    T, q = _initial(file, count, problem)
+    row = np.arange(count)
+    return Recorded(np.zeros(count, dtype=int), row, (file.path,), columns, T, q)
+
+
+def _initial(file: NpzFile, count: int, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (R, 4, 4) and joint values (R, n) before refinement, NaN where the file has none."""
+    hand = problem.hand
+    nowhere = np.full((count, 4, 4), np.nan), np.full((count, len(hand.joint_names)), np.nan)
+    keys = "initial_pose", "initial_q"
+    if not all(key in file.entries for key in keys):
+        return nowhere
+    grasps = load_grasps(file.path)
+    # Told for another link, poses before refinement would need the hand below the link of the file.
+    if grasps.base_link != problem.groups[0].grasps.base_link:
+        return nowhere
+    stage = _initial_stage(file, grasps)
+    q, _ = match_joints(grasps.at(stage), hand)
+    return transform_from_pose(stage.hand_pose), q
+
+
+def _initial_stage(file: NpzFile, grasps: GraspSet) -> Stage:
+    """The entries `initial_pose` and `initial_q`, checked."""
+    pose, q = (file.numbers(key, allowed="any") for key in ("initial_pose", "initial_q"))
+    if pose.shape != grasps.hand_pose.shape or q.shape != grasps.q.shape:
+        raise file.error(
+            f"initial_pose and initial_q must have the shapes of hand_pose and q, {grasps.hand_pose.shape} and "
+            f"{grasps.q.shape}; they have {pose.shape} and {q.shape}"
+        )
+    pose, fault = unit_poses(pose)
+    if fault is not None:
+        raise file.error(f"initial_pose row {fault[0]} has no unit quaternion: its norm is {fault[1]:.6g}")
+    return Stage(pose, q)

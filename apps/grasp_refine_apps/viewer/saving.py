@@ -1,0 +1,203 @@
+"""The grasp that is shown, as a file of any format for the browser to keep."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.se3 import pose_from_transform
+from grasp_refine.grasps.formats.agreement import fingertip_distances
+from grasp_refine.grasps.formats.folders import natural, object_folder
+from grasp_refine.grasps.formats.format import Format, Load, Part
+from grasp_refine.grasps.formats.leap_cache import LeapCache
+from grasp_refine.grasps.formats.listing import format_named
+from grasp_refine.grasps.formats.reading import reading
+from grasp_refine.grasps.formats.writing import written
+from grasp_refine.grasps.grasp_set import GraspSet, Stage, Targets
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.motion import closing
+from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.target import Target
+
+LIMIT = 1e-6
+"""How far apart fingertips may be, in metres, when what was written is read again."""
+
+CANDIDATES = 16
+"""Surface points per link; nothing here looks at them."""
+
+LONGEST = 120
+"""Characters of a file's name before its ending; file systems take 255."""
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A file that a browser can be given."""
+
+    name: str
+    """What to call it."""
+    content: bytes
+    """What is in it."""
+    notes: tuple[str, ...] = ()
+    """What the format could not hold, in words."""
+
+
+def grasp_set(
+    scene: Scene,
+    pose: Pose,
+    name: str,
+    scale: float,
+    targets: Sequence[Target] = (),
+    prepared: HandObject | None = None,
+) -> GraspSet:
+    """One grasp with our own pregrasp and squeeze, for it may have been steered or refined since it was read.
+
+    Args:
+        scene: Hand, object and table.
+        pose: Where the hand is.
+        name: What the grasp file is to call the object.
+        scale: What takes the object's mesh to metres.
+        targets: Where links should touch; none: nothing is said.
+        prepared: Of this hand and object, if there is one.
+
+    Raises:
+        GraspFileError: the pose or the joint values are not finite.
+    """
+    if not (np.isfinite(pose.T_object_root).all() and np.isfinite(pose.q).all()):
+        raise GraspFileError("the grasp that is shown is not finite, so that no file can hold it: reset it first")
+    alone = replace(
+        scene,
+        T_world_root=pose.T_object_root[None],
+        q=pose.q[None],
+        target_link=None,
+        target_object=None,
+        direction=None,
+    )
+    motion = closing(alone, prepared)
+    opened, grasp, pressing = (
+        Stage(pose_from_transform(motion.T_world_root[:, stage]), motion.q[:, stage]) for stage in range(3)
+    )
+    return GraspSet(
+        hand=scene.hand.name,
+        base_link=scene.hand.base_link,
+        joint_names=scene.hand.joint_names,
+        object=np.array([name]),
+        scale=np.array([float(scale)]),
+        hand_pose=grasp.hand_pose,
+        q=grasp.q,
+        targets=_targets(targets),
+        pregrasp=opened,
+        squeeze=pressing,
+    )
+
+
+def grasp_file(hand: Hand, grasps: GraspSet, format_name: str) -> Saved:
+    """Some grasps as a file of a format; formats that are folders of files become a .zip.
+
+    What comes back was read again: the fingertips are where they were.
+
+    Args:
+        hand: The hand of the grasps, below their base link.
+        grasps: The grasps.
+        format_name: One of `formats.listing.FormatName`.
+
+    Raises:
+        GraspFileError: there is no such format, it cannot hold these grasps, or they were read as others.
+    """
+    to, load = format_named(format_name), _loader(hand)
+    parts, notes = to.write(grasps, load)
+    with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
+        name = _stem(grasps, to)
+        if len(parts) == 1 and "/" not in parts[0].path and not to.named_by_path:
+            name += Path(parts[0].path).suffix
+            with written(Path(folder, name), to, parts):
+                pass
+            content = Path(folder, name).read_bytes()
+            _check(grasps, parts, Path(folder, name), hand, to, load)
+        else:
+            with written(Path(folder, "there"), to, parts):
+                pass
+            content = _zipped(Path(folder, "there"))
+            with zipfile.ZipFile(io.BytesIO(content)) as archive:
+                archive.extractall(Path(folder, "again"))
+            _check(grasps, parts, Path(folder, "again"), hand, to, load)
+            name += ".zip"
+    return Saved(name, content, tuple(notes))
+
+
+def _targets(targets: Sequence[Target]) -> Targets | None:
+    if not targets:
+        return None
+    return Targets(
+        tuple(target.link for target in targets),
+        np.array([[target.point_link for target in targets]]),
+        np.array([[target.point_object for target in targets]]),
+    )
+
+
+def _loader(hand: Hand) -> Load:
+    """What gives this hand below another of its links."""
+
+    @cache
+    def load(base_link: str) -> Hand:
+        if base_link == hand.base_link:
+            return hand
+        urdf = None if hand.toml is None else hand.urdf
+        return load_hand(hand.toml or hand.urdf, base_link=base_link, urdf=urdf, candidates=CANDIDATES)
+
+    return load
+
+
+def _check(grasps: GraspSet, parts: Sequence[Part], path: Path, hand: Hand, to: Format, load: Load) -> None:
+    """Nothing, when `path` is read as the same grasps.
+
+    Raises:
+        GraspFileError: it is not.
+    """
+    rows = np.concatenate([part.rows for part in sorted(parts, key=lambda part: natural(part.path))])
+    again = reading(path, format=to.name, hand=hand).grasps
+    count = len(again)
+    if count != len(rows):
+        raise GraspFileError(f"format {to.name}: {len(rows)} grasps were written, {count} are read again")
+    distance = np.nan_to_num(fingertip_distances(grasps.select(rows), again, load), nan=np.inf).max()
+    if distance > LIMIT:
+        raise GraspFileError(
+            f"format {to.name}: read again, a fingertip is {distance:.3g} m from where it was, more than {LIMIT:g} m; "
+            "nothing is saved"
+        )
+
+
+def _stem(grasps: GraspSet, to: Format) -> str:
+    """A file's name without its ending, of hand, object and format; no folder, and nothing unusual in it."""
+    objects = {*grasps.object.tolist()}
+    named = objects.pop() if len(objects) == 1 else f"{len(objects)}_objects"
+    stem = object_folder(f"{grasps.hand}_{named}_{to.name}").replace("=", "_")[:LONGEST]
+    return stem + _cube(grasps) if isinstance(to, LeapCache) else stem
+
+
+def _cube(grasps: GraspSet) -> str:
+    """What ends the name of a cache of LEAP grasps: the scale, 1.05 as _s105."""
+    digits = f"{grasps.scale[0]:.6f}".rstrip("0")
+    whole, _, rest = digits.partition(".")
+    return f"_s{whole}{rest or '0'}" if len(whole) == 1 else ""
+
+
+def _zipped(folder: Path) -> bytes:
+    """The files below a folder as an archive, in natural order, all of the same date."""
+    stream = io.BytesIO()
+    names = sorted((path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()), key=natural)
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in names:
+            entry = zipfile.ZipInfo(name)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, (folder / name).read_bytes())
+    return stream.getvalue()

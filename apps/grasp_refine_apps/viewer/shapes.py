@@ -1,0 +1,160 @@
+"""What a hand and an object look like: coloured triangle meshes in their own frames, and where the links are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt32
+
+from grasp_refine.core.errors import HandError
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.visuals import load_visuals
+from grasp_refine.objects.object import Object
+from grasp_refine_apps.viewer.decimate import simpler
+
+if TYPE_CHECKING:
+    import trimesh
+
+Color = tuple[int, int, int]
+"""Red, green and blue, 0 to 255."""
+
+LINK_COLOR, CONTACT_COLOR, OBJECT_COLOR = (189, 194, 204), (242, 184, 102), (168, 199, 237)
+"""Links, those among them that are meant to touch, and the object."""
+
+PIECE_COLORS = (
+    (168, 199, 237),
+    (186, 222, 196),
+    (214, 196, 232),
+    (240, 220, 170),
+    (170, 219, 222),
+    (236, 196, 202),
+    (205, 214, 158),
+    (190, 190, 226),
+)
+"""Convex pieces of the object; neighbours differ."""
+
+OWN_COLOR = 0.5
+"""Share of the colour that the URDF gives a link; the rest is `LINK_COLOR`, so that black links show on black."""
+
+CREASE = 35.0
+"""Edges sharper than this (degrees) are shown as edges; the rest is smooth."""
+
+MOST_FACES = 20_000
+"""A mesh of more faces than this is made simpler."""
+
+
+class Shape(NamedTuple):
+    """A coloured triangle mesh; vertices are doubled at sharp edges, so that smooth shading shows these."""
+
+    vertices: Float32[np.ndarray, "V 3"]
+    """(V, 3) in metres, in the frame of the link or object."""
+    faces: UInt32[np.ndarray, "F 3"]
+    """Triangles (F, 3), counter-clockwise seen from outside."""
+    color: Color
+    """Red, green and blue, 0 to 255."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinkShape:
+    """The shape of one link."""
+
+    link: str
+    """Name of the link."""
+    vertices: Float32[np.ndarray, "V 3"]
+    """(V, 3) in metres, link frame."""
+    faces: UInt32[np.ndarray, "F 3"]
+    """Triangles (F, 3), counter-clockwise seen from outside."""
+    color: Color
+    """Red, green and blue, 0 to 255."""
+
+
+def visual_shapes(hand: Hand, say: Callable[[str], None] = lambda line: None) -> tuple[LinkShape, ...]:
+    """What the links of a hand look like, one shape a link, in the order of `hand.links`.
+
+    A link without a readable <visual> shows what of it collides, if anything does. `say` gets a line about each
+    <visual> that cannot be read.
+    """
+    try:
+        visuals = load_visuals(hand.urdf, hand.links_by_name, say)
+    except HandError as error:
+        say(str(error))
+        visuals = []
+    shapes = []
+    for link in hand.links:
+        own = [visual for visual in visuals if visual.link == link.name]
+        if own:
+            color = next((visual.color for visual in own if visual.color is not None), None)
+            shapes.append(_link_shape(hand, link.name, [visual.mesh for visual in own], color))
+        elif link.body is not None:
+            shapes.append(_link_shape(hand, link.name, [piece.mesh() for piece in link.body.pieces]))
+    return tuple(shapes)
+
+
+def collision_shapes(hand: Hand) -> tuple[LinkShape, ...]:
+    """What of the links of a hand collides: all convex pieces of a link as one shape, in the order of `hand.links`."""
+    return tuple(
+        _link_shape(hand, link.name, [piece.mesh() for piece in link.body.pieces])
+        for link in hand.links
+        if link.body is not None
+    )
+
+
+def object_shapes(obj: Object, kind: Literal["mesh", "pieces"]) -> tuple[Shape, ...]:
+    """The surface of an object, one shape, or its convex pieces, a shape each in a colour of its own."""
+    if kind == "mesh":
+        return (Shape(*_arrays(obj.mesh), OBJECT_COLOR),)
+    return tuple(
+        Shape(*_arrays(piece.mesh()), PIECE_COLORS[number % len(PIECE_COLORS)])
+        for number, piece in enumerate(obj.body.pieces)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class LinkPoses:
+    """Where all links of a hand are; built once for a hand, then called for each pose."""
+
+    chain: Chain
+    """Kinematics of all links."""
+
+    @staticmethod
+    def of(hand: Hand) -> LinkPoses:
+        """Those of a hand."""
+        return LinkPoses(Chain(hand, [link.name for link in hand.links]))
+
+    def __call__(
+        self, T_object_root: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"]
+    ) -> dict[str, Float[np.ndarray, "4 4"]]:
+        """Pose (4, 4) of each link of the hand, those without a shape too, in the object's frame, by name."""
+        return dict(zip(self.chain.links, self.chain(T_object_root[None], q[None]).T_world_link[0], strict=True))
+
+
+def _link_shape(
+    hand: Hand, link: str, meshes: Sequence[trimesh.Trimesh], color: tuple[float, float, float] | None = None
+) -> LinkShape:
+    """The shape of some meshes together; `color` (red, green and blue in [0, 1]) is what the URDF says."""
+    import trimesh
+
+    whole = trimesh.util.concatenate(list(meshes))
+    assert isinstance(whole, trimesh.Trimesh)
+    vertices, faces = _arrays(whole)
+    if any(contact.link == link for contact in hand.contacts):
+        return LinkShape(link, vertices, faces, CONTACT_COLOR)
+    if color is None:
+        return LinkShape(link, vertices, faces, LINK_COLOR)
+    red, green, blue = (
+        round(255 * OWN_COLOR * own + (1 - OWN_COLOR) * quiet) for own, quiet in zip(color, LINK_COLOR, strict=True)
+    )
+    return LinkShape(link, vertices, faces, (red, green, blue))
+
+
+def _arrays(mesh: trimesh.Trimesh) -> tuple[Float32[np.ndarray, "V 3"], UInt32[np.ndarray, "F 3"]]:
+    """A mesh as a browser takes it: small, and with its sharp edges sharp."""
+    import trimesh
+
+    small = simpler(mesh, MOST_FACES)
+    shown = trimesh.graph.smooth_shade(small, angle=np.radians(CREASE))
+    return np.asarray(shown.vertices, dtype=np.float32), np.asarray(shown.faces, dtype=np.uint32)

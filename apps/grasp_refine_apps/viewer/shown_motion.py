@@ -1,0 +1,238 @@
+"""A recorded simulation as the viewer shows it: where our hand and the object are in each frame, and what happens."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass, fields
+from math import degrees
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import inverse, transform_from_pose
+from grasp_refine.hands.hand import Hand
+from grasp_refine.validation.hand_model import HandModel
+from grasp_refine.validation.messages import unlogged
+from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.replay.replay import OBJECT, POSE_AXES, Replay, Stage, check_replay
+from grasp_refine.validation.trials import Reason
+from grasp_refine.validation.world import HAND
+from grasp_refine_apps.viewer.pose import Pose
+
+RATE = 50
+"""Most frames in a second that are shown."""
+
+FAR = 0.3
+"""A motion ends where the object is this far away, in metres: a lost one flies for many more."""
+
+NEAR = 5e-4
+"""What is nearer than this, in metres, is shown as a contact."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShownMotion:
+    """T frames of a simulation, in the frame that the object had in the first of them."""
+
+    hand: str
+    """Name of the hand."""
+    object: str
+    """Name of the object."""
+    direction: str
+    """In which direction the object was pushed, such as "+x", or "lift"."""
+    setting: str
+    """Name of the protocol."""
+    reason: str
+    """How the trial ended: "held", or why it failed, as `Reason.label`."""
+    time: Float[np.ndarray, " T"]
+    """Seconds since the hand began to close (T,)."""
+    stage: Int[np.ndarray, " T"]
+    """A `Stage` for each frame (T,)."""
+    since_stage: Float[np.ndarray, " T"]
+    """Seconds since that began (T,)."""
+    T_root: Float[np.ndarray, "T 4 4"]
+    """Poses of the hand's base link (T, 4, 4)."""
+    q: Float[np.ndarray, "T n"]
+    """Joint values (T, n) in `Hand.joint_names` order, nearest to those of the simulation."""
+    T_object: Float[np.ndarray, "T 4 4"]
+    """Poses of the object (T, 4, 4); the first is the identity."""
+    displacement_m: Float[np.ndarray, " T"]
+    """How far the object is from where it should be (T,), metres."""
+    angle_rad: Float[np.ndarray, " T"]
+    """How far it has turned (T,), radians."""
+    force: Float[np.ndarray, " 3"]
+    """The push at the object's centre of mass (3,), newtons; zero where it is lifted."""
+    contacts: tuple[Float[np.ndarray, "_ 3"], ...]
+    """Where the object touches the hand or the table in each of T frames, (k, 3); empty: not known."""
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.time)
+
+    def pose(self, frame: int) -> Pose:
+        """Where the hand is."""
+        return Pose(self.T_root[frame], self.q[frame])
+
+    @property
+    def held(self) -> bool:
+        """Whether the object stayed."""
+        return self.reason == Reason.HELD.label
+
+    @property
+    def seconds(self) -> float:
+        """How long it lasts."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def lost(self) -> Bool[np.ndarray, " T"]:
+        """In which frames (T,) the object is lost, if it is: it has once been too far away, or turned too far.
+
+        A trial is judged at its checks; in between the object may swing farther, and come back.
+        """
+        beyond = (self.displacement_m >= Protocol.farthest) | (self.angle_rad >= Protocol.steepest)
+        return np.logical_or.accumulate(beyond & (not self.held))
+
+    @property
+    def pushed(self) -> Bool[np.ndarray, " T"]:
+        """In which frames (T,) `force` acts."""
+        return (self.stage == Stage.PUSH) & bool(np.any(self.force))
+
+    def frame_at(self, seconds: float) -> int:
+        """The last frame that is not later than so many seconds after the first."""
+        return max(int(np.searchsorted(self.time - self.time[0], seconds + 1e-9, side="right")) - 1, 0)
+
+    def doing(self, frame: int) -> str:
+        """What is being done, such as "pushed along +x"."""
+        return {
+            Stage.CLOSE: "the hand closes",
+            Stage.SQUEEZE: "the hand squeezes",
+            Stage.PUSH: f"pushed along {self.direction}",
+            Stage.LIFT: "lifted off the table",
+        }[Stage(self.stage[frame])]
+
+    def text(self, frame: int) -> str:
+        """What is to be seen in a frame, in one line."""
+        moved, turned = self.displacement_m[frame] * 1e3, degrees(self.angle_rad[frame])
+        line = (
+            f"{self.doing(frame)}, {self.since_stage[frame]:.2f} s: "
+            f"the object has moved {moved:.1f} mm and turned {turned:.1f}°"
+        )
+        return f"{line}; it is lost" if self.lost[frame] else line
+
+
+def shown_motion(hand: Hand, hand_model: HandModel, replay: Replay, model: mujoco.MjModel | None = None) -> ShownMotion:
+    """A replay as frames of a hand, at most `RATE` in a second.
+
+    Joint values in MuJoCo are matrix q + offset, and those of joints that mimic others may differ a little from that:
+    q is the least-squares solution.
+
+    Args:
+        hand: The hand.
+        hand_model: The same for MuJoCo, made from the file that was simulated.
+        replay: What was recorded.
+        model: The world that it was recorded in, for contacts; None: they are not told.
+
+    Raises:
+        GraspRefineError: the replay is of another hand, or of another model.
+    """
+    if model is not None:
+        check_replay(model, replay)
+    frames = _kept(replay)
+    T_world_object = transform_from_pose(replay.object_pose)
+    T_start_world = inverse(T_world_object[0])
+    displacement, angle = replay.displacement()
+    return ShownMotion(
+        hand=replay.hand,
+        object=replay.object,
+        direction=replay.direction,
+        setting=replay.setting,
+        reason=replay.reason,
+        time=replay.time[frames],
+        stage=replay.stage[frames],
+        since_stage=replay.since_stage()[frames],
+        T_root=T_start_world @ _roots(hand_model, replay)[frames],
+        q=_joint_values(hand, hand_model, replay)[frames],
+        T_object=T_start_world @ T_world_object[frames],
+        displacement_m=displacement[frames],
+        angle_rad=angle[frames],
+        force=T_start_world[:3, :3] @ replay.force,
+        contacts=() if model is None else _contacts(model, replay, frames, T_start_world),
+    )
+
+
+def is_replay(path: Path) -> bool:
+    """Whether a file is a replay, as `refine-grasp validate --replays` writes it; only its list of entries is read."""
+    if path.suffix != ".npz":
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = {name.removesuffix(".npy") for name in archive.namelist()}
+    except (OSError, zipfile.BadZipFile):
+        return False
+    return {field.name for field in fields(Replay)} <= entries
+
+
+def _kept(replay: Replay) -> Int[np.ndarray, " k"]:
+    """The frames that are shown: not too many in a second, and none after the object has gone far away."""
+    displacement, _ = replay.displacement()
+    far = displacement > FAR
+    end = int(far.argmax()) + 1 if far.any() else len(replay)
+    kept, last = [], -np.inf
+    for frame, time in enumerate(replay.time[:end]):
+        if time >= last + 1 / RATE - 1e-6:
+            kept.append(frame)
+            last = time
+    # How it ends is to be seen.
+    return np.unique([*kept, end - 1])
+
+
+def _column(replay: Replay, name: str) -> Float[np.ndarray, " T"]:
+    """The values (T,) that are called `name`.
+
+    Raises:
+        GraspRefineError: there are none.
+    """
+    if name not in replay.qpos_names:
+        joints = [other.removeprefix(f"{HAND}/") for other in replay.qpos_names if other.startswith(f"{HAND}/")]
+        raise GraspRefineError(
+            f"the replay is of hand '{replay.hand}', and of another one than this: it has no "
+            f"'{name.removeprefix(f'{HAND}/')}'; its joints are {', '.join(joints) or 'none'}"
+        )
+    return replay.qpos[:, replay.qpos_names.index(name)]
+
+
+def _roots(hand_model: HandModel, replay: Replay) -> Float[np.ndarray, "T 4 4"]:
+    """Poses of the hand's base link (T, 4, 4) in the world."""
+    pose = np.stack([_column(replay, f"{HAND} {axis}") for axis in POSE_AXES], axis=1)
+    return transform_from_pose(pose) @ inverse(hand_model.T_base_root)
+
+
+def _joint_values(hand: Hand, hand_model: HandModel, replay: Replay) -> Float[np.ndarray, "T n"]:
+    """Joint values (T, n) of the hand that are nearest to those in MuJoCo."""
+    values = np.stack([_column(replay, f"{HAND}/{joint}") for joint in hand_model.joints], axis=1)
+    q = (values - hand_model.offset) @ np.linalg.pinv(hand_model.matrix).T
+    # A joint with equal limits is none in MuJoCo.
+    still = ~(hand_model.matrix != 0).any(axis=0)
+    q[:, still] = hand.lower[still]
+    return q
+
+
+def _contacts(
+    model: mujoco.MjModel, replay: Replay, frames: Int[np.ndarray, " k"], T_start_world: Float[np.ndarray, "4 4"]
+) -> tuple[Float[np.ndarray, "_ 3"], ...]:
+    """Where the object touches anything in each frame, (c, 3)."""
+    data = mujoco.MjData(model)
+    of_object = model.geom_bodyid == model.body(OBJECT).id
+    found = []
+    for frame in frames:
+        data.qpos[:] = replay.qpos[frame]
+        data.mocap_pos[:], data.mocap_quat[:] = replay.mocap_pos[frame], replay.mocap_quat[frame]
+        with unlogged():
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
+        contact = data.contact
+        touching = (of_object[contact.geom].sum(axis=1) == 1) & (contact.dist < NEAR)
+        found.append(contact.pos[touching] @ T_start_world[:3, :3].T + T_start_world[:3, 3])
+    return tuple(found)

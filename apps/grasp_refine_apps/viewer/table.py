@@ -1,0 +1,169 @@
+"""The table of grasps as HTML: one row a grasp, one page at a time; clicks are told through a widget of the page."""
+
+from __future__ import annotations
+
+import json
+from html import escape
+from math import ceil
+
+import numpy as np
+from jaxtyping import Int
+
+from grasp_refine.results.verdict import HOLDS
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, STATUS, Column
+from grasp_refine_apps.viewer.listing import MARK, NUMBER, Listing, column_of
+
+ROWS = 15
+"""Grasps on one page of the table."""
+SHOWN = (
+    ("quality_after",),
+    ("contact_error_after", "finger_gap"),
+    ("penetration_after",),
+    (HELD.key, STATUS.key),
+    (MARK,),
+)
+"""Keys of the columns of the table; of several, the first one of which something is known."""
+SHORT = {
+    "contact_error_after": "Error",
+    "finger_gap": "Gap",
+    "penetration_after": "Depth",
+    HELD.key: "Test",
+    NUMBER: "#",
+}
+"""Labels that are shorter in the table, which is narrow."""
+WIDE = {"quality_after": "gr-wide", "penetration_after": "gr-wide", STATUS.key: "gr-word", HELD.key: "gr-word"}
+"""Columns that need more room than a short number."""
+ENDED_WELL = "converged"
+"""The status that is no warning."""
+
+STYLE = """<style>
+.gr-table{font:11.5px/1.4 system-ui,sans-serif;margin:.3em .8em 1.4em}
+.gr-table table{border-collapse:collapse;width:100%;table-layout:fixed}
+.gr-table th,.gr-table td{padding:2px 3px;text-align:right;white-space:nowrap;overflow:hidden;text-overflow:ellipsis}
+.gr-table th{cursor:pointer;user-select:none;border-bottom:1px solid rgba(128,128,128,.5);font-weight:600}
+.gr-table th{vertical-align:top;width:42px}.gr-table th.gr-named{width:auto}.gr-table th.gr-wide{width:53px}
+.gr-table th.gr-word{width:72px}
+.gr-table th small{display:block;min-height:1.4em}
+.gr-table small{font-weight:400;opacity:.65}
+.gr-table th:first-child,.gr-table td:first-child{text-align:left}
+.gr-table tbody tr{cursor:pointer;border-bottom:1px solid rgba(128,128,128,.18)}
+.gr-table tbody tr:hover,.gr-table th:hover{background:rgba(128,128,128,.15)}
+.gr-table tbody tr.gr-open,.gr-table tbody tr.gr-open:hover{background:rgba(34,139,230,.22)}
+.gr-good{color:#1a8a3a}.gr-bad{color:#d6336c;font-weight:600}.gr-unsure{color:#b06a00}
+.gr-pages{display:flex;justify-content:space-between;align-items:center;padding-top:6px}
+.gr-pages a{cursor:pointer;padding:1px 9px;border:1px solid rgba(128,128,128,.5);border-radius:4px;user-select:none}
+.gr-pages a.gr-off{opacity:.3;pointer-events:none}
+</style>"""
+"""How it looks, in both colour schemes of the page."""
+
+
+def shown_columns(collection: Collection) -> list[Column]:
+    """The columns that the table shows, after the one that says which grasp it is."""
+    found = []
+    for keys in SHOWN:
+        columns = [column for key in keys if (column := column_of(collection, key)) is not None]
+        known = [column for column in columns if column.known.any()]
+        found += known[:1] or [column for column in columns if column.key == MARK]
+    return found
+
+
+def pages(numbers: Int[np.ndarray, " M"]) -> int:
+    """How many pages a list has, at least one."""
+    return max(1, ceil(len(numbers) / ROWS))
+
+
+def page_of(numbers: Int[np.ndarray, " M"], number: int) -> int:
+    """On which page of a list a grasp stands; the first if it is not listed."""
+    at = np.flatnonzero(numbers == number)
+    return int(at[0]) // ROWS if len(at) else 0
+
+
+def table_html(
+    collection: Collection, listing: Listing, numbers: Int[np.ndarray, " M"], page: int, number: int, widget: str
+) -> str:
+    """A page of the table.
+
+    A click on a row sends "open <number>", one on a header "sort <key>", one on an arrow "page <page>", each followed
+    by a number that makes it unlike all before.
+
+    Args:
+        collection: The grasps.
+        listing: How they are sorted.
+        numbers: Those that are listed, in order.
+        page: Which page, from 0.
+        number: The grasp that is shown.
+        widget: Identifier of the text widget whose value a click changes.
+    """
+    columns = shown_columns(collection)
+    here = numbers[page * ROWS : (page + 1) * ROWS]
+    several = len(collection.problem.groups) > 1 and len(set(collection.objects.tolist())) > 1
+    first = _header(Column(NUMBER, "Grasp", "as in the file", np.zeros(0)), listing, "gr-named" if several else "")
+    head = first + "".join(_header(column, listing, WIDE.get(column.key, "")) for column in columns)
+    body = "".join(_row(collection, columns, n, several=several, opened=n == number) for n in here.tolist())
+    if not len(here):
+        body = f'<tr><td colspan="{len(columns) + 1}">no grasp passes the filters</td></tr>'
+    return (
+        f'{STYLE}<div class="gr-table" onclick="{escape(_click(widget))}">'
+        f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{_footer(collection, numbers, page)}</div>"
+    )
+
+
+def _click(widget: str) -> str:
+    """The script that tells which part of the table was clicked."""
+    return (
+        "const c=event.target.closest('[data-do]');"
+        "if(c&&window.__viserMutable)window.__viserMutable.sendMessage({type:'GuiUpdateMessage',uuid:"
+        f"{json.dumps(widget)},updates:{{value:c.dataset.do+' '+performance.now()}}}})"
+    )
+
+
+def _header(column: Column, listing: Listing, wide: str) -> str:
+    label = SHORT.get(column.key, column.label)
+    arrow = ("▼ " if listing.descending else "▲ ") if column.key == listing.key else ""
+    hint = f"{column.label}: {column.hint}; click to sort"
+    return (
+        f'<th class="{wide}" data-do="sort {escape(column.key)}" title="{escape(hint)}">{escape(label)}'
+        f"<small>{arrow}{escape(column.unit)}</small></th>"
+    )
+
+
+def _row(collection: Collection, columns: list[Column], number: int, *, several: bool, opened: bool) -> str:
+    group = collection.group(number)
+    name = f" <small>{escape(group.object)}</small>" if several else ""
+    cells = "".join(f"<td{_class(column, number)}>{escape(column.text(number))}</td>" for column in columns)
+    return (
+        f'<tr data-do="open {number}"{" class=gr-open" if opened else ""} title="{escape(collection.label(number))}">'
+        f"<td>{group.index[collection.member[number]]}{name}</td>{cells}</tr>"
+    )
+
+
+def _class(column: Column, number: int) -> str:
+    """The colour of a cell."""
+    if not column.known[number]:
+        return ""
+    value = column.values[number]
+    if column.key == "quality_after":
+        name = "gr-good" if value >= HOLDS else "gr-unsure"
+    elif column.key == STATUS.key:
+        name = "" if value == ENDED_WELL else "gr-unsure"
+    else:
+        name = {HELD_TEXT: "gr-good", "good": "gr-good", FAILED_TEXT: "gr-bad", "bad": "gr-bad"}.get(str(value), "")
+    return f' class="{name}"' if name else ""
+
+
+def _footer(collection: Collection, numbers: Int[np.ndarray, " M"], page: int) -> str:
+    last = pages(numbers) - 1
+    first, end = page * ROWS + 1, min((page + 1) * ROWS, len(numbers))
+    told = f"{first} to {end} of {len(numbers)}" if len(numbers) else "none"
+    told += "" if len(numbers) == len(collection) else f" listed, {len(collection)} in all"
+
+    def arrow(to: int, sign: str, title: str) -> str:
+        off = " class=gr-off" if not 0 <= to <= last or to == page else ""
+        return f'<a data-do="page {min(max(to, 0), last)}" title="{title}"{off}>{sign}</a>'
+
+    return (
+        '<div class="gr-pages">'
+        f"<span>{arrow(0, '«', 'first page')} {arrow(page - 1, '‹', 'page before')}</span><span>{told}</span>"
+        f"<span>{arrow(page + 1, '›', 'next page')} {arrow(last, '»', 'last page')}</span></div>"
+    )

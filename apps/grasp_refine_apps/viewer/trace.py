@@ -1,0 +1,98 @@
+"""The iterations of one refinement, as they happened: what the timeline scrubs and the plots show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from grasp_refine.refinement.iteration_state import Glimpse
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine_apps.viewer.contacts import contacts_of
+from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.target import Target
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """K iterations of one grasp; arrays have one row each and grow while it is refined."""
+
+    T: Float[np.ndarray, "K 4 4"]
+    """Poses of the base link (K, 4, 4) in the object's frame, metres."""
+    q: Float[np.ndarray, "K n"]
+    """Joint values (K, n)."""
+    touching: Bool[np.ndarray, "K L"]
+    """Links (K, L) that should touch."""
+    loss: Float[np.ndarray, " K"]
+    """Losses (K,) in m^2; those of different stages do not compare."""
+    contact_error: Float[np.ndarray, " K"]
+    """Largest of gap and target misses (K,), metres."""
+    penetration: Float[np.ndarray, " K"]
+    """Deepest of all links (K,), metres."""
+    label: tuple[str, ...]
+    """What was being done (K,), for people."""
+
+    def __len__(self) -> int:
+        """Return the number of iterations."""
+        return len(self.loss)
+
+    def pose(self, k: int) -> Pose:
+        """Where the hand was in an iteration."""
+        return Pose(self.T[k], self.q[k])
+
+
+ROOM = 256
+"""Iterations that there is room for at first; it is doubled when it is used up."""
+
+
+class Recorder:
+    """Builds the trace of the one grasp of a scene while it is refined."""
+
+    def __init__(self, prepared: HandObject, targets: Sequence[Target], margin: float) -> None:
+        """Record nothing yet.
+
+        Args:
+            prepared: Hand and object.
+            targets: Where links should touch; empty: anywhere.
+            margin: Gap in metres that contacts should keep.
+        """
+        self._prepared, self._targets, self._margin = prepared, targets, margin
+        self._columns: list[np.ndarray] = []
+        self._labels: list[str] = []
+
+    def see(self, glimpse: Glimpse) -> None:
+        """Keep an iteration; of several starts at once, that with the lowest loss."""
+        best = int(np.argmin(np.nan_to_num(glimpse.loss, nan=np.inf)))
+        pose = Pose(glimpse.point.T[best].copy(), glimpse.point.q[best].copy())
+        self.keep(pose, glimpse.touching[best], float(glimpse.loss[best]), glimpse.stage)
+
+    def keep(self, pose: Pose, touching: np.ndarray, loss: float, label: str) -> None:
+        """Keep where the hand is, and what that is worth."""
+        found = contacts_of(
+            self._prepared,
+            pose.T_object_root,
+            pose.q,
+            touching=touching,
+            targets=self._targets,
+            margin=self._margin,
+        )
+        row = (pose.T_object_root, pose.q, touching, loss, found.contact_error, found.penetration)
+        count = len(self._labels)
+        if not self._columns:
+            self._columns = [np.empty((ROOM, *np.shape(value)), np.asarray(value).dtype) for value in row]
+        elif count == len(self._columns[0]):
+            # Traces that were given away keep the arrays that they look at.
+            self._columns = [np.concatenate([column, np.empty_like(column)]) for column in self._columns]
+        for column, value in zip(self._columns, row, strict=True):
+            column[count] = value
+        self._labels.append(label)
+
+    def trace(self) -> Trace | None:
+        """What was kept so far, without copying it; None: nothing."""
+        count = len(self._labels)
+        if not count:
+            return None
+        T, q, touching, loss, contact_error, penetration = (column[:count] for column in self._columns)
+        return Trace(T, q, touching, loss, contact_error, penetration, tuple(self._labels))

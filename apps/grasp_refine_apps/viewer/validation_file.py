@@ -1,0 +1,196 @@
+"""Reads the documents that `validate --json` and `run --json` write, as far as they tell of simulations."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from math import nan
+from pathlib import Path
+from typing import Any
+
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.json_files import SCHEMA
+from grasp_refine.grasps.grasp_set import OTHER_STAGES
+from grasp_refine.validation.protocol import AXES, SETTINGS, Protocol
+from grasp_refine.validation.simulation import LIFT
+from grasp_refine.validation.trials import Reason
+from grasp_refine_apps.viewer.validated import Proved, Tried
+from grasp_refine_apps.viewer.validations import COMMANDS, Entry, Proofs, When
+
+LARGEST = 2**28
+"""How many bytes a document may have: 256 MiB, or some 40 000 grasps."""
+
+LARGEST_NUMBER = 1e12
+"""Numbers in SI units are smaller."""
+
+LONGEST = 40
+"""Longest text of a wrong value that is shown."""
+
+
+def read_proofs(path: Path) -> Proofs:
+    """What a document says.
+
+    Raises:
+        GraspFileError: it cannot be read, is damaged, or is none of these documents; says where.
+    """
+    try:
+        if path.stat().st_size > LARGEST:
+            raise GraspFileError(f"{path}: has more than {LARGEST // 2**20} MiB")
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise GraspFileError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except (ValueError, RecursionError) as error:
+        raise GraspFileError(f"{path}: is no JSON document ({' '.join(str(error).split())[:80]})") from None
+    return _Reader(path).document(document)
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Reads the parts of a document, each with a word about where it is."""
+
+    path: Path
+
+    def error(self, where: str, needed: str, value: Any) -> GraspFileError:
+        """What is wrong, and where."""
+        shown = json.dumps(value)
+        shown = shown if len(shown) < LONGEST else f"{shown[: LONGEST - 4]} ..."
+        return GraspFileError(f"{self.path}: {where} must be {needed}, got {shown}")
+
+    def document(self, value: Any) -> Proofs:
+        """All of it."""
+        whole = self.mapping(value, "the document")
+        if whole.get("command") not in COMMANDS:
+            raise GraspFileError(f"{self.path}: is no document that {' or '.join(COMMANDS)} wrote with --json")
+        if whole.get("schema") != SCHEMA:
+            raise self.error("schema", f"{SCHEMA}, which this version reads", whole.get("schema"))
+        config = self.mapping(whole.get("config"), "config")
+        protocol = None if config.get("protocol") is None else self.protocol(config["protocol"])
+        files = [self.mapping(file, "config.files") for file in self.list(config.get("files", []), "config.files")]
+        # Whose stages were simulated before refinement, `run` does not write.
+        closing: dict[When, Mapping[str, str]] = {"after": dict.fromkeys(OTHER_STAGES, "own")}
+        if whole["command"] == "validate":
+            closing = {"after": self.closing(files[0].get("closing")) if len(files) == 1 else {}}
+        grasps = self.list(whole.get("grasps"), "grasps")
+        return Proofs(
+            path=self.path,
+            command=whole["command"],
+            files={
+                self.text(file.get("sha256"), "config.files sha256"): self.text(file.get("path"), "config.files path")
+                for file in files
+            },
+            entries=tuple(self.entry(grasp, f"grasps[{i}]", protocol, closing) for i, grasp in enumerate(grasps)),
+        )
+
+    def entry(self, value: Any, where: str, protocol: Protocol | None, closing: Mapping[When, Any]) -> Entry:
+        """One grasp."""
+        grasp = self.mapping(value, where)
+        simulation = self.mapping(grasp.get("simulation") or {}, f"{where}.simulation")
+        proved: dict[When, Proved] = {}
+        for when in ("before", "after"):
+            if simulation.get(when) is not None:
+                at = f"{where}.simulation.{when}"
+                proved[when] = self.proved(simulation[when], at, protocol, closing.get(when, {}))
+        row = grasp.get("row")
+        if not isinstance(row, int) or isinstance(row, bool) or row < 0:
+            raise self.error(f"{where}.row", "a whole number from 0 on", row)
+        quality = self.mapping(grasp.get("quality") or {}, f"{where}.quality")
+        return Entry(
+            file=self.text(grasp.get("file", ""), f"{where}.file"),
+            row=row,
+            object=self.text(grasp.get("object"), f"{where}.object"),
+            quality=self.number(quality.get("after"), f"{where}.quality.after"),
+            proved=proved,
+        )
+
+    def proved(self, value: Any, where: str, protocol: Protocol | None, closing: Mapping[str, str]) -> Proved:
+        """What simulation said of one grasp."""
+        simulation = self.mapping(value, where)
+        setting = simulation.get("setting")
+        protocol = protocol or (SETTINGS.get(setting) if isinstance(setting, str) else None)
+        if protocol is None:
+            raise self.error(f"{where}.setting", f"among {', '.join(SETTINGS)}", setting)
+        directions = self.list(simulation.get("directions"), f"{where}.directions")
+        if not directions:
+            raise self.error(f"{where}.directions", "a list with something in it", directions)
+        closed = self.mapping(simulation.get("closing") or {}, f"{where}.closing")
+        return Proved(
+            protocol=protocol,
+            tried=tuple(self.tried(one, f"{where}.directions[{i}]") for i, one in enumerate(directions)),
+            closing=closing,
+            closing_m=self.number(closed.get("displacement_m"), f"{where}.closing.displacement_m"),
+            closing_rad=self.number(closed.get("angle_rad"), f"{where}.closing.angle_rad"),
+            penetration_m=self.number(closed.get("pregrasp_penetration_m"), f"{where}.closing.pregrasp_penetration_m"),
+        )
+
+    def tried(self, value: Any, where: str) -> Tried:
+        """What became of it in one direction."""
+        one = self.mapping(value, where)
+        names, reasons = (*AXES, *LIFT), {reason.label: reason for reason in Reason}
+        if one.get("direction") not in names:
+            raise self.error(f"{where}.direction", f"among {', '.join(names)}", one.get("direction"))
+        if not isinstance(one.get("reason"), str) or one["reason"] not in reasons:
+            raise self.error(f"{where}.reason", f"among {', '.join(reasons)}", one.get("reason"))
+        columns = ("time_s", "displacement_m", "angle_rad", "peak_m", "peak_rad")
+        links = self.list(one.get("contacts"), f"{where}.contacts")
+        return Tried(
+            direction=one["direction"],
+            reason=reasons[one["reason"]],
+            links=tuple(self.text(link, f"{where}.contacts") for link in links),
+            **{name: self.number(one.get(name), f"{where}.{name}") for name in columns},
+        )
+
+    def protocol(self, value: Any) -> Protocol:
+        """How all were simulated."""
+        given = self.mapping(value, "config.protocol")
+        found: dict[str, Any] = {}
+        for field in fields(Protocol):
+            where, one = f"config.protocol.{field.name}", given.get(field.name)
+            if field.name == "name":
+                found[field.name] = self.text(one, where)
+            elif field.name == "directions":
+                found[field.name] = tuple(self.list(one, where))
+                if not set(map(str, found[field.name])) <= set(AXES):
+                    raise self.error(where, f"among {', '.join(AXES)}", one)
+            else:
+                number = self.number(one, where)
+                if not number > 0:
+                    raise self.error(where, "a number above 0", one)
+                found[field.name] = int(number) if isinstance(field.default, int) else number
+        return Protocol(**found)
+
+    def closing(self, value: Any) -> dict[str, str]:
+        """Whose pregrasps and squeezes were simulated."""
+        given = {} if value is None else self.mapping(value, "config.files closing")
+        if not given:
+            return {}
+        if set(given) != set(OTHER_STAGES) or not {"file", "own"} >= set(map(str, given.values())):
+            raise self.error("config.files closing", f"file or own for {' and '.join(OTHER_STAGES)}", value)
+        return dict(given)
+
+    def mapping(self, value: Any, where: str) -> dict[str, Any]:
+        """An object of JSON."""
+        if not isinstance(value, dict):
+            raise self.error(where, "an object", value)
+        return value
+
+    def list(self, value: Any, where: str) -> Sequence[Any]:
+        """A list."""
+        if not isinstance(value, list):
+            raise self.error(where, "a list", value)
+        return value
+
+    def text(self, value: Any, where: str) -> str:
+        """A text."""
+        if not isinstance(value, str):
+            raise self.error(where, "a text", value)
+        return value
+
+    def number(self, value: Any, where: str) -> float:
+        """A number, NaN where there is null."""
+        if value is None:
+            return nan
+        known = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < LARGEST_NUMBER
+        if not known:
+            raise self.error(where, f"a number below {LARGEST_NUMBER:g}, or null", value)
+        return float(value)

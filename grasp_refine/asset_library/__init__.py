@@ -1,1 +1,0 @@
-"""Other people's hands, objects and grasps, by name: what there is, where it comes from, and fetching it."""

@@ -1,0 +1,1 @@
+"""Hands, objects and grasps that come with the program or can be fetched by name."""

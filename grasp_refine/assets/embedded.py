@@ -1,0 +1,22 @@
+"""Where the files live that come with the program: robots, asset manifests and apps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from grasp_refine.core.errors import AssetError
+
+
+def resource_dir(name: Literal["robots", "assets_manifest", "apps"]) -> Path:
+    """The folder `name` that comes with the program: inside the package, or beside it in a checkout.
+
+    Raises:
+        AssetError: the folder is in neither place, so the installation is incomplete.
+    """
+    package = Path(__file__).resolve().parent
+    places = [package / f"{name}", package.parent / f"{name}"]
+    for place in places:
+        if place.is_dir():
+            return place
+    raise AssetError(f"the folder '{name}' is missing: tried {places[0]} and {places[1]}; install it again")

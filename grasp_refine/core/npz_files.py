@@ -1,0 +1,228 @@
+"""Arrays in `.npz` files without pickle: read with a named error for every defect, written whole or not.
+
+What an archive says of its sizes is looked at before anything is unpacked, so that a small file cannot fill the memory.
+"""
+
+from __future__ import annotations
+
+import io
+import tokenize
+import warnings
+import zipfile
+import zlib
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from grasp_refine.core.arguments import check_kind, shown
+from grasp_refine.core.atomic_files import written_whole
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.names import are_sound, is_file
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+DAMAGED = (OSError, EOFError, MemoryError, NotImplementedError, RuntimeError)
+"""How a damaged archive shows, besides the errors of zipfile: an absurd array size is MemoryError, an unknown
+compression NotImplementedError, an encrypted entry RuntimeError."""
+
+LARGEST = 2**31
+"""How many bytes the arrays of a file may have together: 2 GiB, or eight million grasps of 32 numbers."""
+ROOM = 2**26
+"""How many bytes what is read may take, with numbers as float64, however small its file is: 64 MiB."""
+SPREAD = 16
+"""How many times the size of its file it may take beyond that. Poses that are packed tightly as float32 take 3 times,
+those with long object names and empty targets 10 times; zeros are packed to a thousandth."""
+MAGIC = b"\x93NUMPY"
+"""What array files begin with."""
+BAD_HEADER = (ValueError, SyntaxError, TypeError, RecursionError, MemoryError, tokenize.TokenError)
+"""What reading a damaged header ends in; a deep one is a RecursionError or MemoryError of Python's parser."""
+LONGEST_HEADER = 2**16
+"""How many bytes are unpacked to read what shape an array has."""
+
+
+@dataclass(frozen=True, eq=False)
+class NpzFile:
+    """The entries of one file; its accessors raise GraspFileError in one line that starts with the path."""
+
+    path: Path
+    """Where the file lies."""
+    entries: Mapping[str, np.ndarray]
+    """All its arrays by name."""
+
+    def error(self, message: str) -> GraspFileError:
+        """Return the error that says `message` about this file."""
+        return GraspFileError(f"{self.path}: {message}")
+
+    def text(self, key: str) -> np.ndarray:
+        """Return the entry as an array of strings, of its own shape."""
+        value = self.entries[key]
+        # An empty list of names is stored by NumPy as float64.
+        if value.dtype.kind != "U" and value.size:
+            raise self.error(f"{key} must hold text; it holds {value.dtype}")
+        value = value.astype(str, copy=False)
+        if not are_sound(value):
+            raise self.error(f"{key} holds letters that no text has, or that control a terminal")
+        return value
+
+    def name(self, key: str) -> str:
+        """Return the entry as one string."""
+        value = self.text(key)
+        if value.size != 1:
+            raise self.error(f"{key} must be one name; it has shape {value.shape}")
+        return str(value.item())
+
+    def names(self, key: str) -> tuple[str, ...]:
+        """Return the entry as a list of strings."""
+        value = self.text(key)
+        if value.ndim != 1:
+            raise self.error(f"{key} must be a list of names; it has shape {value.shape}")
+        return tuple(value.tolist())
+
+    def numbers(self, key: str, *, allowed: Literal["finite", "nan", "any"] = "finite") -> np.ndarray:
+        """Return the entry as float64, of its own shape; with "nan" allowed, NaN may stand for "none"."""
+        value = self.entries[key]
+        if value.dtype.kind not in "fiu":
+            raise self.error(f"{key} must hold numbers; it holds {value.dtype}")
+        value = value.astype(float, copy=False)
+        bad = np.isinf(value) if allowed == "nan" else ~np.isfinite(value)
+        if allowed != "any" and bad.any():
+            row = int(np.argwhere(bad)[0][0]) if value.ndim else 0
+            raise self.error(f"{key} must be finite; row {row} is not")
+        return value
+
+    def per_row(self, key: str, value: np.ndarray, n: int) -> np.ndarray:
+        """Return `value` of the entry `key` as (n,), a single value repeated."""
+        if value.size == 1:
+            _check_room(self.path, n * value.itemsize, f"{key}, once for each of {n} grasps,")
+            return np.repeat(value.reshape(1), n)
+        if value.shape != (n,):
+            raise self.error(f"{key} must be one value or one per grasp, ({n},); it has {value.shape}")
+        return value
+
+
+def load_npz(path: str | Path, *, only: Collection[str] | None = None) -> NpzFile:
+    """Return the arrays of an `.npz` file, or `only` those of some names that are there, none of them unpickled.
+
+    Raises GraspFileError when the file is missing, not an `.npz`, damaged, or holds a pickle or anything else
+    that is no plain array, or would unpack to more than `LARGEST` bytes or to other sizes than it says, or take more
+    than `ROOM` bytes and `SPREAD` times its size as float64.
+    """
+    path = Path(path)
+    if not is_file(path):
+        raise GraspFileError(f"{path}: no such grasp file")
+    entries = {}
+    key = ""
+    try:
+        # NumPy leaves a file open that it opened itself and could not read.
+        with path.open("rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of heads that Python 2 wrote, or nobody
+            if not zipfile.is_zipfile(file):
+                raise GraspFileError(f"{path}: not an .npz grasp file")
+            _check_sizes(path, only)
+            with np.load(file, allow_pickle=False) as npz:
+                for key in npz.files:
+                    if only is None or key in only:
+                        entries[key] = npz[key]
+    except ValueError as error:
+        if "allow_pickle" not in str(error):
+            raise GraspFileError(f"{path}: entry '{key}' is damaged") from error
+        raise GraspFileError(
+            f"{path}: entry '{key}' is a pickled object array, which is never loaded; store plain arrays"
+        ) from error
+    except (*DAMAGED, zipfile.BadZipFile, zlib.error) as error:
+        raise GraspFileError(f"{path}: not a readable .npz file ({error})") from error
+    foreign = [key for key, value in entries.items() if not isinstance(value, np.ndarray)]
+    if foreign:
+        raise GraspFileError(f"{path}: not an .npz grasp file, it holds {', '.join(foreign)}")
+    return NpzFile(path, entries)
+
+
+def _check_sizes(path: Path, only: Collection[str] | None) -> None:
+    """Nothing, when an archive unpacks to what memory has room for, and each array to what its shape needs.
+
+    Numbers count as float64, which they become.
+    """
+    with zipfile.ZipFile(path) as archive:
+        total = sum(entry.file_size for entry in archive.infolist())
+        if total > LARGEST:
+            raise GraspFileError(
+                f"{path}: would unpack to {total / 2**20:.0f} MiB, as an archive bomb does; at most "
+                f"{LARGEST // 2**20} MiB are read"
+            )
+        room = 0
+        for entry in archive.infolist():
+            with archive.open(entry) as stream:
+                head = stream.read(LONGEST_HEADER)
+            if not head.startswith(MAGIC):
+                continue
+            key = entry.filename.removesuffix(".npy")
+            try:
+                shape, dtype, start = array_header(head)
+            except ValueError:
+                raise GraspFileError(f"{path}: entry '{key}' is damaged") from None
+            needed = prod(shape) * dtype.itemsize + start
+            if not dtype.hasobject and needed > entry.file_size:
+                raise GraspFileError(
+                    f"{path}: entry '{key}' is damaged: shape {shape} of {dtype} needs {needed} bytes, it has "
+                    f"{entry.file_size}"
+                )
+            if only is None or key in only:
+                room += prod(shape) * max(dtype.itemsize, 8 if dtype.kind in "fiu" else 1)
+    _check_room(path, room, "as float64 it")
+
+
+def _check_room(path: Path, room: int, what: str) -> None:
+    """Nothing, when so many bytes are not out of all proportion to a file."""
+    size = path.stat().st_size
+    if room > max(ROOM, SPREAD * size):
+        raise GraspFileError(
+            f"{path}: {what} would take {room / 2**20:.0f} MiB of memory, {room / max(size, 1):.0f} times the size of "
+            f"the file; above {ROOM // 2**20} MiB at most {SPREAD} times is read: split it, or save it without "
+            "compression"
+        )
+
+
+def array_header(data: bytes) -> tuple[tuple[int, ...], np.dtype, int]:
+    """Shape, type and where the numbers begin, of what an array file begins with; nothing is allocated for it.
+
+    Raises:
+        ValueError: the header is damaged.
+    """
+    stream = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(stream)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of heads that Python 2 wrote, or nobody
+            shape, _, dtype = read(stream)
+    except BAD_HEADER as error:
+        raise ValueError(" ".join(str(error).split())[:80]) from None
+    if min(shape, default=0) < 0:
+        raise ValueError(f"its shape is {shape}")
+    return shape, dtype, stream.tell()
+
+
+def save_npz(path: str | Path, arrays: Mapping[str, ArrayLike]) -> None:
+    """Write `arrays` as an `.npz` without pickle; the file appears whole or not at all.
+
+    Missing folders are made. Raises GraspFileError when the file cannot be written, or an array could only be stored as
+    a pickle.
+    """
+    check_kind("path", path, str | Path)
+    if not isinstance(arrays, Mapping) or not all(isinstance(key, str) for key in arrays):
+        raise GraspFileError(f"arrays must be by name, as those of GraspSet.arrays() are, got {shown(arrays)}")
+    entries: dict[str, Any] = {}
+    for key, value in arrays.items():
+        try:
+            entries[key] = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
+        except (TypeError, ValueError):
+            entries[key] = np.asarray(None)
+        if entries[key].dtype.hasobject:
+            raise GraspFileError(f"{path}: '{key}' cannot be stored without pickle: it is no array of one type")
+    with written_whole(path, GraspFileError) as partial, partial.open("wb") as stream:
+        np.savez(stream, **entries)

@@ -1,1 +1,0 @@
-"""What the files of a hand say (URDF, meshes, hand.toml), checked."""

@@ -1,0 +1,1 @@
+"""Contact wrenches, equilibrium, grasp quality and squeeze."""

@@ -1,0 +1,104 @@
+"""Squeezes: where the position actuators of a hand are sent so that its contacts press on the object."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.collision.query import Witness, query
+from grasp_refine.forces.wrench import RIDGE, ContactForces, center_of_mass, contact_forces
+from grasp_refine.hands.hand import Hand
+from grasp_refine.objects.object import Object
+from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+
+CONTACTS = Touching(farthest=0.0)
+"""Which links have a contact: those within reach, however few they are."""
+
+TOTAL = 30.0
+"""Sum of the pressures of a grasp, in newtons."""
+
+SQUEEZE_RIDGE = 4.0 * RIDGE
+"""Weight of the squared forces: larger than for the residual, so that more contacts share the load."""
+
+
+def squeezed(scene: Scene, prepared: HandObject | None = None, *, total: float = TOTAL) -> Float[np.ndarray, "N n"]:
+    """Joint values (N, n) to which the actuators are sent from the grasps, q + J^T f / kp; the root stays.
+
+    The forces f on the object are those that balance best, with pressures that sum to `total`. A position actuator
+    whose link is stopped by the object presses with kp times the way it lacks, up to its limit, and these torques J^T f
+    are what the forces ask of the joints. The values may lie beyond the limits of the joints, which they do not move
+    there: they press all the same. Grasps without contacts, or whose forces are not known, stay as they are; those
+    that are nowhere (`Scene.posed`) become NaN.
+
+    Args:
+        scene: Hand, object and grasps. It must be the hand's own `actuator` that moves it: in a simulation with
+            other ones (`HandModel.actuator`), the hand with these.
+        prepared: Of this hand and object; None: built here.
+        total: Sum of the pressures in newtons.
+    """
+    prepared = prepared or HandObject.of(scene)
+    hand, chain = scene.hand, prepared.chain
+    posed = scene.posed
+    T = np.where(posed[:, None, None], scene.T_world_root, np.eye(4))
+    q = np.where(posed[:, None], scene.q, 0.0)
+    frames = chain(T, q)
+    T_link = frames.T_world_link
+    T_object = np.broadcast_to(np.eye(4), T_link.shape)
+    witness = query(prepared.pairs, T_link, T_object, cutoff=CONTACTS.cutoff(hand, scene.links))
+    force = total * grasp_forces(hand, scene.object, scene.links, witness, ridge=SQUEEZE_RIDGE).force
+    # A force at the contact does work on the twist of the link: f . V(x) = f . v + (x x f) . w.
+    covector = np.concatenate([force, np.cross(witness.point_a, force)], axis=-1)
+    torque = chain.pull(frames, covector, np.arange(len(scene.links)))[..., 6:].sum(axis=1)
+    return np.where(posed[:, None], q + actuated(hand, torque), np.nan)
+
+
+def grasp_forces(
+    hand: Hand, obj: Object, links: tuple[str, ...], witness: Witness, *, ridge: float = RIDGE
+) -> ContactForces:
+    """What the contacts of N grasps do at best, torques taken about the object's centre of mass.
+
+    Args:
+        hand: The hand.
+        obj: The object.
+        links: As for `contacts`.
+        witness: As for `contacts`.
+        ridge: As for `contact_forces`.
+    """
+    point, normal = contacts(hand, links, witness)
+    return contact_forces(point, normal, center_of_mass(obj), ridge=ridge)
+
+
+def contacts(
+    hand: Hand, links: tuple[str, ...], witness: Witness
+) -> tuple[Float[np.ndarray, "N L 3"], Float[np.ndarray, "N L 3"]]:
+    """Contact points on the object and normals into it (N, L, 3), of links near enough; NaN for other links.
+
+    Args:
+        hand: The hand.
+        links: Links with collision geometry; of one that comes several times the first counts.
+        witness: Witness points (N, L) of links and object.
+    """
+    touching = CONTACTS.choose(hand, links, witness)[..., None]
+    return np.where(touching, witness.point_b, np.nan), np.where(touching, witness.normal, np.nan)
+
+
+def actuated(hand: Hand, torque: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N n"]:
+    """How far (N, n) the set points of the joints are ahead for torques (N, n), in rad or m, where nothing moves.
+
+    Each actuator makes what it can of them: nothing without stiffness, else up to its limit; and where it drives
+    several joints through a tendon, those torques in the ratio of the joints that come nearest, which is for equal
+    ratios the mean for each. The stiffness and the limit of a tendon are those of its first joint. Its set point is
+    the sum of ratio x set point over its joints, which share it in proportion to their ratios.
+    """
+    kp, limit = hand.actuator.kp, hand.actuator.force_limit
+    give = np.where(kp > 0.0, 1.0 / np.where(kp > 0.0, kp, 1.0), 0.0)
+    ahead = np.clip(torque, -limit, limit) * give
+    for group in hand.coupled:
+        joints = [hand.joint_names.index(name) for name in group.joints]
+        ratio = np.array(group.ratio)
+        share, first = ratio / (ratio @ ratio), joints[0]
+        tension = np.clip(torque[:, joints] @ share, -limit[first], limit[first])
+        ahead[:, joints] = tension[:, None] * share * give[first]
+    return ahead

@@ -1,0 +1,1 @@
+"""Sets of grasps of one hand, and changes of their base link."""

@@ -1,0 +1,1 @@
+"""Grasp files: ours and those of other programs, one format a file."""

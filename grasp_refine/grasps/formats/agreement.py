@@ -1,0 +1,57 @@
+"""How far the fingertips of the same grasps are apart in two sets, for instance before and after a file was written."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.core.se3 import transform_from_pose, transform_points
+from grasp_refine.grasps.formats.format import Load
+from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, match_joints
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand
+
+
+def fingertip_distances(one: GraspSet, other: GraspSet, load: Load) -> Float[np.ndarray, " N"]:
+    """The largest distance (N,) in metres of a fingertip in two sets of the same N grasps, object frame.
+
+    A fingertip is a contact link of the hand, by its frame's origin and by the point that should touch; all stages
+    that both sets have count.
+
+    Raises:
+        GraspFileError: the sets have joints that the hand has not.
+    """
+    hands = [load(grasps.base_link) for grasps in (one, other)]
+    distances = [_distances(fingertips(one, hands[0]), fingertips(other, hands[1]))]
+    for name in OTHER_STAGES:
+        stages = [getattr(grasps, name) for grasps in (one, other)]
+        if None not in stages:
+            sets = [grasps.at(stage) for grasps, stage in zip((one, other), stages, strict=True)]
+            distances.append(_distances(*(fingertips(*pair) for pair in zip(sets, hands, strict=True))))
+    return np.max(distances, axis=0)
+
+
+def fingertips(grasps: GraspSet, hand: Hand) -> Float[np.ndarray, "N points 3"]:
+    """Points (N, points, 3) of the contact links of a hand in the object frame, metres.
+
+    Raises:
+        GraspFileError: the grasps have joints that the hand has not.
+    """
+    q, _ = match_joints(grasps, hand)
+    T_object_root = transform_from_pose(np.asarray(grasps.hand_pose, dtype=float))
+    links = [contact.link for contact in hand.contacts]
+    T = Chain(hand, links)(T_object_root, q).T_world_link
+    points = np.array([contact.point or _middle(hand, contact.link) for contact in hand.contacts])
+    return np.concatenate([T[..., :3, 3], transform_points(T, points)], axis=1)
+
+
+def _middle(hand: Hand, link: str) -> tuple[float, float, float]:
+    body = hand.links_by_name[link].body
+    if body is None:
+        return (0.0, 0.0, 0.0)
+    x, y, z = np.mean([piece.vertices.mean(axis=0) for piece in body.pieces], axis=0).tolist()
+    return (x, y, z)
+
+
+def _distances(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(one - other, axis=-1).max(axis=-1)

@@ -1,0 +1,77 @@
+"""DexGraspBench: one grasp an .npy file, a dict of `obj_pose`, `obj_scale`, `obj_path` and three stages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from grasp_refine.grasps.formats.folders import object_folder, scale_folder
+from grasp_refine.grasps.formats.format import Load, Part, left_out, one_by_one
+from grasp_refine.grasps.formats.layout import MUJOCO, layout_of
+from grasp_refine.grasps.formats.source import Source, keys_lacking
+from grasp_refine.grasps.formats.stages import (
+    AT_ORIGIN,
+    GRASP,
+    STAGES,
+    fitted,
+    grasps_of_stages,
+    joint_count,
+    lacking_stages,
+    rows_of_stage,
+)
+from grasp_refine.grasps.grasp_set import GraspSet
+from grasp_refine.hands.hand import Hand
+
+
+@dataclass(frozen=True)
+class DexGraspBench:
+    """Files for DexGraspBench, such as `object/scale006_pose000/0.npy`; `joint_names` count where they are there."""
+
+    name: str = "dexgraspbench"
+    what: str = "DexGraspBench: a folder of .npy files, each one grasp with pregrasp and squeeze"
+    named_by_path: bool = False
+
+    def lacks(self, content: Any) -> str:
+        """What keeps a content from being of this format."""
+        return keys_lacking(content, ("grasp_qpos", "obj_pose", "obj_scale", "obj_path"))
+
+    def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
+        """The grasp of a file."""
+        held = source.content
+        keys = [f"{name}_qpos" for name in STAGES if name == GRASP or held.get(f"{name}_qpos") is not None]
+        rows = {key: source.numbers(held[key], key, (None,))[None] for key in keys}
+        count = joint_count(source, rows["grasp_qpos"], "grasp_qpos")
+        names = source.joint_names(held)
+        layout = layout_of(source, MUJOCO, count, hand, names=names)
+        grasps = grasps_of_stages(
+            source,
+            layout,
+            rows,
+            object_pose=held["obj_pose"],
+            object_name=source.object_name(held["obj_path"], "obj_path"),
+            scale=source.scale(held["obj_scale"], "obj_scale"),
+        )
+        return grasps, ()
+
+    def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
+        """One file per grasp."""
+        moved, layout = fitted(grasps, MUJOCO, load, self.name)
+        stages = {f"{name}_qpos": rows_of_stage(moved, name, layout) for name in STAGES}
+        parts = []
+        for row, name, scale, place in one_by_one(grasps, _folder):
+            content = {
+                "obj_pose": AT_ORIGIN.copy(),
+                "obj_scale": scale,
+                "obj_path": f"assets/object/{name}",
+                "joint_names": list(layout.joints),
+                **{key: rows[row].copy() for key, rows in stages.items()},
+            }
+            parts.append(Part(f"{place}.npy", np.array([row]), content))
+        return parts, [*lacking_stages(grasps), *left_out(grasps, layout.joints)]
+
+
+def _folder(name: str, scale: float) -> str:
+    return f"{object_folder(name)}/{scale_folder(scale)}_pose000"

@@ -1,0 +1,130 @@
+"""DexGraspNet: one .npy file per object, named like it, with a list of dicts of named joint values and a scale.
+
+The hand is OpenAI's model of the Shadow hand: joint `robot0:XXJn` is our XXJ(n+1), four of them with the other sign,
+and its frame is our palm's. Its links differ from the maker's by up to 2 mm at the little finger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.se3 import pose_from_transform, transform, transform_from_pose
+from grasp_refine.grasps.formats.format import Load, Part, left_out
+from grasp_refine.grasps.formats.layout import SHADOW_FINGERS, SHADOW_THUMB, Layout
+from grasp_refine.grasps.formats.source import Source
+from grasp_refine.grasps.formats.stages import fitted
+from grasp_refine.grasps.grasp_set import GraspSet
+from grasp_refine.hands.hand import Hand
+
+SHADOW = Layout("shadow", "palm", SHADOW_FINGERS + SHADOW_THUMB)
+OPPOSITE = ("FFJ4", "MFJ4", "THJ2", "THJ1")
+"""Our joints that turn the other way in that model."""
+NAMES = tuple(f"robot0:{joint[:3]}{int(joint[3:]) - 1}" for joint in SHADOW.joints)
+"""What our joints are called there."""
+SIGNS = np.array([-1.0 if joint in OPPOSITE else 1.0 for joint in SHADOW.joints])
+POSITION = ("WRJTx", "WRJTy", "WRJTz")
+ANGLES = ("WRJRx", "WRJRy", "WRJRz")
+"""Angles about the fixed axes x, y and z, in this order."""
+
+
+@dataclass(frozen=True)
+class DexGraspNet:
+    """Files `object.npy`; what else is in a dict, such as `qpos_st` and `E_fc`, is of the optimiser and not read."""
+
+    name: str = "dexgraspnet"
+    what: str = "DexGraspNet: a folder of .npy files, each with all grasps of the object it is named after"
+    named_by_path: bool = True
+
+    def lacks(self, content: Any) -> str:
+        """What keeps a content from being of this format."""
+        if not (isinstance(content, list | tuple) and content):
+            return "it is no list of grasps"
+        if not all(isinstance(grasp, Mapping) and isinstance(grasp.get("qpos"), Mapping) for grasp in content):
+            return "its entries are no dicts with a dict qpos"
+        return "" if any(name in content[0]["qpos"] for name in (*POSITION, *ANGLES)) else "its qpos lacks WRJTx"
+
+    def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
+        """The grasps of a file."""
+        if hand is not None and not (set(SHADOW.joints) <= set(hand.joint_names) and "palm" in hand.links_by_name):
+            raise source.error(
+                f"is for the Shadow hand, with the joints {', '.join(SHADOW.joints)}; hand '{hand.name}' has "
+                f"{', '.join(hand.joint_names)}"
+            )
+        wanted = (*NAMES, *POSITION, *ANGLES)
+        rows = []
+        for row, grasp in enumerate(source.content):
+            lacking = [name for name in wanted if name not in grasp["qpos"]]
+            unknown = [name for name in grasp["qpos"] if name not in wanted]
+            if lacking or unknown:
+                said = [f"lacks {', '.join(lacking)}"] if lacking else []
+                said += [f"has unknown {', '.join(map(str, unknown))}"] if unknown else []
+                raise source.error(f"qpos of grasp {row} {' and '.join(said)}; its names are {', '.join(wanted)}")
+            rows.append([grasp["qpos"][name] for name in wanted])
+        values = source.numbers(rows, "qpos", (None, len(wanted)))
+        joints, position, angles = np.split(values, [len(NAMES), len(NAMES) + 3], axis=1)
+        without = [row for row, grasp in enumerate(source.content) if grasp.get("scale") is None]
+        if without:
+            raise source.error(f"grasp {without[0]} lacks a scale")
+        scale = [source.scale(grasp["scale"], f"scale of grasp {row}") for row, grasp in enumerate(source.content)]
+        grasps = GraspSet(
+            hand=hand.name if hand else SHADOW.hand,
+            base_link=SHADOW.base_link,
+            joint_names=SHADOW.joints,
+            object=np.full(len(rows), source.path.stem),
+            scale=np.array(scale),
+            hand_pose=pose_from_transform(transform(rotation_from_angles(angles), position)),
+            q=joints * SIGNS,
+        )
+        return grasps, ()
+
+    def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
+        """One file per object."""
+        odd = [name for name in np.unique(grasps.object).tolist() if not _is_file_name(name)]
+        if odd:
+            raise GraspFileError(f"format {self.name} names its files after objects, which {odd[0]!r} cannot be")
+        moved, _ = fitted(grasps, (SHADOW,), load, self.name)
+        columns = [moved.joint_names.index(joint) for joint in SHADOW.joints]
+        T = transform_from_pose(np.asarray(moved.hand_pose, dtype=float))
+        angles = angles_from_rotation(T[:, :3, :3])
+        values = np.concatenate([moved.q[:, columns] * SIGNS, T[:, :3, 3], angles], axis=1).tolist()
+        parts = []
+        for name in dict.fromkeys(grasps.object.tolist()):
+            rows = np.flatnonzero(grasps.object == name)
+            listed = np.empty(len(rows), dtype=object)
+            for at, row in enumerate(rows):
+                named = dict(zip((*NAMES, *POSITION, *ANGLES), values[row], strict=True))
+                listed[at] = {"qpos": named, "scale": float(grasps.scale[row])}
+            parts.append(Part(f"{name}.npy", rows, listed))
+        return parts, left_out(grasps, SHADOW.joints, stages=False)
+
+
+def rotation_from_angles(angles: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3 3"]:
+    """Rotations R = R_z R_y R_x (N, 3, 3) about the fixed axes x, y, z, in this order (N, 3)."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos(angles).T, np.sin(angles).T
+    rows = (
+        (cy * cz, sx * sy * cz - cx * sz, cx * sy * cz + sx * sz),
+        (cy * sz, sx * sy * sz + cx * cz, cx * sy * sz - sx * cz),
+        (-sy, sx * cy, cx * cy),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def angles_from_rotation(R: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, "N 3"]:
+    """Angles (N, 3) for `rotation_from_angles`, the second in [-pi/2, pi/2]; where it is at an end, the third is 0."""
+    cosine = np.hypot(R[:, 0, 0], R[:, 1, 0])
+    free = cosine > 1e-9
+    x = np.where(free, np.arctan2(R[:, 2, 1], R[:, 2, 2]), np.arctan2(-R[:, 1, 2], R[:, 1, 1]))
+    y = np.arctan2(-R[:, 2, 0], cosine)
+    z = np.where(free, np.arctan2(R[:, 1, 0], R[:, 0, 0]), 0.0)
+    return np.stack([x, y, z], axis=1)
+
+
+def _is_file_name(name: str) -> bool:
+    return bool(name) and PurePosixPath(name).name == name and not name.startswith(".") and "\0" not in name

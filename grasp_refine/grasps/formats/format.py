@@ -1,0 +1,99 @@
+"""What a format of grasp files is: it knows its own, reads it, and writes it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Int
+
+from grasp_refine.grasps.formats.source import Source
+from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet
+from grasp_refine.hands.hand import Hand
+
+Load = Callable[[str], Hand]
+"""Gives the hand below one of its links."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One file to be written."""
+
+    path: str
+    """Where it lies in the folder, with / between folders; a part that may be a file of its own has no other beside."""
+    rows: Int[np.ndarray, " rows"]
+    """The grasps in it, in its order."""
+    content: Any
+    """What it holds: a GraspSet for our own format, else what an array file can hold."""
+
+
+@runtime_checkable
+class Format(Protocol):
+    """One format."""
+
+    @property
+    def name(self) -> str:
+        """What the command line calls it."""
+        ...
+
+    @property
+    def what(self) -> str:
+        """What it is, in one line."""
+        ...
+
+    @property
+    def named_by_path(self) -> bool:
+        """Whether the name of a file says something, so that it is always one in a folder."""
+        ...
+
+    def lacks(self, content: Any) -> str:
+        """What keeps a content from being of this format, in words; "" if nothing does."""
+        ...
+
+    def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
+        """The grasps of one file, and notes for the user.
+
+        Raises:
+            GraspFileError: the file is of this format, but something in it cannot be.
+        """
+        ...
+
+    def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
+        """The files that hold some grasps, and what they cannot hold, in words; `load` gives the hand below a link.
+
+        Raises:
+            GraspFileError: grasps that this format cannot hold at all.
+        """
+        ...
+
+
+def left_out(grasps: GraspSet, joints: Collection[str], *, stages: bool = True) -> list[str]:
+    """What to say where a format has a place for these `joints` and maybe for `stages`, and none for targets."""
+    others = [] if stages else [name for name in OTHER_STAGES if getattr(grasps, name) is not None]
+    notes = [f"{' and '.join(others)} have no place in this format and are left out"] if others else []
+    if grasps.targets is not None:
+        notes.append("targets have no place in this format and are left out")
+    above = [name for name in grasps.joint_names if name not in joints]
+    if above:
+        notes.append(f"{', '.join(above)} have no place in this format: the pose of the hand is that behind them")
+    return notes
+
+
+def one_by_one(grasps: GraspSet, folder: Callable[[str, float], str]) -> Iterator[tuple[int, str, float, str]]:
+    """Row, object, scale and FOLDER/NUMBER of each grasp; `folder` is for an object and scale, numbers begin at 0."""
+    numbers: Counter[str] = Counter()
+    for row, (name, scale) in enumerate(zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)):
+        place = folder(name, scale)
+        yield row, name, scale, f"{place}/{numbers[place]}"
+        numbers[place] += 1
+
+
+def grouped(grasps: GraspSet) -> dict[tuple[str, float], np.ndarray]:
+    """Object and scale -> rows, in the order of the first of each."""
+    groups: dict[tuple[str, float], list[int]] = {}
+    for row, (name, scale) in enumerate(zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)):
+        groups.setdefault((name, scale), []).append(row)
+    return {key: np.array(rows) for key, rows in groups.items()}

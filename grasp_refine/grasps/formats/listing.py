@@ -1,0 +1,33 @@
+"""All formats of grasp files."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.grasps.formats.bodex import Bodex
+from grasp_refine.grasps.formats.dexgraspbench import DexGraspBench
+from grasp_refine.grasps.formats.dexgraspnet import DexGraspNet
+from grasp_refine.grasps.formats.dexonomy import Dexonomy
+from grasp_refine.grasps.formats.format import Format
+from grasp_refine.grasps.formats.leap_cache import LeapCache
+from grasp_refine.grasps.formats.ours import Ours
+
+FormatName = Literal["ours", "dexgraspbench", "bodex", "dexonomy", "dexgraspnet", "leap_cache"]
+"""What the command line calls them."""
+
+OURS = Ours()
+FOREIGN: tuple[Format, ...] = (DexGraspBench(), Bodex(), Dexonomy(), DexGraspNet(), LeapCache())
+FORMATS: tuple[Format, ...] = (OURS, *FOREIGN)
+
+
+def format_named(name: str) -> Format:
+    """The format of a name.
+
+    Raises:
+        GraspFileError: there is none; lists those there are.
+    """
+    for known in FORMATS:
+        if known.name == name:
+            return known
+    raise GraspFileError(f"no format '{name}'; the formats are {', '.join(known.name for known in FORMATS)}")

@@ -1,0 +1,208 @@
+"""Grasps from a file or a folder of any format, recognised by what is in it."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from grasp_refine.core.arguments import check_kind
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.names import is_file, is_folder
+from grasp_refine.grasps.formats.content import load_content
+from grasp_refine.grasps.formats.folders import natural
+from grasp_refine.grasps.formats.format import Format
+from grasp_refine.grasps.formats.listing import FOREIGN, FORMATS, OURS, format_named
+from grasp_refine.grasps.formats.source import Source
+from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Stage
+from grasp_refine.hands.hand import Hand
+
+SUFFIXES = (".npz", ".npy", ".pickle", ".pkl")
+"""Endings of the files in a folder that are read."""
+
+FEW = 10
+"""Most rows that a note names."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What was read."""
+
+    grasps: GraspSet
+    """All grasps, in the order of the files."""
+    format: Format
+    """The format of all files."""
+    files: tuple[Path, ...]
+    """The files."""
+    notes: tuple[str, ...]
+    """What a user should know."""
+
+
+def read_grasps(
+    path: str | Path,
+    *,
+    format: str | None = None,
+    hand: Hand | None = None,
+    tell: Callable[[int, int], None] | None = None,
+) -> GraspSet:
+    """The grasps of a file, or of all files in a folder and below it in natural order; `reading` says more.
+
+    Raises:
+        GraspFileError: see `reading`.
+    """
+    return reading(path, format=format, hand=hand, tell=tell).grasps
+
+
+def reading(
+    path: str | Path,
+    *,
+    format: str | None = None,
+    hand: Hand | None = None,
+    tell: Callable[[int, int], None] | None = None,
+    within: Path | None = None,
+) -> Reading:
+    """The grasps of a file or a folder, with their format and notes.
+
+    Args:
+        path: A file, or a folder whose .npz, .npy, .pickle and .pkl files, all of one format, are read.
+        format: Its format; None: as its content says.
+        hand: The hand that the grasps are for; needed where a file has no joint names and fits several.
+        tell: Hears how many files of how many are read.
+        within: Folder outside of which nothing is read; a file may name another that describes its scene.
+
+    Raises:
+        GraspFileError: no such file, none in a folder, of no format or of several, or something in it cannot be.
+    """
+    check_kind("path", path, str | Path)
+    path = Path(path)
+    wanted = None if format is None else format_named(format)
+    files = _files(path)
+    sets: list[GraspSet] = []
+    notes: list[str] = []
+    found: Format | None = None
+    for number, file in enumerate(files):
+        content = _content(file)
+        known = wanted or _recognised(file, content)
+        lacking = "it is an .npz file" if content is None and known != OURS else known.lacks(content)
+        if lacking:
+            raise GraspFileError(f"{file}: is no file of the format {known.name}: {lacking}")
+        if found is not None and known != found:
+            raise GraspFileError(
+                f"{path}: holds files of several formats: {files[0]} is {found.name}, {file} is {known.name}; give one "
+                "of its folders, or files one by one"
+            )
+        found = known
+        grasps, more = known.read(Source(file, content, within), hand)
+        sets.append(grasps)
+        notes += more
+        if tell is not None:
+            tell(number + 1, len(files))
+    assert found is not None
+    joined, more = _joined(files, sets)
+    if found != OURS:
+        joined, empty = _without_empty_stages(joined)
+        more += empty
+    more += _not_finite(joined)
+    return Reading(joined, found, tuple(files), tuple(dict.fromkeys([*notes, *more])))
+
+
+def _files(path: Path) -> list[Path]:
+    if not is_folder(path):
+        return [path]
+    found = [file for file in path.rglob("*") if file.suffix.lower() in SUFFIXES and file.is_file()]
+    if not found:
+        raise GraspFileError(f"{path}: no grasp files in this folder or below it; they end with {', '.join(SUFFIXES)}")
+    return sorted(found, key=lambda file: natural(file.relative_to(path).as_posix()))
+
+
+def _content(file: Path) -> Any:
+    """What a file holds; None is an .npz, which our own format reads."""
+    ours = file.suffix.lower() == ".npz" or (is_file(file) and zipfile.is_zipfile(file))
+    return None if ours else load_content(file)
+
+
+def _recognised(file: Path, content: Any) -> Format:
+    """The one format that a content fits."""
+    if content is None:
+        return OURS
+    fits = [known for known in FOREIGN if not known.lacks(content)]
+    if len(fits) == 1:
+        return fits[0]
+    if fits:
+        raise GraspFileError(
+            f"{file}: fits the formats {' and '.join(known.name for known in fits)}: say which with --format NAME"
+        )
+    reasons = "; ".join(f"{known.name}: {known.lacks(content)}" for known in FORMATS)
+    raise GraspFileError(f"{file}: is of no known format ({reasons}); --format NAME says which it should be")
+
+
+def _joined(files: Sequence[Path], sets: Sequence[GraspSet]) -> tuple[GraspSet, list[str]]:
+    """All grasps as one set, and what was lost thereby."""
+    first = sets[0]
+    if len(sets) == 1:
+        return first, []
+    for file, grasps in zip(files, sets, strict=True):
+        same = grasps.base_link == first.base_link and set(grasps.joint_names) == set(first.joint_names)
+        if not (same and grasps.hand == first.hand):
+            raise GraspFileError(
+                f"{file}: is for hand '{grasps.hand}' from link '{grasps.base_link}' on, with the joints "
+                f"{', '.join(grasps.joint_names)}; {files[0]} is for '{first.hand}' from '{first.base_link}' on, with "
+                f"{', '.join(first.joint_names)}: give them one by one"
+            )
+    orders = [[grasps.joint_names.index(name) for name in first.joint_names] for grasps in sets]
+    notes: list[str] = []
+    stages: dict[str, Any] = dict.fromkeys(OTHER_STAGES)
+    for name in OTHER_STAGES:
+        there = [getattr(grasps, name) for grasps in sets]
+        if all(stage is not None for stage in there):
+            stages[name] = Stage(
+                np.concatenate([stage.hand_pose for stage in there]),
+                np.concatenate([stage.q[:, order] for stage, order in zip(there, orders, strict=True)]),
+            )
+        elif any(stage is not None for stage in there):
+            notes.append(f"only some files have a {name}: it is left out")
+    if any(grasps.targets is not None for grasps in sets):
+        notes.append("targets are read from single files only, not from folders: they are left out")
+    joined = replace(
+        first,
+        object=np.concatenate([grasps.object for grasps in sets]),
+        scale=np.concatenate([grasps.scale for grasps in sets]),
+        hand_pose=np.concatenate([grasps.hand_pose for grasps in sets]),
+        q=np.concatenate([grasps.q[:, order] for grasps, order in zip(sets, orders, strict=True)]),
+        targets=None,
+        **stages,
+    )
+    return joined, notes
+
+
+def _without_empty_stages(grasps: GraspSet) -> tuple[GraspSet, list[str]]:
+    """The grasps without stages that are the grasps themselves, and what was left out.
+
+    Formats that need every stage hold these for want of others; a squeeze that presses nothing is none.
+    """
+    notes = []
+    for name in OTHER_STAGES:
+        stage, known = getattr(grasps, name), grasps.finite
+        if stage is None or (stage.hand_pose != grasps.hand_pose)[known].any() or (stage.q != grasps.q)[known].any():
+            continue
+        nothing: dict[str, Any] = {name: None}
+        grasps = replace(grasps, **nothing)
+        notes.append(f"the {name} is the grasp itself in all {len(grasps)}, so that there is none")
+    return grasps, notes
+
+
+def _not_finite(grasps: GraspSet) -> list[str]:
+    """What to say of grasps that are no numbers."""
+    rows = np.flatnonzero(~grasps.finite)
+    if not len(rows):
+        return []
+    are, what = ("is", "row") if len(rows) == 1 else ("are", "rows")
+    listed = ", ".join(map(str, rows[:FEW])) + (", ..." if len(rows) > FEW else "")
+    return [
+        f"{len(rows)} of {len(grasps)} grasps {are} not finite: NaN, infinite, or a quaternion of length 0 "
+        f"({what} {listed})"
+    ]

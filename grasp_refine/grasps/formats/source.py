@@ -1,0 +1,144 @@
+"""A grasp file of another program as it was read, with a named error for everything in it that cannot be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.names import is_sound
+from grasp_refine.grasps.grasp_set import unit_poses, without_zero_quaternions
+
+MESH_FOLDERS = ("mesh", "meshes", "urdf", "mjcf", "coacd")
+"""Folders inside that of an object, which do not name it."""
+LONGEST_NAME = 200
+"""Characters of an object's name that are kept."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """One file; its accessors raise GraspFileError in one line that starts with the path."""
+
+    path: Path
+    """Where the file lies."""
+    content: Any
+    """What it holds, as `load_content` gives it."""
+    within: Path | None = None
+    """Folder outside of which no file is read because this one names it; None: it may lie around any folder above."""
+
+    def error(self, message: str) -> GraspFileError:
+        """Return the error that says `message` about this file."""
+        return GraspFileError(f"{self.path}: {message}")
+
+    def finite(self, value: Any, what: str) -> np.ndarray:
+        """Return finite numbers as float64."""
+        array = self.numbers(value, what)
+        if np.isnan(array).any():
+            at = np.argwhere(np.isnan(array))[0].tolist()
+            raise self.error(f"{what} must be finite; {what}{''.join(f'[{i}]' for i in at)} is not")
+        return array
+
+    def numbers(self, value: Any, what: str, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
+        """Return numbers as float64, of the given shape if there is one; None in it is any length from 1.
+
+        Those that are not finite come as NaN, because one bad grasp should not cost the others.
+        """
+        try:
+            array = np.asarray(value)
+        except ValueError:
+            raise self.error(f"{what} must be numbers of one shape; its rows differ in length") from None
+        if array.dtype.kind not in "fiu":
+            raise self.error(f"{what} must hold numbers; it holds {_kind(value)}")
+        if shape is not None and not _fits(array.shape, shape):
+            wanted = ", ".join("N" if length is None else str(length) for length in shape)
+            raise self.error(f"{what} must have shape ({wanted}); it has {array.shape}")
+        with np.errstate(all="ignore"):  # what overflows is not finite
+            array = array.astype(float)
+        return np.where(np.isfinite(array), array, np.nan)
+
+    def scale(self, value: Any, what: str) -> float:
+        """Return the factor that takes a mesh to metres; three equal ones will do."""
+        factors = self.finite(value, what).ravel()
+        if len(factors) not in (1, 3) or np.ptp(factors) > 1e-6 * abs(factors[0]):
+            raise self.error(f"{what} must be one number, the same in all directions; it is {factors[:4].tolist()}")
+        if factors[0] <= 0:
+            raise self.error(f"{what} must be positive; it is {factors[0]:g}")
+        return float(factors[0])
+
+    def poses(self, value: Any, what: str, count: int | None = None) -> Float[np.ndarray, "N 7"]:
+        """Return poses (N, 7), x y z qw qx qy qz, with unit quaternions; NaN for those that are not finite, or 0."""
+        poses = self.numbers(value, what, (count, 7))
+        poses, fault = unit_poses(without_zero_quaternions(poses))
+        if fault is not None:
+            row, norm = fault
+            raise self.error(
+                f"{what} row {row} has no unit quaternion: the norm of its numbers 3 to 6, qw qx qy qz, is {norm:.6g}"
+            )
+        return poses
+
+    def text(self, value: Any, what: str) -> str:
+        """Return a text; a list of one will do."""
+        if isinstance(value, np.ndarray):
+            value = value.ravel().tolist()
+        if isinstance(value, list | tuple) and len(value) == 1:
+            value = value[0]
+        if isinstance(value, bytes):
+            value = value.decode("utf-8", errors="replace")
+        if not isinstance(value, str):
+            raise self.error(f"{what} must be a text; it is {_kind(value)}")
+        if not is_sound(value):
+            raise self.error(f"{what} holds letters that no text has, or that control a terminal")
+        return value
+
+    def names(self, value: Any, what: str) -> tuple[str, ...]:
+        """Return a list of texts."""
+        if not isinstance(value, np.ndarray | list | tuple):
+            raise self.error(f"{what} must be a list of names; it is {_kind(value)}")
+        return tuple(self.text(name, what) for name in (value.ravel() if isinstance(value, np.ndarray) else value))
+
+    def joint_names(self, held: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return the joint names in what the file holds; none where it has no `joint_names`."""
+        return () if held.get("joint_names") is None else self.names(held["joint_names"], "joint_names")
+
+    def object_name(self, value: Any, what: str) -> str:
+        """Return the name of the object whose folder or mesh a path names."""
+        path = PurePosixPath(self.text(value, what).replace("\\", "/"))
+        parts = [part for part in path.parts if part not in ("/", "..", ".")]
+        if len(parts) > 2 and _is_mesh(parts[-1]) and parts[-2] in MESH_FOLDERS:
+            parts.pop()
+        while len(parts) > 1 and parts[-1] in MESH_FOLDERS:
+            parts.pop()
+        if not parts:
+            raise self.error(f"{what} names no object: {str(value)[:80]!r}")
+        name = PurePosixPath(parts[-1])
+        return (name.stem if _is_mesh(name.name) else name.name)[:LONGEST_NAME]
+
+
+def keys_lacking(content: Any, keys: tuple[str, ...]) -> str:
+    """What keeps a content from being a dict with some keys, "" if nothing."""
+    if not isinstance(content, Mapping):
+        return f"it is no dict but {_kind(content)}"
+    lacking = [key for key in keys if key not in content]
+    return f"it lacks {', '.join(lacking)}" if lacking else ""
+
+
+def _fits(there: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    pairs = zip(there, wanted, strict=False)
+    return len(there) == len(wanted) and all(have == want if want is not None else have > 0 for have, want in pairs)
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape} and type {value.dtype}"
+    return f"{type(value).__name__} {str(value)[:40]!r}" if isinstance(value, str) else type(value).__name__
+
+
+def _is_mesh(name: str) -> bool:
+    return PurePosixPath(name).suffix.lower() in (".obj", ".stl", ".ply", ".off", ".glb", ".urdf", ".xml")

@@ -1,0 +1,123 @@
+"""Stages of grasps as rows of pose and joint values, which DexGraspBench, BODex and Dexonomy share.
+
+A row is x y z (metres), qw qx qy qz of the hand's root in the world, then the joint values in the order of a `Layout`;
+the world is where the object has a pose of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.se3 import inverse, pose_from_transform, transform_from_pose
+from grasp_refine.grasps.formats.layout import Layout
+from grasp_refine.grasps.formats.source import Source
+from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Stage
+from grasp_refine.grasps.rebase import rebased
+from grasp_refine.hands.hand import Hand
+
+GRASP = "grasp"
+STAGES = ("pregrasp", GRASP, "squeeze")
+"""Names of the stages, in the order in which the hand closes."""
+AT_ORIGIN = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+"""Pose of an object whose frame is the world's."""
+
+
+def grasps_of_stages(
+    source: Source,
+    layout: Layout,
+    rows: Mapping[str, Any],
+    *,
+    object_pose: Any,
+    object_name: str,
+    scale: float,
+) -> GraspSet:
+    """The grasps whose stages are some rows; the grasp itself must be there.
+
+    Args:
+        source: The file, for messages.
+        layout: What the numbers mean.
+        rows: Name in the file -> rows (N, 7 + n); the name begins with that of the stage.
+        object_pose: (7,) of the object in the world.
+        object_name: Its name.
+        scale: What takes its mesh to metres.
+
+    Raises:
+        GraspFileError: numbers of another shape, or no unit quaternions.
+    """
+    T_object_world = inverse(transform_from_pose(source.poses([object_pose], "obj_pose", 1)))
+    stages: dict[str, Any] = {}
+    count = None
+    for what, value in rows.items():
+        numbers = source.numbers(value, what, (count, 7 + len(layout.joints)))
+        count = len(numbers)
+        T_world_root = transform_from_pose(source.poses(numbers[:, :7], what))
+        pose = pose_from_transform(T_object_world @ T_world_root @ layout.T_root_base)
+        (name,) = [name for name in STAGES if what.startswith(name)]
+        stages[name] = Stage(pose, numbers[:, 7:])
+    grasp = stages.pop(GRASP)
+    return GraspSet(
+        hand=layout.hand,
+        base_link=layout.base_link,
+        joint_names=layout.joints,
+        object=np.full(len(grasp.q), object_name),
+        scale=np.full(len(grasp.q), scale),
+        hand_pose=grasp.hand_pose,
+        q=grasp.q,
+        **stages,
+    )
+
+
+def joint_count(source: Source, rows: np.ndarray, what: str) -> int:
+    """How many joint values are in each row of a stage.
+
+    Raises:
+        GraspFileError: there are fewer than 8 numbers in a row.
+    """
+    count = rows.shape[-1] - 7
+    if count < 1:
+        raise source.error(f"{what} must have 7 numbers of a pose and the joint values; it has {rows.shape[-1]}")
+    return count
+
+
+def rows_of_stage(grasps: GraspSet, name: str, layout: Layout) -> Float[np.ndarray, "N columns"]:
+    """Rows (N, 7 + n) of one stage of grasps that `fitted` made fit a layout, the object at the origin.
+
+    The grasp itself stands for a stage that they lack.
+    """
+    stage = getattr(grasps, name, None) or Stage(grasps.hand_pose, grasps.q)
+    T_world_root = transform_from_pose(stage.hand_pose) @ inverse(layout.T_root_base)
+    columns = [grasps.joint_names.index(joint) for joint in layout.joints]
+    return np.concatenate([pose_from_transform(T_world_root), stage.q[:, columns]], axis=1)
+
+
+def lacking_stages(grasps: GraspSet) -> list[str]:
+    """What to say about stages that the grasps lack and rows of stages need."""
+    lacking = [name for name in OTHER_STAGES if getattr(grasps, name) is None]
+    return [f"there is no {name}: the grasp itself is written in its place" for name in lacking]
+
+
+def fitted(
+    grasps: GraspSet, layouts: Sequence[Layout], load: Callable[[str], Hand], format_name: str
+) -> tuple[GraspSet, Layout]:
+    """The same grasps from the base link of the layout that has their joints, and that layout.
+
+    Joints before that link, such as those of a wrist, are in the pose then.
+
+    Raises:
+        GraspFileError: no layout has these joints; shows both lists.
+    """
+    for layout in layouts:
+        if set(layout.joints) <= set(grasps.joint_names):
+            moved = rebased(grasps, layout.base_link, load)
+            if set(layout.joints) == set(moved.joint_names):
+                return moved, layout
+    known = "; ".join(map(str, layouts))
+    raise GraspFileError(
+        f"format {format_name} cannot hold grasps of hand '{grasps.hand}' with the joints "
+        f"{', '.join(grasps.joint_names)}; it is known here for {known}"
+    )

@@ -1,0 +1,82 @@
+"""Grasp files of any format, which appear whole or not at all, and only once they were read again."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+
+from grasp_refine.core.atomic_files import half_written_path, written_whole
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.npz_files import save_npz
+from grasp_refine.grasps.formats.folders import natural
+from grasp_refine.grasps.formats.format import Format, Part
+from grasp_refine.grasps.grasp_set import GraspSet
+
+
+def check_output(path: Path, to: Format, parts: Sequence[Part]) -> None:
+    """Nothing, when the files of a format can be written to `path`.
+
+    Raises:
+        GraspFileError: a file is given for a folder or the other way round, or the folder is there already.
+    """
+    (suffix,) = {Path(part.path).suffix for part in parts}
+    if as_file(path, to, parts):
+        if path.suffix.lower() != suffix:
+            raise GraspFileError(f"{path}: format {to.name} is one file; its name must end with {suffix}")
+        if path.is_dir():
+            raise GraspFileError(f"{path}: is a folder, a file is to be written there")
+        return
+    if path.suffix.lower() in (".npy", ".npz"):
+        files = "1 file named after its object" if len(parts) == 1 else f"{len(parts)} files"
+        raise GraspFileError(f"{path}: format {to.name} makes {files}: give the name of a new folder")
+    if path.exists() or path.is_symlink():
+        raise GraspFileError(f"{path}: is there already; give the name of a new folder")
+
+
+def as_file(path: Path, to: Format, parts: Sequence[Part]) -> bool:
+    """Whether the only part is to be a file of its own; else there will be a folder."""
+    alone = len(parts) == 1 and not to.named_by_path
+    return alone and ("/" not in parts[0].path or path.suffix.lower() == Path(parts[0].path).suffix)
+
+
+@contextmanager
+def written(path: Path, to: Format, parts: Sequence[Part]) -> Iterator[tuple[Path, Int[np.ndarray, " N"]]]:
+    """Give the path of what was written, which becomes `path` once the block is done, and which grasps it has.
+
+    The grasps are rows in the order in which they are read. Nothing is left when the block fails.
+
+    Raises:
+        GraspFileError: it cannot be written.
+    """
+    if as_file(path, to, parts):
+        with written_whole(path, GraspFileError) as partial:
+            _save(partial, parts[0])
+            yield partial, parts[0].rows
+        return
+    partial = half_written_path(path)
+    ordered = sorted(parts, key=lambda part: natural(part.path))
+    try:
+        for part in ordered:
+            (partial / part.path).parent.mkdir(parents=True, exist_ok=True)
+            _save(partial / part.path, part)
+        yield partial, np.concatenate([part.rows for part in ordered])
+        partial.rename(path)
+    except OSError as failure:
+        raise GraspFileError(f"{path}: cannot be written ({failure.strerror or failure})") from failure
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _save(path: Path, part: Part) -> None:
+    """Write one file."""
+    if isinstance(part.content, GraspSet):
+        save_npz(path, part.content.arrays())
+        return
+    content = part.content if isinstance(part.content, np.ndarray) else np.array(part.content, dtype=object)
+    with path.open("wb") as stream:
+        np.save(stream, content)

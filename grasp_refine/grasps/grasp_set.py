@@ -1,0 +1,460 @@
+"""Grasp sets: which hand, in which pose, with which joint angles, around which object.
+
+A grasp file is one `.npz` without pickle. Version 1 holds
+
+    schema          ()      int, 1; a file without it is read as version 1
+    hand            ()      name of the hand
+    base_link       ()      link of the URDF whose pose `hand_pose` gives
+    joint_names     (n,)    names of the columns of `q`
+    object          () or (N,)    name of the object
+    scale           () or (N,)    factor that takes the object's mesh to metres
+    hand_pose       (N, 7)  x y z (metres), qw qx qy qz of `base_link` in the object frame
+    q               (N, n)  joint values, radians or metres
+
+and optionally, all three or none, `target_link` (K,), `target_point_link` (N, K, 3) and
+`target_point_object` (N, K, 3) in metres; NaN points mean that this grasp has no such target. Two more stages of
+the motion that closes the hand may be there, each whole or not at all, in the form of `hand_pose` and `q`:
+`pregrasp_pose` (N, 7) and `pregrasp_q` (N, n), the hand open, and `squeeze_pose` and `squeeze_q`, where its position
+actuators are sent so that it presses; those joint values may lie beyond the limits. Other entries (results,
+provenance) may stand beside them and are not read here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from grasp_refine.core.arguments import as_numbers, check_kind, check_shape, shown
+from grasp_refine.core.errors import GraspFileError, GraspRefineError
+from grasp_refine.core.npz_files import NpzFile, load_npz, save_npz
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.short_repr import brief
+from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.mimics import followed
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+__all__ = ["GraspSet", "Stage", "Targets", "choose_rows", "load_grasps", "match_joints", "save_npz"]
+
+SCHEMA = 1
+"""The version of grasp files that is written, and the newest that is read."""
+REQUIRED = ("hand", "base_link", "joint_names", "object", "scale", "hand_pose", "q")
+TARGET_KEYS = ("target_link", "target_point_link", "target_point_object")
+OTHER_STAGES = ("pregrasp", "squeeze")
+"""Stages beside the grasp itself: attributes of a set, and what their entries in a file begin with."""
+QUATERNION_TOLERANCE = 1e-3
+"""How far from 1 the norm of a quaternion in a file may be: rounding to float32 passes, a mix-up does not."""
+
+MIMIC_TOLERANCE = 1e-3
+"""How far a mimic joint in a file may be from where the joint that it follows puts it, in rad or m, without a note."""
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """Where links should touch the object; NaN where a grasp has no target for a link."""
+
+    links: tuple[str, ...]
+    """Names of the K links that should touch."""
+    point_link: Float[np.ndarray, "N K 3"]
+    """(N, K, 3) wanted contact points, metres, each in the frame of its link."""
+    point_object: Float[np.ndarray, "N K 3"]
+    """(N, K, 3) wanted contact points, metres, object frame."""
+
+    __repr__ = brief
+
+    def select(self, indices: ArrayLike) -> Targets:
+        """Return the targets of the rows `indices`, in that order."""
+        rows = np.asarray(indices, dtype=int)
+        return Targets(self.links, self.point_link[rows], self.point_object[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """Where the hand is, in N grasps, at one stage of the motion that closes it."""
+
+    hand_pose: Float[np.ndarray, "N 7"]
+    """(N, 7) as in `GraspSet`."""
+    q: Float[np.ndarray, "N n"]
+    """(N, n) joint values, radians or metres, with the columns of `GraspSet.q`."""
+
+    __repr__ = brief
+
+    def select(self, indices: ArrayLike) -> Stage:
+        """Return the rows `indices`, in that order."""
+        rows = np.asarray(indices, dtype=int)
+        return Stage(self.hand_pose[rows], self.q[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class GraspSet:
+    """N grasps of one hand; rows may belong to different objects.
+
+    Arrays may be given as lists or torch tensors, object and scale as one for all; they are kept as NumPy arrays.
+    """
+
+    hand: str
+    """Name of the hand, as the file says it."""
+    base_link: str
+    """Link of the hand's URDF whose pose `hand_pose` gives."""
+    joint_names: tuple[str, ...]
+    """Names of the columns of `q`."""
+    object: Shaped[np.ndarray, " N"]
+    """(N,) object names."""
+    scale: Float[np.ndarray, " N"]
+    """(N,) factors that take the object's mesh to metres."""
+    hand_pose: Float[np.ndarray, "N 7"]
+    """(N, 7) x y z (metres), qw qx qy qz (unit) of `base_link` in the object frame."""
+    q: Float[np.ndarray, "N n"]
+    """(N, n) joint values, radians or metres."""
+    targets: Targets | None = None
+    """Where links should touch, when the file says so."""
+    pregrasp: Stage | None = None
+    """Where the hand is before it closes to the grasp, when the file says so."""
+    squeeze: Stage | None = None
+    """Where it is sent after that, to press, when the file says so."""
+
+    def __repr__(self) -> str:
+        names = np.unique(self.object)
+        on = str(names[0]) if len(names) == 1 else count_text(len(names), "object")
+        with_parts = [name for name in ("targets", *OTHER_STAGES) if getattr(self, name) is not None]
+        more = f", with {', '.join(with_parts)}" if with_parts else ""
+        return f"GraspSet({count_text(len(self), 'grasp')} of {self.hand} on {on}{more})"
+
+    def __post_init__(self) -> None:
+        """Check that all parts are of N grasps and n joints.
+
+        Raises:
+            GraspFileError: a part of another shape, or of another kind.
+        """
+        try:
+            for name in ("hand", "base_link"):
+                check_kind(name, getattr(self, name), str)
+            names = tuple(self.joint_names)
+            check_kind("joint_names", names, tuple[str, ...])
+            pose = as_numbers("hand_pose", self.hand_pose, "N", 7, why="x y z qw qx qy qz")
+            count = len(pose)
+            _, fault = unit_poses(pose)
+            if fault is not None:
+                raise GraspFileError(
+                    f"GraspSet: hand_pose row {fault[0]} has no unit quaternion: length {fault[1]:.6g}"
+                )
+            q = as_numbers("q", self.q, count, len(names), why="one row per hand_pose, one column per joint name")
+            scale = np.broadcast_to(as_numbers("scale", self.scale), np.shape(self.scale) or (count,))
+            check_shape("scale", scale, count)
+            thing = np.broadcast_to(np.asarray(self.object, dtype=str), np.shape(self.object) or (count,))
+            check_shape("object", thing, count)
+            for name in OTHER_STAGES:
+                check_kind(name, getattr(self, name), Stage | None)
+            check_kind("targets", self.targets, Targets | None)
+        except GraspRefineError as error:
+            raise GraspFileError(f"GraspSet: {error}") from None
+        arrays = {"joint_names": names, "object": thing, "scale": scale, "hand_pose": pose, "q": q}
+        for name, value in arrays.items():
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        """Return the number of grasps N."""
+        return len(self.object)
+
+    @property
+    def finite(self) -> Bool[np.ndarray, " N"]:
+        """Which grasps (N,) have, at all stages, poses and joint values that are numbers."""
+        others = (stage for stage in (self.pregrasp, self.squeeze) if stage is not None)
+        stages: list[GraspSet | Stage] = [self, *others]
+        return np.logical_and.reduce(
+            [np.isfinite(values).all(axis=1) for stage in stages for values in (stage.hand_pose, stage.q)]
+        )
+
+    def select(self, indices: ArrayLike) -> GraspSet:
+        """Return the grasps in the rows `indices`, in that order; or where a mask (N,) holds.
+
+        Raises:
+            GraspFileError: no list of row numbers, or one that is not there.
+        """
+        rows = row_numbers(indices, len(self))
+        return replace(
+            self,
+            object=self.object[rows],
+            scale=self.scale[rows],
+            hand_pose=self.hand_pose[rows],
+            q=self.q[rows],
+            targets=None if self.targets is None else self.targets.select(rows),
+            pregrasp=None if self.pregrasp is None else self.pregrasp.select(rows),
+            squeeze=None if self.squeeze is None else self.squeeze.select(rows),
+        )
+
+    def at(self, stage: Stage) -> GraspSet:
+        """Return the same grasps with the hands where they are at one of the stages, for `match_joints`."""
+        return replace(self, hand_pose=stage.hand_pose, q=stage.q)
+
+    def with_(
+        self,
+        *,
+        joint_names: tuple[str, ...] | None = None,
+        hand_pose: Float[np.ndarray, "N 7"] | None = None,
+        q: Float[np.ndarray, "N n"] | None = None,
+        targets: Targets | None = None,
+        pregrasp: Stage | None = None,
+        squeeze: Stage | None = None,
+    ) -> GraspSet:
+        """Return the same grasps with the given parts replaced; what is None stays as it is.
+
+        Other `joint_names` need other columns of `q` and of the stages too.
+        """
+        return replace(
+            self,
+            joint_names=self.joint_names if joint_names is None else joint_names,
+            hand_pose=self.hand_pose if hand_pose is None else hand_pose,
+            q=self.q if q is None else q,
+            targets=self.targets if targets is None else targets,
+            pregrasp=self.pregrasp if pregrasp is None else pregrasp,
+            squeeze=self.squeeze if squeeze is None else squeeze,
+        )
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the entries of a grasp file with these grasps, for `save_npz`."""
+        entries = {
+            "schema": np.array(SCHEMA),
+            "hand": np.array(self.hand),
+            "base_link": np.array(self.base_link),
+            "joint_names": np.array(self.joint_names, dtype=str),
+            "object": self.object,
+            "scale": self.scale,
+            "hand_pose": self.hand_pose,
+            "q": self.q,
+        }
+        if self.targets is not None:
+            entries["target_link"] = np.array(self.targets.links, dtype=str)
+            entries["target_point_link"] = self.targets.point_link
+            entries["target_point_object"] = self.targets.point_object
+        for name in OTHER_STAGES:
+            stage = getattr(self, name)
+            if stage is not None:
+                entries |= {f"{name}_pose": stage.hand_pose, f"{name}_q": stage.q}
+        return entries
+
+
+def load_grasps(path: str | Path) -> GraspSet:
+    """The grasps of an `.npz` file: float64, unit quaternions, one object name and scale per row.
+
+    Poses and joint values that are not finite come as they are, and a pose whose quaternion is 0 as NaN, because one
+    bad grasp should not cost the others.
+    Nothing in the file is unpickled. Raises GraspFileError, one line, when the file is missing, not an
+    `.npz`, holds pickles, is of a newer version, lacks entries, or when an entry has the wrong type, shape
+    or values.
+    """
+    check_kind("path", path, str | Path)
+    file = load_npz(path)
+    _check_schema(file)
+    missing = [key for key in REQUIRED if key not in file.entries]
+    if missing:
+        raise file.error(
+            f"lacks {', '.join(missing)}; found {', '.join(sorted(file.entries)) or 'nothing'}; "
+            f"needed are {', '.join(REQUIRED)}"
+        )
+    joint_names = file.names("joint_names")
+    duplicates = sorted({name for name in joint_names if joint_names.count(name) > 1})
+    if duplicates:
+        raise file.error(f"joint_names holds {', '.join(duplicates)} more than once")
+    grasp = _stage(file, "hand_pose", "q", None, len(joint_names))
+    n = len(grasp.q)
+    scale = file.per_row("scale", file.numbers("scale"), n)
+    if (scale <= 0).any():
+        row = int(np.argmax(scale <= 0))
+        raise file.error(f"scale must be positive; row {row} has {scale[row]:g}")
+    return GraspSet(
+        hand=file.name("hand"),
+        base_link=file.name("base_link"),
+        joint_names=joint_names,
+        object=file.per_row("object", file.text("object"), n),
+        scale=scale,
+        hand_pose=grasp.hand_pose,
+        q=grasp.q,
+        targets=_targets(file, n),
+        **{name: _optional_stage(file, name, n, len(joint_names)) for name in OTHER_STAGES},
+    )
+
+
+def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"], tuple[str, ...]]:
+    """The joint values (N, n) of grasps in the order of `hand.joint_names`, and notes on what they lack or do not fit.
+
+    Columns are matched by name. Mimic joints in the file are ignored because the joint they follow says where they
+    are; where the file lacks that one, the first mimic joint that it names says where it is. Other joints that the
+    file lacks stay at the rest pose. A note tells of each, and of mimic joints that are not where they should be.
+    Raises GraspFileError when the file names joints that this hand cannot move.
+    """
+    check_kind("grasps", grasps, GraspSet)
+    check_kind("hand", hand, Hand)
+    joints = {joint.name: joint for joint in hand.joints}
+    mimics = {name: followed(joint, joints) for name, joint in joints.items() if joint.mimic is not None}
+    unknown = [name for name in grasps.joint_names if name not in mimics and name not in hand.joint_names]
+    if unknown:
+        raise GraspFileError(
+            f"the grasps are for another hand ('{grasps.hand}'): hand '{hand.name}' has no joint "
+            f"{', '.join(unknown)}; its joints are {', '.join(hand.joint_names)}"
+        )
+    column = {name: i for i, name in enumerate(grasps.joint_names)}
+    q = np.tile(np.asarray(hand.rest, dtype=float), (len(grasps), 1))
+    for i, name in enumerate(hand.joint_names):
+        if name in column:
+            q[:, i] = grasps.q[:, column[name]]
+    notes, told = [], {}
+    for follower in grasps.joint_names:
+        leads = mimics.get(follower)
+        if leads is not None and leads.joint not in column and leads.joint not in told and leads.multiplier:
+            told[leads.joint] = follower
+            values = (grasps.q[:, column[follower]] - leads.offset) / leads.multiplier
+            q[:, hand.joint_names.index(leads.joint)] = values
+    if told:
+        pairs = ", ".join(f"{name} from {follower}" for name, follower in told.items())
+        notes.append(f"joints that the grasp file lacks are found by their mimic joints: {pairs}")
+    lacking = [name for name in hand.joint_names if name not in column and name not in told]
+    if lacking:
+        notes.append(f"joints that the grasp file lacks stay at their rest pose: {', '.join(lacking)}")
+    ignored = [name for name in grasps.joint_names if name in mimics and name not in told.values()]
+    if ignored:
+        notes.append(f"mimic joints follow their joint, not the grasp file: {', '.join(ignored)}")
+    for name in ignored:
+        leads = mimics[name]
+        expected = leads.multiplier * q[:, hand.joint_names.index(leads.joint)] + leads.offset
+        with np.errstate(invalid="ignore"):
+            away = np.abs(grasps.q[:, column[name]] - expected)
+        off = away[np.isfinite(away)].max(initial=0.0)
+        if off > MIMIC_TOLERANCE:
+            notes.append(f"in the file, mimic joint {name} is up to {off:.3g} away from where {leads.joint} puts it")
+    return q, tuple(notes)
+
+
+def choose_rows(
+    grasps: GraspSet, *, object_name: str | None, index: Sequence[int] | None
+) -> Int[np.ndarray, " chosen"]:
+    """Return the rows (ascending unless `index` orders them) of the grasps of one object.
+
+    `index` counts the grasps of that object: 0 is its first grasp in the file. None takes all of them. Raises
+    GraspFileError when the file holds several objects and none is named, when the named one is not among
+    them, and when an index is out of range.
+    """
+    names, counts = np.unique(grasps.object, return_counts=True)
+    listing = ", ".join(f"{name} ({count})" for name, count in zip(names, counts, strict=True))
+    if object_name is None:
+        if len(names) > 1:
+            raise GraspFileError(f"the grasps are of {len(names)} objects, choose one by name: {listing}")
+        object_name = str(names[0])
+    rows = np.flatnonzero(grasps.object == object_name)
+    if not len(rows):
+        raise GraspFileError(f"no grasp of object '{object_name}'; there are grasps of {listing}")
+    if index is None:
+        return rows
+    outside = [i for i in index if not 0 <= i < len(rows)]
+    if outside:
+        raise GraspFileError(
+            f"grasp index {', '.join(map(str, outside))} is out of range: "
+            f"'{object_name}' has {count_text(len(rows), 'grasp')}, 0 to {len(rows) - 1}"
+        )
+    return rows[np.asarray(index, dtype=int)]
+
+
+def row_numbers(indices: ArrayLike, count: int) -> Int[np.ndarray, " chosen"]:
+    """Numbers of rows of `count`, from numbers or a mask.
+
+    Raises:
+        GraspFileError: neither, or a row that is not there.
+    """
+    rows = np.asarray(indices)
+    if rows.dtype == bool and rows.shape == (count,):
+        return np.flatnonzero(rows)
+    if rows.ndim != 1 or (rows.size and rows.dtype.kind not in "iu"):
+        raise GraspFileError(f"rows must be a list of integers or a mask ({count},), got {shown(indices)}")
+    if rows.size and not -count <= rows.min() <= rows.max() < count:
+        raise GraspFileError(f"rows must be below {count}, the number of grasps, got {shown(indices)}")
+    return rows.astype(int)
+
+
+def unit_poses(poses: Float[np.ndarray, "N 7"]) -> tuple[Float[np.ndarray, "N 7"], tuple[int, float] | None]:
+    """Return poses (N, 7) with quaternions of length 1, and row and length of the first that is none.
+
+    None: all are, up to rounding. Poses that are not finite stay as they are.
+    """
+    finite = np.isfinite(poses).all(axis=1)
+    with np.errstate(over="ignore"):
+        norm = np.where(finite, np.linalg.norm(np.where(finite[:, None], poses[:, 3:], 0.5), axis=1), 1.0)
+    wrong = np.flatnonzero(np.abs(norm - 1.0) > QUATERNION_TOLERANCE)
+    if len(wrong):
+        return poses, (int(wrong[0]), float(norm[wrong[0]]))
+    return np.concatenate([poses[:, :3], poses[:, 3:] / norm[:, None]], axis=1), None
+
+
+def without_zero_quaternions(poses: Float[np.ndarray, "N 7"]) -> Float[np.ndarray, "N 7"]:
+    """The same poses (N, 7), with NaN for those whose quaternion is 0: programs write it where they know none."""
+    return np.where((poses[:, 3:] == 0.0).all(axis=1, keepdims=True), np.nan, poses)
+
+
+def _check_schema(file: NpzFile) -> None:
+    schema = file.entries.get("schema", np.array(1))
+    if schema.shape != () or schema.dtype.kind not in "iu" or schema < 1:
+        raise file.error(f"schema must be one whole number from 1 to {SCHEMA}")
+    if schema > SCHEMA:
+        raise file.error(f"schema {schema} is newer than this version of grasp-refine reads ({SCHEMA}); update it")
+
+
+def _stage(file: NpzFile, pose_key: str, q_key: str, n: int | None, joints: int) -> Stage:
+    """The poses and joint values under two keys: those of `n` grasps, or of as many as there are poses."""
+    pose = file.numbers(pose_key, allowed="any")
+    if pose.ndim != 2 or pose.shape[1] != 7 or not len(pose) or n not in (None, len(pose)):
+        rows = "(N, 7) with N >= 1" if n is None else f"({n}, 7)"
+        raise file.error(f"{pose_key} must have shape {rows}, x y z qw qx qy qz; it has {pose.shape}")
+    q = file.numbers(q_key, allowed="any")
+    if q.shape != (len(pose), joints):
+        raise file.error(
+            f"{q_key} must have shape ({len(pose)}, {joints}), one row per hand_pose and one column per "
+            f"name in joint_names; it has {q.shape}"
+        )
+    pose, fault = unit_poses(without_zero_quaternions(pose))
+    if fault is not None:
+        row, norm = fault
+        raise file.error(
+            f"{pose_key} row {row} has no unit quaternion: the norm of its last four numbers, "
+            f"qw qx qy qz, is {norm:.6g}"
+        )
+    return Stage(pose, q)
+
+
+def _optional_stage(file: NpzFile, name: str, n: int, joints: int) -> Stage | None:
+    keys = f"{name}_pose", f"{name}_q"
+    present = [key for key in keys if key in file.entries]
+    if not present:
+        return None
+    if len(present) < len(keys):
+        raise file.error(f"a {name} needs {' and '.join(keys)} together; found only {present[0]}")
+    return _stage(file, *keys, n, joints)
+
+
+def _targets(file: NpzFile, n: int) -> Targets | None:
+    present = [key for key in TARGET_KEYS if key in file.entries]
+    if not present:
+        return None
+    if len(present) < len(TARGET_KEYS):
+        raise file.error(f"targets need {', '.join(TARGET_KEYS)} together; found only {', '.join(present)}")
+    links = file.names("target_link")
+    points = []
+    for key in TARGET_KEYS[1:]:
+        value = file.numbers(key, allowed="nan")
+        if value.shape != (n, len(links), 3):
+            raise file.error(f"{key} must have shape ({n}, {len(links)}, 3); it has {value.shape}")
+        points.append(value)
+    # A target is a pair of whole points; half of one has no meaning and would spread NaN silently.
+    absent = np.isnan(np.concatenate(points, axis=-1))
+    partly = absent.any(axis=-1) & ~absent.all(axis=-1)
+    if partly.any():
+        row, k = np.argwhere(partly)[0]
+        raise file.error(
+            f"the target of link '{links[k]}' in row {row} is partly NaN; "
+            f"both points must be finite, or both NaN for no target"
+        )
+    return Targets(links, points[0], points[1])

@@ -1,0 +1,1 @@
+"""Hands: URDF and hand.toml, forward kinematics, self-collision."""

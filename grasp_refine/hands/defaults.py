@@ -1,0 +1,145 @@
+"""What a hand.toml leaves open, filled in from the URDF; what it names, found in the URDF."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.core.errors import HandError
+from grasp_refine.core.short_repr import brief
+from grasp_refine.hands.finger_names import finger_names
+from grasp_refine.hands.hand_toml import ACTUATOR, Contact, Coupled, HandToml
+from grasp_refine.hands.tree import Joint
+
+LEVER = 0.1
+"""A slide is driven like a joint that turns a lever of this length, in metres, where hand.toml does not say it."""
+
+SLIDE_UNITS = {"kp": 2, "damping": 2, "armature": 2, "frictionloss": 1}
+"""How often the unit of a slide has one more metre below the line: 5 Nm/rad at the lever are 500 N/m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Actuator:
+    """Position actuators, one per independent joint: each field is (n,), in Nm and rad, or N and m."""
+
+    kp: Float[np.ndarray, " n"]
+    """Stiffness: torque per error."""
+    force_limit: Float[np.ndarray, " n"]
+    """Greatest torque; inf where unknown."""
+    damping: Float[np.ndarray, " n"]
+    """Torque per velocity."""
+    armature: Float[np.ndarray, " n"]
+    """Inertia of the rotor as seen at the joint."""
+    frictionloss: Float[np.ndarray, " n"]
+    """Dry friction torque."""
+
+    __repr__ = brief
+
+
+def contacts(
+    toml: HandToml, solid: Collection[str], joints: Sequence[Joint], outside: Collection[str]
+) -> tuple[tuple[Contact, ...], bool, list[str]]:
+    """Contact links, whether they are guessed, and notes on them; `solid` are the links with collision geometry."""
+    where = f"{toml.path}: [[contact]]"
+    named: list[Contact] = []
+    notes: list[str] = []
+    for contact in toml.contacts:
+        if not _has(contact.link, "link with collision geometry", solid, outside, where):
+            notes.append(f"contact link '{contact.link}' is left out: it does not hang from the base link")
+        elif any((contact.link, contact.point) == (other.link, other.point) for other in named):
+            raise HandError(f"{where}: link '{contact.link}' comes twice with the same point")
+        else:
+            named.append(contact)
+    guessed = not named
+    if guessed:
+        named = _guess_contacts(solid, joints)
+        guess = ", ".join(contact.link for contact in named) or "none, no link with collision geometry moves"
+        notes.append(f"contact links guessed from the URDF, a hand.toml can name others: {guess}")
+    return tuple(named), guessed, notes
+
+
+def _guess_contacts(solid: Collection[str], joints: Sequence[Joint]) -> list[Contact]:
+    """The last solid link of each branch, each its own group; what is fixed to the base is no branch."""
+    above = {joint.child: joint for joint in joints}
+    moving, inner = set(), set()
+    way: dict[str, list[str]] = {name: [] for name in solid}  # the names from the link to the base
+    for name in solid:
+        ancestor = name
+        while ancestor in above:
+            way[name] += ancestor, above[ancestor].name
+            if above[ancestor].movable:
+                moving.add(name)
+            ancestor = above[ancestor].parent
+            inner.add(ancestor)
+    last = [name for name in solid if name in moving - inner]
+    fingers = finger_names([way[name] for name in last])
+    return [Contact(name, finger or name) for name, finger in zip(last, fingers, strict=True)]
+
+
+def rest_pose(toml: HandToml, independent: Sequence[Joint], outside: Collection[str]) -> Float[np.ndarray, " n"]:
+    """Resting values (n,): as named, else in the middle of the range, 0 for continuous joints."""
+    rest = {j.name: 0.0 if j.kind == "continuous" else (j.lower + j.upper) / 2 for j in independent}
+    limits = {joint.name: (joint.lower, joint.upper) for joint in independent}
+    for name, value in toml.rest_pose.items():
+        where = f"{toml.path}: [rest_pose]"
+        if not _has(name, "independent joint", limits, outside, where):
+            continue
+        lower, upper = limits[name]
+        if not lower <= value <= upper:
+            raise HandError(f"{where}: {name} = {value:g} is outside its limits, {lower:g} to {upper:g}")
+        rest[name] = value
+    return np.array(list(rest.values()))
+
+
+def actuator(toml: HandToml, independent: Sequence[Joint], outside: Collection[str]) -> Actuator:
+    """Actuator settings: those of the joint, else the file's default, else ours; see `ACTUATOR`."""
+    names = [joint.name for joint in independent]
+    efforts = {joint.name: np.inf if joint.effort is None else joint.effort for joint in independent}
+    columns = {}
+    for key, ours in ACTUATOR.items():
+        given = dict(toml.actuator.get(key, {}))
+        default = given.pop("default", ours)
+        for name in given:
+            _has(name, "independent joint", names, outside, f"{toml.path}: [actuator] {key}")
+        fallback = efforts if default is None else dict.fromkeys(names, default)
+        if key in SLIDE_UNITS and ours is not None and "default" not in toml.actuator.get(key, {}):
+            fallback |= {j.name: ours / LEVER ** SLIDE_UNITS[key] for j in independent if j.kind == "prismatic"}
+        columns[key] = np.array([given.get(name, fallback[name]) for name in names])
+    return Actuator(**columns)
+
+
+def coupled(toml: HandToml, independent: Sequence[Joint], outside: Collection[str]) -> tuple[Coupled, ...]:
+    """The coupled groups whose joints the hand has; none of them shares a joint with another."""
+    names, where = [joint.name for joint in independent], f"{toml.path}: [[coupled]]"
+    groups = tuple(
+        group
+        for group in toml.coupled
+        if all([_has(name, "independent joint", names, outside, where) for name in group.joints])
+    )
+    driven = [name for group in groups for name in group.joints]
+    twice = [name for name in driven if driven.count(name) > 1]
+    if twice:
+        raise HandError(f"{where}: joint '{twice[0]}' is in several groups")
+    return groups
+
+
+def mjcf_joints(toml: HandToml, movable: Collection[str], outside: Collection[str]) -> dict[str, str]:
+    """The joints of the hand whose name in the MJCF is given."""
+    where = f"{toml.path}: [mjcf_joints]"
+    named = {
+        name: other for name, other in toml.mjcf_joints.items() if _has(name, "movable joint", movable, outside, where)
+    }
+    twice = [other for other in named.values() if list(named.values()).count(other) > 1]
+    if twice:
+        raise HandError(f"{where}: '{twice[0]}' comes twice")
+    return named
+
+
+def _has(name: str, what: str, valid: Collection[str], outside: Collection[str], where: str) -> bool:
+    """True if `name` is valid, False if it is in the part of the URDF that the hand leaves out."""
+    if name not in valid and name not in outside:
+        raise HandError(f"{where}: no {what} '{name}'; valid: {', '.join(valid)}")
+    return name in valid

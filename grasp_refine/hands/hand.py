@@ -1,0 +1,259 @@
+"""Hands: a URDF, with a hand.toml or without, as links with bodies, joints with limits, and contact links."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.core.arguments import check_kind
+from grasp_refine.core.errors import HandError, MeshError
+from grasp_refine.core.names import at_home
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.short_repr import brief
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.cache import default_cache
+from grasp_refine.hands.base_link import guess_base
+from grasp_refine.hands.defaults import Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
+from grasp_refine.hands.hand_toml import Contact, Coupled
+from grasp_refine.hands.inertia import Inertia
+from grasp_refine.hands.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
+from grasp_refine.hands.mimics import followed, within_followers
+from grasp_refine.hands.source import HAND_TOML, hand_files, list_hands, needs_urdf
+from grasp_refine.hands.tree import Joint, Mimic, read_tree
+
+if TYPE_CHECKING:
+    import yourdfpy
+
+__all__ = ["Actuator", "Contact", "Coupled", "Hand", "Inertia", "Joint", "Link", "Mimic"]
+__all__ += ["list_hands", "load_hand", "needs_urdf"]
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A rigid link."""
+
+    name: str
+    """Unique name."""
+    body: Body | None
+    """Collision geometry in the link frame; None if the link has none."""
+    mass: float | None
+    """Mass in kg; None where the file gives none."""
+    inertia: Inertia | None = None
+    """Mass, centre and moments as the file gives them, which need not be possible; None where it has no moments."""
+    solids: tuple[str, ...] = ()
+    """The links of its hand that have collision geometry, for messages."""
+
+    __repr__ = brief
+
+    @property
+    def solid(self) -> Body:
+        """The collision geometry of a link that has some.
+
+        Raises:
+            HandError: it has none; names the links that have.
+        """
+        if self.body is None:
+            raise HandError(
+                f"link '{self.name}' has no collision geometry; links that have: {', '.join(self.solids) or 'none'}"
+            )
+        return self.body
+
+
+@dataclass(frozen=True, eq=False)
+class Hand:
+    """A robot hand: links with their bodies, joints with their limits, and which links are meant to touch.
+
+    It is checked: the joints are one tree below `base_link`, and every name in it means something.
+    """
+
+    name: str
+    """Name in results and in grasp files."""
+    urdf: Path
+    """The file that it comes from."""
+    base_link: str
+    """The link whose pose is the hand's pose."""
+    links: tuple[Link, ...]
+    """All links, the base first."""
+    joints: tuple[Joint, ...]
+    """All joints, fixed ones too, parents before children."""
+    joint_names: tuple[str, ...]
+    """The n independent joints: those that move and mimic no other, in file order."""
+    lower: Float[np.ndarray, " n"]
+    """Lower limits (n,) in rad or m; -inf if continuous."""
+    upper: Float[np.ndarray, " n"]
+    """Upper limits (n,) in rad or m; inf if continuous."""
+    rest: Float[np.ndarray, " n"]
+    """Resting values (n,) in rad or m, within the limits."""
+    contacts: tuple[Contact, ...]
+    """Links that are meant to touch the object."""
+    notes: tuple[str, ...]
+    """What a user should know about how the files were read."""
+    actuator: Actuator
+    """How the independent joints are driven."""
+    coupled: tuple[Coupled, ...] = ()
+    """Groups of independent joints that share an actuator."""
+    mjcf: Path | None = None
+    """The same hand as an MJCF file, where there is one."""
+    mjcf_joints: Mapping[str, str] = field(default_factory=dict)
+    """Joint -> its name in that file, where hand.toml says it."""
+    collision: Literal["urdf", "mjcf"] = "urdf"
+    """Which of the two files is simulated when a grasp is validated."""
+    toml: Path | None = None
+    """The hand.toml that was read; None where there was none."""
+    contacts_guessed: bool = False
+    """Whether the contact links are the program's choice, because no hand.toml names any."""
+    base_why: str = ""
+    """Why the hand begins at its base link, for people."""
+
+    def __repr__(self) -> str:
+        parts = (len(self.joint_names), "joint"), (len(self.links), "link"), (len(self.contacts), "contact point")
+        return f"Hand({self.name}: {', '.join(count_text(*part) for part in parts)})"
+
+    @cached_property
+    def links_by_name(self) -> dict[str, Link]:
+        """Links by name."""
+        return {link.name: link for link in self.links}
+
+    @cached_property
+    def joints_by_name(self) -> dict[str, Joint]:
+        """Joints by name."""
+        return {joint.name: joint for joint in self.joints}
+
+    def mimic_map(self) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, " m"], tuple[str, ...]]:
+        """Matrix (m, n), offset (m,) and names (m,) that give the values of all m movable joints.
+
+        values = matrix @ q + offset, for q in the order of `joint_names` and names in the order of `joints`.
+        """
+        movable = [joint for joint in self.joints if joint.movable]
+        matrix, offset = np.zeros((len(movable), len(self.joint_names))), np.zeros(len(movable))
+        for row, joint in enumerate(movable):
+            leads = followed(joint, self.joints_by_name)
+            offset[row] = leads.offset
+            matrix[row, self.joint_names.index(leads.joint)] = leads.multiplier
+        return matrix, offset, tuple(joint.name for joint in movable)
+
+
+def load_hand(
+    source: str | Path,
+    *,
+    base_link: str | None = None,
+    urdf: str | Path | None = None,
+    mjcf: str | Path | None = None,
+    candidates: int = 1024,
+    hull_limit: float = HULL_LIMIT,
+    progress: Callable[[str], None] | None = None,
+) -> Hand:
+    """The hand that `source` names: one of `list_hands()`, a folder, a .urdf file, a hand.toml, or an asset.
+
+    A folder holds a hand.toml or exactly one .urdf file. The hand.toml beside a .urdf file is used if it
+    names that file.
+
+    Args:
+        source: Name or path; a hand of ours wins over a folder of the same name, which is ./NAME.
+        base_link: The hand is what hangs from this link; by default hand.toml's base_link, or else `guess_base`'s: the
+            palm of a hand on an arm, otherwise the root.
+        urdf: Taken instead of the URDF that hand.toml names; hands of others come without one, theirs is fetched.
+        mjcf: Taken instead of the MJCF that hand.toml names; a file, or an asset.
+        candidates: Surface points per link.
+        hull_limit: Where the hull of a mesh stands out of it by more, in metres, more pieces are used, which the user's
+            cache folder keeps; infinite: only hulls.
+        progress: Gets one line when something is fetched, and when a mesh is cut.
+
+    Raises:
+        AssetError: no such name, or an asset that cannot be fetched.
+        HandError: a file is missing or malformed, or names something that is not there.
+        GraspRefineError: an argument of another kind.
+    """
+    check_kind("source", source, str | Path)
+    check_kind("base_link", base_link, str | None)
+    check_kind("urdf", urdf, str | Path | None)
+    check_kind("mjcf", mjcf, str | Path | None)
+    check_kind("candidates", candidates, int)
+    check_kind("hull_limit", hull_limit, float)
+    if hull_limit < 0:
+        raise HandError(f"hull_limit must be at least 0 m, got {hull_limit:g}")
+    name, toml = hand_files(
+        source,
+        None if urdf is None else at_home(Path(urdf)),
+        None if mjcf is None else Path(mjcf),
+        progress or (lambda line: None),
+    )
+    if toml.collision == "mjcf" and toml.mjcf is None:
+        raise HandError(f"{toml.path}: collision = 'mjcf' needs mjcf = \"FILE\", or --mjcf FILE")
+    assert toml.urdf is not None  # `hand_files` gives one
+    tree = read_tree(toml.urdf)
+    notes: list[str] = []
+    base, why = (base_link, "--base-link says so") if base_link else (toml.base_link, f"{HAND_TOML} says so")
+    if base is None:
+        guess = guess_base(tree)
+        base, why = guess.link, guess.why
+        if guess.above:
+            notes.append(
+                f"the hand begins at its palm, link '{base}': the joints above it do not move "
+                f"({', '.join(guess.above)}); --base-link {tree.root} moves them too"
+            )
+        if guess.others:
+            notes.append(
+                f"the hand begins at link '{base}', and several moving branches leave {', '.join(guess.others)}, too: "
+                "if one of these is the palm, say so with --base-link"
+            )
+    raw_links, joints = tree.below(base)
+    joints, narrowed = within_followers(joints, tree.path)
+    meshes = LinkMeshes(tree.path, hull_limit, default_cache(), progress or (lambda line: None))
+    links = tuple(_link(raw, meshes, candidates) for raw in raw_links)
+    solids = tuple(link.name for link in links if link.body is not None)
+    links = tuple(replace(link, solids=solids) for link in links)
+    moving = {joint.name: joint for joint in joints if joint.movable and joint.mimic is None}
+    independent = [moving[joint] for joint in tree.joints if joint in moving]
+    outside = tree.joints.keys() - {joint.name for joint in joints}
+    touching, guessed, about_contacts = contacts(
+        toml,
+        solids,
+        joints,
+        tree.links.keys() - {link.name for link in links},
+    )
+    notes += [*about_contacts, *narrowed, *meshes.notes()]
+    notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
+    return Hand(
+        name=toml.name or name,
+        urdf=tree.path,
+        base_link=base,
+        links=links,
+        joints=tuple(joints),
+        joint_names=tuple(joint.name for joint in independent),
+        lower=np.array([joint.lower for joint in independent]),
+        upper=np.array([joint.upper for joint in independent]),
+        rest=rest_pose(toml, independent, outside),
+        contacts=touching,
+        contacts_guessed=guessed,
+        notes=tuple(notes),
+        actuator=actuator(toml, independent, outside),
+        coupled=coupled(toml, independent, outside),
+        mjcf=toml.mjcf,
+        mjcf_joints=mjcf_joints(toml, [joint.name for joint in joints if joint.movable], outside),
+        collision=toml.collision,
+        toml=None if toml.path == toml.urdf else toml.path,
+        base_why=why,
+    )
+
+
+def _link(raw: yourdfpy.Link, meshes: LinkMeshes, candidates: int) -> Link:
+    pieces = link_pieces(raw, meshes)
+    inertial = raw.inertial
+    mass = inertial.mass if inertial is not None else None
+    if mass is not None and mass < 0:
+        raise HandError(f"{meshes.urdf}: link '{raw.name}' has the mass {mass:g} kg")
+    inertia = None
+    if mass is not None and inertial.inertia is not None:
+        inertia = Inertia.about(mass, np.eye(4) if inertial.origin is None else inertial.origin, inertial.inertia)
+    try:
+        body = build_body(raw.name, pieces, candidates=candidates) if pieces else None
+    except MeshError as error:
+        raise HandError(f"{meshes.urdf}: link {error}") from None
+    return Link(raw.name, body, mass, inertia)

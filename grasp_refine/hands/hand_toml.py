@@ -1,0 +1,213 @@
+"""The file hand.toml: what a hand is that its URDF does not say. Every key may be left out."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+
+from grasp_refine.core.errors import HandError, told
+from grasp_refine.core.names import is_file, is_sound
+from grasp_refine.core.toml_file import UNREADABLE, read_toml
+
+T = TypeVar("T")
+
+KINDS: dict[type, str] = {dict: "table", list: "list", str: "text"}
+"""What TOML calls the types that are asked for."""
+
+KEYS = ("name", "urdf", "base_link", "mjcf", "mjcf_joints", "collision", "rest_pose", "contact", "coupled", "actuator")
+"""What a hand.toml can hold."""
+
+ACTUATOR = {"kp": 5.0, "force_limit": None, "damping": 0.1, "armature": 2e-4, "frictionloss": 0.01}
+"""Keys of [actuator], and what holds for turning joints where a key is left out; a slide is then driven as hard as a
+lever of 0.1 m on such a joint. The force limit is the URDF's effort."""
+
+MOST = 1e100
+"""Numbers beyond it mean nothing, and their squares are infinite."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A link that is meant to touch the object."""
+
+    link: str
+    """Name of the link."""
+    group: str
+    """Finger that it belongs to."""
+    point: tuple[float, float, float] | None = None
+    """Where it should touch, in metres, link frame; None: wherever it comes nearest."""
+    normal: tuple[float, float, float] | None = None
+    """Unit outward normal there, link frame; None: the surface's own."""
+
+
+@dataclass(frozen=True)
+class Coupled:
+    """Joints that one actuator drives through one tendon."""
+
+    joints: tuple[str, ...]
+    """Names of the joints, two or more."""
+    ratio: tuple[float, ...]
+    """Coefficients: the tendon's length is the sum of ratio x joint value, so torques are in this ratio."""
+
+
+@dataclass(frozen=True)
+class HandToml:
+    """The contents of a hand.toml: keys, types and numbers are checked; names mean nothing yet."""
+
+    path: Path
+    """The file."""
+    urdf: Path | None
+    """The URDF that it describes; None where there is none beside it, and the user has to give it."""
+    base_link: str | None = None
+    """Link that the hand starts at; None: it is guessed."""
+    name: str | None = None
+    """Name of the hand in results and in grasp files; None: that of the folder."""
+    mjcf: Path | None = None
+    """The same hand as an MJCF file, for simulation."""
+    mjcf_joints: dict[str, str] = field(default_factory=dict)
+    """Joint in the URDF -> its name in the MJCF; the others are found by their names."""
+    collision: Literal["urdf", "mjcf"] = "urdf"
+    """Which of the two files is simulated when a grasp is validated; refining looks at the URDF's geometry."""
+    rest_pose: dict[str, float] = field(default_factory=dict)
+    """Joint values in rad or m; joints that are not named rest in the middle of their range."""
+    contacts: tuple[Contact, ...] = ()
+    """Contact links; none: they are guessed."""
+    coupled: tuple[Coupled, ...] = ()
+    """Joints that share an actuator."""
+    actuator: dict[str, dict[str, float]] = field(default_factory=dict)
+    """Keys of `ACTUATOR` -> joint name, or "default" -> value."""
+
+
+def read_hand_toml(path: Path) -> HandToml:
+    """The contents of the hand.toml at `path`.
+
+    Raises:
+        HandError: not TOML, an unknown key (lists the valid ones), a value of the wrong kind, a missing file.
+    """
+    try:
+        raw = read_toml(path)
+    except UNREADABLE as error:
+        raise HandError(f"{path}: cannot be read as TOML ({error})") from None
+    _check_keys(raw, KEYS, f"{path}")
+    collision = raw.get("collision", "urdf")
+    if collision not in ("urdf", "mjcf"):
+        raise HandError(f"{path}: collision = {told(collision)}; valid: 'urdf', 'mjcf'")
+    base_link, name = raw.get("base_link"), raw.get("name")
+    joints = _typed(raw.get("mjcf_joints", {}), dict, f"{path}: [mjcf_joints]")
+    rest_pose = _typed(raw.get("rest_pose", {}), dict, f"{path}: [rest_pose]")
+    actuator = _typed(raw.get("actuator", {}), dict, f"{path}: [actuator]")
+    return HandToml(
+        path=path,
+        urdf=_urdf(raw, path),
+        base_link=None if base_link is None else _typed(base_link, str, f"{path}: base_link"),
+        name=None if name is None else _typed(name, str, f"{path}: name"),
+        mjcf=_file(raw["mjcf"], path, "mjcf") if "mjcf" in raw else None,
+        mjcf_joints={name: _typed(value, str, f"{path}: [mjcf_joints] {name}") for name, value in joints.items()},
+        collision=collision,
+        rest_pose={name: _number(value, f"{path}: [rest_pose] {name}") for name, value in rest_pose.items()},
+        contacts=tuple(_contact(entry, where) for entry, where in _tables(raw, "contact", path)),
+        coupled=tuple(_coupled(entry, where) for entry, where in _tables(raw, "coupled", path)),
+        actuator=_actuator(actuator, f"{path}: [actuator]"),
+    )
+
+
+def _urdf(raw: dict[str, Any], path: Path) -> Path | None:
+    """The file that is named, else the only one beside the hand.toml, else None."""
+    if "urdf" in raw:
+        return _file(raw["urdf"], path, "urdf")
+    return only_urdf(path.parent) if _urdfs(path.parent) else None
+
+
+def only_urdf(folder: Path) -> Path:
+    """The one .urdf file in `folder`.
+
+    Raises:
+        HandError: there is none, or several (lists them).
+    """
+    found = _urdfs(folder)
+    if len(found) != 1:
+        names = ", ".join(path.name for path in found) or "none"
+        raise HandError(f"{folder}: one .urdf file is needed, or a hand.toml that names one; here: {names}")
+    return found[0]
+
+
+def _urdfs(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() == ".urdf")
+
+
+def _contact(raw: dict[str, Any], where: str) -> Contact:
+    _check_keys(raw, ("link", "group", "point", "normal"), where)
+    link = _typed(raw.get("link"), str, f"{where} link")
+    point = _vector(raw["point"], f"{where} point") if "point" in raw else None
+    normal = None
+    if "normal" in raw:
+        direction = np.array(_vector(raw["normal"], f"{where} normal"))
+        if np.linalg.norm(direction) < 1e-9:
+            raise HandError(f"{where} normal has no direction")
+        normal = tuple((direction / np.linalg.norm(direction)).tolist())
+    return Contact(link, _typed(raw.get("group", link), str, f"{where} group"), point, normal)
+
+
+def _coupled(raw: dict[str, Any], where: str) -> Coupled:
+    _check_keys(raw, ("joints", "ratio"), where)
+    joints = _typed(raw.get("joints"), list, f"{where} joints")
+    names = tuple(_typed(name, str, f"{where} joints") for name in joints)
+    ratios = _typed(raw.get("ratio", [1.0] * len(names)), list, f"{where} ratio")
+    ratio = tuple(_number(value, f"{where} ratio") for value in ratios)
+    if len(names) < 2 or len(set(names)) < len(names) or len(ratio) != len(names) or 0.0 in ratio:
+        raise HandError(f"{where} needs two or more different joints, and for each a ratio other than 0")
+    return Coupled(names, ratio)
+
+
+def _actuator(raw: dict[str, Any], where: str) -> dict[str, dict[str, float]]:
+    _check_keys(raw, ACTUATOR, where)
+    values = {}
+    for key, given in raw.items():
+        per_joint = given if isinstance(given, dict) else {"default": given}
+        values[key] = {name: _number(value, f"{where} {key} {name}") for name, value in per_joint.items()}
+        if any(value < 0 for value in values[key].values()):
+            raise HandError(f"{where} {key}: must not be negative, got {min(values[key].values()):g}")
+    return values
+
+
+def _check_keys(raw: dict[str, Any], valid: Collection[str], where: str) -> None:
+    unknown = [key for key in raw if key not in valid]
+    if unknown:
+        raise HandError(f"{where}: unknown key '{unknown[0]}'; valid: {', '.join(valid)}")
+
+
+def _tables(raw: dict[str, Any], key: str, path: Path) -> list[tuple[dict[str, Any], str]]:
+    entries = _typed(raw.get(key, []), list, f"{path}: [[{key}]]")
+    named = [(entry, f"{path}: [[{key}]] {number}") for number, entry in enumerate(entries, 1)]
+    return [(_typed(entry, dict, where), where) for entry, where in named]
+
+
+def _file(value: Any, path: Path, key: str) -> Path:
+    file = path.parent / _typed(value, str, f"{path}: {key}")
+    if not is_file(file):
+        raise HandError(f"{path}: {key} = '{value}': no such file {file}")
+    return file
+
+
+def _typed(value: Any, kind: type[T], where: str) -> T:
+    if not isinstance(value, kind) or value == "":
+        raise HandError(f"{where} must be a {KINDS[kind]}, got {told(value)}")
+    if isinstance(value, str) and not is_sound(value):
+        raise HandError(f"{where} holds letters that no name has: {value}")
+    return value
+
+
+def _number(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= MOST:
+        raise HandError(f"{where} must be a number, at most {MOST:g}, got {told(value)}")
+    return float(value)
+
+
+def _vector(value: Any, where: str) -> tuple[float, float, float]:
+    numbers = [_number(number, where) for number in _typed(value, list, where)]
+    if len(numbers) != 3:
+        raise HandError(f"{where} must hold 3 numbers, got {len(numbers)}")
+    return numbers[0], numbers[1], numbers[2]

@@ -1,0 +1,86 @@
+"""Joints that mimic others: which independent joint they follow in the end, and how far that one may then go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from grasp_refine.core.errors import HandError
+from grasp_refine.hands.tree import Joint, Mimic
+
+ROUNDED = {"revolute": 1e-3, "continuous": 1e-3, "prismatic": 1e-5}
+"""Limits that followers narrow by less, in rad or m, were rounded when they were written, and nobody is told."""
+
+
+def followed(joint: Joint, joints: Mapping[str, Joint]) -> Mimic:
+    """The independent joint that `joint` follows through all mimic joints between; itself, where it is independent.
+
+    value of `joint` = multiplier x (value of the independent joint) + offset.
+    """
+    multiplier, offset = 1.0, 0.0
+    while joint.mimic is not None:
+        offset += multiplier * joint.mimic.offset
+        multiplier *= joint.mimic.multiplier
+        joint = joints[joint.mimic.joint]
+    return Mimic(joint.name, multiplier, offset)
+
+
+def within_followers(joints: Sequence[Joint], path: Path) -> tuple[list[Joint], list[str]]:
+    """The joints, independent ones with limits that keep their followers within theirs, and notes on what changed.
+
+    An independent joint keeps its own limits too. A continuous one whose followers have limits turns within limits, so
+    that it comes back as a revolute one.
+
+    Raises:
+        HandError: a joint is left nowhere to go, or a mimic joint that never moves is outside its limits.
+    """
+    by_name = {joint.name: joint for joint in joints}
+    range_of = {joint.name: (joint.lower, joint.upper) for joint in joints}
+    allowed: dict[str, dict[str, list[float]]] = {}  # leader -> follower -> values of the leader that keep it in limits
+    for follower in joints:
+        if follower.mimic is None or follower.kind == "continuous":
+            continue
+        leads = followed(follower, by_name)
+        where = f"{path}: joint '{follower.name}', limited to {follower.lower:g} to {follower.upper:g}"
+        if leads.multiplier == 0:
+            if not follower.lower <= leads.offset <= follower.upper:
+                raise HandError(f"{where}, is always at {leads.offset:g}: its mimic multiplier is 0; change either")
+            continue
+        own = by_name[leads.joint]
+        ends = sorted((limit - leads.offset) / leads.multiplier for limit in (follower.lower, follower.upper))
+        allowed.setdefault(own.name, {})[follower.name] = ends
+        lower, upper = range_of[own.name]
+        lower, upper = max(lower, ends[0]), min(upper, ends[1])
+        if lower > upper and lower - upper <= ROUNDED[own.kind]:
+            # Limits that meet in one value, as written with so many digits.
+            lower = upper = min(max(lower, own.lower), own.upper)
+        if lower > upper or (upper - lower < 1e-6 < own.upper - own.lower):
+            raise HandError(
+                f"{where}, is {leads.multiplier:g} x '{own.name}' + {leads.offset:g}, which leaves '{own.name}' no "
+                f"value within its own {own.lower:g} to {own.upper:g}: a sign or a limit is wrong"
+            )
+        range_of[own.name] = lower, upper
+    notes = [_note(by_name[name], *range_of[name], of_followers) for name, of_followers in allowed.items()]
+    return [_limited(joint, *range_of[joint.name]) for joint in joints], [note for note in notes if note]
+
+
+def _note(own: Joint, lower: float, upper: float, allowed: Mapping[str, Sequence[float]]) -> str:
+    """Which followers narrow the range of `own`, for people; "" where none does by as much as matters."""
+    if max(lower - own.lower, own.upper - upper) <= ROUNDED[own.kind]:
+        return ""
+    who = [name for name, ends in allowed.items() if own.lower < ends[0] == lower or own.upper > ends[1] == upper]
+    return (
+        f"joint '{own.name}' moves from {lower:.4g} to {upper:.4g} {'m' if own.kind == 'prismatic' else 'rad'}, "
+        f"its own limits are {own.lower:g} to {own.upper:g}: beyond, {', '.join(who)} would leave "
+        f"{'its' if len(who) == 1 else 'their'} limits"
+    )
+
+
+def _limited(joint: Joint, lower: float, upper: float) -> Joint:
+    if (lower, upper) == (joint.lower, joint.upper):
+        return joint
+    kind = "revolute" if joint.kind == "continuous" and np.isfinite([lower, upper]).all() else joint.kind
+    return replace(joint, kind=kind, lower=lower, upper=upper)

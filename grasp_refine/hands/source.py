@@ -1,0 +1,114 @@
+"""Which files a hand's name means: a folder of robots/, a path of the user's, or an asset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.assets.locating import fetched
+from grasp_refine.assets.manifest import read_manifest
+from grasp_refine.assets.names import find_asset
+from grasp_refine.core.errors import AssetError, GraspFileError, HandError
+from grasp_refine.core.names import at_home, exists, is_file
+from grasp_refine.hands.hand_toml import HandToml, only_urdf, read_hand_toml
+
+HAND_TOML = "hand.toml"
+"""Name of the file beside a URDF that says what the URDF does not."""
+
+
+def list_hands() -> tuple[str, ...]:
+    """Names of the hands that come with the program, each a folder of robots/ with a hand.toml."""
+    return tuple(sorted(file.parent.name for file in resource_dir("robots").glob(f"*/{HAND_TOML}")))
+
+
+def needs_urdf(name: str) -> bool:
+    """Whether the hand `name` of `list_hands()` comes without a URDF, which is fetched or given by the user."""
+    return read_hand_toml(resource_dir("robots") / name / HAND_TOML).urdf is None
+
+
+def is_known(name: str) -> bool:
+    """Whether `name` is one of `list_hands()`, or the full name of an asset such as hands/leap."""
+    return name in list_hands() or name in (asset.full_name for asset in read_manifest("hands").values())
+
+
+def check_known(name: str, file: Path) -> None:
+    """Nothing, when the hand `name` that a grasp file names is known.
+
+    Raises:
+        GraspFileError: it is not, so that it has to be given.
+    """
+    if not is_known(name):
+        ours = ", ".join(list_hands())
+        raise GraspFileError(f"{file}: its hand '{name}' is none of ours ({ours}); give it with --hand")
+
+
+def hand_files(
+    source: str | Path, urdf: Path | None, mjcf: Path | None, say: Callable[[str], None]
+) -> tuple[str, HandToml]:
+    """The hand's name, and its hand.toml, or one that only names its files, with a URDF in any case.
+
+    Args:
+        source: One of `list_hands()`, a folder, a .urdf file, a hand.toml, or an asset, as `hands/leap`: its files, and
+            what our hand.toml of that name says of them.
+        urdf: Taken instead of the URDF that hand.toml names. Where neither names one, that of the asset is taken.
+        mjcf: Taken instead of the MJCF that hand.toml names: a file, or an asset such as shadow_mjcf.
+        say: Hears what is fetched.
+
+    Raises:
+        AssetError: no such name, or an asset that cannot be fetched.
+        HandError: a file is missing or malformed.
+    """
+    name, toml = _located(source, urdf, say)
+    if toml.urdf is None:
+        asset = find_asset(name, "hands")
+        if asset is None:
+            raise HandError(f"hand '{name}' comes without a URDF: give yours with --urdf FILE")
+        try:
+            toml = replace(toml, urdf=fetched(asset, say))
+        except AssetError as error:
+            raise AssetError(f"hand '{name}' comes without a URDF: give yours with --urdf FILE, or: {error}") from None
+    if mjcf is not None:
+        path = at_home(mjcf)
+        asset = None if is_file(path) or path.name != str(path) else find_asset(str(mjcf), "hands")
+        path = path if asset is None else fetched(asset, say)
+        if not is_file(path):
+            raise HandError(f"{mjcf}: no such MJCF file")
+        toml = replace(toml, mjcf=path)
+    return name, toml
+
+
+def _located(source: str | Path, urdf: Path | None, say: Callable[[str], None]) -> tuple[str, HandToml]:
+    """The same, but without a URDF where a hand of ours has none."""
+    if isinstance(source, str) and source in list_hands():
+        source = resource_dir("robots") / source
+    path = at_home(Path(source))
+    if not exists(path):
+        asset = find_asset(source, "hands") if isinstance(source, str) else None
+        if asset is not None:
+            if asset.main is None or not asset.main.path.endswith(".urdf"):
+                raise HandError(f"{source}: is an MJCF, which goes with a hand: --hand NAME --mjcf {asset.name}")
+            ours = resource_dir("robots") / asset.name / HAND_TOML
+            urdf = fetched(asset, say) if urdf is None else urdf
+            toml = replace(read_hand_toml(ours), urdf=urdf) if ours.is_file() else HandToml(urdf, urdf)
+            # Not the name of ours: grasps refined with the one are not to be judged with the other.
+            return asset.full_name, toml
+        choices = (
+            f"the hands here are {', '.join(list_hands())}; or give a folder, a .urdf file, a {HAND_TOML}, or an asset "
+            "(refine-grasp assets list hands)"
+        )
+        if isinstance(source, str) and path.name == source and not path.suffix:
+            raise AssetError(f"no hand is called '{source}'; {choices}")
+        raise HandError(f"{path}: no such file or folder; {choices}")
+    folder = path if path.is_dir() else path.parent
+    beside = folder / HAND_TOML
+    if beside.is_file():
+        toml = read_hand_toml(beside)
+        named = path.is_dir() or path.samefile(beside)
+        if named or (toml.urdf is not None and path.samefile(toml.urdf)):
+            return folder.resolve().name, toml if urdf is None else replace(toml, urdf=urdf)
+    if urdf is not None:
+        raise HandError(f"--urdf {urdf}: goes with a hand that has a {HAND_TOML}, '{source}' has none")
+    urdf = only_urdf(path) if path.is_dir() else path
+    return (folder.resolve().name if path.is_dir() else path.stem), HandToml(urdf, urdf)

@@ -1,0 +1,207 @@
+"""The kinematic tree of a hand: joints as the program uses them, from a URDF whose links form one tree."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.core.errors import HandError
+from grasp_refine.core.se3 import exp_so3, transform
+from grasp_refine.core.short_repr import brief
+from grasp_refine.hands.urdf import read_urdf
+
+if TYPE_CHECKING:
+    import yourdfpy
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """What makes a joint follow another: its value is `multiplier` x (value of `joint`) + `offset`."""
+
+    joint: str
+    """Name of the joint that is followed; it may follow a further one."""
+    multiplier: float
+    """Rad or m of this joint per rad or m of the followed one."""
+    offset: float
+    """Value in rad or m of this joint where the followed one is at 0."""
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint: its child moves by q, about or along `axis`, from `T_parent_child`."""
+
+    name: str
+    """Unique name."""
+    kind: Literal["revolute", "continuous", "prismatic", "fixed"]
+    """What the joint can do."""
+    parent: str
+    """Link towards the base."""
+    child: str
+    """Link that the joint carries."""
+    T_parent_child: Float[np.ndarray, "4 4"]
+    """Pose (4, 4) of the child in its parent where the joint is at 0."""
+    axis: Float[np.ndarray, " 3"]
+    """Unit axis (3,) in the child frame; zeros for a fixed joint."""
+    lower: float
+    """Least value in rad or m; -inf if continuous, 0 if fixed."""
+    upper: float
+    """Greatest value in rad or m; inf if continuous, 0 if fixed."""
+    mimic: Mimic | None
+    """What the joint follows; None if it moves on its own, or is fixed."""
+    effort: float | None
+    """Greatest torque (Nm) or force (N); None where the file names none above 0."""
+
+    __repr__ = brief
+
+    @property
+    def movable(self) -> bool:
+        """Whether the joint moves, on its own or by following another."""
+        return self.kind != "fixed"
+
+    def motion(self, value: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch 4 4"]:
+        """How the child has moved (..., 4, 4), in its own frame, where the joint is at `value` (...), rad or m."""
+        step = np.asarray(value)[..., None] * self.axis
+        if self.kind == "prismatic":
+            return transform(np.broadcast_to(np.eye(3), (*step.shape, 3)), step)
+        return transform(exp_so3(step), np.zeros_like(step))
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """The links and joints of a URDF, known to form one tree."""
+
+    path: Path
+    """The URDF file."""
+    root: str
+    """The only link without a parent."""
+    links: dict[str, yourdfpy.Link]
+    """Links by name, in file order."""
+    joints: dict[str, yourdfpy.Joint]
+    """Joints by name, in file order."""
+
+    def below(self, base_link: str) -> tuple[list[yourdfpy.Link], list[Joint]]:
+        """Links (the base first) and joints (parents before children) of what hangs from `base_link`.
+
+        The rest is not looked at further, so what is wrong with it does not matter.
+
+        Raises:
+            HandError: there is no such link, or a joint below it is not one that a hand can have.
+        """
+        if base_link not in self.links:
+            raise HandError(f"{self.path}: no link '{base_link}'; its links: {', '.join(self.links)}")
+        leaving: dict[str, list[yourdfpy.Joint]] = {name: [] for name in self.links}
+        for joint in self.joints.values():
+            leaving[joint.parent].append(joint)
+        joints, waiting = [], leaving[base_link][::-1]
+        while waiting:
+            joints.append(_joint(waiting.pop(), self.path))
+            waiting += leaving[joints[-1].child][::-1]
+        self._check_mimics({joint.name: joint for joint in joints}, base_link)
+        return [self.links[name] for name in (base_link, *(joint.child for joint in joints))], joints
+
+    def _check_mimics(self, joints: dict[str, Joint], base_link: str) -> None:
+        for name in joints:
+            chain = [name]
+            while (mimic := joints[chain[-1]].mimic) is not None:
+                where = f"{self.path}: joint '{chain[-1]}' mimics '{mimic.joint}'"
+                if mimic.joint not in self.joints:
+                    raise HandError(f"{where}, which does not exist; its joints: {', '.join(self.joints)}")
+                if mimic.joint not in joints:
+                    raise HandError(f"{where}, which is not below the base link '{base_link}'")
+                if not joints[mimic.joint].movable:
+                    raise HandError(f"{where}, which is fixed")
+                if mimic.joint in chain:
+                    raise HandError(f"{where}, which makes a cycle: {' -> '.join([*chain, mimic.joint])}")
+                chain.append(mimic.joint)
+
+
+def read_tree(path: Path) -> Tree:
+    """The tree of links and joints in the URDF file `path`.
+
+    Raises:
+        HandError: the file cannot be read as a URDF, or its links and joints are not one tree.
+    """
+    robot = read_urdf(path)
+    for what, things in (("links", robot.links), ("joints", robot.joints)):
+        twice = [name for name, count in Counter(thing.name for thing in things).items() if count > 1]
+        if twice:
+            raise HandError(f"{path}: several {what} have the name '{twice[0]}'")
+    links, joints = {link.name: link for link in robot.links}, {joint.name: joint for joint in robot.joints}
+    return Tree(path, _root(path, links, joints), links, joints)
+
+
+def _root(path: Path, links: dict[str, yourdfpy.Link], joints: dict[str, yourdfpy.Joint]) -> str:
+    if not links:
+        raise HandError(f"{path}: has no links")
+    above: dict[str, yourdfpy.Joint] = {}
+    for joint in joints.values():
+        for role, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in links:
+                raise HandError(
+                    f"{path}: joint '{joint.name}' has the {role} link '{link}', which does not exist; "
+                    f"its links: {', '.join(links)}"
+                )
+        if joint.child in above:
+            raise HandError(
+                f"{path}: link '{joint.child}' is the child of two joints, "
+                f"'{above[joint.child].name}' and '{joint.name}'"
+            )
+        above[joint.child] = joint
+    roots = [name for name in links if name not in above]
+    if len(roots) > 1:
+        raise HandError(f"{path}: {len(roots)} links have no parent, one is allowed: {', '.join(roots)}")
+    connected = set(roots)
+    for name in links:
+        chain = [name]
+        while chain[-1] not in connected:
+            chain.append(above[chain[-1]].parent)
+            if chain[-1] in chain[:-1]:
+                cycle = chain[chain.index(chain[-1]) :]
+                raise HandError(f"{path}: links form a cycle: {' -> '.join(cycle[::-1])}")
+        connected.update(chain)
+    return roots[0]
+
+
+def _joint(raw: yourdfpy.Joint, path: Path) -> Joint:
+    where = f"{path}: joint '{raw.name}'"
+    if raw.type in ("floating", "planar"):
+        raise HandError(
+            f"{where} is {raw.type}, which is not supported; a hand's root moves freely anyway: "
+            f"choose a base_link below it, such as '{raw.child}'"
+        )
+    if raw.type not in ("revolute", "continuous", "prismatic", "fixed"):
+        raise HandError(f"{where} has the type '{raw.type}'; valid: revolute, continuous, prismatic, fixed")
+    axis, mimic = np.zeros(3), None
+    if raw.type != "fixed":
+        with np.errstate(over="ignore"):
+            length = float(np.linalg.norm(raw.axis))
+        if not 1e-9 < length < 1e9:
+            raise HandError(f"{where} has the axis {raw.axis.tolist()}, which is no direction")
+        axis = raw.axis / length
+        if raw.mimic is not None:
+            mimic = Mimic(raw.mimic.joint, raw.mimic.multiplier, raw.mimic.offset)
+    lower, upper = _limits(raw, where)
+    effort = raw.limit.effort if raw.limit is not None else None
+    # Some exporters write effort 0 where they do not know it.
+    effort = effort if effort is not None and effort > 0 else None
+    origin = np.eye(4) if raw.origin is None else raw.origin
+    return Joint(raw.name, raw.type, raw.parent, raw.child, origin, axis, lower, upper, mimic, effort)
+
+
+def _limits(raw: yourdfpy.Joint, where: str) -> tuple[float, float]:
+    if raw.type == "fixed":
+        return 0.0, 0.0
+    if raw.type == "continuous":
+        return -np.inf, np.inf
+    limit = raw.limit
+    if limit is None or limit.lower is None or limit.upper is None:
+        hint = "; without limits its type would be continuous" if raw.type == "revolute" else ""
+        raise HandError(f"{where} is {raw.type} and needs <limit> with lower and upper{hint}")
+    if limit.lower > limit.upper:
+        raise HandError(f"{where} has reversed limits: lower {limit.lower:g} is above upper {limit.upper:g}")
+    return limit.lower, limit.upper

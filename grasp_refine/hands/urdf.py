@@ -1,0 +1,217 @@
+"""A URDF file, checked element by element before yourdfpy reads it."""
+
+from __future__ import annotations
+
+import io
+from copy import deepcopy
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from grasp_refine.core.errors import HandError
+from grasp_refine.core.names import is_sound
+
+if TYPE_CHECKING:
+    import yourdfpy
+    from lxml.etree import _Element
+
+SHAPES = ("box", "cylinder", "sphere", "mesh")
+"""What a <geometry> can hold."""
+
+MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""Attributes of <inertia>: the upper triangle of a symmetric matrix."""
+
+READ = {
+    "robot": ("link", "joint"),
+    "link": ("inertial", "collision"),
+    "inertial": ("mass", "origin", "inertia"),
+    "collision": ("origin", "geometry"),
+    "visual": ("origin", "geometry", "material"),
+    "material": ("color",),
+    "geometry": SHAPES,
+    "joint": ("parent", "child", "origin", "axis", "limit", "mimic"),
+}
+"""What is read of an element; the rest (visuals, transmissions, simulator extensions) cannot break a hand."""
+
+MOST_LINKS = 1000
+"""Most links or joints of a URDF; a hand has thirty, one with an arm and hundreds of tactile cells some hundreds. What
+is worked out for pairs of joints and links takes minutes for ten times as many."""
+
+NEEDED = {"collision": ("geometry",), "visual": ("geometry",), "joint": ("parent", "child")}
+"""Elements that an element must hold."""
+
+ATTRIBUTES = {
+    "link": ("name",),
+    "joint": ("name", "type"),
+    "parent": ("link",),
+    "child": ("link",),
+    "mimic": ("joint",),
+    "mass": ("value",),
+    "inertia": ("ixx", "iyy", "izz"),
+    "box": ("size",),
+    "cylinder": ("radius", "length"),
+    "sphere": ("radius",),
+    "mesh": ("filename",),
+}
+"""Attributes that an element must have."""
+
+NUMBERS: dict[str, dict[str, tuple[int, ...]]] = {
+    "origin": {"xyz": (3,), "rpy": (3,)},
+    "axis": {"xyz": (3,)},
+    "limit": {"lower": (1,), "upper": (1,), "effort": (1,), "velocity": (1,)},
+    "mimic": {"multiplier": (1,), "offset": (1,)},
+    "mass": {"value": (1,)},
+    "inertia": dict.fromkeys(MOMENTS, (1,)),
+    "box": {"size": (3,)},
+    "cylinder": {"radius": (1,), "length": (1,)},
+    "sphere": {"radius": (1,)},
+    "mesh": {"scale": (1, 3)},
+    "color": {"rgba": (3, 4)},
+}
+"""Attributes that hold numbers, and how many."""
+
+
+def read_urdf(path: Path) -> yourdfpy.Robot:
+    """The links and joints of the URDF file `path` as yourdfpy's dataclasses, every number finite.
+
+    Visuals are left out, meshes are not loaded, and no external entity is ever read. Whether links and
+    joints form a tree is not looked at here.
+
+    Raises:
+        HandError: the file is missing, not XML, not a URDF, or has more than `MOST_LINKS` links or joints, or an
+            element of it lacks or garbles something.
+    """
+    import yourdfpy
+    from lxml import etree
+
+    robot = _read_xml(path)
+    for tag in ("link", "joint"):
+        if (count := len(robot.findall(tag))) > MOST_LINKS:
+            raise HandError(f"{path}: has {count} {tag}s, more than the {MOST_LINKS} that a hand may have")
+    _check(robot, str(path))
+    robot.set("name", robot.get("name", path.stem))
+    # yourdfpy lets through whatever Python raises on a malformed element, so it is given a checked copy.
+    checked = io.BytesIO(etree.tostring(robot))
+    return yourdfpy.URDF.load(checked, build_scene_graph=False, load_meshes=False).robot
+
+
+def _read_xml(path: Path) -> _Element:
+    from lxml import etree
+
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise HandError(f"{path}: cannot be read ({error.strerror or error})") from None
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, load_dtd=False, remove_comments=True, remove_pis=True
+    )
+    try:
+        root = etree.fromstring(data, parser)
+    except etree.XMLSyntaxError as error:
+        reason = " ".join(str(error.msg).split())
+        raise HandError(f"{path}: not XML ({reason})") from None
+    if root.getroottree().docinfo.doctype:
+        raise HandError(f"{path}: a DOCTYPE is refused, because it can pull in other files; remove it")
+    if root.tag != "robot":
+        raise HandError(f"{path}: not a URDF, its outermost element is <{root.tag}> instead of <robot>")
+    if any("xacro" in element.tag for element in root.iter()):
+        raise HandError(f"{path}: holds xacro macros; expand them first: xacro {path.name} > hand.urdf")
+    return root
+
+
+def _check(element: _Element, where: str) -> None:
+    """Nothing; drops what is not read from `element`, and writes its numbers as yourdfpy takes them."""
+    tag = element.tag
+    if tag in ("link", "joint") and element.get("name"):
+        where = f"{where}: {tag} '{element.get('name')}'"
+    for name in ATTRIBUTES.get(tag, ()):
+        if not element.get(name):
+            raise HandError(f"{where}: <{tag}> has no '{name}'")
+        if not is_sound(element.get(name)):
+            raise HandError(f'{where}: <{tag} {name}="{element.get(name)}"> holds letters that no name has')
+    for name, counts in NUMBERS.get(tag, {}).items():
+        if name in element.attrib:
+            element.set(name, _numbers(element, name, counts, where))
+    if tag == "geometry" and [child.tag in SHAPES for child in element] != [True]:
+        found = ", ".join(f"<{child.tag}>" for child in element) or "nothing"
+        raise HandError(f"{where}: <geometry> holds {found}; it must hold one of {', '.join(SHAPES)}")
+    for name in NEEDED.get(tag, ()):
+        if element.find(name) is None:
+            raise HandError(f"{where}: <{tag}> has no <{name}>")
+    for child in list(element):
+        if child.tag in READ.get(tag, ()):
+            _check(child, where)
+        else:
+            element.remove(child)
+
+
+def _numbers(element: _Element, name: str, counts: tuple[int, ...], where: str) -> str:
+    text = element.get(name)
+    try:
+        values = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        values = []
+    if len(values) not in counts or not np.isfinite(values).all():
+        wanted = "a finite number" if counts == (1,) else f"{' or '.join(map(str, counts))} finite numbers"
+        raise HandError(f'{where}: <{element.tag} {name}="{text}"> must be {wanted}')
+    return " ".join(map(repr, values))
+
+
+def read_visuals(path: Path) -> dict[str, list[yourdfpy.Visual | HandError]]:
+    """What each link in the URDF file `path` shows, which `read_urdf` leaves out; instead of a broken one, its error.
+
+    A material that is named at the robot is the visual's own here, its color as the file has it.
+
+    Raises:
+        HandError: the file is missing, or not a URDF.
+    """
+    robot = _read_xml(path)
+    materials = {material.get("name"): material for material in robot.iterfind("material")}
+    # A name may stand where the material is described only at another visual.
+    for material in robot.iterfind("link/visual/material"):
+        if material.find("color") is not None:
+            materials.setdefault(material.get("name"), material)
+    found: dict[str, list[yourdfpy.Visual | HandError]] = {}
+    for link in robot.iterfind("link"):
+        where = f"{path}: link '{link.get('name', '')}'"
+        for visual in link.findall("visual"):
+            found.setdefault(link.get("name", ""), []).append(_visual(visual, materials, where))
+    return found
+
+
+def _visual(visual: _Element, materials: dict[str | None, _Element], where: str) -> yourdfpy.Visual | HandError:
+    import yourdfpy
+    from lxml import etree
+
+    material = visual.find("material")
+    if material is not None and material.find("color") is None and material.get("name") in materials:
+        visual.replace(material, deepcopy(materials[material.get("name")]))
+    try:
+        _check(visual, where)
+    except HandError as error:
+        return error
+    robot = etree.Element("robot", name="robot")
+    etree.SubElement(robot, "link", name="link").append(visual)
+    read = yourdfpy.URDF.load(io.BytesIO(etree.tostring(robot)), build_scene_graph=False, load_meshes=False).robot
+    return read.links[0].visuals[0]
+
+
+def links_with_visuals(path: Path) -> frozenset[str]:
+    """Names of the links in the URDF file `path` that hold a <visual>, which `read_urdf` leaves out.
+
+    Raises:
+        HandError: the file is missing, or not a URDF.
+    """
+    links = _read_xml(path).iterfind("link")
+    return frozenset(link.get("name", "") for link in links if link.find("visual") is not None)
+
+
+def joints_fixed_and_mimicking(path: Path) -> tuple[str, ...]:
+    """Names of the fixed joints in the URDF file `path` that hold a <mimic>, which means nothing there.
+
+    Raises:
+        HandError: the file is missing, or not a URDF.
+    """
+    joints = _read_xml(path).iterfind("joint")
+    return tuple(j.get("name", "") for j in joints if j.get("type") == "fixed" and j.find("mimic") is not None)

@@ -1,0 +1,1 @@
+"""Objects: meshes, primitives, folders of convex pieces."""

@@ -1,0 +1,182 @@
+"""Objects: a mesh in metres and the convex pieces that stand for it in collision queries."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from grasp_refine.core.arguments import check_kind, is_number, shown
+from grasp_refine.core.errors import AssetError, MeshError
+from grasp_refine.core.names import is_folder
+from grasp_refine.core.plurals import count_text
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.cache import default_cache
+from grasp_refine.geometry.decomposition import Decomposition
+from grasp_refine.geometry.mesh import SUFFIXES, Holes, is_convex, load_mesh, watertight
+from grasp_refine.geometry.pieces import Piece, cut_meshes
+from grasp_refine.geometry.shapes import EMBEDDED, primitive, primitive_pieces
+from grasp_refine.geometry.units import UNITS, Unit, check_size
+from grasp_refine.objects.folders import given_pieces, surface
+
+if TYPE_CHECKING:
+    import trimesh
+
+PRIMITIVE_FORMS = "box:x,y,z, sphere:r, cylinder:r,h (metres)"
+
+
+@dataclass(frozen=True, eq=False)
+class Object:
+    """Something to grasp, at rest in its own frame."""
+
+    name: str
+    """Embedded name, primitive, stem of the mesh file, or name of the folder."""
+    mesh: trimesh.Trimesh
+    """Surface, metres; what is shown. Watertight, unless a note says that the surface beside given pieces is not."""
+    body: Body
+    """Convex pieces and surface candidates; what is touched."""
+    convex: bool
+    """Whether it is one convex piece."""
+    notes: tuple[str, ...]
+    """What was repaired in the mesh, or is wrong with given pieces, for the user."""
+
+    def __repr__(self) -> str:
+        size = " x ".join(f"{side * 1e3:.3g}" for side in self.mesh.extents)
+        return f"Object({self.name}: {size} mm, {count_text(len(self.body.pieces), 'convex piece')})"
+
+
+@dataclass(frozen=True, eq=False)
+class UncutObject:
+    """An object that was read and found usable, and is still to be cut into convex pieces."""
+
+    name: str
+    """As `Object.name`."""
+    mesh: trimesh.Trimesh
+    """As `Object.mesh`."""
+    pieces: tuple[Piece, ...]
+    """Its convex pieces where they are given; empty: the mesh is to be cut."""
+    convex: bool
+    """As `Object.convex`."""
+    notes: tuple[str, ...]
+    """As `Object.notes`."""
+
+
+def load_object(
+    source: str | Path,
+    *,
+    scale: float = 1.0,
+    unit: Unit | None = None,
+    decomposition: Decomposition | None = None,
+    holes: Holes = "refuse",
+    candidates: int = 1024,
+    seed: int = 0,
+    cache: Path | Literal["user"] | None = "user",
+    progress: Callable[[str], None] | None = None,
+) -> Object:
+    """The object, cut into convex pieces, that `source` names: embedded, a primitive, a mesh file, a folder of pieces.
+
+    The hulls of the meshes in a folder (see `object_folders`) are the convex pieces; nothing is decomposed. What is
+    shown is the folder's surface if it has one, else all pieces. A mesh file of convex bodies is not decomposed either,
+    and the pieces of the embedded objects come with the program.
+
+    Args:
+        source: name in EMBEDDED, "box:x,y,z", "sphere:r", "cylinder:r,h", or a path.
+        scale: factor that takes the mesh, or the pieces, to metres.
+        unit: of what the scale makes of it. None is metres too, but a size that no hand grasps is then an error that
+            asks for the unit; "m" says that the numbers are metres, whatever the size.
+        decomposition: how a concave mesh is cut into convex pieces; the defaults when None.
+        holes: what becomes of a mesh with holes: an error, flat caps on flat holes, or its convex hull.
+        candidates: number of points on the surface.
+        seed: of the surface points.
+        cache: folder of decompositions made before; "user" is the user's cache folder, None keeps none.
+        progress: gets one line when a decomposition starts and one when it is done.
+
+    Raises:
+        AssetError: no such name.
+        MeshError: the mesh is missing, unreadable, open, flat, empty or of a size that asks for its unit, a folder has
+            no usable piece or one that cannot be read, or the scale is not positive.
+        GraspRefineError: an argument of another kind.
+    """
+    check_kind("source", source, str | Path)
+    check_kind("unit", unit, Unit | None)
+    check_kind("decomposition", decomposition, Decomposition | None)
+    check_kind("holes", holes, Holes)
+    check_kind("candidates", candidates, int)
+    check_kind("seed", seed, int)
+    check_kind("cache", cache, Path | Literal["user"] | None)
+    uncut = read_object(source, scale=scale, unit=unit, holes=holes)
+    (cut,) = cut_objects([uncut], decomposition, candidates=candidates, seed=seed, cache=cache, progress=progress)
+    return cut
+
+
+def read_object(
+    source: str | Path, *, scale: float = 1.0, unit: Unit | None = None, holes: Holes = "refuse"
+) -> UncutObject:
+    """The object that `source` names, read and checked, which is quick: the first half of `load_object`.
+
+    Raises:
+        AssetError, MeshError: as `load_object`.
+    """
+    text = str(source)
+    if not (is_number(scale) and 0 < scale < np.inf):
+        raise MeshError(f"{text}: the scale must be positive and finite, got {shown(scale)}")
+    scale *= (factor := UNITS[unit or "m"])
+    pieces: Sequence[Piece] = ()
+    notes: tuple[str, ...] = ()
+    # An empty path would be the present folder.
+    if text and (text not in EMBEDDED or isinstance(source, Path)) and is_folder(Path(text)):
+        name = Path(os.path.abspath(text)).name
+        pieces, notes = given_pieces(Path(text), scale)
+        mesh, more = surface(Path(text), pieces, scale)
+        notes += more
+    elif Path(text).suffix.lower() in SUFFIXES or isinstance(source, Path):
+        name, mesh = Path(text).stem, load_mesh(text, scale)
+    elif text in EMBEDDED:
+        name, mesh = text, EMBEDDED[text]().apply_scale(scale)
+    elif ":" in text:
+        name, mesh = text, primitive(text).apply_scale(scale)
+        pieces = [Piece(p.vertices * scale, p.faces, p.radius * scale) for p in primitive_pieces(text)]
+    elif "/" in text or Path(text).suffix:
+        name, mesh = Path(text).stem, load_mesh(text, scale)
+    else:
+        raise AssetError(
+            f"no object '{text}': embedded ones are {', '.join(EMBEDDED)}; "
+            f"primitives are {PRIMITIVE_FORMS}; "
+            f"or give a mesh file ({', '.join(SUFFIXES)}), or a folder of meshes that are its convex pieces"
+        )
+    check_size(mesh.extents / factor, unit, text)
+    convex = len(pieces) == 1
+    if not pieces:
+        mesh, notes = watertight(mesh, name, holes)
+        # An object's notes are told after its name.
+        notes = tuple(note.removeprefix(f"{name}: ") for note in notes)
+        convex = is_convex(mesh)
+    return UncutObject(name, mesh, tuple(pieces), convex, notes)
+
+
+def cut_objects(
+    objects: Sequence[UncutObject],
+    decomposition: Decomposition | None = None,
+    *,
+    candidates: int = 1024,
+    seed: int = 0,
+    cache: Path | Literal["user"] | None = "user",
+    progress: Callable[[str], None] | None = None,
+) -> list[Object]:
+    """The objects, cut into convex pieces, several at a time as by `cut_meshes`: the second half of `load_object`.
+
+    Raises:
+        MeshError: one cannot be cut.
+    """
+    folder = default_cache() if cache == "user" else cache
+    meshes = [(uncut.name, uncut.mesh) for uncut in objects if not uncut.pieces]
+    cut = iter(cut_meshes(meshes, decomposition, cache=folder, progress=progress))
+    bodies = [build_body(uncut.name, uncut.pieces or next(cut), candidates=candidates, seed=seed) for uncut in objects]
+    return [
+        Object(uncut.name, uncut.mesh, body, uncut.convex, uncut.notes)
+        for uncut, body in zip(objects, bodies, strict=True)
+    ]

@@ -1,0 +1,134 @@
+"""What an object's name means: an embedded object, a primitive, a mesh or folder of the user's, or an asset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+from grasp_refine.assets.locating import fetched
+from grasp_refine.assets.manifest import Asset, read_manifest
+from grasp_refine.assets.names import find_asset
+from grasp_refine.core.errors import AssetError, MeshError, told
+from grasp_refine.core.names import exists, is_folder
+from grasp_refine.core.toml_file import UNREADABLE, read_toml
+from grasp_refine.geometry.mesh import SUFFIXES
+from grasp_refine.geometry.shapes import EMBEDDED, primitive_pieces
+from grasp_refine.objects.folders import find_object
+from grasp_refine.objects.object import PRIMITIVE_FORMS
+
+
+@dataclass(frozen=True)
+class ObjectSource:
+    """What `load_object` should load."""
+
+    source: str | Path
+    """Name or path."""
+    asset: Asset | None = None
+    """Which asset it is; its `scale` makes it fit a hand."""
+
+
+def chosen_object(name: str, say: Callable[[str], None]) -> ObjectSource:
+    """What a user means by `name`; an asset that is not here is fetched, and `say` hears of it.
+
+    Raises:
+        AssetError: the name could be several assets, or the one that it is cannot be fetched.
+    """
+    asset = _asset_meant(name)
+    return ObjectSource(name) if asset is None else ObjectSource(fetched(asset, say), asset)
+
+
+def check_object(name: str) -> None:
+    """Refuse a `name` that means no object, before anything is loaded or fetched.
+
+    Raises:
+        AssetError: no object is called so, or several assets are.
+        MeshError: it is the path of a mesh file that is not there.
+    """
+    if ":" not in name and Path(name).suffix.lower() in SUFFIXES and not exists(Path(name)):
+        raise MeshError(f"{name}: no such mesh file")
+    _asset_meant(name)
+
+
+def _asset_meant(name: str) -> Asset | None:
+    """Return the asset that `name` means, or None where it means an embedded object, a primitive or a path."""
+    if name in EMBEDDED or ":" in name or Path(name).suffix or exists(Path(name)):
+        return None
+    asset = find_asset(name, "objects")
+    if asset is None:
+        close = get_close_matches(name.replace("/", "_"), [*EMBEDDED, *read_manifest("objects")], n=1)
+        meant = f", did you mean {close[0]}?" if close else ":"
+        raise AssetError(
+            f"no object '{name}'{meant} embedded ones are {', '.join(EMBEDDED)}; primitives are {PRIMITIVE_FORMS}; or "
+            f"give a mesh file ({', '.join(SUFFIXES)}), a folder of convex pieces, or an asset "
+            "(refine-grasp assets list objects)"
+        )
+    return asset
+
+
+def named_object(name: str, objects: Path | None, file: Path, say: Callable[[str], None]) -> ObjectSource:
+    """What the grasps in `file` mean by the object `name`, which is never taken as a path.
+
+    Args:
+        name: The object's name in the file.
+        objects: A folder of meshes or folders of pieces, or a TOML file that names them; None: it is one of ours, a
+            primitive, or an asset of exactly this name.
+        file: The grasp file, for messages.
+        say: Hears of what is fetched.
+
+    Raises:
+        AssetError: there is no such object, or it cannot be fetched.
+    """
+    if objects is not None:
+        if is_folder(objects):
+            return ObjectSource(find_object(name, objects))
+        listed = _read_objects(objects)
+        if name not in listed:
+            raise AssetError(f"{objects}: no object '{name}'; it names {', '.join(listed) or 'nothing'}")
+        return ObjectSource(listed[name])
+    if name in EMBEDDED or _is_primitive(name):
+        return ObjectSource(name)
+    asset = read_manifest("objects").get(name)
+    if asset is not None:
+        return ObjectSource(fetched(asset, say), asset)
+    raise AssetError(
+        f"{file}: its object '{name}' is none of the embedded ones ({', '.join(EMBEDDED)}); give its mesh with "
+        f"--object, a folder of meshes with --objects, or a primitive ({PRIMITIVE_FORMS}){_perhaps(name)}"
+    )
+
+
+def is_known(name: str) -> bool:
+    """Whether an object that a grasp file names so needs no mesh from the user."""
+    return name in EMBEDDED or _is_primitive(name) or name in read_manifest("objects")
+
+
+def _is_primitive(name: str) -> bool:
+    try:
+        primitive_pieces(name)
+    except MeshError:
+        return False
+    return True
+
+
+def _perhaps(name: str) -> str:
+    """Which asset a name in a grasp file may mean; it is not taken for it unasked."""
+    try:
+        asset = find_asset(name, "objects")
+    except AssetError:
+        return ""
+    return "" if asset is None else f"; it may be the asset {asset.name}: --object {asset.name}"
+
+
+def _read_objects(path: Path) -> Mapping[str, str | Path]:
+    """Object name -> what to load, from a TOML file; paths are relative to it."""
+    try:
+        raw = read_toml(path)
+    except FileNotFoundError:
+        raise AssetError(f"{path}: no such file or folder of objects") from None
+    except UNREADABLE as error:
+        raise AssetError(f'{path}: cannot be read as TOML lines name = "path" ({error})') from None
+    for name, value in raw.items():
+        if not isinstance(value, str) or not value:
+            raise AssetError(f"{path}: {name} must be a path in quotes, got {told(value)}")
+    return {name: value if value in EMBEDDED or ":" in value else path.parent / value for name, value in raw.items()}

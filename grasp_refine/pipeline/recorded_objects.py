@@ -1,0 +1,129 @@
+"""The objects that a result was refined on, as its provenance keeps them, and whether those of now are the same."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.geometry.pieces import Piece
+from grasp_refine.objects.object import Object, UncutObject
+from grasp_refine.pipeline.problem import Group
+from grasp_refine.results.result_files import read_provenance
+
+if TYPE_CHECKING:
+    import trimesh
+
+GRID_M = 1e-9
+"""Coordinates are compared in steps of this many metres: far below any mesh, far above rounding."""
+
+
+ALIKE = 1e-5
+"""Share of the diagonal by which bounds, centroid, area and volume of a mesh may differ once it was exported anew."""
+
+
+def object_entries(groups: Iterable[Group]) -> list[dict[str, Any]]:
+    """Entries for provenance, by name and scale: sha256 of mesh and convex pieces in metres, and measures.
+
+    Hashes depend on the geometry that was used, not on paths, units or the order of vertices.
+    """
+    return [
+        {
+            "name": group.object,
+            "scale": float(group.scale),
+            **_digests(group.scene.object),
+            "measures_m": _measures(group.scene.object.mesh),
+        }
+        for group in groups
+    ]
+
+
+def surface_digest(mesh: trimesh.Trimesh) -> str:
+    """sha256 of the oriented triangles of a mesh on the grid, whatever the order of its vertices and faces."""
+    corners = _on_grid(mesh.triangles)
+    # Each triangle begins with its least corner, which keeps its orientation.
+    first = np.lexsort(corners.transpose(2, 0, 1)[::-1])[:, 0]
+    turned = corners[np.arange(len(corners))[:, None], (first[:, None] + np.arange(3)) % 3]
+    return _digest(turned.reshape(-1, 9))
+
+
+def pieces_digest(pieces: Sequence[Piece]) -> str:
+    """sha256 of the vertices and radii of convex pieces on the grid, whatever their order."""
+    digests = sorted(_digest(_on_grid(piece.vertices), _on_grid(np.array([piece.radius]))) for piece in pieces)
+    return hashlib.sha256("".join(digests).encode()).hexdigest()
+
+
+def check_objects(
+    files: Iterable[Path], present: Mapping[tuple[str, float], UncutObject | Object], *, other: bool
+) -> tuple[str, ...]:
+    """Notes on grasps that were refined on another object, or other convex pieces of it, than the present one.
+
+    Args:
+        files: The grasp files; what is no result, or does not say what it was refined on, is passed over.
+        present: (name, scale) as in the files -> the present object; of one that is not cut yet, pieces are not
+            compared.
+        other: Whether another object is meant.
+
+    Raises:
+        GraspFileError: the surface of an object is another one, as that of the same mesh at another scale is, and
+            that is not meant.
+    """
+    notes = []
+    for file in files:
+        entries = read_provenance(file).get("objects")
+        for entry in entries if isinstance(entries, list) else ():
+            try:
+                key, recorded = (entry["name"], entry["scale"]), {name: entry[name] for name in ("mesh", "pieces")}
+                measures, known = np.array(entry["measures_m"], dtype=np.float64).reshape(11), key in present
+            except (LookupError, TypeError, ValueError, ArithmeticError):
+                continue
+            if not known or recorded | (digests := _digests(present[key])) == recorded:
+                continue
+            made = f"{file}: its grasps of '{entry['name']}' were refined on"
+            now = present[key]
+            if recorded["mesh"] == digests["mesh"]:
+                notes.append(f"{made} other convex pieces of the same mesh")
+                continue
+            if np.allclose(
+                measures, _measures(now.mesh), rtol=0.0, atol=ALIKE * float(np.linalg.norm(now.mesh.extents))
+            ):
+                notes.append(f"{made} a mesh that differs from that of {now.name} no more than by rounding")
+                continue
+            made += f" another mesh, of {_size(measures)}, than that of {now.name}, of {_size(_measures(now.mesh))}"
+            if not other:
+                raise GraspFileError(
+                    f"{made}: give that one with --object or --objects, in its size, or --other-object if this one is "
+                    "meant"
+                )
+            notes.append(made)
+    return tuple(dict.fromkeys(notes))
+
+
+def _digests(obj: UncutObject | Object) -> dict[str, str]:
+    pieces = {"pieces": pieces_digest(obj.body.pieces)} if isinstance(obj, Object) else {}
+    return {"mesh": surface_digest(obj.mesh), **pieces}
+
+
+def _measures(mesh: trimesh.Trimesh) -> np.ndarray:
+    """Lengths (11,) in metres by which meshes are told apart: bounds, centroid, roots of area and of volume."""
+    return np.concatenate([mesh.bounds.ravel(), mesh.centroid, [np.sqrt(mesh.area), np.cbrt(mesh.volume)]])
+
+
+def _size(measures: np.ndarray) -> str:
+    return "{:.3g} x {:.3g} x {:.3g} mm".format(*(1e3 * (measures[3:6] - measures[:3])))
+
+
+def _on_grid(metres: np.ndarray) -> np.ndarray:
+    return np.round(np.asarray(metres, dtype=np.float64) / GRID_M).astype(np.int64)
+
+
+def _digest(rows: np.ndarray, *more: np.ndarray) -> str:
+    """sha256 of rows of integers, whatever their order, and of further arrays."""
+    ordered = rows[np.lexsort(rows.T[::-1])]
+    return hashlib.sha256(
+        b"".join(np.ascontiguousarray(part, dtype="<i8").tobytes() for part in (ordered, *more))
+    ).hexdigest()

@@ -1,0 +1,1 @@
+"""Refinement of grasps: configuration, losses, problem, search and the function `refine`."""

@@ -1,0 +1,99 @@
+"""What is wanted of the grasps of a scene: which links should touch the object, and where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from grasp_refine.collision.query import Witness, query, query_items
+from grasp_refine.core.short_repr import brief
+from grasp_refine.scene.contact_selection import Touching, nearest_points
+from grasp_refine.scene.hand_object import POINT, HandObject
+from grasp_refine.scene.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """Which of the L links of a scene should touch the object in each of N grasps, and where."""
+
+    touching: np.ndarray
+    """Links (N, L) that should touch."""
+    target_link: np.ndarray
+    """Where on the link (N, L, 3), link frames, metres; NaN: anywhere."""
+    target_object: np.ndarray
+    """Where on the object (N, L, 3), object frame; NaN: anywhere."""
+    queries: np.ndarray
+    """Narrow-phase queries (N,) that it took to find out."""
+    off_surface: np.ndarray
+    """Smallest loss (N,) in m^2 that targets can have which lie off their surfaces, by their distances from these."""
+    direction: np.ndarray | None = None
+    """Wanted unit normals from link to object (N, L, 3), object frame; NaN: any. None: none is wanted."""
+
+    __repr__ = brief
+
+    @staticmethod
+    def nothing(count: int, links: int) -> Goal:
+        """No link should touch anything."""
+        nowhere = np.full((count, links, 3), np.nan)
+        none = np.zeros((count, links), dtype=bool)
+        return Goal(none, nowhere, nowhere, np.zeros(count, dtype=np.int64), np.zeros(count))
+
+    @property
+    def aimed(self) -> np.ndarray:
+        """Links (N, L) with a target."""
+        return ~np.isnan(self.target_link[..., 0])
+
+
+def goal_of(scene: Scene, touching: Touching, prepared: HandObject | None = None, *, nearest: bool = False) -> Goal:
+    """The goal of a scene: its targets if it has any, else that the links which are near the object touch it.
+
+    Args:
+        scene: Hand, object, grasps and, perhaps, targets.
+        touching: Which links touch where there are no targets.
+        prepared: Of the hand and the object; None: built here.
+        nearest: Without targets, those links should touch at their present witness points, and not just anywhere;
+            links that are not near but should touch in some direction have none.
+    """
+    prepared = prepared or HandObject.of(scene)
+    if scene.target_link is not None and scene.target_object is not None:
+        given = scene.target_link, scene.target_object
+        # A point on one side only is no target.
+        missing = np.logical_or(*(np.isnan(target).any(axis=-1, keepdims=True) for target in given))
+        target_link, target_object = (np.where(missing, np.nan, target) for target in given)
+        none, off = np.zeros(len(scene.q), dtype=np.int64), _off_surface(prepared, target_link, target_object)
+        return Goal(_with_directions(~missing[..., 0], scene), target_link, target_object, none, off, scene.direction)
+    witness, T = _at_start(scene, prepared, touching)
+    chosen = _with_directions(touching.choose(scene.hand, scene.links, witness), scene)
+    target_link, target_object = np.full((2, *chosen.shape, 3), np.nan)
+    if nearest:
+        known = chosen & witness.valid
+        target_link, target_object = nearest_points(witness, T, np.broadcast_to(np.eye(4), T.shape), known)
+    on_surface = np.zeros(len(scene.q))
+    return Goal(chosen, target_link, target_object, witness.asked.sum(axis=1), on_surface, scene.direction)
+
+
+def _with_directions(touching: np.ndarray, scene: Scene) -> np.ndarray:
+    """The links (N, L) that should touch, with those that should do so in some direction."""
+    return touching if scene.direction is None else touching | ~np.isnan(scene.direction[..., 0])
+
+
+def _off_surface(prepared: HandObject, target_link: np.ndarray, target_object: np.ndarray) -> np.ndarray:
+    """Sums (N,) of the squared distances of all targets from the surfaces of their bodies, in m^2."""
+    total = np.zeros(len(target_link))
+    for pairs, target in zip(prepared.points, (target_link, target_object), strict=True):
+        item = np.flatnonzero(~np.isnan(target[..., 0]))
+        T = np.broadcast_to(np.eye(4), (2, len(item), 4, 4)).copy()
+        T[1, :, :3, 3] = target.reshape(-1, 3)[item]
+        found = query_items(pairs, item % target.shape[1], *T)
+        off = np.where(found.valid, (found.distance + POINT) ** 2, 0.0)
+        total += np.bincount(item // target.shape[1], weights=off, minlength=len(total))
+    return total
+
+
+def _at_start(scene: Scene, prepared: HandObject, touching: Touching) -> tuple[Witness, np.ndarray]:
+    """Witness points of the links that may touch, and the poses (N, L, 4, 4) of all, at the initial grasps."""
+    with np.errstate(invalid="ignore"):
+        T = prepared.chain(scene.T_world_root, scene.q).T_world_link
+    cutoff = touching.cutoff(scene.hand, scene.links)
+    return query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=cutoff), T

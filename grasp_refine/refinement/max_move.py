@@ -1,0 +1,64 @@
+"""How far a refinement may take a hand from the grasp that it was given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.core.arguments import check_fields
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import exp_so3, log_so3
+
+
+@dataclass(frozen=True)
+class MaxMove:
+    """The farthest that root and joints may be from where they were given."""
+
+    translation: float = inf
+    """Of the root, in metres."""
+    rotation: float = inf
+    """Of the root, in radians."""
+    joints: float = inf
+    """Of each joint, in radians; of prismatic joints, in metres."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is no distance.
+
+        Raises:
+            GraspRefineError: names the one that is below 0 or no number.
+        """
+        check_fields(self)
+        for name in ("translation", "rotation", "joints"):
+            if not getattr(self, name) >= 0.0:
+                raise GraspRefineError(f"max move: {name} must be at least 0, got {getattr(self, name):g}")
+
+    def kept(
+        self,
+        T: Float[np.ndarray, "M 4 4"],
+        q: Float[np.ndarray, "M n"],
+        T_first: Float[np.ndarray, "M 4 4"],
+        q_first: Float[np.ndarray, "M n"],
+    ) -> tuple[Float[np.ndarray, "M 4 4"], Float[np.ndarray, "M n"]]:
+        """Root poses and joint values that are no farther away: where they are, or on the way there from the first."""
+        q = np.clip(q, q_first - self.joints, q_first + self.joints)
+        if self.translation == inf and self.rotation == inf:
+            return T, q
+        T = T.copy()
+        moved = T[:, :3, 3] - T_first[:, :3, 3]
+        T[:, :3, 3] = T_first[:, :3, 3] + _shortened(moved, self.translation)
+        R_first = T_first[:, :3, :3]
+        turned = log_so3(T[:, :3, :3] @ R_first.mT)
+        short = _shortened(turned, self.rotation)
+        changed = (short != turned).any(axis=1)
+        T[changed, :3, :3] = exp_so3(short[changed]) @ R_first[changed]
+        return T, q
+
+
+def _shortened(vector: Float[np.ndarray, "M 3"], most: float) -> Float[np.ndarray, "M 3"]:
+    """Vectors, those that are longer than the most at that length."""
+    length = np.linalg.norm(vector, axis=1, keepdims=True)
+    far = length > most
+    return np.where(far, most / np.where(far, length, 1.0), 1.0) * vector

@@ -1,0 +1,51 @@
+"""Pregrasps: where a hand waits, open, before it closes to a grasp."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.goal import Goal
+from grasp_refine.refinement.grasp_problem import GraspProblem
+from grasp_refine.refinement.solvers.least_squares import Point, Progress, minimise
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+
+SOLVER = LevenbergMarquardt(iterations=60, restarts=0)
+"""Opening is easy; a grasp that cannot open further need not try for long."""
+
+TOLERANCE = 1e-6
+"""Loss (m^2) at which a hand is open: a single link may lack a tenth of a millimetre, at the weight of penetrations."""
+
+
+def opened(
+    scene: Scene, prepared: HandObject | None = None, progress: Progress | None = None
+) -> tuple[Float[np.ndarray, "N 4 4"], Float[np.ndarray, "N n"]]:
+    """Poses (N, 4, 4) of the base link and joint values (N, n) near the grasps at which the hands are open.
+
+    Every link is at least `CLEARANCE`, or `CLEARANCE_OTHERS`, away from the object and above the table, if there is
+    one, and does not penetrate other links; joints are within their limits. The way there is short, by the root as
+    well as by the joints. Where there is none, as for a finger behind a rim, the best try comes back; of a grasp that
+    is nowhere (`Scene.posed`), NaN.
+
+    Args:
+        scene: Hand, object and grasps; targets mean nothing here.
+        prepared: Of this hand and object, for their pairs; None: built here.
+        progress: As for `minimise`; what it raises ends the search.
+    """
+    prepared = prepared or HandObject.of(scene)
+    goal = Goal.nothing(len(scene.q), len(scene.links))
+    scene = replace(scene, target_link=None, target_object=None, direction=None)
+    config = Config(solver=SOLVER)
+    problem = GraspProblem(scene, goal, config, prepared.gloved)
+    start = Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper))
+    posed = scene.posed
+    status = np.where(posed, Status.RUNNING, Status.INVALID)
+    found = minimise(problem, start, SOLVER, TOLERANCE, status=status, width=config.width, progress=progress).point
+    T, q = np.where(posed[:, None, None], found.T, np.nan), np.where(posed[:, None], found.q, np.nan)
+    return T, q

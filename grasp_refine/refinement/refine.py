@@ -1,0 +1,211 @@
+"""Refinement: hands move until their links touch the object where they should, penetrate nothing, and hold it."""
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from grasp_refine.core.arguments import check_kind
+from grasp_refine.core.array_records import choose, take
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.profiling import stage
+from grasp_refine.core.short_repr import labels, spread, tallied
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.force_closure_search import hold
+from grasp_refine.refinement.goal import Goal, goal_of
+from grasp_refine.refinement.grasp_problem import GraspProblem
+from grasp_refine.refinement.iteration_state import Watch, watched
+from grasp_refine.refinement.solvers.least_squares import Minimum, Point, Progress, minimise
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+
+__all__ = ["Config", "Refinement", "Scene", "refine"]
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """N refined grasps with the account of how they came about."""
+
+    T_world_root: np.ndarray
+    """Poses (N, 4, 4) of the base link: the best iterate of each grasp by true loss; of several attempts to make it
+    hold (`holding`), that of the one with the best quality."""
+    q: np.ndarray
+    """Joint values (N, n)."""
+    touching: np.ndarray
+    """Links (N, L) that were to touch the object."""
+    target_link: np.ndarray
+    """The targets that were used (N, L, 3), link frames; NaN: none."""
+    target_object: np.ndarray
+    """The same on the object (N, L, 3)."""
+    status: np.ndarray
+    """A `Status` for each grasp (N,)."""
+    loss: np.ndarray
+    """Loss in m^2 before and after (N, 2), NaN where it is not known; that of forces is left out."""
+    iterations: np.ndarray
+    """Iterations of each grasp (N,), those of all attempts."""
+    queries: np.ndarray
+    """Narrow-phase queries of each grasp (N,)."""
+    wall_s: np.ndarray
+    """Share of the wall time of each grasp (N,), seconds."""
+    cpu_s: np.ndarray
+    """Share of the CPU time of each grasp (N,), seconds."""
+    starts: np.ndarray
+    """From how many starts each grasp was tried (N,)."""
+
+    def __repr__(self) -> str:
+        ended = tallied(self.labels)
+        return f"Refinement({count_text(len(self.q), 'grasp')}: {ended}; loss now {spread(self.loss[:, 1])} m^2)"
+
+    @property
+    def labels(self) -> np.ndarray:
+        """How each grasp ended (N,), in words: the labels of `status`."""
+        return labels(Status, self.status)
+
+
+@stage("solver")
+def refine(
+    scene: Scene,
+    config: Config | None = None,
+    progress: Progress | None = None,
+    watch: Watch | None = None,
+    *,
+    prepared: HandObject | None = None,
+) -> Refinement:
+    """The grasps of a scene, refined: the best iterate of each, how it ended, and what the loss was and is.
+
+    Args:
+        scene: Hand, object, initial grasps and, optionally, targets.
+        config: All settings; the defaults when None.
+        progress: Called after each iteration.
+        watch: Sees where the hands are after each iteration; what it raises ends the refinement.
+        prepared: Of this hand and object; refining often, a few grasps at a time, build it once.
+
+    Returns:
+        The best iterate of each grasp by true loss. Not converging is a status, never an exception.
+
+    Raises:
+        GraspRefineError: an argument of another kind, a link that should touch is not there, or `prepared` is of
+            another hand or object.
+    """
+    check_kind("scene", scene, Scene)
+    check_kind("config", config, Config | None)
+    check_kind("progress", progress, Progress | None)
+    check_kind("watch", watch, Watch | None)
+    check_kind("prepared", prepared, HandObject | None)
+    wall, cpu = time.perf_counter(), time.process_time()
+    config = config or Config()
+    prepared = prepared or HandObject.of(scene)
+    if prepared.hand is not scene.hand or prepared.object is not scene.object:
+        raise GraspRefineError(
+            f"what is prepared for {prepared.hand.name} and {prepared.object.name} is not for the scene's "
+            f"{scene.hand.name} and {scene.object.name}"
+        )
+    sound, given = scene.sound, scene
+    status = np.where(sound, Status.RUNNING, np.where(scene.finite, Status.INVALID, Status.NOT_FINITE))
+    starts = sound.astype(np.int64)
+    scene = scene.masked(sound)
+    if config.holds and scene.target_link is None and not config.nearest:
+        held = hold(scene, prepared, config, status, progress, watch)
+        goal, found, starts = held.goal, held.minimum, held.starts
+    else:
+        goal = goal_of(scene, config.touching, prepared, nearest=config.nearest)
+        status[sound & ~goal.touching.any(axis=1)] = Status.NO_TARGET
+        solve = _least_squares if isinstance(config.solver, LevenbergMarquardt) else _first_order
+        found = solve(scene, prepared, goal, config, status, progress, watch)
+    unreachable = np.isin(found.status, (Status.STALLED, Status.BUDGET))
+    off_surface = config.weights.contact * goal.off_surface
+    found.status[unreachable & (off_surface > max(config.tolerance, OFF_SURFACE))] = Status.UNREACHABLE
+    hand, count = scene.hand, max(len(scene.q), 1)
+    T = np.where(sound[:, None, None], found.point.T, given.T_world_root)
+    q = np.where(sound[:, None], np.clip(found.point.q, hand.lower, hand.upper), given.q)
+    # What was done for all grasps is shared out evenly.
+    wall, cpu = time.perf_counter() - wall - found.wall_s.sum(), time.process_time() - cpu - found.cpu_s.sum()
+    return Refinement(
+        T_world_root=T,
+        q=q,
+        touching=goal.touching,
+        target_link=goal.target_link,
+        target_object=goal.target_object,
+        status=found.status,
+        loss=np.where(np.isfinite(found.loss), found.loss, np.nan),
+        iterations=found.iterations,
+        queries=goal.queries + found.queries,
+        wall_s=found.wall_s + wall / count,
+        cpu_s=found.cpu_s + cpu / count,
+        starts=starts,
+    )
+
+
+OFF_SURFACE = 1e-8
+"""Targets count as off their surfaces when that alone makes a loss above this, in m^2: a tenth of a millimetre."""
+
+
+WAY = "to the contacts"
+"""What `Glimpse.stage` says of refinements of one stage."""
+
+
+def _least_squares(
+    scene: Scene,
+    prepared: HandObject,
+    goal: Goal,
+    config: Config,
+    status: np.ndarray,
+    progress: Progress | None,
+    watch: Watch | None,
+) -> Minimum:
+    """By Levenberg-Marquardt; with targets, from where inverse kinematics alone comes nearest to them."""
+    problem, solver = GraspProblem(scene, goal, config, prepared), config.solver
+    assert isinstance(solver, LevenbergMarquardt)
+    rows = np.flatnonzero(status == Status.RUNNING)
+    hand = scene.hand
+    given = Point(scene.T_world_root, np.clip(scene.q, hand.lower, hand.upper))
+    limits: dict[str, Any] = {"width": config.width, "seconds": config.seconds, "progress": progress}
+    limits["watch"] = watched(watch, goal, WAY)
+    if not goal.aimed.any():
+        solver = replace(solver, restarts=0)
+        return minimise(problem, given, solver, config.tolerance, status=status, **limits)
+    before, asked = np.full(len(status), np.nan), np.zeros(len(status), dtype=np.int64)
+    for block in np.split(rows, range(config.width, len(rows), config.width)):
+        known = problem.evaluate(block, take(given, block), None)
+        before[block], asked[block] = known.loss, known.asked
+    status = np.where(before < config.tolerance, Status.CONVERGED, status)
+    rows = np.flatnonzero(status == Status.RUNNING)
+    start = Point(given.T.copy(), given.q.copy())
+    reached = problem.reached(rows, take(given, rows))
+    start.T[rows], start.q[rows] = reached.T, reached.q
+    found = minimise(problem, start, solver, config.tolerance, status=status, **limits)
+    # The grasp as it came may still be the best.
+    first = before <= found.loss[:, 1]
+    found.status[first & (found.status == Status.NOT_FINITE)] = Status.STALLED
+    loss = np.stack([before, np.where(first, before, found.loss[:, 1])], axis=1)
+    return replace(found, point=choose(first, given, found.point), loss=loss, queries=found.queries + asked)
+
+
+def _first_order(
+    scene: Scene,
+    prepared: HandObject,
+    goal: Goal,
+    config: Config,
+    status: np.ndarray,
+    progress: Progress | None,
+    watch: Watch | None,
+) -> Minimum:
+    """By descent or Adam."""
+    # With pytorch-kinematics, which takes a second to load.
+    from grasp_refine.refinement.objective import Objective
+    from grasp_refine.refinement.solvers.first_order import descend
+
+    assert not isinstance(config.solver, LevenbergMarquardt)
+    return descend(
+        Objective(scene, goal, config, prepared),
+        Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper)),
+        config.solver,
+        config.tolerance,
+        status=status,
+        progress=progress,
+        watch=watched(watch, goal, WAY),
+    )

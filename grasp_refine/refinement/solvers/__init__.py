@@ -1,0 +1,1 @@
+"""Solvers: Levenberg-Marquardt, normalised gradient descent, Adam."""

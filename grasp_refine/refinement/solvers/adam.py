@@ -1,0 +1,76 @@
+"""Adam (Kingma and Ba 2015) on root pose and joint values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.refinement.solvers.schedule import Schedule
+
+if TYPE_CHECKING:
+    # It takes seconds to load, and options are made of this class.
+    import torch
+
+
+@dataclass(frozen=True)
+class Adam(Schedule):
+    """Steps along the averaged gradient, each component over the root of its averaged square.
+
+    The root's components are those of its body twist. A component whose gradient keeps its sign moves by a whole
+    step length in each iteration.
+    """
+
+    first: float = 0.9
+    """beta_1: share of the last average in the averaged gradient."""
+    second: float = 0.99
+    """beta_2: the same of the averaged squares."""
+
+    def __post_init__(self) -> None:
+        """Refuse averages that never forget.
+
+        Raises:
+            GraspRefineError: beta_1 or beta_2 outside [0, 1), or not one factor for each share.
+        """
+        super().__post_init__()
+        if not (0.0 <= self.first < 1.0 and 0.0 <= self.second < 1.0):
+            raise GraspRefineError(
+                f"adam: first and second must be at least 0 and below 1, got {self.first:g} and {self.second:g}"
+            )
+
+    def memory(self, gradient: torch.Tensor) -> torch.Tensor:
+        """What is remembered at first: no averages, after no steps."""
+        return gradient.new_zeros(len(gradient), 2 * gradient.shape[1] + 1)
+
+    def step(
+        self,
+        T: torch.Tensor,
+        q: torch.Tensor,
+        gradient: torch.Tensor,
+        memory: torch.Tensor,
+        stage: torch.Tensor,
+        lower: torch.Tensor,
+        upper: torch.Tensor,
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """The next root poses, joint values and averages.
+
+        Args:
+            T: Root poses (batch, 4, 4).
+            q: Joint values (batch, n).
+            gradient: Gradient (batch, 6 + n): the root's as a body twist (v, w), then that of the joint values.
+            memory: Averages of gradient and squares, and the number of steps (batch, 2 (6 + n) + 1); zero at first.
+            stage: Stage of the schedule of each grasp (batch,).
+            lower: Lower joint limits (n,); a joint within its limits never leaves them.
+            upper: Upper joint limits (n,).
+        """
+        import torch
+
+        dof = gradient.shape[1]
+        average = self.first * memory[:, :dof] + (1.0 - self.first) * gradient
+        squares = self.second * memory[:, dof : 2 * dof] + (1.0 - self.second) * gradient.square()
+        steps = memory[:, 2 * dof :] + 1.0
+        mean = average / (1.0 - self.first**steps)
+        size = (squares / (1.0 - self.second**steps)).sqrt()
+        direction = torch.where(size > 0, mean / torch.where(size > 0, size, torch.ones_like(size)), 0.0)
+        moved = self.moved(T, q, direction, stage, lower, upper)
+        return *moved, torch.cat([average, squares, steps], dim=1)

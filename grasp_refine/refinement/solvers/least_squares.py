@@ -1,0 +1,337 @@
+"""The loop of Levenberg-Marquardt over a batch: accept, restart, leave when done, and let the next one in.
+
+Members that are done leave the batch at once, and those that wait take their places, so that stragglers seldom run
+alone. What happens to a member does not depend on the others: random numbers are those of the member.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import inf
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from grasp_refine.core.array_records import choose, join, take
+from grasp_refine.core.profiling import stage
+from grasp_refine.core.short_repr import brief
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt, bounded_step
+from grasp_refine.refinement.solvers.status import Status
+
+WIDTH = 2048
+"""Most members that are worked on at once."""
+
+Progress = Callable[[int, int, float], None]
+"""Gets the number of finished members, the iteration, and the mean loss of the members still running."""
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Where members are."""
+
+    T: np.ndarray
+    """Poses (batch, 4, 4) of what moves."""
+    q: np.ndarray
+    """Joint values (batch, n); n may be 0."""
+
+    __repr__ = brief
+
+
+Watch = Callable[[np.ndarray, Point, np.ndarray], None]
+"""Sees members (M,), where they are after an iteration, and their losses (M,); may raise to end it all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Residuals of members and their derivatives."""
+
+    residual: np.ndarray
+    """Residuals (batch, m) that have a derivative."""
+    jacobian: np.ndarray
+    """(batch, m, dof)"""
+    one_sided: np.ndarray | None = None
+    """Rows (batch, m) that count only where they are positive; None: none."""
+
+    __repr__ = brief
+
+    def also(self, weight: float, residual: np.ndarray, jacobian: np.ndarray) -> Linear:
+        """The same with further residuals (batch, k), whose squares count so much."""
+        scale = np.sqrt(weight)
+        one_sided = self.one_sided
+        if one_sided is not None:
+            one_sided = np.concatenate([one_sided, np.zeros(residual.shape, dtype=bool)], axis=1)
+        return Linear(
+            np.concatenate([self.residual, scale * residual], axis=1),
+            np.concatenate([self.jacobian, scale * jacobian], axis=1),
+            one_sided,
+        )
+
+
+@runtime_checkable
+class Evaluated(Protocol):
+    """What a problem knows of members at a point, rows of arrays."""
+
+    loss: np.ndarray
+    """Sum of the squares of all residuals (batch,); NaN where it is not known."""
+    asked: np.ndarray
+    """Narrow-phase queries (batch,)."""
+
+
+@runtime_checkable
+class Problem(Protocol):
+    """Independent least-squares problems of the same form, one for each member."""
+
+    def metric(self, member: np.ndarray) -> np.ndarray:
+        """Diagonals of W (batch, dof): how much a unit of each unknown counts as movement."""
+        ...
+
+    def evaluate(self, member: np.ndarray, point: Point, previous: Any | None) -> Any:
+        """What is known at a point (an `Evaluated`); `previous` is what was known nearby, a help.
+
+        A point whose loss is not below `previous.loss` will be rejected: as soon as that is certain, the loss that is
+        given may be any between the two. It is infinite where a member starts again.
+        """
+        ...
+
+    def linearize(self, member: np.ndarray, point: Point, known: Any, width: np.ndarray) -> Linear:
+        """Residuals and derivatives; `width` (batch,) multiplies the radii of neighbourhoods."""
+        ...
+
+    def room(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of a step (batch, dof), both ways."""
+        ...
+
+    def moved(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
+        """The points after steps (batch, dof)."""
+        ...
+
+    def restarted(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
+        """Other starts of stalled members, the `start`-th (batch,) of each; a function of member and number only."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """What came out for N members."""
+
+    point: Point
+    """The best iterate of each by true loss."""
+    loss: np.ndarray
+    """Loss at the start and at the best iterate (N, 2)."""
+    status: np.ndarray
+    """A `Status` for each (N,)."""
+    iterations: np.ndarray
+    """Iterations (N,), each one collision query."""
+    queries: np.ndarray
+    """Narrow-phase queries (N,)."""
+    cpu_s: np.ndarray
+    """Share of the CPU time (N,), seconds."""
+    wall_s: np.ndarray
+    """Share of the wall time (N,), seconds."""
+
+    __repr__ = brief
+
+
+@dataclass(frozen=True, eq=False)
+class _Slots:
+    """The members that are worked on, one row each."""
+
+    member: np.ndarray
+    point: Point
+    known: Any
+    """What is known at the point."""
+    loss: np.ndarray
+    """Loss there; infinite before a start is evaluated."""
+    trial: Point
+    """The point that is evaluated next."""
+    predicted: np.ndarray
+    """Fall of the loss that is expected there."""
+    damping: np.ndarray
+    rejections: np.ndarray
+    mark: np.ndarray
+    """Loss when there was progress last."""
+    since: np.ndarray
+    """Iterations since then."""
+    starts: np.ndarray
+    """Starts so far."""
+
+
+@stage("solver")
+def minimise(
+    problem: Problem,
+    start: Point,
+    solver: LevenbergMarquardt,
+    tolerance: float,
+    *,
+    status: np.ndarray | None = None,
+    width: int = WIDTH,
+    seconds: float | np.ndarray = inf,
+    progress: Progress | None = None,
+    watch: Watch | None = None,
+) -> Minimum:
+    """Minimise all members.
+
+    Args:
+        problem: What is minimised.
+        start: First points of the N members.
+        solver: Settings.
+        tolerance: A member has converged when its loss is below this.
+        status: Members (N,) with another status than RUNNING are left out.
+        width: Most members that are worked on at once.
+        seconds: A member whose share of the CPU time is above this, a number for all or for each (N,), ends.
+        progress: Called after each iteration with the number of finished members, the iteration, and the mean
+            best loss of those still running.
+        watch: Sees where members are, at their start and after each of their iterations.
+    """
+    count = len(start.T)
+    status = np.full(count, Status.RUNNING) if status is None else status.copy()
+    run = _Run(problem, solver, tolerance, np.broadcast_to(seconds, count), start, status, watch)
+    waiting = np.flatnonzero(run.status == Status.RUNNING)
+    slots: _Slots | None = None
+    iteration = 0
+    while len(waiting) or (slots is not None and len(slots.member)):
+        wall, cpu = time.perf_counter(), time.process_time()
+        members = np.zeros(0, dtype=np.int64) if slots is None else slots.member
+        if slots is not None and len(members):
+            slots = run.judged(slots, problem.evaluate(members, slots.trial, slots.known))
+        free = width - (0 if slots is None else len(slots.member))
+        # A few free places are not worth the copying.
+        if len(waiting) and free >= max(1, min(len(waiting), width // 8)):
+            entering, waiting = waiting[:free], waiting[free:]
+            members = np.concatenate([members, entering])
+            new = run.entered(entering)
+            slots = new if slots is None else join(slots, new)
+        assert slots is not None  # it had members, or some have entered
+        if len(slots.member):
+            slots = run.stepped(slots)
+        share = 1.0 / len(members)
+        run.wall_s[members] += (time.perf_counter() - wall) * share
+        run.cpu_s[members] += (time.process_time() - cpu) * share
+        iteration += 1
+        if progress is not None:
+            known = run.best_loss[members]
+            known = known[np.isfinite(known)]
+            done = count - len(slots.member) - len(waiting)
+            progress(done, iteration, float(known.mean()) if len(known) else 0.0)
+    loss = np.stack([run.first_loss, run.best_loss], axis=1)
+    return Minimum(run.best, loss, run.status, run.iterations, run.queries, run.cpu_s, run.wall_s)
+
+
+class _Run:
+    """The accounts of all members, and the parts of an iteration."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        solver: LevenbergMarquardt,
+        tolerance: float,
+        seconds: np.ndarray,
+        start: Point,
+        status: np.ndarray,
+        watch: Watch | None,
+    ) -> None:
+        count = len(start.T)
+        self.problem, self.solver, self.status, self.watch = problem, solver, status, watch
+        self.tolerance, self.seconds = tolerance, seconds
+        self.best = Point(start.T.copy(), start.q.copy())
+        self.best_loss, self.first_loss = np.full(count, np.inf), np.full(count, np.nan)
+        self.iterations, self.queries = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+        self.cpu_s, self.wall_s = np.zeros(count), np.zeros(count)
+        self.widths = np.array(solver.widths)
+        # The best loss when it fell notably last, and at which iteration.
+        self.best_mark, self.best_at = np.full(count, np.inf), np.zeros(count, dtype=np.int64)
+
+    def entered(self, member: np.ndarray) -> _Slots:
+        """Slots of the members that begin, without those that end at once."""
+        point = take(self.best, member)
+        known = self.problem.evaluate(member, point, None)
+        self.first_loss[member] = known.loss
+        M = len(member)
+        never, none = np.full(M, np.inf), np.zeros(M, dtype=np.int64)
+        slots = _Slots(
+            member, point, known, never, point, np.zeros(M), np.full(M, self.solver.damping), none, never, none, none
+        )
+        return self.judged(slots, known)
+
+    def judged(self, slots: _Slots, known: Any) -> _Slots:
+        """The slots after their trials were evaluated, without those that end; stalled ones start again."""
+        solver, member = self.solver, slots.member
+        self.iterations[member] += 1
+        self.queries[member] += known.asked
+        starting = np.isinf(slots.loss)
+        accepted = known.loss < slots.loss
+        fall = np.where(starting, 0.0, slots.loss) - known.loss
+        # Nothing was predicted of a start; a floor at the smallest number would overflow.
+        ratio = fall / np.maximum(slots.predicted, 1e-200)
+        damping = np.where(starting, slots.damping, solver.adapted(slots.damping, accepted, ratio))
+        loss = np.where(accepted, known.loss, slots.loss)
+        better = np.flatnonzero(loss < self.best_loss[member])
+        self.best_loss[member[better]] = loss[better]
+        self.best.T[member[better]], self.best.q[member[better]] = slots.trial.T[better], slots.trial.q[better]
+        progressed = loss < (1.0 - solver.progress) * slots.mark
+        since = np.where(progressed, 0, slots.since + 1)
+        slots = _Slots(
+            member,
+            choose(accepted, slots.trial, slots.point),
+            choose(accepted, known, slots.known),
+            loss,
+            slots.trial,
+            slots.predicted,
+            damping,
+            np.where(starting, 0, slots.rejections + ~accepted),
+            np.where(progressed, loss, slots.mark),
+            since,
+            slots.starts + starting,
+        )
+        if self.watch is not None:
+            self.watch(member, slots.point, loss)
+        more = (slots.starts <= solver.restarts) & (self.best_loss[member] >= solver.good)
+        patience = np.where(more, solver.patience, solver.last_patience)
+        stuck = (since >= patience) | (damping > solver.largest) | np.isinf(loss)
+        again = stuck & more
+        best = self.best_loss[member]
+        fell = best < (1.0 - solver.progress) * self.best_mark[member]
+        self.best_mark[member[fell]], self.best_at[member[fell]] = best[fell], self.iterations[member[fell]]
+        spent = (self.iterations[member] >= solver.iterations) | (self.cpu_s[member] >= self.seconds[member])
+        idle = self.iterations[member] - self.best_at[member] >= solver.last_patience
+        ends = (
+            (spent, Status.BUDGET),
+            ((stuck & ~again) | (spent & idle), Status.STALLED),
+            (np.isinf(self.best_loss[member]), Status.NOT_FINITE),
+            (self.best_loss[member] < self.tolerance, Status.CONVERGED),
+        )
+        for mask, status in ends:
+            self.status[member[mask]] = status
+        ended = np.logical_or.reduce([mask for mask, _ in ends])
+        again = np.flatnonzero(again & ~ended)
+        if len(again):
+            slots = self._restarted(slots, again)
+        return take(slots, ~ended) if ended.any() else slots
+
+    def _restarted(self, slots: _Slots, rows: np.ndarray) -> _Slots:
+        """The same slots with other starts in some rows."""
+        member = slots.member[rows]
+        trial = self.problem.restarted(member, slots.starts[rows], take(self.best, member), take(slots.point, rows))
+        T, q, loss, mark = (array.copy() for array in (slots.trial.T, slots.trial.q, slots.loss, slots.mark))
+        damping, since = slots.damping.copy(), slots.since.copy()
+        T[rows], q[rows], loss[rows], mark[rows] = trial.T, trial.q, np.inf, np.inf
+        damping[rows], since[rows] = self.solver.damping, 0
+        known = replace(slots.known, loss=np.where(np.isinf(loss), np.inf, slots.known.loss))
+        return replace(slots, known=known, trial=Point(T, q), loss=loss, mark=mark, damping=damping, since=since)
+
+    def stepped(self, slots: _Slots) -> _Slots:
+        """The slots with their next trials."""
+        problem, member = self.problem, slots.member
+        width = self.widths[slots.rejections % len(self.widths)]
+        linear = problem.linearize(member, slots.point, slots.known, width)
+        lower, upper = problem.room(member, slots.point)
+        dx, predicted = bounded_step(
+            linear.jacobian, linear.residual, slots.damping, problem.metric(member), lower, upper, linear.one_sided
+        )
+        trial = problem.moved(member, slots.point, dx)
+        starting = np.isinf(slots.loss)
+        if starting.any():
+            trial = choose(starting, slots.trial, trial)
+        return replace(slots, trial=trial, predicted=predicted)

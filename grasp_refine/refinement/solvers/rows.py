@@ -1,0 +1,76 @@
+"""Rows of a least-squares problem: residuals with their covectors on the twists of links, stacked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from grasp_refine.hands.chain import Chain, Frames
+from grasp_refine.refinement.solvers.least_squares import Linear
+
+NEAR = 0.006
+"""Depths from minus this (metres) on may become positive within a step."""
+
+
+class Rows:
+    """Residuals of M grasps with their covectors on the twists of links, stacked."""
+
+    def __init__(self, count: int) -> None:
+        """No rows of `count` grasps yet."""
+        self.residuals = [np.zeros((count, 0))]
+        self.covectors = [np.zeros((count, 0, 6))]
+        self.links = [np.zeros((count, 0), dtype=np.int64)]
+        self.minus = [np.zeros((count, 0), dtype=np.int64)]
+        self.one_sided = [np.zeros((count, 0), dtype=bool)]
+        self.relative = False
+
+    def add(self, residual: np.ndarray, covector: np.ndarray, weight: float, link: np.ndarray) -> None:
+        """Residuals (M, C, k) of the links (C,), with their covectors (M, C, k, 6)."""
+        M, C, k = residual.shape
+        scale = np.sqrt(weight)
+        self.residuals.append(scale * residual.reshape(M, C * k))
+        self.covectors.append(scale * covector.reshape(M, C * k, 6))
+        self.links.append(np.broadcast_to(np.repeat(link, k), (M, C * k)))
+        self.minus.append(np.full((M, C * k), -1))
+        self.one_sided.append(np.zeros((M, C * k), dtype=bool))
+
+    def add_one_sided(
+        self,
+        depth: np.ndarray,
+        covector: np.ndarray,
+        weight: float,
+        link: np.ndarray | None = None,
+        minus: np.ndarray | None = None,
+    ) -> None:
+        """Depths (M, P) with covectors (M, P, 6) that count where they are positive, as few rows as hold what is near.
+
+        Args:
+            depth: Depths in metres, negative: how far there is to go; -inf where that does not matter.
+            covector: Their covectors on the twists of the links.
+            weight: Of their squares.
+            link: Places (P,) of the links; None: 0 to P - 1.
+            minus: Places (P,) of the links whose twists are taken off.
+        """
+        near = depth > -NEAR
+        most = int(near.sum(axis=1).max(initial=0))
+        if not most:
+            return
+        place = np.argsort(~near, axis=1, kind="stable")[:, :most]
+        chosen = np.take_along_axis(near, place, axis=1)
+        scale = np.sqrt(weight)
+        picked = np.take_along_axis(depth, place, axis=1)
+        self.residuals.append(scale * np.where(chosen, picked, -NEAR))
+        picked = np.take_along_axis(covector, place[..., None], axis=1)
+        self.covectors.append(scale * np.where(chosen[..., None], picked, 0.0))
+        self.links.append(place if link is None else link[place])
+        self.minus.append(np.full(place.shape, -1) if minus is None else minus[place])
+        self.one_sided.append(np.ones(place.shape, dtype=bool))
+        self.relative |= minus is not None
+
+    def pulled(self, chain: Chain, frames: Frames) -> Linear:
+        """All rows, as functions of root twist and joint values."""
+        parts = self.residuals, self.covectors, self.links, self.minus, self.one_sided
+        residual, covector, link, minus, one_sided = (np.concatenate(part, axis=1) for part in parts)
+        J = chain.pull(frames, covector, link)
+        if self.relative:
+            J -= chain.pull(frames, np.where(minus[..., None] >= 0, covector, 0.0), np.maximum(minus, 0))
+        return Linear(residual, J, one_sided if one_sided.any() else None)

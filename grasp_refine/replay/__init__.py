@@ -1,1 +1,0 @@
-"""Simulations to be looked at: recorded, exported to any MuJoCo, drawn."""

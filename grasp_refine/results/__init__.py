@@ -1,0 +1,1 @@
+"""Results of refinements: measures, tables, result files and JSON documents."""

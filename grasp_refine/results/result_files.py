@@ -1,0 +1,216 @@
+"""Result files: refined grasps in the format of grasp files, with their contacts, measures and provenance."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.json_files import dumps
+from grasp_refine.core.npz_files import load_npz
+from grasp_refine.core.short_repr import labels
+from grasp_refine.grasps.formats.folders import UNUSUAL
+from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Stage, Targets, save_npz
+from grasp_refine.hands.hand import Hand
+from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.results.outcome import Outcome
+from grasp_refine.validation.motion import STAGES
+from grasp_refine.validation.trials import Reason, Trials
+
+
+def result_paths(folder: Path, hand: str, objects: tuple[str, ...]) -> dict[str, Path]:
+    """Object name -> path of its result file, <hand>_<object>.npz with whatever is unusual in a name replaced."""
+    paths: dict[str, Path] = {}
+    for name in objects:
+        stem = UNUSUAL.sub("_", f"{hand}_{name}")
+        while folder / f"{stem}.npz" in paths.values():
+            stem += "_"
+        paths[name] = folder / f"{stem}.npz"
+    return paths
+
+
+def save_results(
+    path: Path,
+    hand: Hand,
+    links: tuple[str, ...],
+    outcome: Outcome,
+    provenance: Mapping[str, Any],
+    proof: tuple[Trials, Trials] | None = None,
+) -> None:
+    """Write the grasps of one object, whole or not at all, as a grasp file that holds more.
+
+        initial_pose, initial_q             (N, 7), (N, n)  the grasps before refinement, as hand_pose and q
+        contact_link                        (K,)       links that should touch in any of the grasps
+        contact_point_link                  (N, K, 3)  witness point on the link, link frame, metres
+        contact_point_object                (N, K, 3)  the same on the object, object frame
+        contact_normal                      (N, K, 3)  unit normal from link to object, object frame
+        contact_distance                    (N, K)     signed distance, metres
+        contact_error_before, _after        (N,)       worst of gap and target misses, metres
+        contact_error_mean_before, _after   (N,)       their mean over the contacts, metres
+        penetration_before, _after          (N,)       deepest of all links, metres
+        self_penetration_before, _after     (N,)       deepest of links in each other, metres
+        wrench_residual_before, _after      (N,)       what contact forces leave unbalanced, without unit
+        quality_before, _after              (N,)       `Quality.value`, from 0 to 1
+        starts                              (N,)       from how many starts the grasp was tried
+        status                              (N,)       how the refinement ended
+        iterations                          (N,)
+        queries                             (N,)       narrow-phase queries
+        loss                                (N,)       after refinement, m^2
+        limits_violated                     (N,)       joint values beyond their limits
+        moved_palm_m, _palm_rad, _joints_rad (N,)      how far base link and joints were moved, metres and radians
+        wall_s, cpu_s                       (N,)       share of the time of the refinement, seconds
+        provenance                          ()         JSON: versions, seed, config, source, hand, objects, index, row
+
+    and where grasps were simulated, of the direction that was worst for each, before and after
+
+        simulation_before, _after                (N,)  whether the grasp held, in all directions
+        simulation_reason_before, _after         (N,)  why it did not
+        simulation_direction_before, _after      (N,)  the direction
+        simulation_displacement_m_before, _after (N,)  how far the object was moved at the end
+        simulation_angle_rad_before, _after      (N,)  how far it was turned
+
+    NaN stands where a grasp has no such contact or target, and for the stages of one that could not be refined.
+
+    Args:
+        path: The file.
+        hand: The hand.
+        links: Its links with collision geometry, as in `Scene.links`.
+        outcome: The grasps.
+        provenance: Where they come from.
+        proof: What simulation said of them before and after, if it was asked.
+
+    Raises:
+        GraspFileError: the file cannot be written.
+    """
+    aimed = np.flatnonzero(~np.isnan(outcome.target_link[..., 0]).all(axis=0))
+    names = tuple(links[k] for k in aimed)
+    touching = np.flatnonzero(outcome.touching.any(axis=0))
+    targets = Targets(names, outcome.target_link[:, aimed], outcome.target_object[:, aimed]) if names else None
+    grasps = GraspSet(
+        hand=hand.name,
+        base_link=hand.base_link,
+        joint_names=hand.joint_names,
+        object=outcome.object,
+        scale=outcome.scale,
+        hand_pose=outcome.hand_pose,
+        q=outcome.q,
+        targets=targets,
+        **{
+            name: Stage(outcome.stage_pose[:, at], outcome.stage_q[:, at])
+            for at, name in enumerate(STAGES)
+            if name in OTHER_STAGES
+        },
+    )
+    error, mean = outcome.worst_error, outcome.mean_error
+    save_npz(
+        path,
+        {
+            **grasps.arrays(),
+            "initial_pose": outcome.initial_pose,
+            "initial_q": outcome.initial_q,
+            "contact_link": np.array([links[k] for k in touching], dtype=str),
+            "contact_point_link": outcome.contact_link[:, touching],
+            "contact_point_object": outcome.contact_object[:, touching],
+            "contact_normal": outcome.contact_normal[:, touching],
+            "contact_distance": outcome.contact_distance[:, touching],
+            "contact_error_before": error[:, 0],
+            "contact_error_after": error[:, 1],
+            "contact_error_mean_before": mean[:, 0],
+            "contact_error_mean_after": mean[:, 1],
+            "penetration_before": outcome.penetration[:, 0],
+            "penetration_after": outcome.penetration[:, 1],
+            "self_penetration_before": outcome.self_penetration[:, 0],
+            "self_penetration_after": outcome.self_penetration[:, 1],
+            "wrench_residual_before": outcome.wrench_residual[:, 0],
+            "wrench_residual_after": outcome.wrench_residual[:, 1],
+            "quality_before": outcome.quality[:, 0],
+            "quality_after": outcome.quality[:, 1],
+            "starts": outcome.starts,
+            "status": labels(Status, outcome.status),
+            "iterations": outcome.iterations,
+            "queries": outcome.queries,
+            "limits_violated": outcome.limits_violated,
+            "moved_palm_m": outcome.palm_m,
+            "moved_palm_rad": outcome.palm_rad,
+            "moved_joints_rad": outcome.joints_rad,
+            "wall_s": outcome.wall_s,
+            "cpu_s": outcome.cpu_s,
+            **(_simulated("before", proof[0]) | _simulated("after", proof[1]) if proof is not None else {}),
+            "loss": np.where(np.isfinite(outcome.loss[:, 1]), outcome.loss[:, 1], np.nan),
+            "provenance": np.array(dumps({**provenance, "index": outcome.index, "row": outcome.row})),
+        },
+    )
+
+
+def _simulated(when: str, trials: Trials) -> dict[str, np.ndarray]:
+    """The entries of what simulation said of N grasps; the worst direction stands for each."""
+    rows, worst = np.arange(len(trials)), trials.worst
+    return {
+        f"simulation_{when}": trials.success,
+        f"simulation_reason_{when}": labels(Reason, trials.reason[rows, worst]),
+        f"simulation_direction_{when}": np.array(trials.directions)[worst],
+        f"simulation_displacement_m_{when}": trials.displacement_m[rows, worst],
+        f"simulation_angle_rad_{when}": trials.angle_rad[rows, worst],
+    }
+
+
+def fingerprint(path: Path) -> dict[str, str]:
+    """Path and sha256 of a file, for provenance; of a folder, that of the names and hashes of all files in it."""
+    if path.is_dir():
+        files = sorted(file for file in path.rglob("*") if file.is_file())
+        listing = [f"{file.relative_to(path).as_posix()} {_sha256(file.read_bytes())}\n" for file in files]
+        return {"path": str(path), "sha256": _sha256("".join(listing).encode())}
+    return {"path": str(path), "sha256": _sha256(path.read_bytes())}
+
+
+def read_provenance(path: Path) -> dict[str, Any]:
+    """Provenance of the grasps in a result file; empty: it is another grasp file.
+
+    Raises:
+        GraspFileError: it is damaged.
+    """
+    if path.suffix != ".npz":
+        return {}
+    text = str(load_npz(path, only=("provenance",)).entries.get("provenance", ""))
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def recorded_urdf(path: Path) -> str | None:
+    """sha256 of the URDF that the grasps in a result file were refined with; None: it is another grasp file.
+
+    Raises:
+        GraspFileError: it is damaged.
+    """
+    urdf = read_provenance(path).get("urdf")
+    found = urdf.get("sha256") if isinstance(urdf, dict) else None
+    return found if isinstance(found, str) else None
+
+
+def is_same_refinement(path: Path, stamp: str, protocol: Any) -> bool:
+    """Whether a file holds what will be written: the same grasps, refined in the same way.
+
+    Only what simulation says of them may be added; it differs where the protocol does.
+
+    Args:
+        path: The file.
+        stamp: Hash of all that the refined grasps depend on.
+        protocol: Settings of the simulation; None: there is none.
+    """
+    try:
+        found = read_provenance(path) if path.is_file() else {}
+        return found.get("stamp") == stamp and found["config"]["protocol"] in (None, json.loads(dumps(protocol)))
+    except (GraspFileError, LookupError, TypeError):
+        return False
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()

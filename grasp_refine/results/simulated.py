@@ -1,0 +1,104 @@
+"""What simulation says of grasps before and after their refinement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+from rich.text import Text
+
+from grasp_refine.results.verdict import Agreement, held_line, should_hold
+from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.trials import Reason, Trials
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """The same N grasps in simulation, as they came and refined."""
+
+    protocol: Protocol
+    """How they were simulated."""
+    before: Trials
+    """The grasps as they came."""
+    closing: Mapping[str, str]
+    """Whose pregrasps and squeezes were simulated before: stage -> "file" or "own"."""
+    after: Trials
+    """The refined grasps, with pregrasps and squeezes of their own."""
+
+    @property
+    def held(self) -> Bool[np.ndarray, "N 2"]:
+        """Which grasps held, before and after (N, 2)."""
+        return np.stack([self.before.success, self.after.success], axis=1)
+
+
+def reason_lines(trials: Trials, protocol: Protocol) -> list[Text]:
+    """How many grasps failed for which reason."""
+    worst = trials.reason[np.arange(len(trials)), trials.worst]
+    return [
+        Text.assemble((f"{(worst == reason).sum()} {reason.label}", "red"), f": {reason.meaning(protocol)}")
+        for reason in list(Reason)[1:]
+        if (worst == reason).any()
+    ]
+
+
+def closing_line(owners: Mapping[str, str]) -> Text:
+    """Whose pregrasps and squeezes were simulated: stage -> "file" or "own"."""
+    words = {"file": "of the file", "own": "our own"}
+    if len(set(owners.values())) == 1:
+        return Text(f"pregrasps and squeezes are {words[owners['squeeze']]}")
+    return Text(f"pregrasps are {words[owners['pregrasp']]}, squeezes {words[owners['squeeze']]}")
+
+
+def proof_lines(proof: Proof, quality: np.ndarray) -> list[Text]:
+    """How many grasps held before and after, why the others did not, and what their quality (N, 2) had said."""
+    before, after = proof.held.T
+    changed = int((after & ~before).sum()), int((before & ~after).sum())
+    return [
+        held_line(proof.protocol.name, (int(before.sum()), int(after.sum())), *changed, len(after)),
+        *reason_lines(proof.after, proof.protocol),
+        Agreement.of(should_hold(quality[:, 0]), before).line("before, "),
+        Agreement.of(should_hold(quality[:, 1]), after).line("after, "),
+    ]
+
+
+def closings_line(proof: Proof) -> Text:
+    """Whose pregrasps and squeezes were simulated before and after."""
+    return Text("before, ").append(closing_line(proof.closing)).append("; after, they are our own")
+
+
+def simulation_entry(trials: Trials, i: int, protocol: Protocol) -> dict[str, Any]:
+    """What simulation says of one grasp, for JSON; SI units."""
+    worst = trials.worst[i]
+    directions = [
+        {
+            "direction": direction,
+            "reason": Reason(trials.reason[i, d]).label,
+            "time_s": trials.time_s[i, d],
+            "displacement_m": trials.displacement_m[i, d],
+            "angle_rad": trials.angle_rad[i, d],
+            "peak_m": trials.peak_m[i, d],
+            "peak_rad": trials.peak_rad[i, d],
+            "contacts": _names(trials, trials.contacts[i, d]),
+        }
+        for d, direction in enumerate(trials.directions)
+    ]
+    return {
+        "setting": protocol.name,
+        "success": trials.success[i],
+        **directions[worst],
+        "directions": directions,
+        "closing": {
+            "displacement_m": trials.closing_m[i],
+            "angle_rad": trials.closing_rad[i],
+            "pregrasp_penetration_m": trials.penetration_m[i],
+            "contacts_grasp": _names(trials, trials.contacts_grasp[i]),
+            "contacts_squeeze": _names(trials, trials.contacts_squeeze[i]),
+        },
+    }
+
+
+def _names(trials: Trials, touching: np.ndarray) -> list[str]:
+    return [trials.links[link] for link in np.flatnonzero(touching)]

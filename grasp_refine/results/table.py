@@ -1,0 +1,274 @@
+"""The table that a person reads after a refinement: millimetres and degrees, before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Group, RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from grasp_refine.core.plurals import count_text
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.results.outcome import Outcome
+from grasp_refine.results.simulated import Proof, closings_line, proof_lines
+from grasp_refine.results.verdict import estimate_line, made_to_hold, should_hold, slip_advice, status_advice
+
+LONGEST = 40
+"""Most grasps that are all listed without being asked for; of more, only the worst are."""
+WORST = 10
+
+_COLORS = {
+    Status.CONVERGED: "green",
+    Status.STALLED: "yellow",
+    Status.BUDGET: "yellow",
+    Status.NO_TARGET: "red",
+    Status.NOT_FINITE: "red",
+    Status.UNREACHABLE: "red",
+    Status.INVALID: "red",
+}
+NEGLIGIBLE = 1e-5
+"""Errors and depths below this (metres) are not worth mentioning."""
+
+BALANCED = 1e-3
+"""Wrench residuals below this are not worth mentioning."""
+
+MANY = 12
+"""Most grasps of an object that are listed by number in a line."""
+
+NONE = "-"
+"""Stands for what there is none of."""
+
+
+def grasp_table(
+    outcome: Outcome, hand: str, config: Config, proof: Proof | None = None, *, verbose: bool = False
+) -> RenderableType:
+    """Tables of all grasps by object, medians, and a verdict; of many grasps only the worst, unless `verbose`.
+
+    The verdict on each is whether it held, where it was simulated; else, where grasps were made to hold, what their
+    quality lets expect; elsewhere it is how the refinement ended.
+
+    Args:
+        outcome: The grasps before and after.
+        hand: The hand's name.
+        config: How they were refined.
+        proof: The same grasps in simulation; None: not simulated.
+        verbose: Whether all are listed.
+    """
+    holds, held = made_to_hold(outcome, config), None if proof is None else proof.held
+    objects = list(dict.fromkeys(outcome.object.tolist()))
+    parts: list[RenderableType] = []
+    for name in objects:
+        rows = np.flatnonzero(outcome.object == name)
+        of_object = outcome.select(rows)
+        parts += [
+            _object_table(of_object, f"{hand} on {name}", holds, None if held is None else held[rows], verbose),
+            "",
+        ]
+    if len(objects) > 1:
+        total = _table(f"all {len(objects)} objects: {count_text(len(outcome), 'grasp')}", "")
+        _add_summary(total, outcome)
+        parts += [total, ""]
+    lines = [_converged(outcome, config), _holding(outcome, config, held)]
+    lines = lines[::-1] if holds else lines
+    if proof is not None:
+        lines = [proof_lines(proof, outcome.quality), *lines]
+    parts += [line for part in lines for line in part]
+    return Group(*parts, *_account(outcome), *([] if proof is None else [closings_line(proof)]))
+
+
+def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | None, verbose: bool) -> Table:
+    shown, title = np.arange(len(outcome)), f"{what}: {count_text(len(outcome), 'grasp')}"
+    if len(outcome) > LONGEST and not verbose:
+        # Grasps without a result come first, then those that did not hold, then the farthest from what was wanted.
+        errors = np.fmax(outcome.worst_error[:, 1], outcome.penetration[:, 1])
+        badness = -outcome.quality[:, 1] if holds else errors
+        good = np.zeros(len(outcome)) if held is None else held[:, 1]
+        shown = np.lexsort((-np.nan_to_num(badness), good, outcome.usable))[:WORST]
+        title += f", the worst {WORST} (--verbose: all)"
+    table = _table(title, " held in\n simulation" if held is not None else "\n estimate" if holds else "\n status")
+    for i in shown:
+        table.add_row(*_row(outcome, int(i), holds, held))
+    if len(outcome) > 1:
+        table.add_section()
+        _add_summary(table, outcome)
+    return table
+
+
+def plain_table(title: str, between: int = 1) -> Table:
+    """An empty table with one rule below its heads, and so much space more than one between its columns."""
+    return Table(
+        title=escape(title),
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        padding=(0, between, 0, 0),
+        header_style="dim",
+    )
+
+
+def _table(title: str, last: str) -> Table:
+    table = plain_table(title, between=0)
+    table.add_column("\n grasp", justify="right", no_wrap=True)
+    table.add_column("contact error\nmm, worst", justify="center", no_wrap=True)
+    table.add_column("penetration\nmm, worst", justify="center", no_wrap=True)
+    table.add_column("palm moved\nmm   deg", justify="right", no_wrap=True)
+    table.add_column("joints\ndeg", justify="right", no_wrap=True)
+    table.add_column("\nquality", justify="center", no_wrap=True)
+    table.add_column(last, no_wrap=True)
+    return table
+
+
+def _row(outcome: Outcome, i: int, holds: bool, held: np.ndarray | None) -> list[RenderableType]:
+    return [
+        str(outcome.index[i]),
+        _change(outcome.worst_error[i] * 1e3),
+        _change(outcome.penetration[i] * 1e3),
+        _moved(outcome.palm_m[i], outcome.palm_rad[i]),
+        number_text(np.degrees(outcome.joints_rad[i]), 1),
+        _graded(outcome.quality[i]),
+        Text(" ").append(_said(outcome, i, holds, held)),
+    ]
+
+
+def _said(outcome: Outcome, i: int, holds: bool, held: np.ndarray | None) -> Text:
+    """The verdict on a grasp; see `grasp_table`."""
+    status = Status(outcome.status[i])
+    if held is not None:
+        before, after = ("yes" if each else "no" for each in held[i])
+        return Text.assemble(f"{before:>3} → ", (after, "green" if held[i, 1] else "red"))
+    if holds and outcome.usable[i]:
+        good = should_hold(outcome.quality[i])[1]
+        return Text("should hold", "green") if good else Text("may slip", "yellow")
+    return Text(status.label, _COLORS.get(status, ""))
+
+
+def _add_summary(table: Table, outcome: Outcome) -> None:
+    """Rows of medians and of worst values."""
+    for word, of, of_quality in (("median", np.median, np.median), ("worst", np.max, np.min)):
+        table.add_row(
+            word,
+            _change(_over(of, outcome.worst_error) * 1e3),
+            _change(_over(of, outcome.penetration) * 1e3),
+            _moved(_over(of, outcome.palm_m), _over(of, outcome.palm_rad)),
+            number_text(np.degrees(_over(of, outcome.joints_rad)), 1),
+            _graded(_over(of_quality, outcome.quality)),
+            style="bold" if word == "median" else "",
+        )
+
+
+def _over(of: Callable[..., Any], values: np.ndarray) -> Any:
+    """A statistic over the grasps that have a value, a number or one per column; NaN where none has."""
+    columns = values.reshape(len(values), -1).T
+    kept = [column[~np.isnan(column)] for column in columns.astype(float)]
+    return np.array([of(column) if len(column) else np.nan for column in kept]).reshape(values.shape[1:])[()]
+
+
+def _holding(outcome: Outcome, config: Config, held: np.ndarray | None) -> list[Text]:
+    """What quality lets expect, where nothing was simulated, and what can be done about grasps that may slip."""
+    before, after = (should_hold(quality) for quality in outcome.quality.T)
+    slips, how = outcome.usable & ~after, "may slip"
+    lines = []
+    if held is None:
+        lines.append(estimate_line(int(after.sum()), int(before.sum()), len(outcome)))
+    else:
+        slips, how = slips & ~held[:, 1], f"did not hold and {'has' if slips.sum() == 1 else 'have'} a low quality"
+    if slips.any():
+        advice = slip_advice(outcome, config)
+        lines.append(Text.assemble((f"{slips.sum()} {how}", "yellow"), f"{_which(outcome, slips)}: {advice}"))
+    return lines
+
+
+def _converged(outcome: Outcome, config: Config) -> list[Text]:
+    """How many converged, and what can be done about the others."""
+    converged = int((outcome.status == Status.CONVERGED).sum())
+    color = "green" if converged == len(outcome) else "yellow"
+    lines = [Text.assemble((f"{converged} of {count_text(len(outcome), 'grasp')} converged", color))]
+    for status in Status:
+        count = int((outcome.status == status).sum())
+        advice = status_advice(status, outcome, config)
+        if count and advice:
+            which = _which(outcome, outcome.status == status)
+            lines.append(Text.assemble((f"{count} {status.label}", _COLORS[status]), f"{which}: {advice}"))
+    return lines
+
+
+def _which(outcome: Outcome, which: np.ndarray) -> str:
+    """Which grasps, in brackets, unless they are many."""
+    return f" ({numbers_text(outcome.object, outcome.index, which)})" if which.sum() <= MANY else ""
+
+
+def _account(outcome: Outcome) -> list[Text]:
+    """What became better, and what it cost."""
+    measures = (
+        ("wrench residual", outcome.wrench_residual, BALANCED, 1.0, ""),
+        ("contact error", outcome.worst_error, NEGLIGIBLE, 1e3, " mm"),
+        ("penetration", outcome.penetration, NEGLIGIBLE, 1e3, " mm"),
+        ("self-penetration", outcome.self_penetration, NEGLIGIBLE, 1e3, " mm"),
+    )
+    changes = [
+        _improvement(name, values[outcome.usable], least, factor, unit)
+        for name, values, least, factor, unit in measures
+    ]
+    lines = [Text(change) for change in changes if change]
+    starts = [] if (outcome.starts <= 1).all() else [(outcome.starts, "starts", "{:.0f}".format)]
+    costs = (*starts, (outcome.iterations, "iterations", "{:.0f}".format), (outcome.wall_s, "", _seconds))
+    told = (f"{say(_over(np.median, values))} / {say(values.max())} {unit}".rstrip() for values, unit, say in costs)
+    return [*lines, Text(f"a grasp took {', '.join(told)} (median / most)")]
+
+
+def _improvement(name: str, values: np.ndarray, negligible: float, factor: float, unit: str) -> str:
+    """In how many grasps a measure (N, 2) fell or rose, if it was or is anywhere worth mentioning."""
+    known = values[np.isfinite(values).all(axis=1)]
+    relevant = known[(known > negligible).any(axis=1)]
+    if not len(relevant):
+        return ""
+    change = relevant[:, 1] - relevant[:, 0]
+    counts = (("fell", int((change < 0).sum())), ("rose", int((change > 0).sum())))
+    said = " and ".join(f"{verb} in {count}" for verb, count in counts if count) or "stayed in 0"
+    mean = " → ".join(number_text(value * factor, 3) for value in known.mean(axis=0))
+    return f"{name} {said} of {count_text(len(relevant), 'grasp')} with any; mean {mean}{unit}"
+
+
+def numbers_text(objects: np.ndarray, index: np.ndarray, which: np.ndarray) -> str:
+    """Which grasps (N,): their numbers, of many the first ones; by object where there are several."""
+    names = list(dict.fromkeys(objects.tolist()))
+    parts = []
+    for name in names:
+        numbers = [str(number) for number in index[which & (objects == name)]]
+        if numbers:
+            more = f" and {len(numbers) - MANY} more" if len(numbers) > MANY else ""
+            parts.append((f"{name} " if len(names) > 1 else "") + ", ".join(numbers[:MANY]) + more)
+    return "; ".join(parts)
+
+
+def _change(values: np.ndarray) -> str:
+    before, after = (number_text(value, 2 if value < 99.995 else 1) for value in values)
+    return f"{before:>5} → {after:<4}"
+
+
+def _graded(values: np.ndarray) -> Text:
+    """Quality before and after, coloured by whether the grasp should hold."""
+    before, after = (number_text(value, 3) for value in values)
+    return Text.assemble(f"{before:>5} → ", (f"{after:<5}", "green" if should_hold(values)[1] else "yellow"))
+
+
+def _moved(metres: float, radians: float) -> str:
+    return f"{number_text(metres * 1e3, 1):>5} {number_text(np.degrees(radians), 1):>5}"
+
+
+def number_text(value: float, digits: int) -> str:
+    """A number with so many digits after the point, or what stands for none."""
+    return f"{value:.{digits}f}" if np.isfinite(value) else NONE
+
+
+def _seconds(value: float) -> str:
+    if value < 0.0995:
+        return f"{1e3 * value:.0f} ms"
+    return f"{value:.2f} s" if value < 9.995 else f"{value:.0f} s"

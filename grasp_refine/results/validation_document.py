@@ -1,0 +1,208 @@
+"""The JSON document of validated grasps, and the same as a flat table for CSV and Parquet; SI units."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.json_files import SCHEMA, save_bytes, save_text
+from grasp_refine.core.names import to_cell
+from grasp_refine.core.versions import versions
+from grasp_refine.results.simulated import simulation_entry
+from grasp_refine.results.verdict import should_hold
+from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.validate import Validated
+
+QUANTILES = {0.5: "median", 0.9: "90 %", 1.0: "worst"}
+"""Which quantiles of displacements are told, and what they are called."""
+
+ABSENT = ("status", "advice", "iterations", "queries", "contact_error_m", "moved", "starts")
+"""Keys of the entries of `run` that validation has nothing to say about."""
+
+TABLES = (".csv", ".parquet")
+"""Endings of the names of flat tables."""
+
+
+def validate_document(
+    parts: Sequence[Validated],
+    files: Sequence[Path],
+    *,
+    protocol: Protocol | None,
+    frictions: Sequence[float],
+    config: Mapping[str, Any],
+    seed: int,
+    times: Mapping[str, float],
+) -> dict[str, Any]:
+    """The document of `validate`: totals, and one entry per grasp.
+
+    Args:
+        parts: The grasps of each file.
+        files: The files.
+        protocol: How they were simulated; None: they were not.
+        frictions: Coefficients of friction that were tried beside that of the protocol.
+        config: All settings.
+        seed: Seed of everything that was drawn.
+        times: Seconds by key: `wall_s` and `cpu_s` of the whole command, and parts of it.
+    """
+    validated = Validated.join(list(parts))
+    simulated = validated.trials is not None
+    return {
+        "schema": SCHEMA,
+        "command": "validate",
+        "versions": versions(),
+        "config": config,
+        "seed": seed,
+        "totals": {
+            "n": len(validated),
+            "converged": None,
+            "good_before": None,
+            "good_after": int(should_hold(validated.metrics.quality).sum()),
+            "success_before": None,
+            "success_after": int(validated.success.sum()) if simulated else None,
+            "by_friction": None
+            if validated.frictions is None
+            else {f"{f:g}": int(n) for f, n in zip(frictions, validated.frictions.sum(axis=0), strict=True)},
+            "moved_m": _quantiles(validated, "peak_m"),
+            "turned_rad": _quantiles(validated, "peak_rad"),
+            "simulation_cpu_s": float(validated.cpu_s.sum()) if simulated else None,
+            **times,
+        },
+        "grasps": [
+            {"file": path, **_grasp(part, i, protocol, frictions)}
+            for path, part in zip(files, parts, strict=True)
+            for i in range(len(part))
+        ],
+    }
+
+
+def _grasp(validated: Validated, i: int, protocol: Protocol | None, frictions: Sequence[float]) -> dict[str, Any]:
+    """An entry like those of `run`: what is measured stands under "after", and "before" is null."""
+    metrics = validated.metrics
+
+    def after(value: Any) -> dict[str, Any]:
+        return {"before": None, "after": value}
+
+    return {
+        "index": validated.index[i],
+        "row": validated.row[i],
+        "object": validated.object[i],
+        "scale": validated.scale[i],
+        # Validation refines nothing.
+        **dict.fromkeys(ABSENT),
+        "wall_s": validated.wall_s[i],
+        "cpu_s": validated.cpu_s[i],
+        "contact_distance_m": after(metrics.contact_distance_m[i]),
+        "contact_number": after(_whole(metrics.contact_number[i])),
+        "penetration_m": after(metrics.penetration_m[i]),
+        "self_penetration_m": after(metrics.self_penetration_m[i]),
+        "wrench_residual": after(metrics.wrench_residual[i]),
+        "quality": after(metrics.quality[i]),
+        "limits_violated": _whole(metrics.limits_violated[i]),
+        "simulation": after(_simulation(validated, i, protocol, frictions)),
+    }
+
+
+def _simulation(
+    validated: Validated, i: int, protocol: Protocol | None, frictions: Sequence[float]
+) -> dict[str, Any] | None:
+    """What simulation says of one grasp; None where there was none."""
+    if validated.trials is None or protocol is None:
+        return None
+    return {
+        **simulation_entry(validated.trials, i, protocol),
+        "flags": {"barely": validated.barely(protocol)[i], "by_squeeze": validated.by_squeeze[i]},
+        "without_squeeze": None if validated.unsqueezed is None else validated.unsqueezed[i],
+        "noise_score": None if validated.noise is None else validated.noise[i],
+        "by_friction": None
+        if validated.frictions is None
+        else {f"{f:g}": held for f, held in zip(frictions, validated.frictions[i], strict=True)},
+    }
+
+
+def flat_rows(
+    parts: Sequence[Validated], files: Sequence[Path], protocol: Protocol | None, frictions: Sequence[float]
+) -> list[dict[str, Any]]:
+    """One flat row per grasp: the entries of the document, without those of single directions."""
+    rows = []
+    entries = (
+        {"file": str(path), **_grasp(part, i, protocol, frictions)}
+        for path, part in zip(files, parts, strict=True)
+        for i in range(len(part))
+    )
+    for entry in entries:
+        row = {key: value["after"] if isinstance(value, dict) else value for key, value in entry.items()}
+        row = {key: value for key, value in row.items() if key not in ABSENT}
+        simulation = row.pop("simulation") or {}
+        simulation.pop("directions", None)
+        for key, value in simulation.items():
+            nested = value if isinstance(value, dict) else {"": value}
+            for name, part in nested.items():
+                row["_".join(filter(None, (key, name)))] = " ".join(part) if isinstance(part, list) else part
+        rows.append({key: _scalar(value) for key, value in row.items()})
+    return rows
+
+
+def _quantiles(validated: Validated, field: str) -> dict[str, float] | None:
+    """How far the objects of grasps that held were away at most."""
+    if validated.trials is None or not validated.success.any():
+        return None
+    most = getattr(validated.trials, field)[validated.success].max(axis=1)
+    return {f"{q:g}": float(np.quantile(most, q)) for q in QUANTILES}
+
+
+def _whole(value: float) -> int | None:
+    return int(value) if np.isfinite(value) else None
+
+
+def _scalar(value: Any) -> Any:
+    value = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def check_table(path: Path) -> None:
+    """Nothing, when a flat table can be written under this name.
+
+    Raises:
+        GraspRefineError: another ending, or Parquet without pyarrow.
+    """
+    if path.suffix.lower() not in TABLES:
+        raise GraspRefineError(f"{path}: a table of grasps ends with {' or '.join(TABLES)}")
+    if path.suffix.lower() == ".parquet":
+        try:
+            import pyarrow.parquet  # noqa: F401
+        except ImportError:
+            raise GraspRefineError(
+                f'{path}: Parquet needs pyarrow; pip install "grasp-refine[parquet]", or write a .csv'
+            ) from None
+
+
+def save_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write flat rows as CSV or Parquet, by the ending of the name; whole or not at all.
+
+    Texts of a CSV are no formulas of a spreadsheet, as `to_cell` has them.
+
+    Raises:
+        GraspRefineError: the file cannot be written.
+    """
+    check_table(path)
+    if path.suffix.lower() == ".parquet":
+        import pyarrow
+        import pyarrow.parquet
+
+        buffer = io.BytesIO()
+        pyarrow.parquet.write_table(pyarrow.Table.from_pylist(list(rows)), buffer)
+        save_bytes(path, buffer.getvalue())
+        return
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(
+        {key: to_cell(value) if isinstance(value, str) else value for key, value in row.items()} for row in rows
+    )
+    save_text(path, text.getvalue())

@@ -1,0 +1,260 @@
+"""The tables that a person reads after a validation: what held, what failed and why, before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from grasp_refine.core.plurals import count_text
+from grasp_refine.results.simulated import reason_lines
+from grasp_refine.results.table import LONGEST, WORST, number_text, numbers_text, plain_table
+from grasp_refine.results.validation_document import QUANTILES
+from grasp_refine.results.verdict import Agreement, estimate_line, held_line, should_hold
+from grasp_refine.validation.metrics import NEAR, Metrics
+from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.trials import Reason
+from grasp_refine.validation.validate import BARELY, ENOUGH, Validated
+
+_FEW = 3
+"""Most directions that are named in a cell."""
+
+
+def validation_table(
+    validated: Validated, hand: str, protocol: Protocol | None, frictions: Sequence[float], *, verbose: bool = False
+) -> RenderableType:
+    """Tables of all grasps by object and a verdict; of many grasps only those that failed first, unless `verbose`."""
+    parts: list[RenderableType] = []
+    names = list(dict.fromkeys(validated.object.tolist()))
+    for name in names:
+        of_object = validated.select(np.flatnonzero(validated.object == name))
+        parts += [_object_table(of_object, f"{hand} on {name}", protocol, verbose), ""]
+    if len(names) > 1 and protocol is not None:
+        parts += [_by_object(validated, names), ""]
+    return Group(*parts, *_verdict(validated, protocol, frictions))
+
+
+def comparison_table(before: Validated, after: Validated, hand: str, protocol: Protocol | None) -> RenderableType:
+    """What changed between two validations of the same grasps, in the mean and in the verdicts."""
+    table = plain_table(f"{hand}: {count_text(len(after), 'grasp')}, before → after")
+    table.add_column("")
+    for column in ("before", "after", "better in", "worse in"):
+        table.add_column(column, justify="right", no_wrap=True)
+    measures = (
+        ("penetration, mean mm", "penetration_m", 1e3, -1),
+        ("self-penetration, mean mm", "self_penetration_m", 1e3, -1),
+        ("contact distance, mean mm", "contact_distance_m", 1e3, -1),
+        ("links in contact, mean", "contact_number", 1.0, 1),
+        ("wrench residual, mean", "wrench_residual", 1.0, -1),
+        ("quality, mean", "quality", 1.0, 1),
+    )
+    for label, field, factor, sign in measures:
+        old, new = (np.asarray(getattr(v.metrics, field), dtype=float) * factor for v in (before, after))
+        known = np.isfinite(old) & np.isfinite(new)
+        if not known.any():
+            continue
+        better = sign * (new[known] - old[known])
+        table.add_row(
+            label,
+            f"{old[known].mean():.3f}",
+            f"{new[known].mean():.3f}",
+            str(int((better > 1e-9).sum())),
+            str(int((better < -1e-9).sum())),
+        )
+    lost_all = [int(np.isnan(v.metrics.wrench_residual).sum()) for v in (before, after)]
+    if any(lost_all):
+        table.add_row("without any contact", *map(str, lost_all), "", "")
+    first: list[Text] = []
+    parts: list[RenderableType] = []
+    if protocol is not None:
+        gained, lost = after.success & ~before.success, before.success & ~after.success
+        held = int(before.success.sum()), int(after.success.sum())
+        first = [held_line(protocol.name, held, int(gained.sum()), int(lost.sum()), len(after))]
+        table.add_row(
+            f"held, {protocol.name}",
+            f"{before.success.sum()} ({_percent(before.success)})",
+            f"{after.success.sum()} ({_percent(after.success)})",
+            str(int(gained.sum())),
+            str(int(lost.sum())),
+            style="bold",
+        )
+        for word, which in (("gained", gained), ("lost", lost)):
+            if which.any():
+                parts.append(Text(f"{word}: {_numbers(after, which)}"))
+    return Group(*first, table, "", *parts)
+
+
+def _object_table(validated: Validated, what: str, protocol: Protocol | None, verbose: bool) -> Table:
+    title, shown = f"{what}: {count_text(len(validated), 'grasp')}", np.arange(len(validated))
+    if protocol is not None:
+        title += f", {protocol.name}, friction {protocol.friction:g}"
+        if protocol.checks != Protocol.checks:
+            title += f", pushes of {protocol.checks * protocol.steps_per_check * protocol.timestep:g} s"
+    if len(validated) > LONGEST and not verbose:
+        shown = np.argsort(-_badness(validated), kind="stable")[:WORST]
+        title += f", the worst {WORST} (--verbose: all)"
+    table = plain_table(title, between=0)
+    columns = _measures(validated.metrics, simulated=protocol is not None)
+    for head in ("\n grasp", *(head for head, *_ in columns)):
+        table.add_column(head, justify="right", no_wrap=True)
+    if protocol is not None:
+        table.add_column("   moved\nmm   deg", justify="right", no_wrap=True)
+        table.add_column("\n verdict")
+    for i in shown:
+        measures = (number_text(values[i] * factor, digits) for _, values, factor, digits in columns)
+        table.add_row(str(validated.index[i]), *measures, *_simulated(validated, int(i), protocol))
+    if len(validated) > 1:
+        table.add_section()
+        medians = (number_text(_median(values) * factor, digits) for _, values, factor, digits in columns)
+        last = [] if protocol is None else ["", f" {_held(validated)}"]
+        table.add_row("median", *medians, *last, style="bold")
+    return table
+
+
+def _badness(validated: Validated) -> np.ndarray:
+    """Failures first, then by how far the object moved; without simulation by quality."""
+    if validated.trials is None:
+        return -np.nan_to_num(validated.metrics.quality, nan=-1.0)
+    moved = np.nan_to_num(validated.trials.displacement_m.max(axis=1), nan=1e3)
+    return np.where(validated.success, 0.0, 1e6) + moved
+
+
+def _measures(metrics: Metrics, *, simulated: bool) -> list[tuple[str, np.ndarray, float, int]]:
+    """Columns of measures: head, values, factor and digits; beside a simulation there is no room for all."""
+    return [
+        ("penetr.\nmm", metrics.penetration_m, 1e3, 2),
+        (" self\nmm", metrics.self_penetration_m, 1e3, 2),
+        ("  gap\nmm", metrics.contact_distance_m, 1e3, 2),
+        ("\nlinks", metrics.contact_number, 1.0, 0),
+        *([] if simulated else [("wrench\nresid.", metrics.wrench_residual, 1.0, 3)]),
+        ("\nqual.", metrics.quality, 1.0, 3),
+    ]
+
+
+def _simulated(validated: Validated, i: int, protocol: Protocol | None) -> list[RenderableType]:
+    """Cells on what simulation says of a grasp; none without one."""
+    trials = validated.trials
+    if protocol is None or trials is None:
+        return []
+    worst = trials.worst[i]
+    moved = (
+        f"{number_text(trials.displacement_m[i, worst] * 1e3, 1):>5} "
+        f"{number_text(np.degrees(trials.angle_rad[i, worst]), 1):>5}"
+    )
+    return [moved, _reason(validated, i, protocol)]
+
+
+def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
+    trials = validated.trials
+    assert trials is not None
+    worst = trials.worst[i]
+    reason = Reason(trials.reason[i, worst])
+    if reason == Reason.HELD:
+        flags = [
+            word
+            for word, flagged in (
+                ("barely", validated.barely(protocol)[i]),
+                (_by_squeeze(validated), validated.by_squeeze[i]),
+            )
+            if flagged
+        ]
+        if validated.noise is not None:
+            flags.append(f"noise {validated.noise[i]:.0%}")
+        return Text(f" held{', ' + ', '.join(flags) if flags else ''}", "yellow" if flags else "green")
+    failed = np.flatnonzero(trials.reason[i] != Reason.HELD)
+    if reason == Reason.PENETRATES:
+        return Text(f" penetrates {trials.penetration_m[i] * 1e3:.0f} mm at first", "red")
+    if reason == Reason.THROWN:
+        return Text(f" thrown {trials.closing_m[i] * 1e3:.0f} mm by closing", "red")
+    if reason in (Reason.IN_TABLE, Reason.NOT_FINITE) or np.isnan(trials.time_s[i, worst]):
+        return Text(f" {reason.label}", "red")
+    count = len(trials.directions)
+    where = " ".join(trials.directions[d] for d in failed)
+    if len(failed) > _FEW:
+        where = f"all {count}" if len(failed) == count else f"{len(failed)} of {count}"
+    return Text(
+        f" {reason.label} {where}, {trials.time_s[i, worst]:.1f} s, {trials.contacts[i, worst].sum()} left", "red"
+    )
+
+
+def _by_object(validated: Validated, names: Sequence[str]) -> Table:
+    table = plain_table(f"all {len(names)} objects: {count_text(len(validated), 'grasp')}")
+    for column in ("object", "grasps", "held", ""):
+        table.add_column(column, justify="left" if column == "object" else "right", no_wrap=column != "object")
+    for name in names:
+        held = validated.success[validated.object == name]
+        table.add_row(escape(name), str(len(held)), str(int(held.sum())), _percent(held))
+    return table
+
+
+def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequence[float]) -> list[Text]:
+    trials, quality = validated.trials, validated.metrics.quality
+    if trials is None or protocol is None:
+        return [estimate_line(int(should_hold(quality).sum()), None, len(quality))]
+    success = validated.success
+    color = "green" if success.all() else "yellow"
+    how = f"in all of {', '.join(trials.directions)}" if len(trials.directions) > 1 else f"the {trials.directions[0]}"
+    held = f"{success.sum()} of {count_text(len(success), 'grasp')} held"
+    lines = [Text.assemble((held, color), f" ({_percent(success)}) {how}")]
+    lines += reason_lines(trials, protocol)
+    lines.append(Agreement.of(should_hold(quality), success).line())
+    if success.any():
+        parts = []
+        for values, factor, unit in ((trials.peak_m, 1e3, "mm"), (np.degrees(trials.peak_rad), 1, "deg")):
+            most = values[success].max(axis=1)
+            parts.append(" / ".join(f"{np.quantile(most, q) * factor:.1f}" for q in QUANTILES) + f" {unit}")
+        words = " / ".join(QUANTILES.values())
+        lines.append(Text(f"objects that were held moved {parts[0]} and turned {parts[1]} ({words})"))
+    barely = validated.barely(protocol)
+    if barely.any():
+        limits = f"{BARELY * protocol.farthest * 1e3:.0f} mm or {np.degrees(BARELY * protocol.steepest):.1f} deg"
+        lines.append(
+            Text.assemble(
+                (f"{barely.sum()} held only barely", "yellow"),
+                f" (moved more than {limits}): {_numbers(validated, barely)}",
+            )
+        )
+    squeezed = validated.by_squeeze
+    if squeezed.any():
+        near = f"fewer than {ENOUGH} links within {NEAR * 1e3:g} mm of the object before it"
+        how = near if validated.unsqueezed is None else "fails without"
+        perhaps = "perhaps " if validated.unsqueezed is None else ""
+        lines.append(
+            Text.assemble(
+                (f"{squeezed.sum()} held {perhaps}only by the squeeze", "yellow"),
+                f" ({how}): {_numbers(validated, squeezed)}",
+            )
+        )
+    if validated.noise is not None:
+        mean = validated.noise.mean()
+        lines.append(Text(f"with the object shifted and turned at random, {mean:.0%} of the trials held"))
+    if validated.frictions is not None:
+        shares = (f"{f:g}: {_percent(h)}" for f, h in zip(frictions, validated.frictions.T, strict=True))
+        lines.append(Text(f"held by friction: {', '.join(shares)}"))
+    return lines
+
+
+def _by_squeeze(validated: Validated) -> str:
+    """The flag: a guess, unless it was tried."""
+    return "by the squeeze" + ("?" if validated.unsqueezed is None else "")
+
+
+def _held(validated: Validated) -> str:
+    return f"{validated.success.sum()} held, {_percent(validated.success)}"
+
+
+def _numbers(validated: Validated, which: np.ndarray) -> str:
+    return numbers_text(validated.object, validated.index, which)
+
+
+def _median(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else np.nan
+
+
+def _percent(held: np.ndarray) -> str:
+    return f"{100 * held.mean():.1f} %"

@@ -1,0 +1,124 @@
+"""What quality, an estimate, and simulation say of grasps, and what a user can do about those that may slip."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+from math import isfinite
+
+import numpy as np
+from jaxtyping import Bool, Float
+from rich.text import Text
+
+from grasp_refine.core.plurals import whole
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.force_closure_search import CLOSE, GOOD
+from grasp_refine.refinement.max_move import MaxMove
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.results.outcome import Outcome
+
+HOLDS = 1.0 / (1.0 + GOOD)
+"""A grasp of this quality or better should hold."""
+
+BAR = f"{HOLDS:.3f} or more"
+"""The same in words."""
+
+
+def should_hold(quality: Float[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
+    """Which grasps (N,) should hold; those without a quality should not."""
+    return np.nan_to_num(quality) >= HOLDS
+
+
+def made_to_hold(outcome: Outcome, config: Config) -> bool:
+    """Whether the refinement was to make grasps hold, and not just to touch, or to reach targets."""
+    return config.holds and not outcome.aimed.any()
+
+
+def slip_advice(outcome: Outcome, config: Config) -> str:
+    """What a user can do about grasps that may slip."""
+    if made_to_hold(outcome, config):
+        ways = ["more --starts"]
+        if config.max_move != MaxMove():
+            ways.append("a wider --max-move")
+        if isfinite(config.seconds):
+            ways.append("more --seconds")
+        return f"try {', '.join(ways)}, or other grasps"
+    if outcome.aimed.any():
+        return "links touch where the targets say; without targets, forces are balanced too"
+    if isinstance(config.solver, LevenbergMarquardt):
+        return "only their geometry was refined, forces were not balanced"
+    return f"forces are balanced with --solver levenberg-marquardt only, {type(config.solver).__name__.lower()} cannot"
+
+
+def status_advice(status: Status, outcome: Outcome, config: Config) -> str:
+    """What a user can do about a refinement that ended so; empty when there is nothing to do."""
+    if status == Status.BUDGET and isfinite(config.seconds):
+        return "the time or the iterations ran out while the loss still fell: raise --seconds, or refine it again"
+    if status == Status.BUDGET and made_to_hold(outcome, config) and config.solver.iterations >= CLOSE.iterations:
+        return "gaps were still closing when the iterations of a start ran out: refine the result again"
+    if status == Status.STALLED and config.max_move != MaxMove():
+        return f"{status.advice}; it may be --max-move that stops it"
+    return status.advice
+
+
+def advice(outcome: Outcome, config: Config) -> list[str]:
+    """What a user can do about each of N grasps."""
+    slips = outcome.usable & ~should_hold(outcome.quality[:, 1]) & made_to_hold(outcome, config)
+    parts = (
+        (status_advice(Status(status), outcome, config), f"may slip: {slip_advice(outcome, config)}" if slip else "")
+        for status, slip in zip(outcome.status, slips, strict=True)
+    )
+    return ["; ".join(filter(None, pair)) for pair in parts]
+
+
+def estimate_line(good: int, before: int | None, count: int) -> Text:
+    """How many of so many grasps have a quality of `HOLDS` or more, now and, if known, before; nothing is simulated."""
+    color = "green" if good == count else "yellow"
+    said = f"{'' if before is None else f'{whole(before)} → '}{whole(good)} of {whole(count)}"
+    hint = "" if before is None else "; --validate simulates"
+    return Text.assemble(f"quality {BAR} (an estimate): ", (said, color), hint)
+
+
+def held_line(setting: str, held: tuple[int, int], gained: int, lost: int, count: int) -> Text:
+    """How many of so many grasps held in simulation before and after; gained and lost are those that changed."""
+    color = "green" if held[1] >= held[0] else "red"
+    how = f" ({setting})" if setting else ""
+    said = f"held in simulation{how}: {whole(held[0])} → {whole(held[1])} of {whole(count)}"
+    return Text.assemble((said, color), f"; gained {whole(gained)}, lost {whole(lost)}")
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far quality and simulation say the same of some grasps."""
+
+    good: int = 0
+    """Grasps with a quality of `HOLDS` or more."""
+    good_held: int = 0
+    """Those of them that held in simulation."""
+    others: int = 0
+    """Grasps with less, or without a quality."""
+    others_held: int = 0
+    """Those of them that held all the same."""
+
+    @staticmethod
+    def of(good: Bool[np.ndarray, " N"], held: Bool[np.ndarray, " N"]) -> Agreement:
+        """Of N grasps: which have a quality of `HOLDS` or more, and which held."""
+        counts = (good, good & held, ~good, ~good & held)
+        return Agreement(*(int(count.sum()) for count in counts))
+
+    def __add__(self, other: Agreement) -> Agreement:
+        """Return that of the grasps of both."""
+        return Agreement(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+    def line(self, when: str = "") -> Text:
+        """The same in words, such as: before, quality 0.952 or more (an estimate): 0 of 4; 2 of the 4 others held."""
+        said = f"{when}quality {BAR} (an estimate): {whole(self.good)} of {whole(self.good + self.others)}"
+        failed = self.good - self.good_held
+        if self.good:
+            which = "which" if self.good == 1 else f"{whole(failed)} of which" if failed else "all of which"
+            said += f", {which} {'did not hold' if failed else 'held'}"
+        if self.others == 1:
+            said += f"; the other {'held' if self.others_held else 'did not hold'}"
+        elif self.others:
+            said += f"; {whole(self.others_held)} of the {whole(self.others)} others held"
+        return Text(said)

@@ -1,0 +1,1 @@
+"""New grasps of a hand on an object."""

@@ -1,0 +1,192 @@
+"""How a hand grips, found out from its kinematics: which joints close it, and where its fingers meet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from grasp_refine.collision.culling import bounding_ball
+from grasp_refine.core.errors import HandError
+from grasp_refine.core.se3 import tangents, transform_points
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand, Joint
+from grasp_refine.scene.contact_selection import PALM, link_groups
+
+PARALLEL = 0.7
+"""Cosine between the axes of two joints of a finger above which both bend it."""
+
+SPAN = 0.9
+"""Share of the range of its joints over which it is judged which way a finger closes."""
+
+CURL = 0.1
+"""Share of its length by which a finger that curls gets shorter over it, at least."""
+
+ALL_AROUND = 0.05
+"""Length of the mean of the directions in which the palm is seen, below which it lies all around."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grip:
+    """Where a hand holds things, in the frame of its base link, and how its n independent joints close it."""
+
+    center: Float[np.ndarray, " 3"]
+    """Centre (3,) of the smallest ball around the fingertips at rest, in metres: where things are held."""
+    radius: float
+    """Radius of that ball, in metres."""
+    approach: Float[np.ndarray, " 3"]
+    """Unit vector (3,) from the palm to the centre, the way in which the hand comes."""
+    across: Float[np.ndarray, " 3"]
+    """Unit vector (3,) at a right angle to `approach`, the way in which fingertips move when the hand closes."""
+    closing: Float[np.ndarray, " n"]
+    """1 or -1: a joint that bends a finger, whose values rise or fall as this closes; 0: any other."""
+    spreading: Bool[np.ndarray, " n"]
+    """Joints (n,) of fingers that do not bend them, but spread or oppose them."""
+    lower: Float[np.ndarray, " n"]
+    """Lower limits (n,), those of continuous joints a quarter turn from rest, in rad or m."""
+    upper: Float[np.ndarray, " n"]
+    """Upper limits (n,) likewise."""
+    opened: Float[np.ndarray, " n"]
+    """Joint values (n,) at which the fingers are open as far as they go, in rad or m."""
+    opening: float
+    """Diameter of the smallest ball around the fingertips then, in metres."""
+
+
+def grip_of(hand: Hand) -> Grip:
+    """The grip of a hand, as it is around its rest pose.
+
+    The last joint of a finger bends it, and so do those above that are parallel to it. They close it the way in which
+    it curls, that is in which its tip comes nearer to its knuckle, or, of a finger that keeps its length, to the
+    centre of all tips. Joints that carry all fingers are a wrist's, and left alone.
+
+    Raises:
+        HandError: no joint of the hand moves a link that is meant to touch.
+    """
+    fingers = _fingers(hand)
+    if not fingers:
+        raise HandError(f"hand '{hand.name}' cannot grip: none of its joints moves a link that is meant to touch")
+    palm, facing = _palm(hand)
+
+    def tips(q: np.ndarray) -> np.ndarray:
+        """Points (B, K, 3) in the middle of the contacts of each finger, at joint values (B, n)."""
+        T = Chain(hand, [contact.link for contact in hand.contacts])(np.tile(np.eye(4), (len(q), 1, 1)), q).T_world_link
+        points = transform_points(T, np.array([_pad(hand, i) for i in range(len(hand.contacts))]))
+        return np.stack([points[:, contacts].mean(axis=1) for contacts, _ in fingers], axis=1)
+
+    def ball(q: np.ndarray) -> tuple[np.ndarray, float]:
+        points = tips(q[None])[0]
+        # A single finger closes against the rest of the hand.
+        return _smallest_ball(points if len(points) > 1 else np.append(points, [palm.mean(axis=0)], axis=0))
+
+    center, radius = ball(hand.rest)
+    lower = np.where(np.isfinite(hand.lower), hand.lower, hand.rest - 0.5 * np.pi)
+    upper = np.where(np.isfinite(hand.upper), hand.upper, hand.rest + 0.5 * np.pi)
+    moves, bends, knuckle = (
+        np.array(each) for each in zip(*(_bending(hand, path) for _, path in fingers), strict=True)
+    )
+    middle, span = 0.5 * (lower + upper), 0.5 * SPAN * (upper - lower) * bends
+    own = np.arange(len(fingers))
+    before, after = (tips(np.where(bends == 0, hand.rest, at))[own, own] for at in (middle - span, middle + span))
+    length, to_center = (
+        [np.linalg.norm(tip - point, axis=1) for tip in (before, after)] for point in (knuckle, center)
+    )
+    curl = length[0] - length[1]
+    slides = np.array([path[0].kind == "prismatic" for _, path in fingers])
+    stiff = slides | (np.abs(curl) < CURL * np.maximum(*length))
+    closing = np.sign(np.where(stiff, to_center[0] - to_center[1], curl) @ bends)
+
+    approach = _away_from(palm, facing, center)
+    step = 1e-3 * closing
+    moved = tips((hand.rest + step)[None])[0] - tips((hand.rest - step)[None])[0]
+    opened = np.where(closing == 0, hand.rest, np.where(closing > 0, lower, upper))
+    return Grip(
+        center=center,
+        radius=radius,
+        approach=approach,
+        across=_most(moved, tangents(approach)),
+        closing=closing,
+        spreading=moves.any(axis=0) & (closing == 0),
+        lower=lower,
+        upper=upper,
+        opened=opened,
+        opening=2.0 * ball(opened)[1],
+    )
+
+
+def _fingers(hand: Hand) -> list[tuple[list[int], list[Joint]]]:
+    """For each group of contacts that can move: its contacts, and its joints from the last one to the palm."""
+    above = {joint.child: joint for joint in hand.joints}
+    groups: dict[str, list[int]] = {}
+    for i, contact in enumerate(hand.contacts):
+        groups.setdefault(contact.group, []).append(i)
+    fingers = []
+    for contacts in groups.values():
+        path, link = [], hand.contacts[contacts[0]].link
+        while link in above:
+            path += [above[link]] if above[link].movable else []
+            link = above[link].parent
+        fingers.append((contacts, path))
+    carrying = [{joint.name for joint in path} for _, path in fingers if path]
+    wrist = set.intersection(*carrying) if len(carrying) > 1 else set()
+    own = [(contacts, [joint for joint in path if joint.name not in wrist]) for contacts, path in fingers]
+    return [(contacts, path) for contacts, path in own if path]
+
+
+def _pad(hand: Hand, index: int) -> np.ndarray:
+    """The point (3,) of a contact in its link's frame; without one, the middle of the link."""
+    contact = hand.contacts[index]
+    if contact.point is not None:
+        return np.array(contact.point)
+    return bounding_ball(hand.links_by_name[contact.link].solid)[:3]
+
+
+def _bending(hand: Hand, path: list[Joint]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which joints (n,) move a finger; the sign (n,) with which they bend it, or 0; and its knuckle (3,).
+
+    Which way of bending is closing is not known; the joints of one finger have it in common.
+    """
+    matrix, _, movable = hand.mimic_map()
+    frames = Chain(hand, [joint.child for joint in path])(np.eye(4)[None], hand.rest[None]).T_world_link[0]
+    axes = [T[:3, :3] @ joint.axis for T, joint in zip(frames, path, strict=True)]
+    gains = np.array([matrix[movable.index(joint.name)] for joint in path])
+    alike = np.array([axis @ axes[0] for axis in axes])
+    kind = np.array([(joint.kind == "prismatic") == (path[0].kind == "prismatic") for joint in path])
+    bends = np.sign(np.where(kind & (np.abs(alike) > PARALLEL), np.sign(alike), 0.0) @ gains)
+    return (gains != 0).any(axis=0), bends, frames[-1, :3, 3]
+
+
+def _palm(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
+    """Points (P, 3) of the palm's surface, of all links if it has none, and outward normals times areas."""
+    solid = tuple(link.name for link in hand.links if link.body is not None)
+    palm = [link for link, group in zip(solid, link_groups(hand, solid), strict=True) if group == PALM] or solid
+    points, facing = [], []
+    for link, T in zip(palm, Chain(hand, palm)(np.eye(4)[None], hand.rest[None]).T_world_link[0], strict=True):
+        surface = hand.links_by_name[link].solid.candidates
+        points.append(transform_points(T, surface.points))
+        facing.append(surface.areas[:, None] * surface.normals @ T[:3, :3].T)
+    return np.concatenate(points), np.concatenate(facing)
+
+
+def _away_from(points: np.ndarray, facing: np.ndarray, center: np.ndarray) -> np.ndarray:
+    """Unit vector (3,) away from where a surface is seen from the centre, each part of it by its solid angle."""
+    sight = center - points
+    distance = np.linalg.norm(sight, axis=1, keepdims=True)
+    solid_angle = np.maximum((facing * sight).sum(axis=1, keepdims=True) / distance**3, 0.0)
+    mean = (solid_angle * sight / distance).sum(axis=0)
+    if np.linalg.norm(mean) <= ALL_AROUND * solid_angle.sum():
+        mean = center if center.any() else np.array([0.0, 0.0, 1.0])
+    return mean / np.linalg.norm(mean)
+
+
+def _most(moved: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """Unit vector (3,) in the plane of two vectors (3, 2) along which points move (K, 3) most."""
+    return basis @ np.linalg.svd(moved @ basis)[2][0]
+
+
+def _smallest_ball(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (3,) and radius of the smallest ball around points, nearly: ever smaller steps towards the farthest."""
+    center = points.mean(axis=0)
+    for step in range(2, 200):
+        center = center + (points[np.linalg.norm(points - center, axis=1).argmax()] - center) / step
+    return center, float(np.linalg.norm(points - center, axis=1).max())

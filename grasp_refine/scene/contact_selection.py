@@ -1,0 +1,139 @@
+"""Which links should touch the object, and where, when nobody says."""
+
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+import numpy as np
+
+from grasp_refine.collision.query import Witness
+from grasp_refine.core.arguments import check_fields
+from grasp_refine.core.errors import GraspRefineError, HandError
+from grasp_refine.core.se3 import inverse, transform_points
+from grasp_refine.hands.hand import Hand
+
+PALM = "palm"
+"""Group of the links that carry several fingers, or none."""
+
+
+@dataclass(frozen=True)
+class Touching:
+    """The links that are part of a grasp: those that are near the object at its start."""
+
+    reach: float = 0.01
+    """Contact links (fingertips) within this signed distance of the object touch it, in metres."""
+    reach_others: float = 0.003
+    """The same of all other links."""
+    farthest: float = 0.03
+    """If links of fewer than two groups (fingers, palm) are in reach, the nearest contact links up to here count."""
+    links: tuple[str, ...] = ()
+    """Instead of all that: these links touch. The name of a finger stands for its contact links."""
+
+    def __post_init__(self) -> None:
+        """Refuse distances that are none.
+
+        Raises:
+            GraspRefineError: a distance below zero, or links that are no tuple of names.
+        """
+        check_fields(self)
+        for name in ("reach", "reach_others", "farthest"):
+            if not getattr(self, name) >= 0:
+                raise GraspRefineError(f"{name} must be a distance of at least 0 m, got {getattr(self, name):g}")
+
+    def named(self, hand: Hand, links: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the names of `links` that `self.links` stands for, fingers replaced by their contact links.
+
+        Args:
+            hand: The hand.
+            links: Links with collision geometry.
+
+        Raises:
+            HandError: a name is neither one of them nor a finger.
+        """
+        fingers: dict[str, list[str]] = {}
+        for contact in hand.contacts:
+            fingers.setdefault(contact.group, []).append(contact.link)
+        # A link comes before a finger that is called like it.
+        meant = [[name] if name in links else fingers.get(name, []) for name in self.links]
+        unknown = [name for name, found in zip(self.links, meant, strict=True) if not found]
+        if unknown:
+            close = get_close_matches(unknown[0], [*fingers, *links], n=1)
+            raise HandError(
+                f"hand {hand.name} has neither a finger nor a link with collision geometry called "
+                f"{', '.join(unknown)}{f', did you mean {close[0]}?' if close else ';'} its fingers are "
+                f"{', '.join(fingers)}, its links {', '.join(dict.fromkeys(links))}"
+            )
+        return tuple(dict.fromkeys(link for found in meant for link in found))
+
+    def cutoff(self, hand: Hand, links: tuple[str, ...]) -> np.ndarray:
+        """How far each link (L,) may be away to matter, in metres: what a query need not find beyond.
+
+        Raises:
+            HandError: a link or finger that was named is not there.
+        """
+        if self.links:
+            return np.where(np.isin(links, self.named(hand, links)), np.inf, -np.inf)
+        tips = np.isin(links, [contact.link for contact in hand.contacts])
+        # What is exactly at the limit is asked.
+        return np.nextafter(np.where(tips, max(self.reach, self.farthest), self.reach_others), np.inf)
+
+    def choose(self, hand: Hand, links: tuple[str, ...], witness: Witness) -> np.ndarray:
+        """Links (N, L) that should touch, none of them twice.
+
+        Args:
+            hand: The hand.
+            links: Links with collision geometry, contact links first; one may come several times.
+            witness: Witness points (N, L) of links and object, for pairs below `cutoff`.
+        """
+        first = np.array([links.index(link) == column for column, link in enumerate(links)])
+        distance = np.where(witness.valid & first, witness.distance, np.inf)
+        if self.links:
+            return np.isfinite(distance) & np.isin(links, self.named(hand, links))
+        tips = np.isin(links, [contact.link for contact in hand.contacts])
+        touching = distance <= np.where(tips, self.reach, self.reach_others)
+        group = np.unique(link_groups(hand, links), return_inverse=True)[1]
+        for row in np.flatnonzero(touching.any(axis=1) | (distance <= self.farthest).any(axis=1)):
+            for column in np.argsort(distance[row], kind="stable"):
+                if len(np.unique(group[touching[row]])) >= 2 or distance[row, column] > self.farthest:
+                    break
+                touching[row, column] |= tips[column] and group[column] not in group[touching[row]]
+        return touching
+
+
+def link_groups(hand: Hand, links: tuple[str, ...]) -> list[str]:
+    """The group of each link: that of the one finger which it is part of, else `PALM`."""
+    group = {contact.link: contact.group for contact in hand.contacts}
+    parent = {joint.child: joint.parent for joint in hand.joints}
+    carried: dict[str, set[str]] = {}
+    for contact in hand.contacts:
+        link: str | None = contact.link
+        while link is not None:
+            carried.setdefault(link, set()).add(contact.group)
+            link = parent.get(link)
+
+    def of(link: str) -> str:
+        if link in group:
+            return group[link]
+        fingers = carried.get(link, set())
+        return next(iter(fingers)) if len(fingers) == 1 else PALM
+
+    return [of(link) for link in links]
+
+
+def nearest_points(
+    witness: Witness, T_world_a: np.ndarray, T_world_b: np.ndarray, touching: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The present witness points of the links that should touch, in the bodies' frames, as targets.
+
+    Args:
+        witness: Witness points of links (a) and object (b).
+        T_world_a: Poses of the links (batch, pair, 4, 4).
+        T_world_b: Poses of the object (batch, pair, 4, 4).
+        touching: Links (batch, pair) that should touch.
+
+    Returns:
+        Points on the links and on the object (batch, pair, 3) in metres, NaN for other links.
+    """
+    wanted = touching[..., None]
+    on_a = transform_points(inverse(T_world_a), witness.point_a)
+    on_b = transform_points(inverse(T_world_b), witness.point_b)
+    return np.where(wanted, on_a, np.nan), np.where(wanted, on_b, np.nan)

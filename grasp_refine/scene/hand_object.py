@@ -1,0 +1,143 @@
+"""What a hand and an object need of each other, whatever the grasps: built once, used by every refinement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.collision.culling import bounding_ball
+from grasp_refine.collision.query import Pairs
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.pieces import sphere
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.self_collision import touching_pairs
+from grasp_refine.objects.object import Object
+from grasp_refine.scene.scene import Scene, links_of
+from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatures
+
+CLEARANCE, CLEARANCE_OTHERS = 0.008, 0.003
+"""How far contact links, and all other links, are from the object at least, in metres."""
+
+POINT = 1e-6
+"""Radius in metres of the balls that stand for points."""
+
+
+@dataclass(frozen=True, eq=False)
+class HandObject:
+    """A hand and an object; each part is built when it is first asked for, which takes up to a second in all."""
+
+    hand: Hand
+    """The hand that all of this is of."""
+    object: Object
+    """Likewise the object."""
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.hand.name} and {self.object.name})"
+
+    @staticmethod
+    def of(scene: Scene) -> HandObject:
+        """Those of a scene."""
+        return HandObject(scene.hand, scene.object)
+
+    @cached_property
+    def bodies(self) -> tuple[Body, ...]:
+        """The bodies of the L links with collision geometry, contact links first (`Scene.links`)."""
+        return tuple(self.hand.links_by_name[name].solid for name in links_of(self.hand))
+
+    @cached_property
+    def chain(self) -> Chain:
+        """Kinematics of these links."""
+        return Chain(self.hand, links_of(self.hand))
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """Each of these links and the object."""
+        return Pairs.against(self.bodies, self.object.body)
+
+    @cached_property
+    def curvatures(self) -> PairCurvatures:
+        """Of both surfaces of each of these pairs."""
+        return PairCurvatures.of(self.pairs, SMALLEST_CURVATURE)
+
+    @cached_property
+    def own(self) -> tuple[np.ndarray, np.ndarray]:
+        """The links of the S pairs that can touch each other, first and second (S,)."""
+        links = links_of(self.hand)
+        pairs = touching_pairs(self.hand)
+        first, second = (np.array([links.index(pair[side]) for pair in pairs], dtype=np.int64) for side in (0, 1))
+        return first, second
+
+    @cached_property
+    def own_pairs(self) -> Pairs | None:
+        """Those pairs; None if there are none."""
+        first, second = self.own
+        if not len(first):
+            return None
+        return Pairs(tuple(self.bodies[i] for i in first), tuple(self.bodies[j] for j in second))
+
+    @cached_property
+    def balls(self) -> np.ndarray:
+        """Centre and radius (L, 4) of a ball around each link, link frames, metres."""
+        return np.array([bounding_ball(body) for body in self.bodies])
+
+    @cached_property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper corner (3,) of the object's bounding box, its own frame."""
+        corners = np.stack([piece.bounds for piece in self.object.body.pieces])
+        return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+
+    @cached_property
+    def points(self) -> tuple[Pairs, Pairs]:
+        """Each link and a point, and the object and a point as often: what tells how far points are off surfaces."""
+        point = build_body("point", [sphere(POINT)], candidates=16)
+        return Pairs.against(self.bodies, point), Pairs.against((self.object.body,) * len(self.bodies), point)
+
+    @cached_property
+    def gloved(self) -> Gloved:
+        """The same in gloves, for opening the hand."""
+        return Gloved(self.hand, self.object, self)
+
+
+@dataclass(frozen=True, eq=False)
+class Gloved(HandObject):
+    """A hand in thick gloves: where these do not penetrate the object, the links keep their clearances.
+
+    A piece is a core and a ball around it, so that a thicker glove is a larger ball, and distances stay exact. Links
+    meet each other without gloves.
+    """
+
+    bare: HandObject
+    """The same without gloves."""
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """Each gloved link and the object."""
+        return Pairs.against(self._gloved, self.object.body)
+
+    @cached_property
+    def balls(self) -> np.ndarray:
+        """Centre and radius (L, 4) of a ball around each gloved link."""
+        return np.array([bounding_ball(body) for body in self._gloved])
+
+    @cached_property
+    def own_pairs(self) -> Pairs | None:
+        """Pairs of bare links."""
+        return self.bare.own_pairs
+
+    @cached_property
+    def _gloved(self) -> tuple[Body, ...]:
+        links = links_of(self.hand)
+        return tuple(_thicker(body, by) for body, by in zip(self.bodies, clearances(self.hand, links), strict=True))
+
+
+def clearances(hand: Hand, links: tuple[str, ...]) -> Float[np.ndarray, " L"]:
+    """How far each link (L,) is from the object at least when the hand is open, in metres."""
+    return np.where(np.isin(links, [contact.link for contact in hand.contacts]), CLEARANCE, CLEARANCE_OTHERS)
+
+
+def _thicker(body: Body, by: float) -> Body:
+    return replace(body, pieces=tuple(replace(piece, radius=piece.radius + by) for piece in body.pieces))

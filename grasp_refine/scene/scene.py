@@ -1,0 +1,160 @@
+"""What is refined: one hand, one object, and grasps."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from grasp_refine.core.arguments import as_numbers, check_kind, shape_error
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.se3 import SKEWED, is_rigid, transform_from_pose
+from grasp_refine.grasps.grasp_set import unit_poses, without_zero_quaternions
+from grasp_refine.hands.hand import Hand
+from grasp_refine.objects.object import Object
+from grasp_refine.scene.plane import Plane
+
+FARTHEST = 1e6
+"""Poses, joint values and targets beyond this, in metres or radians, are refused: no grasp is there, and further out
+squares overflow."""
+
+TARGETS = ("target_link", "target_object", "direction")
+"""Fields of a scene that say where and how links should touch, (N, L, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One hand, one object at the world's origin, and N grasps to refine.
+
+    Arrays may be given as lists, as torch tensors, and for one grasp without their batch dimension; poses may be
+    (x, y, z, qw, qx, qy, qz) (N, 7) too. They are kept as float64 NumPy arrays of the shapes below.
+    """
+
+    hand: Hand
+    """What grasps."""
+    object: Object
+    """What is grasped; it rests at the identity."""
+    T_world_root: np.ndarray
+    """Initial poses (N, 4, 4) of the hand's base link in the object's frame, metres."""
+    q: np.ndarray
+    """Initial joint values (N, n) in `hand.joint_names` order."""
+    target_link: np.ndarray | None = None
+    """Where links should touch (N, L, 3), link frames, one column per link of `links`; NaN: nowhere. None: auto."""
+    target_object: np.ndarray | None = None
+    """Where the object should be touched (N, L, 3), object frame, metres."""
+    direction: np.ndarray | None = None
+    """Wanted contact normals from link to object (N, L, 3), object frame, unit length; NaN: any."""
+    table: Plane | None = None
+    """A plane that no link may go through."""
+
+    def __repr__(self) -> str:
+        given = [name for name in (*TARGETS, "table") if getattr(self, name) is not None]
+        more = f", with {', '.join(given)}" if given else ""
+        return f"Scene({self.hand.name} on {self.object.name}: {count_text(len(self.q), 'grasp')}{more})"
+
+    def __post_init__(self) -> None:
+        """Check what is given, once for all that is done with the scene.
+
+        Raises:
+            GraspRefineError: no hand or object, arrays of other shapes or of no numbers, quaternions that are not of
+                unit length, or targets on the link or on the object only.
+        """
+        check_kind("hand", self.hand, Hand)
+        check_kind("object", self.object, Object)
+        check_kind("table", self.table, Plane | None)
+        arrays: dict[str, np.ndarray] = {}
+        arrays["T_world_root"], arrays["q"] = grasp_arrays(self.hand, self.T_world_root, self.q)
+        count, links = len(arrays["q"]), len(self.links)
+        for name in TARGETS:
+            value = getattr(self, name)
+            if value is not None:
+                value = as_numbers(name, value)
+                value = value[None] if value.ndim == 2 else value
+                if value.shape != (count, links, 3):
+                    why = f"one row for each grasp, one column for each of scene.links of hand '{self.hand.name}'"
+                    raise shape_error(name, value, (count, links, 3), why)
+                arrays[name] = value
+        if (self.target_link is None) != (self.target_object is None):
+            raise GraspRefineError("targets need target_link and target_object together, got one of them")
+        for name, value in arrays.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Links with collision geometry, the columns of every per-link array."""
+        return links_of(self.hand)
+
+    @property
+    def finite(self) -> Bool[np.ndarray, " N"]:
+        """Which grasps (N,) have poses and joint values that are numbers."""
+        return np.isfinite(self.T_world_root).all(axis=(1, 2)) & np.isfinite(self.q).all(axis=1)
+
+    @property
+    def posed(self) -> Bool[np.ndarray, " N"]:
+        """Which grasps (N,) are somewhere: poses are rigid, and poses and joint values within `FARTHEST`."""
+        near = self.finite & (np.abs(self.T_world_root) <= FARTHEST).all(axis=(1, 2))
+        return near & is_rigid(self.T_world_root) & (np.abs(self.q) <= FARTHEST).all(axis=1)
+
+    @property
+    def sound(self) -> Bool[np.ndarray, " N"]:
+        """Which grasps (N,) can be refined: those whose targets are within `FARTHEST` too, and wanted normals units."""
+        sound = self.posed
+        for target in (self.target_link, self.target_object):
+            if target is not None:
+                sound &= ~(np.abs(target) > FARTHEST).any(axis=(1, 2))
+        if self.direction is not None:
+            squared = (np.clip(self.direction, -2.0, 2.0) ** 2).sum(axis=-1)
+            sound &= ((np.abs(squared - 1.0) <= SKEWED) | np.isnan(self.direction).all(axis=-1)).all(axis=1)
+        return sound
+
+    def masked(self, rows: Bool[np.ndarray, " N"]) -> "Scene":
+        """The same scene with NaN for all numbers of the grasps where `rows` (N,) does not hold."""
+        if rows.all():
+            return self
+
+        def kept(values: np.ndarray | None) -> np.ndarray | None:
+            return None if values is None else np.where(rows.reshape(-1, *(1,) * (values.ndim - 1)), values, np.nan)
+
+        names = ("T_world_root", "q", *TARGETS)
+        arrays: dict[str, Any] = {name: kept(getattr(self, name)) for name in names}
+        return replace(self, **arrays)
+
+
+def grasp_arrays(hand: Hand, T_world_root: Any, q: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Transforms (N, 4, 4) and joint values (N, n) of what is given as the grasps of a hand, float64.
+
+    Args:
+        hand: The hand.
+        T_world_root: Transforms (N, 4, 4) or poses (x, y, z, qw, qx, qy, qz) (N, 7) of its base link, or one of them.
+        q: Joint values (N, n) in `hand.joint_names` order, or (n,) of one grasp.
+
+    Raises:
+        GraspRefineError: no numbers, other shapes, or a quaternion that is not of unit length.
+    """
+    T, q = as_numbers("T_world_root", T_world_root), as_numbers("q", q)
+    if T.shape[-1:] == (7,) and T.ndim <= 2:
+        poses, fault = unit_poses(without_zero_quaternions(T.reshape(-1, 7)))
+        if fault is not None:
+            raise GraspRefineError(
+                f"T_world_root row {fault[0]} has no unit quaternion: the norm of its last four numbers, qw qx qy qz, "
+                f"is {fault[1]:.6g}"
+            )
+        T = transform_from_pose(poses)
+    T, q = T[None] if T.ndim == 2 else T, q[None] if q.ndim == 1 else q
+    if T.shape[1:] != (4, 4):
+        raise shape_error("T_world_root", T, ("N", 4, 4), "transforms, or poses x y z qw qx qy qz (N, 7)")
+    joints = len(hand.joint_names)
+    if q.shape != (len(T), joints):
+        why = f"one row for each pose, one column for each of the {joints} joints in joint_names of hand '{hand.name}'"
+        raise shape_error("q", q, (len(T), joints), why)
+    return T, q
+
+
+def links_of(hand: Hand) -> tuple[str, ...]:
+    """Links of a hand with collision geometry; contact links come first, as often as they have contact points."""
+    first = [contact.link for contact in hand.contacts]
+    return (
+        *first,
+        *(link.name for link in hand.links if link.body is not None and link.name not in first),
+    )

@@ -1,1 +1,0 @@
-"""Solvers: how root pose and joint values move to lower the loss."""

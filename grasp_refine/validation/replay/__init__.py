@@ -1,0 +1,1 @@
+"""Recorded simulations: pictures, films, and scenes for MuJoCo."""

@@ -1,0 +1,89 @@
+"""One grasp in one direction, simulated exactly as all are, and recorded."""
+
+from __future__ import annotations
+
+import numpy as np
+from mujoco.batch import Batch
+
+from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.protocol import AXES
+from grasp_refine.validation.replay.replay import Replay, Stage, qpos_names
+from grasp_refine.validation.simulation import LIFT, close, push
+from grasp_refine.validation.stepping import Conditions, Watch
+from grasp_refine.validation.trials import Reason
+from grasp_refine.validation.world import World
+
+EVERY = 5
+"""Every so many simulation steps a frame is kept: 50 in a second."""
+
+
+def record(
+    world: World,
+    motion: Motion,
+    direction: str,
+    *,
+    name: str,
+    hand: str,
+    conditions: Conditions | None = None,
+    also: Watch = lambda batch: None,
+) -> Replay | None:
+    """The motion of one grasp from the pregrasp to the end of its trial, also when it fails; None if it cannot start.
+
+    Args:
+        world: Hand, object and protocol.
+        motion: One grasp.
+        direction: One of the protocol's, or "lift".
+        name: What a person would call it.
+        hand: Name of the hand.
+        conditions: Where the object lies, and how slippery it is; by default as the grasp and the protocol say.
+        also: Sees every simulation step, too; what it raises ends the recording.
+    """
+    protocol = world.protocol
+    frames: list[tuple[np.ndarray, ...]] = []
+    stages: list[Stage] = []
+    # The start is seen before the first step.
+    steps = -1
+
+    def watch(batch: Batch) -> None:
+        nonlocal steps
+        also(batch)
+        steps += 1
+        if steps == 0:
+            # The set points of the first step are not set yet: a hand that is to stay at the pregrasp has these.
+            batch.ctrl[0] = world.control @ batch.qpos[0, world.joints_at]
+            root = batch.qpos[0, world.root_at : world.root_at + 7]
+            batch.mocap_pos[0, 0], batch.mocap_quat[0, 0] = root[:3], root[3:]
+        # A simulation that diverged has nothing to show from there on.
+        if steps % EVERY == 0 and np.isfinite(batch.qpos).all() and np.isfinite(batch.qvel).all():
+            closing = protocol.moves * protocol.steps_per_move
+            after = Stage.LIFT if direction == LIFT[0] else Stage.PUSH
+            stages.append(Stage.CLOSE if steps <= closing else Stage.SQUEEZE if steps <= 2 * closing else after)
+            fields = (batch.time, batch.qpos, batch.qvel, batch.ctrl, batch.mocap_pos[:, 0], batch.mocap_quat[:, 0])
+            frames.append(tuple(np.array(field[0]) for field in fields))
+
+    conditions = Conditions.nominal(world, 1) if conditions is None else conditions
+    closed = close(world, motion, conditions, threads=1, watch=watch)
+    trials = push(world, closed, directions=(direction,), threads=1, to_the_end=True, watch=watch)
+    if not frames:
+        return None
+    time, qpos, qvel, ctrl, mocap_pos, mocap_quat = (np.stack(column) for column in zip(*frames, strict=True))
+    force = np.zeros(3)
+    if direction in AXES:
+        force = protocol.mass * protocol.acceleration * np.array(AXES[direction])
+    return Replay(
+        name=name,
+        hand=hand,
+        object=world.object,
+        direction=direction,
+        setting=protocol.name,
+        reason=Reason(trials.reason[0, 0]).label,
+        force=force,
+        qpos_names=qpos_names(world.model),
+        time=time,
+        stage=np.array(stages, dtype=int),
+        qpos=qpos,
+        qvel=qvel,
+        ctrl=ctrl,
+        mocap_pos=mocap_pos,
+        mocap_quat=mocap_quat,
+    )

@@ -1,0 +1,136 @@
+"""Pictures and films of a replay: what was simulated, seen from where hand and object are both in sight."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from PIL import Image
+
+from grasp_refine.core.atomic_files import written_whole
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.validation.replay.camera import View
+from grasp_refine.validation.replay.caption import BAD, GOOD
+from grasp_refine.validation.replay.offscreen import offscreen_context
+from grasp_refine.validation.replay.replay import Replay
+from grasp_refine.validation.replay.studio import CONTACT, FORCE_COLOR, studio
+
+FORMATS = (".gif", ".png", ".webp")
+"""What a film can be saved as, by the ending of its name; .png is an animated PNG."""
+
+FOLLOWED, LOST = 0.1, 0.2
+"""What moved farther than this (metres) is no longer followed by the camera, and no longer shown."""
+
+
+def check_renderer() -> None:
+    """Nothing, when pictures can be drawn here; found out before the work, not after it.
+
+    Raises:
+        GraspRefineError: They cannot; says what to install or set.
+    """
+    offscreen_context(64, 64).free()
+
+
+def picture(
+    model: mujoco.MjModel,
+    replay: Replay,
+    frame: int | None = None,
+    size: tuple[int, int] = (720, 600),
+    view: View | None = None,
+) -> Image.Image:
+    """A frame of a replay: the shapes that were simulated, where they touch, the push, and a caption.
+
+    Args:
+        model: What was simulated.
+        replay: What was recorded of it.
+        frame: Which frame; negative numbers count from the end. By default the last one with the object in sight.
+        size: Width and height in pixels, the caption included.
+        view: From where; by default from where most of hand and object is seen.
+
+    Raises:
+        GraspRefineError: The replay is of another model, or nothing here can draw; says what to install.
+    """
+    with studio(model, replay, size) as place:
+        place.pose(_last_in_sight(replay) if frame is None else frame)
+        view = place.best_view(place.corners()) if view is None else view
+        return place.shoot(view)
+
+
+def film(
+    model: mujoco.MjModel,
+    replay: Replay,
+    path: str | Path,
+    size: tuple[int, int] = (480, 400),
+    rate: float = 20.0,
+    speed: float = 1.0,
+    view: View | None = None,
+) -> int:
+    """Save a replay as a film that plays for ever, and return its number of pictures.
+
+    It ends where the object, if it is lost, is out of sight.
+
+    Args:
+        model: What was simulated.
+        replay: What was recorded of it.
+        path: Where to; its ending is one of `FORMATS`.
+        size: Width and height in pixels, the caption included.
+        rate: Pictures a second.
+        speed: How much faster than it was it is shown.
+        view: From where; by default from where most of hand and object is seen.
+
+    Raises:
+        GraspRefineError: As for `picture`; or the ending is another, or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise GraspRefineError(f"{path}: a film can be saved as {', '.join(FORMATS)}, not as '{path.suffix}'")
+    moved, _ = replay.displacement()
+    end = replay.time[_last_in_sight(replay)]
+    wanted = np.append(np.arange(replay.time[0], end - 1e-9, speed / rate), end)
+    frames = np.clip(np.searchsorted(replay.time, wanted - 1e-9), 0, len(replay) - 1)
+    count = len(frames)
+    images = []
+    with studio(model, replay, size) as place:
+        if view is None:
+            followed = frames[moved[frames] < FOLLOWED]
+            corners = []
+            for frame in followed[:: max(len(followed) // 8, 1)]:
+                place.pose(int(frame))
+                corners.append(place.corners())
+            view = place.best_view(np.concatenate(corners))
+        for frame in frames:
+            place.pose(int(frame))
+            images.append(place.shoot(view))
+    # The last picture stays for a second.
+    durations = [round(1000 / rate)] * (count - 1) + [1000]
+    with written_whole(path) as partial:
+        _save_film(partial, images, durations)
+    return count
+
+
+def _last_in_sight(replay: Replay) -> int:
+    """The last frame before the object is lost, or of all."""
+    lost = replay.displacement()[0] > LOST
+    return max(int(lost.argmax()) - 1, 0) if lost.any() else len(replay) - 1
+
+
+def _save_film(path: Path, images: list[Image.Image], durations: list[int]) -> None:
+    options: dict[str, Any] = {"save_all": True, "duration": durations, "loop": 0}
+    if path.suffix.lower() == ".gif":
+        # One palette for all pictures, or colours flicker; no dithering, or the file is twice as large.
+        width, height = images[0].size
+        sample = Image.new("RGB", (width, 4 * height))
+        for number in range(4):
+            sample.paste(images[number * (len(images) - 1) // 3], (0, number * height))
+        force = tuple(round(255 * c) for c in FORCE_COLOR)
+        colors: tuple[str | tuple[int, ...], ...] = (CONTACT, GOOD, BAD, force)
+        for number, color in enumerate(colors):
+            # The few pixels of small things would not get a colour of their own.
+            sample.paste(color, (24 * number, 0, 24 * number + 24, 24))
+        palette = sample.quantize(256, dither=Image.Dither.NONE)
+        images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    elif path.suffix.lower() == ".webp":
+        options |= {"quality": 85, "method": 2}
+    images[0].save(path, append_images=images[1:], **options)

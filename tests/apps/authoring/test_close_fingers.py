@@ -1,0 +1,190 @@
+"""The example grasps are what the script makes, almost right, and good after refinement."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.geometry.shapes import EMBEDDED
+from grasp_refine.grasps.grasp_set import GraspSet, load_grasps, match_joints
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.objects.object import Object, load_object
+from grasp_refine.refinement.refine import Scene, refine
+from grasp_refine.validation.geometry import measure
+from grasp_refine.validation.motion import closing
+from grasp_refine.validation.protocol import FORCE_CLOSURE
+from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.validate import model_of
+from grasp_refine.validation.world import build_world
+from grasp_refine_apps.authoring.close_fingers import (
+    CLEARANCE,
+    CLOSING,
+    EXAMPLES,
+    HANDS,
+    OPEN,
+    Approach,
+    HandAround,
+    close,
+    disturbed,
+    example_grasps,
+    main,
+    sampled,
+)
+from refusals import refused
+
+HAND = load_hand("allegro")
+
+
+def example(name: str) -> GraspSet:
+    return load_grasps(resource_dir("robots") / "allegro" / f"example_{name}.npz")
+
+
+@cache
+def embedded(name: str) -> Object:
+    return load_object(name)
+
+
+def test_every_example_file_has_its_script():
+    files = {(path.parent.name, path.name) for path in resource_dir("robots").glob("*/*.npz")}
+    assert files == {(hand, f"example_{name}.npz") for hand in HANDS for name in EXAMPLES}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_files_belong_to_the_embedded_hand_and_objects(name: str):
+    grasps = example(name)
+    assert name in EMBEDDED
+    assert (grasps.hand, grasps.base_link, grasps.joint_names) == (HAND.name, HAND.base_link, HAND.joint_names)
+    assert set(grasps.object) == {name} and (grasps.scale == 1).all() and len(grasps) == 4
+    q, notes = match_joints(grasps, HAND)
+    assert not notes
+    assert ((HAND.lower <= q) & (q <= HAND.upper)).all()
+
+
+def test_the_script_makes_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    main(["allegro", "--out", str(tmp_path)])
+    assert capsys.readouterr().out.count("4 grasps") == len(EXAMPLES)
+    for name in EXAMPLES:
+        made, stored = load_grasps(tmp_path / "allegro" / f"example_{name}.npz"), example(name)
+        message = f"{name}: run apps/grasp_refine_apps/authoring/close_fingers.py again, and look at the grasps"
+        np.testing.assert_allclose(made.hand_pose, stored.hand_pose, rtol=0, atol=1e-9, err_msg=message)
+        np.testing.assert_allclose(made.q, stored.q, rtol=0, atol=1e-9, err_msg=message)
+
+
+def test_another_seed_makes_other_grasps():
+    name = "rounded_box"
+    made = example_grasps(HAND, embedded(name), seed=1)
+    assert np.abs(made.q - example(name).q).max() > 0.01
+
+
+@pytest.mark.slow
+def test_examples_of_a_hand_without_given_poses_are_sampled():
+    hand, obj = load_hand("leap"), embedded("rounded_box")
+    stored = load_grasps(resource_dir("robots") / "leap" / "example_rounded_box.npz")
+    made = example_grasps(hand, obj)
+    assert (made.hand, made.base_link, made.joint_names) == ("leap", hand.base_link, hand.joint_names)
+    message = "run apps/grasp_refine_apps/authoring/close_fingers.py again, and look at the grasps"
+    np.testing.assert_allclose(made.hand_pose, stored.hand_pose, rtol=0, atol=1e-6, err_msg=message)
+    np.testing.assert_allclose(made.q, stored.q, rtol=0, atol=1e-6, err_msg=message)
+    around = HandAround(hand, obj)
+    T, q = sampled(hand, obj, around, seed=0)
+    assert len(q) >= len(made)
+    tips = [around.links.index(contact.link) for contact in hand.contacts]
+    assert (around.distances(T, q)[:, tips] < CLEARANCE).all()
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_they_are_almost_right_and_refinement_makes_them_right(name: str):
+    grasps, obj = example(name), embedded(name)
+    scene = Scene(HAND, obj, transform_from_pose(grasps.hand_pose), grasps.q)
+    result = refine(scene)
+    before, after = (
+        measure(HAND, obj, scene.links, T, q, result.target_link, result.target_object, touching=result.touching)
+        for T, q in ((scene.T_world_root, scene.q), (result.T_world_root, result.q))
+    )
+    tips = before.distance[:, : len(HAND.contacts)]
+    assert (tips.max(axis=1) > 0.005).all() and (tips.max(axis=1) < 0.015).all()
+    assert (before.penetration > 0.001).all() and (before.penetration < 0.004).all()
+    assert np.median(np.nanmax(after.contact_error, axis=1)) < 1e-3
+    assert (after.penetration < 0.5e-3).all()
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("hand", ["allegro", *(pytest.param(hand, marks=pytest.mark.slow) for hand in HANDS[1:])])
+def test_half_of_them_lose_the_object_before_refinement(hand: str, name: str):
+    grasps, ours, obj = (
+        load_grasps(resource_dir("robots") / hand / f"example_{name}.npz"),
+        load_hand(hand),
+        embedded(name),
+    )
+    scene = Scene(ours, obj, transform_from_pose(grasps.hand_pose), match_joints(grasps, ours)[0])
+    held = simulate(build_world(model_of(ours), obj, FORCE_CLOSURE), closing(scene)).success
+    assert not held[[0, 2]].any()
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_thumb_opposes_the_fingers(name: str):
+    """Before the disturbance, the thumb's contact normal points against the mean of the fingers'."""
+    obj = embedded(name)
+    T = np.stack([approach.pose() for approach in EXAMPLES[name]])
+    q = close(HAND, HandAround(HAND, obj), T, np.repeat(opened(HAND), len(T), axis=0))
+    links = tuple(contact.link for contact in HAND.contacts)
+    nowhere = np.full((len(T), len(links), 3), np.nan)
+    normals = measure(HAND, obj, links, T, q, nowhere, nowhere).witness.normal
+    thumb = [contact.group for contact in HAND.contacts].index("thumb")
+    fingers = np.delete(normals, thumb, axis=1).mean(axis=1)
+    assert ((normals[:, thumb] * fingers).sum(axis=1) < -0.7).all()
+
+
+def test_the_palm_comes_from_where_the_approach_says():
+    point = (0.01, 0.02, 0.03)
+    for approach, outward, index_finger in (
+        (Approach(point, azimuth=0), [1, 0, 0], [0, 0, 1]),
+        (Approach(point, azimuth=90), [0, 1, 0], [0, 0, 1]),
+        (Approach(point, azimuth=90, roll=180), [0, 1, 0], [0, 0, -1]),
+        (Approach(point, azimuth=0, elevation=90), [0, 0, 1], [-1, 0, 0]),
+    ):
+        T = approach.pose()
+        np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(T[:3, :3]) == pytest.approx(1)
+        np.testing.assert_allclose(T[:3, 0], -np.array(outward), atol=1e-12)
+        np.testing.assert_allclose(T[:3, 1], index_finger, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def around() -> HandAround:
+    return HandAround(HAND, embedded("rounded_box"))
+
+
+def opened(hand: Hand) -> np.ndarray:
+    return np.array([[OPEN[name] for name in hand.joint_names]])
+
+
+def test_closing_stops_at_the_object(around: HandAround):
+    T, q = EXAMPLES["rounded_box"][0].pose()[None], opened(HAND)
+    closed = close(HAND, around, T, q)
+    distance = dict(zip(around.links, around.distances(T, closed)[0], strict=True))
+    assert all(0 < distance[link] < CLEARANCE for link in CLOSING)
+    assert min(distance.values()) > 0
+    assert (closed >= q).all()
+
+
+def test_closing_on_nothing_ends_at_the_limits(around: HandAround):
+    T = np.eye(4)[None]
+    T[0, 0, 3] = 10.0
+    closed = dict(zip(HAND.joint_names, close(HAND, around, T, opened(HAND))[0], strict=True))
+    upper = dict(zip(HAND.joint_names, HAND.upper, strict=True))
+    moving = [joint for joints in CLOSING.values() for joint in joints]
+    assert all(closed[name] == upper[name] for name in moving)
+    assert all(closed[name] == OPEN[name] for name in HAND.joint_names if name not in moving)
+
+
+def test_a_hopeless_approach_is_an_error(around: HandAround):
+    T = np.eye(4)
+    T[0, 3] = 10.0
+    with refused(RuntimeError, "approach"):
+        disturbed(HAND, around, T, opened(HAND)[0], np.random.default_rng(0))

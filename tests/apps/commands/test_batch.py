@@ -1,0 +1,461 @@
+"""`refine-grasp batch`: whole datasets, whatever happens on the way."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from command_line import PROGRAM, interruptible, refused, subprocess_environment
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine_apps.cli import main
+from refusals import assert_names
+from running_processes import PATIENCE_S, children, nothing_left, running_in_session, soon
+
+EXAMPLES = resource_dir("robots") / "allegro"
+WITH_REPORT = ("--geometry-only", "--iterations", "12", "--index", "csv", "--workers", "1")
+QUICK = (*WITH_REPORT, "--no-report")
+"""Refinements of a moment; Parquet is tested with the index."""
+TIMING = ("wall_s", "cpu_s")
+
+
+def batch(*arguments: object) -> int:
+    return main(["batch", *map(str, arguments)])
+
+
+def results(out: Path) -> dict[str, dict[str, np.ndarray]]:
+    """All that result files hold, by their names, but times."""
+    found = {}
+    for path in sorted(out.rglob("*.npz")):
+        with np.load(path) as entries:
+            found[path.relative_to(out).as_posix()] = {
+                name: entries[name] for name in entries.files if name not in TIMING
+            }
+    return found
+
+
+def assert_same(one: Path, other: Path) -> None:
+    """The same result files, bit for bit, but for times."""
+    left, right = results(one), results(other)
+    assert list(left) == list(right)
+    for name, entries in left.items():
+        assert list(entries) == list(right[name])
+        for key, value in entries.items():
+            assert value.dtype == right[name][key].dtype, (name, key)
+            assert value.tobytes() == right[name][key].tobytes(), (name, key)
+
+
+def index(out: Path) -> list[dict[str, str]]:
+    with (out / "index.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two files of four grasps, on two objects, one of them convex."""
+    folder = tmp_path_factory.mktemp("sets")
+    for name in ("rounded_box", "bottle"):
+        shutil.copy(EXAMPLES / f"example_{name}.npz", folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(sources: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What comes out of them without any trouble, three grasps a shard."""
+    out = tmp_path_factory.mktemp("whole")
+    assert batch(sources, "--out", out, "--shard-size", 3, "--json", out / "batch.json", *WITH_REPORT) == 0
+    return out
+
+
+@pytest.fixture
+def copy(whole: Path, tmp_path: Path) -> Path:
+    """The same results, to be changed."""
+    return Path(shutil.copytree(whole, tmp_path / "out"))
+
+
+def test_every_grasp_is_in_one_result_file_and_in_the_index(whole: Path, sources: Path):
+    assert list(results(whole)) == [
+        f"example_{name}/allegro_{name}_0000{part}.npz" for name in ("bottle", "rounded_box") for part in (0, 1)
+    ]
+    rows = index(whole)
+    assert [(row["job"], int(row["row"])) for row in rows] == [
+        (f"example_{name}", row) for name in ("bottle", "rounded_box") for row in range(4)
+    ]
+    for row in rows:
+        with np.load(whole / row["file"]) as entries:
+            assert float(row["quality_after"]) == entries["quality_after"][int(row["row_in_file"])]
+    assert (whole / "report.html").read_text().count("<img") >= 2
+
+
+def test_grasps_are_refined_as_run_does(sources: Path, tmp_path: Path):
+    options = ("--geometry-only", "--iterations", "12")
+    out = tmp_path / "out"
+    assert batch(sources / "example_bottle.npz", "--out", out, *QUICK) == 0
+    assert main(["run", "--grasps", str(sources / "example_bottle.npz"), "--out", str(tmp_path), *options]) == 0
+    (found,) = results(out).values()
+    with np.load(tmp_path / "allegro_bottle.npz") as expected:
+        for name in set(expected.files) - {*TIMING, "provenance"}:
+            np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
+
+
+def test_the_summary_has_the_totals_and_each_grasp_as_run_tells_it(whole: Path, sources: Path, tmp_path: Path):
+    document = json.loads((whole / "batch.json").read_text())
+    assert document["schema"] == 1
+    assert document["command"] == "batch"
+    totals = document["totals"]
+    assert (totals["n"], totals["shards"], totals["done"], totals["failed"]) == (8, 4, 4, 0)
+    assert totals["converged"] == sum(grasp["status"] == "converged" for grasp in document["grasps"])
+    assert totals["peak_bytes"] > 1e8
+    assert totals["success_before"] is None
+    assert document["failed"] == []
+    assert [job["grasps"] for job in document["jobs"]] == [4, 4]
+    said = tmp_path / "run.json"
+    run = ("run", "--grasps", sources / "example_bottle.npz", "--out", tmp_path, "--json", said)
+    assert main([*map(str, run), "--geometry-only", "--iterations", "12", "--index", "1"]) == 0
+    (expected,) = json.loads(said.read_text())["grasps"]
+    found = document["grasps"][1]
+    assert set(found) == {*expected, "job"}
+    for name in set(expected) - {*TIMING, "advice", "index"}:
+        assert flat(found[name]) == pytest.approx(flat(expected[name]), abs=1e-6, nan_ok=True), name
+
+
+def flat(value: object) -> object:
+    """Numbers in a flat dictionary, for `approx`."""
+    if not isinstance(value, dict):
+        return value
+    return {
+        f"{key}.{inner}": number
+        for key, entry in value.items()
+        for inner, number in (flat(entry).items() if isinstance(entry, dict) else [("", entry)])
+    }
+
+
+def test_what_is_complete_is_skipped(copy: Path, sources: Path, capsys: pytest.CaptureFixture[str]):
+    before = {path: path.stat().st_mtime_ns for path in copy.rglob("*.npz")}
+    first = (copy / "index.csv").read_bytes()
+    assert batch(sources, "--out", copy, "--shard-size", 3, *QUICK) == 0
+    assert {path: path.stat().st_mtime_ns for path in copy.rglob("*.npz")} == before
+    assert (copy / "index.csv").read_bytes() == first
+    assert "4 of 4 shards" in capsys.readouterr().err
+
+
+def test_what_is_missing_or_damaged_is_made_anew_and_comes_out_the_same(
+    copy: Path, whole: Path, sources: Path, capsys: pytest.CaptureFixture[str]
+):
+    missing, damaged, *_ = sorted(copy.rglob("*.npz"))
+    missing.unlink()
+    content = damaged.read_bytes()
+    damaged.write_bytes(content[:1000] + b"\0" * 100 + content[1100:])
+    assert batch(sources, "--out", copy, "--shard-size", 3, *QUICK) == 0
+    error = " ".join(capsys.readouterr().err.split())
+    assert "2 of 4 shards" in error
+    assert "allegro_bottle_00001.npz" in error and "allegro_bottle_00000.npz" not in error
+    assert_same(copy, whole)
+
+
+def test_other_settings_and_other_inputs_are_made_anew(
+    copy: Path, sources: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    other = ("--geometry-only", "--iterations", "5", "--index", "csv", "--workers", "1", "--no-report")
+    before = {path: path.stat().st_mtime_ns for path in (copy / "example_bottle").glob("*.npz")}
+    assert batch(sources / "example_bottle.npz", "--out", copy, "--shard-size", 3, *other) == 0
+    assert len(before) == 2 and all(path.stat().st_mtime_ns != time for path, time in before.items())
+    assert " 2" in capsys.readouterr().err, "both shards are told of"
+    assert all(int(row["iterations"]) <= 5 for row in index(copy))
+
+
+@pytest.mark.slow
+def test_parts_of_a_batch_make_up_the_whole(
+    whole: Path, sources: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    out = tmp_path / "out"
+    for part in ("2/2", "1/2"):
+        command = ("--out", out, "--shard-size", 3, "--shard", part, "--json", tmp_path / "part.json")
+        assert batch(sources, *command, *WITH_REPORT) == 0
+        assert json.loads((tmp_path / "part.json").read_text())["totals"]["n"] == 4
+        assert "--shard" in capsys.readouterr().out
+    assert {path.name for path in out.iterdir()} == {"example_bottle", "example_rounded_box"}
+    assert batch(sources, "--out", out, "--shard-size", 3, *QUICK) == 0
+    assert (out / "index.csv").exists()
+    assert_same(out, whole)
+
+
+def test_a_part_without_shards_is_done(sources: Path, tmp_path: Path):
+    command = ("--out", tmp_path / "out", "--shard", "3/20", "--index", "csv")
+    assert batch(sources / "example_bottle.npz", *command) == 0
+
+
+def test_bad_jobs_among_good_ones_are_named_and_the_rest_is_done(
+    tmp_path: Path, sources: Path, whole: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "mesh.obj").write_text("v 0 0 0\nthis is no mesh\n")
+    (tmp_path / "torn.npz").write_bytes((sources / "example_bottle.npz").read_bytes()[:500])
+    (tmp_path / "named").mkdir()
+    shutil.copy(sources / "example_bottle.npz", tmp_path / "named" / "bad\x1b[2J\n.npz")
+    jobs = tmp_path / "jobs.toml"
+    jobs.write_text(
+        f"""
+        [[job]]
+        name = "unreadable mesh"
+        grasps = "{sources / "example_bottle.npz"}"
+        object = "mesh.obj"
+        [[job]]
+        name = "torn"
+        grasps = "torn.npz"
+        [[job]]
+        grasps = "named/*.npz"
+        [[job]]
+        name = "no such hand"
+        grasps = "{sources / "example_bottle.npz"}"
+        hand = "claw"
+        [[job]]
+        grasps = "{sources / "example_bottle.npz"}"
+        """
+    )
+    out, summary = tmp_path / "out", tmp_path / "summary.json"
+    assert batch(jobs, "--out", out, "--shard-size", 3, "--json", summary, *QUICK) == 1
+    done = results(out)
+    assert list(done) == [f"example_bottle/allegro_bottle_0000{part}.npz" for part in (0, 1)]
+    for name, entries in done.items():
+        for key in set(entries) - {"provenance"}:
+            np.testing.assert_array_equal(entries[key], results(whole)[name][key])
+    document = json.loads(summary.read_text())
+    failed = {one["name"].partition(":")[0]: one for one in document["failed"]}
+    assert set(failed) == {"unreadable mesh", "torn", "no such hand", "bad\\x1b[2J\\n"}
+    assert "mesh.obj" in failed["unreadable mesh"]["message"]
+    assert "Traceback" in failed["unreadable mesh"]["traceback"]
+    assert failed["no such hand"]["reason"] == "refused"
+    assert document["totals"]["n"] == 4
+    said = capsys.readouterr()
+    for name in failed:
+        assert name in " ".join((said.out + said.err).split())
+    # Mended, it comes out, and the note of the failure goes.
+    shutil.copy(EXAMPLES.parent / "allegro" / "example_mug.npz", tmp_path / "torn.npz")
+    assert list(out.rglob("*.failed.json"))
+    jobs.write_text(f'[[job]]\nname = "unreadable mesh"\ngrasps = "{sources / "example_bottle.npz"}"\n')
+    assert batch(jobs, "--out", out, "--shard-size", 3, *QUICK) == 0
+    assert not list(out.rglob("*.failed.json"))
+
+
+def test_results_are_no_grasps_of_the_next_run(
+    copy: Path, sources: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    """Neither those of the same command, by whatever path, nor those of another one."""
+    folder = copy.parent
+    for name in ("rounded_box", "bottle"):
+        shutil.copy(sources / f"example_{name}.npz", folder)
+    (folder / "below").mkdir()
+    monkeypatch.chdir(folder / "below")
+    assert batch("..", "--out", "../below/../out", "--shard-size", 3, *QUICK) == 0
+    assert "4 of 4 shards" in capsys.readouterr().err
+    copy.rename(folder / "older")
+    monkeypatch.chdir(folder)
+    assert batch(".", "--out", "older2", "--shard", "4/4", "--shard-size", 3, *QUICK) == 0
+    assert "4 files" in " ".join(capsys.readouterr().err.split())
+
+
+def test_simulation_and_where_the_time_goes_are_part_of_the_results(
+    tmp_path: Path, sources: Path, capsys: pytest.CaptureFixture[str]
+):
+    out, summary = tmp_path / "out", tmp_path / "summary.json"
+    options = ("--validate", "--setting", "strict", "--profile", "--json", summary, *QUICK)
+    assert batch(sources / "example_rounded_box.npz", "--out", out, *options) == 0
+    document = json.loads(summary.read_text())
+    after = [grasp["simulation"]["after"] for grasp in document["grasps"]]
+    assert [one["setting"] for one in after] == ["strict"] * 4
+    assert document["totals"]["success_after"] == sum(one["success"] for one in after)
+    assert [row["held_after"] for row in index(out)] == [str(one["success"]).lower() for one in after]
+    profile = document["profile"]
+    assert profile["narrow phase"]["cpu_s"] > 0
+    assert profile["simulating"]["cpu_s"] > 0
+    assert profile["solver"]["calls"] > 0
+    assert "narrow phase" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_sampled_grasps_are_a_job(tmp_path: Path):
+    out = tmp_path / "out"
+    options = ("--hand", "allegro", "--object", "rounded_box", "--shard-size", 2, *QUICK)
+    assert batch("sample:3", "--out", out, *options) == 0
+    one, other = results(out).values()
+    assert len(one["q"]) == 2
+    assert len(other["q"]) == 1
+    assert not (one["initial_q"] == other["initial_q"]).all(axis=1).any()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ((), ("sample:N",)),
+        (("none.npz",), ("none", "none.npz")),
+        (("sample:4",), ("sample_4", "--grasps", "sample:4", "hand", "object")),
+        (("x.npz", "--shard", "0/3"), ("--shard 0/3", "I/N", "1/N", "N/N")),
+        (("x.npz", "--shard", "3"), ("--shard 3", "I/N")),
+        (("x.npz", "--shard", "4/3"), ("--shard 4/3", "I/N")),
+        (("x.npz", "--shard-size", "0"), ("--shard-size", "1", "0")),
+        (("x.npz", "--workers", "0"), ("--workers", "1", "0")),
+        (("x.npz", "--tries", "0"), ("--tries", "1", "0")),
+        (("x.npz", "--patience", "1"), ("--patience", "5 s", "1")),
+        (("x.npz", "--dask", "tcp://x:1", "--workers", "2"), ("--dask",)),
+        (("x.npz", "--setting", "strict"), ("--setting", "--friction", "--validate")),
+        (("x.npz", "--validate", "--friction", "0"), ("--friction", "0")),
+    ],
+)
+def test_bad_input_is_refused(
+    workplace: Path, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...], named: tuple[str, ...]
+):
+    assert_names(refused(capfd, "batch", *arguments), *named)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "taken"),
+    [
+        (("grasps.npz", "--out", "out", "--json", "grasps.npz"), "grasps.npz"),
+        (("lists/index.csv", "--out", "lists", "--index", "csv"), "lists/index.csv"),
+    ],
+    ids=["grasps", "list"],
+)
+def test_results_take_the_place_of_no_input(
+    workplace: Path, sources: Path, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...], taken: str
+):
+    shutil.copy(sources / "example_bottle.npz", "grasps.npz")
+    Path("lists").mkdir()
+    Path("lists/index.csv").write_text("grasps\n../grasps.npz\n")
+    content = Path(taken).read_bytes()
+    assert_names(refused(capfd, "batch", *arguments), taken, "--out", "--json")
+    assert Path(taken).read_bytes() == content
+
+
+def test_nothing_but_results_is_nothing_to_refine(whole: Path, workplace: Path, capfd: pytest.CaptureFixture[str]):
+    folder = whole / "example_bottle"
+    assert_names(refused(capfd, "batch", folder, "--out", "out"), folder, "results")
+    assert_names(refused(capfd, "batch", folder, "--out", whole), f"{folder}: ", f" {whole};", "--out")
+
+
+def test_an_index_of_somebody_else_stays(copy: Path, sources: Path):
+    (copy / "index.parquet").write_text("mine")
+    assert batch(sources, "--out", copy, "--shard-size", 3, *QUICK) == 0
+    assert (copy / "index.parquet").read_text() == "mine"
+
+
+def running(sources: Path, out: Path, *options: str) -> subprocess.Popen[str]:
+    """The command in a process and a group of its own."""
+    command = [sys.executable, "-c", PROGRAM, "batch", str(sources), "--out", str(out), "--shard-size", "1", *options]
+    return subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=subprocess_environment(),
+        start_new_session=True,
+        preexec_fn=interruptible,
+    )
+
+
+def finished(process: subprocess.Popen[str]) -> int:
+    """The exit code."""
+    process.communicate(timeout=PATIENCE_S)
+    return process.returncode
+
+
+def wait_for(out: Path, files: int) -> None:
+    """Until so many result files are there."""
+    assert soon(lambda: len(list(out.rglob("*.npz"))) >= files)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_it_says_how_to_go_on_and_leaves_nothing_running(
+    tmp_path: Path, sources: Path, signal_: signal.Signals
+):
+    process = running(sources, tmp_path / "out", "--workers", "1", "--geometry-only", "--no-report")
+    wait_for(tmp_path / "out", 1)
+    (os.killpg if signal_ == signal.SIGINT else os.kill)(process.pid, signal_)
+    out, error = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130
+    assert " of 8 shards" in " ".join(error.split())
+    assert error.rstrip().splitlines()[-1].startswith("refine-grasp: ")
+    assert "Traceback" not in error
+    assert nothing_left(process)
+    assert not list((tmp_path / "out").rglob(".*"))
+
+
+def test_a_failure_that_cannot_be_noted_is_told_all_the_same(
+    copy: Path, sources: Path, capsys: pytest.CaptureFixture[str]
+):
+    path = copy / "example_bottle" / "allegro_bottle_00001.npz"
+    path.unlink()
+    path.symlink_to("/dev/full")
+    (note := path.with_name(path.name + ".failed.json")).mkdir()
+    (note / "in the way").touch()
+    command = ("--out", copy, "--shard-size", 3, *QUICK)
+    assert batch(sources, *command, "--json", copy / "full.json") == 1
+    (failed,) = json.loads((copy / "full.json").read_text())["failed"]
+    assert failed["path"] == str(path)
+    assert f"{path.name}.failed.json" in "".join(capsys.readouterr().err.split("\n"))
+
+
+@pytest.mark.slow
+def test_a_full_disk_costs_only_what_cannot_be_written(copy: Path, whole: Path, sources: Path):
+    path = copy / "example_bottle" / "allegro_bottle_00001.npz"
+    path.unlink()
+    path.symlink_to("/dev/full")
+    command = ("--out", copy, "--shard-size", 3, *QUICK)
+    assert batch(sources, *command, "--json", copy / "full.json") == 1
+    (failed,) = json.loads((copy / "full.json").read_text())["failed"]
+    assert failed["path"] == str(path)
+    assert "No space left on device" in failed["message"]
+    assert batch(sources, *command) == 0
+    assert_same(copy, whole)
+
+
+def workers_of(process: subprocess.Popen[str]) -> list[int]:
+    """The processes that a process started, but for those that only look after resources."""
+    found = running_in_session(process)
+    return [number for number in map(int, children(process.pid)) if "spawn_main" in found.get(number, "")]
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="there is no /proc to find the workers in")
+@pytest.mark.parametrize("signal_", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "hung"])
+@pytest.mark.slow
+def test_a_worker_that_is_lost_is_replaced(tmp_path: Path, sources: Path, signal_: signal.Signals):
+    out, summary = tmp_path / "out", tmp_path / "summary.json"
+    options = ("--workers", "2", "--no-report", "--patience", "30", "--json", str(summary))
+    process = running(sources, out, *options)
+    wait_for(out, 1)
+    os.kill(workers_of(process)[0], signal_)
+    _, error = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, error
+    assert json.loads(summary.read_text())["totals"]["n"] == 8
+    assert len(results(out)) == 8
+    assert nothing_left(process)
+
+
+@pytest.mark.slow
+def test_killed_at_any_moment_it_goes_on_and_comes_out_the_same(tmp_path: Path, sources: Path):
+    options = ("--workers", "2", "--geometry-only", "--no-report", "--index", "csv")
+    expected, out = tmp_path / "expected", tmp_path / "out"
+    assert finished(running(sources, expected, *options)) == 0
+    seed = time.time_ns()
+    print("seed", seed)
+    random = np.random.default_rng(seed)
+    for done in range(5):
+        process = running(sources, out, *options)
+        wait_for(out, done + 1)
+        time.sleep(random.uniform(0, 0.5))
+        process.kill()
+        process.communicate()
+        assert nothing_left(process), "workers go on without their parent"
+    assert finished(running(sources, out, *options)) == 0
+    assert_same(out, expected)
+    assert {path.name for path in out.rglob(".*")} == set()
+    assert [row["row"] for row in index(out)] == [row["row"] for row in index(expected)]

@@ -1,0 +1,203 @@
+"""`refine-grasp bench grasp` as a user meets it: tables, documents that repeat themselves, and refusals."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from command_line import refused
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine_apps.bench.grasp.sets import PLACES
+from grasp_refine_apps.cli import main
+from refusals import assert_names
+
+pytestmark = pytest.mark.usefixtures("workplace")
+
+BOX = ("bench", "grasp", "--object", "rounded_box")
+TINY = (*BOX, "--count", "2", "--batches", "2")
+
+
+@pytest.fixture(autouse=True)
+def threads() -> Iterator[None]:
+    """What a run sets is undone."""
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def document(*arguments: str | Path) -> dict[str, Any]:
+    """What a run writes as JSON."""
+    Path("bench.json").unlink(missing_ok=True)
+    assert main([*map(str, arguments), "--json", "bench.json"]) == 0
+    return json.loads(Path("bench.json").read_text())
+
+
+def numbers(row: dict[str, Any]) -> dict[str, float]:
+    """The numbers of a row but for times."""
+    return {
+        key: value
+        for key, value in row.items()
+        if isinstance(value, int | float) and not ("_ms_per_grasp" in key or key.endswith("_per_s"))
+    }
+
+
+# Runs
+
+
+def test_a_run_prints_its_tables_and_writes_its_rows(capfd: pytest.CaptureFixture[str]):
+    found = document(*TINY, "--noise", "0.1")
+    out, error = capfd.readouterr()
+    assert error == ""
+    titles = [line for line in out.splitlines() if "allegro example" in line and "2 grasps" in line]
+    assert ["targets" in title for title in titles] == [True, False] and "nothing" in titles[1]
+    assert max(map(len, map(str.rstrip, out.splitlines()))) <= 80 and "bench.json" in out
+    assert list(found) == [
+        "schema", "command", "invocation", "versions", "machine", "engine", "preset", "config", "seed", "wall_s",
+        "cpu_s", "problems", "rows",
+    ]  # fmt: skip
+    assert (found["schema"], found["command"], found["preset"]) == (1, "bench grasp", None)
+    assert found["invocation"] == ("refine-grasp bench grasp --object rounded_box --batches 2 --count 2 --noise 0.1")
+    targets, nothing = found["rows"]
+    for row in found["rows"]:
+        assert (row["set"], row["hand"], row["object"]) == ("allegro example", "allegro", "all")
+        assert (row["solver"], row["derivative"], row["batch"], row["grasps"]) == (
+            "levenberg-marquardt", "contact-kinematics", 2, 2
+        )  # fmt: skip
+        assert row["limits_violated"] == 0
+        assert sum(value for key, value in row.items() if key.startswith("status_")) == 2
+        assert 0 < row["iterations_mean"] <= row["budget"] and row["queries_mean"] > 0
+        assert row["cpu_ms_per_grasp"] > 0 and row["wall_ms_per_grasp"] > 0
+        assert row["penetration_after_mean_m"] <= row["penetration_before_mean_m"]
+    assert (targets["task"], nothing["task"]) == ("targets", "nothing")
+    assert targets["acc_1e6"] == 1.0 and targets["contact_error_worst_m"] < 1e-3
+    # The disturbance is undone.
+    assert 0.005 < targets["moved_palm_median_m"] < 0.05
+    assert nothing["acc_1e6"] is None and nothing["deep_starts"] == 0 and nothing["gap_median_m"] < 5e-5
+    assert {path.name for path in Path().iterdir()} == {"bench.json"}
+
+
+def test_smoke_compares_all_solvers_and_reports_in_one_file(capfd: pytest.CaptureFixture[str]):
+    for module in ("matplotlib", "jinja2"):
+        pytest.importorskip(module, reason="the report needs it")
+    found = document(*BOX, "--preset", "smoke", "--count", "1", "--batches", "2", "--html", "bench.html")
+    assert [(row["task"], row["solver"], row["budget"]) for row in found["rows"]] == [
+        (task, solver, budget)
+        for task in ("targets", "nothing")
+        for solver, budget in (("levenberg-marquardt", 200), ("descent", 40), ("adam", 40))
+    ]
+    assert "bench.json, bench.html" in capfd.readouterr().out
+    text = Path("bench.html").read_text(encoding="utf-8")
+    assert "<svg" in text and not re.search(r"""(?:src|href)=["']https?:""", text)
+    assert {path.name for path in Path().iterdir()} == {"bench.json", "bench.html"}
+
+
+def test_neither_processes_nor_batches_change_what_comes_out():
+    options = (*BOX, "--count", "2", "--tasks", "targets", "--batches", "1", "2")
+    single, together = map(numbers, document(*options)["rows"])
+    (elsewhere,) = map(numbers, document(*options[:-2], "2", "--workers", "2")["rows"])
+    # But for rounding.
+    assert elsewhere == pytest.approx(together, rel=1e-3, abs=1e-9)
+    together |= {"batch": 1, "batch_mean": 1.0}
+    assert together == pytest.approx(single, rel=1e-3, abs=1e-9)
+
+
+def test_every_combination_is_run_once():
+    options = "--tasks nothing nothing --solvers adam levenberg-marquardt --derivatives rigid rigid --budgets 1 2 1"
+    found = document(*TINY, *options.split())["rows"]
+    assert [(row["solver"], row["derivative"], row["budget"]) for row in found] == [
+        ("adam", "rigid", 1), ("adam", "rigid", 2), ("levenberg-marquardt", "contact-kinematics", 1),
+        ("levenberg-marquardt", "contact-kinematics", 2),
+    ]  # fmt: skip
+
+
+def test_a_preset_takes_other_batches():
+    found = document(*BOX, "--preset", "nothing", "--batches", "4", "--count", "1")["rows"]
+    assert [(row["task"], row["batch"], row["batch_mean"]) for row in found] == [("nothing", 4, 1.0)]
+
+
+@pytest.mark.parametrize(
+    ("preset", "column", "values"),
+    [("pieces", "pieces", [1, 2, 4, 8, 16, 32, 64]), ("contacts", "contacts", [1, 2, 3, 4])],
+)
+def test_sizes_differ_in_one_thing(preset: str, column: str, values: list[int], capfd: pytest.CaptureFixture[str]):
+    found = document(*BOX, "--preset", preset, "--count", "2")["rows"]
+    assert [row[column] for row in found] == values and {row["joints"] for row in found} == {16}
+    assert [row[f"{column}_mean"] for row in found] == values
+    assert all(row["acc_1e6"] == 1.0 and row["task"] == "targets" for row in found)
+    assert all(sum(row["cpu_share"].values()) == pytest.approx(1.0) for row in found)
+    assert all(min(row["cpu_share"].values()) > 0.0 for row in found)
+    assert re.search(rf"batch +{column}", capfd.readouterr().out)
+    if preset == "pieces":
+        # More pieces, more queries, but far fewer than pieces.
+        first, last = found[0]["queries_mean"], found[-1]["queries_mean"]
+        assert first < last < 8.0 * first
+
+
+@pytest.mark.slow
+def test_two_processes_share_the_tasks_and_come_to_the_same(capfd: pytest.CaptureFixture[str]):
+    one, two = document(*BOX, "--preset", "workers", "--count", "3")["rows"]
+    assert (one["processes"], two["processes"], one["grasps"], two["grasps"]) == (1, 2, 3, 3)
+    assert min(one["grasps_per_s"], two["grasps_per_s"]) > 0
+    for key in ("acc_1e6", "iterations_mean", "queries_mean"):
+        assert one[key] == pytest.approx(two[key], rel=1e-9)
+    assert "per s" in capfd.readouterr().out
+
+
+def test_sets_of_the_assets_are_found_by_name(shared_assets: Path):
+    options = ["--sets", "leap_cube", "--tasks", "nothing", "--count", "2", "--batches", "2"]
+    (row,) = document("bench", "grasp", "--assets", shared_assets, *options)["rows"]
+    assert (row["set"], row["hand"], row["grasps"]) == ("leap_cube", "leap_right", 2)
+    assert all((shared_assets / place.hand).is_file() for place in PLACES.values())
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ("--preset smoke --solvers adam", ("--preset smoke", "--solvers")),
+        ("--preset targets --tasks nothing", ("--preset targets", "--tasks")),
+        ("--preset time-to-error --budgets 3", ("--preset time-to-error", "--budgets")),
+        ("--preset workers --workers 2", ("--preset workers", "--workers")),
+        ("--preset table1", ("--preset", "table1")),
+        ("--batches 0", ("--batches", "1", "0")),
+        ("--budgets 5 0", ("--budgets", "1", "0")),
+        ("--count 0", ("--count", "1", "0")),
+        ("--scenes 0", ("--scenes", "1", "0")),
+        ("--shift -1", ("--shift", "finite", "negative", "-1")),
+        ("--turn nan", ("--turn", "finite", "negative", "nan")),
+        ("--seed -1", ("--seed", "0", "4294967295", "-1")),
+        ("--solvers newton", ("--solvers", "newton")),
+        ("--derivatives distance", ("--derivatives", "descent", "adam")),
+        ("--sets mine --assets .", ("--sets", "mine")),
+        ("--sets leap_cube", ("--sets", "--assets")),
+        ("--sets leap_cube --assets .", ("--assets .", "grasps/normalised/leap_cube.npz")),
+        ("--assets . --object mug", ("--assets", "hands", "objects", "grasps")),
+        ("--targets mine.npz", ("--targets",)),
+        ("--object teapot", ("'allegro'", "'teapot'")),
+        ("--hand nobody", ("'nobody'",)),
+        ("--json same --html same", ("same",)),
+        ("--json .", (".: ", "folder")),
+        ("--html .", (".: ", "folder")),
+    ],
+)
+def test_bad_options_are_refused(options: str, named: tuple[str, ...], capfd: pytest.CaptureFixture[str]):
+    assert_names(refused(capfd, "bench", "grasp", *options.split()), *named)
+
+
+def test_grasps_that_cannot_touch_are_refused_with_targets(capfd: pytest.CaptureFixture[str]):
+    grasps = resource_dir("robots") / "allegro/example_mug.npz"
+    options = ["--grasps", str(grasps), "--object", "sphere:0.001", "--tasks", "targets", "--json", "bench.json"]
+    assert main(["bench", "grasp", *options]) == 2
+    out, error = capfd.readouterr()
+    assert out == "" and not Path("bench.json").exists()
+    left_out, answer = error.splitlines()
+    assert_names(left_out, "example_mug", "1 of 1")
+    assert answer.startswith("refine-grasp: error: ")

@@ -1,0 +1,183 @@
+"""`refine-grasp bench stability` as a user meets it: nothing is wrong, what is would be seen, and refusals."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from command_line import call, refused
+from grasp_refine.collision.engine import engines
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
+from grasp_refine_apps.bench.stability.cases import KINDS, METHODS, STATES, Derivative, Forward
+from grasp_refine_apps.bench.stability.counts import counted, of_measure
+from grasp_refine_apps.bench.stability.labels import again
+from grasp_refine_apps.bench.stability.presets import FAST
+from grasp_refine_apps.cli import main
+from grasp_refine_apps.commands.bench_stability import BenchStability
+from refusals import assert_names
+
+pytestmark = pytest.mark.usefixtures("workplace")
+
+
+def test_of_20000_queries_in_all_states_none_is_wrong():
+    """In a process of its own, where no annotations are checked, it takes half as long."""
+    pytest.importorskip("jinja2", reason="the report needs it")
+    done = call("bench", "stability", "--json", "found.json", "--html", "found.html")
+    assert done.stdout.rstrip(), done.stderr
+    found = json.loads(Path("found.json").read_text())
+    rows = found["rows"]
+    queries, derivatives = of_measure(rows, "forward"), of_measure(rows, "derivative")
+    assert counted(rows).wrong == 0, done.stdout
+    assert (done.returncode, found["problems"], done.stderr) == (0, [], "")
+    assert counted(queries)["queries"] >= 20_000 and counted(queries)["points_compared"] > 2_000
+    assert {row["kind"] for row in queries} == set(KINDS) and {row["kind"] for row in derivatives} == set(FAST)
+    # One of four pairs of slivers cannot be built, and nothing else is refused.
+    assert {row["kind"] for row in rows if row["refused"]} == {"slivers"}
+    assert all(4 * row["refused"] == row["queries"] for row in queries if row["kind"] == "slivers")
+    assert all(row["where"] is None for row in rows)
+    assert {row["state"] for row in queries} == set(STATES)
+    assert {row["method"] for row in derivatives} == set(METHODS)
+    assert max(map(len, map(str.rstrip, done.stdout.splitlines()))) <= 80
+    text = Path("found.html").read_text(encoding="utf-8")
+    assert 'class="right"' in text and 'td class="wrong"' not in text
+    assert not re.search(r"""(?:src|href)=["']https?:""", text)
+
+
+ONE = "--preset smoke --kinds needle --diagonals 0.1 --measures forward --engines python".split()
+
+
+def test_wrong_answers_are_counted_and_end_with_code_1(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+):
+    """Of all answers in a state some are made wrong in one way: each is seen as what it is, and nothing else is."""
+
+    def broken(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Witness:
+        found = query(pairs, T_a, T_b)
+        distance, status = found.distance.copy(), found.status.copy()
+        point_a = found.point_a.copy()
+        distance[0, 0] += 1e-8
+        distance[1, 0] *= -1
+        status[2, 0] = QueryStatus.FAILED
+        distance[3, 0] = np.nan
+        point_a[4, 0] += 0.01
+        return replace(found, distance=distance, status=status, point_a=point_a)
+
+    monkeypatch.setattr("grasp_refine_apps.bench.stability.forward.query", broken)
+    asked = ["--states", "near", "--queries", "30", "--batches", "64", "--json", "found.json", "--html", "found.html"]
+    assert main(["bench", "stability", *ONE, *asked]) == 1
+    out, _ = capfd.readouterr()
+    row = next(row for row in json.loads(Path("found.json").read_text())["rows"] if row["dtype"] == "float64")
+    # A distance of the wrong sign is a wrong distance too, and not that of its points.
+    names = ("wrong_distance", "wrong_sign", "failed", "not_finite")
+    assert [row[name] for name in names] == [2, 1, 1, 1] and row["wrong_points"] >= 1
+    assert counted([row]).wrong == sum(row[name] for name in names) + row["wrong_points"]
+    assert row["error_max"] > 100
+    assert "--states near --measures forward --dtypes float64" in " ".join(out.replace("\\\n", " ").split())
+    assert 'td class="wrong"' in Path("found.html").read_text(encoding="utf-8")
+
+
+def test_a_crash_is_told_and_ends_with_code_1(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):
+    def crashes(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Witness:
+        if pairs.a[0].diagonal > 0.5:
+            raise ZeroDivisionError("on purpose")
+        return query(pairs, T_a, T_b)
+
+    monkeypatch.setattr("grasp_refine_apps.bench.stability.forward.query", crashes)
+    asked = [*ONE, "--states", "near", "--diagonals", "0.1", "1", "--json", "found.json"]
+    assert main(["bench", "stability", *asked]) == 1
+    out, error = capfd.readouterr()
+    assert "needle, 1 m: " in error and "ZeroDivisionError: on purpose" in error
+    assert "1 crash" in out
+    found = json.loads(Path("found.json").read_text())
+    assert {row["diagonal"] for row in found["rows"]} == {0.1} and len(found["problems"]) == 1
+
+
+@pytest.mark.parametrize("measure", ["forward", "derivative"])
+def test_a_cell_is_asked_again_by_its_command(measure: str):
+    asked = ["--kinds", "needle", "--diagonals", "0.0012345678", "--states", "deep", "edge-edge", "--engines", "python"]
+    asked += ["--measures", measure, "--methods", "distance", "analytical", "--seed", "3", "--json", "all.json"]
+    main(["bench", "stability", "--preset", "smoke", *asked])
+    rows = json.loads(Path("all.json").read_text())["rows"]
+    assert len(rows) >= 2
+    for row in rows:
+        _, *command = shlex.split(again(row, 3))
+        main([*command, "--json", "one.json", "--overwrite"])
+        (one,) = json.loads(Path("one.json").read_text())["rows"]
+        # MuJoCo is asked once, with what is asked first.
+        same = [name for name in row if not name.startswith("mujoco")]
+        assert [one[name] for name in same] == [row[name] for name in same]
+
+
+def test_each_option_replaces_its_part_of_the_preset():
+    one = BenchStability("smoke", kinds=("box",), diagonals=(0.5, 2.0, 0.5), states=("deep",), queries=3, seed=7)
+    first, second = one.tasks()
+    assert (first.diagonal, second.diagonal, first.kind, first.states) == (0.5, 2.0, "box", ("deep",))
+    assert (first.queries, first.seed) == (3, 7) and first.derivatives and first.mujoco > 0
+    # Ways to ask differ from the first in one thing.
+    (task,) = BenchStability(
+        kinds=("ball",), diagonals=(1.0,), states=("far",), measures=("forward",), dtypes=("float32", "float64"),
+        batches=(5, 2), engines=("python",), translations=(0.0,), queries=4,
+    ).tasks()  # fmt: skip
+    assert task.forwards == (
+        Forward("float32", 5, "python"), Forward("float64", 5, "python"), Forward("float32", 2, "python")
+    )  # fmt: skip
+    (task,) = BenchStability(
+        kinds=("ball",), diagonals=(1.0,), states=("far",), measures=("derivative",), dtypes=("float64",),
+        methods=("distance", "analytical"), neighborhoods=("adaptive", "fixed"), differentiated=4,
+    ).tasks()  # fmt: skip
+    # Parts of a preset that come to ask the same ask it once, as here.
+    assert task.forwards == () and task.mujoco == 0
+    assert task.derivatives == (
+        Derivative("distance", "adaptive", "float64"), Derivative("distance", "fixed", "float64"),
+        Derivative("analytical", None, "float64"),
+    )  # fmt: skip
+
+
+def test_the_full_run_asks_all_there_is_more_than_a_million_times():
+    tasks = BenchStability(preset="full").tasks()
+    assert Counter(task.kind for task in tasks) == Counter({kind: 7 if kind == "box" else 6 for kind in KINDS})
+    assert {task.diagonal for task in tasks} >= {1e-6, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0}
+    assert all(task.states == STATES and task.translations[-1] == 1e6 for task in tasks)
+    ways = 3 + len(engines())
+    assert {len(task.forwards) for task in tasks} == {ways}
+    # A ball has no faces, edges and corners.
+    asked = sum(
+        (len(STATES) - 3 * (task.kind == "ball")) * ways * len(task.translations) * task.queries for task in tasks
+    )
+    assert asked > 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ("--preset table1", ("'table1'", "'--preset'")),
+        ("--kinds teapot", ("'teapot'", "'--kinds'")),
+        ("--states upside-down", ("'upside-down'", "'--states'")),
+        ("--engines gpu", ("'gpu'", "'--engines'")),
+        ("--methods guess", ("'guess'", "'--methods'")),
+        ("--diagonals 0", ("--diagonals", "0")),
+        ("--diagonals -1", ("--diagonals", "-1")),
+        ("--translations nan", ("--translations", "nan")),
+        ("--kinds", ("--kinds",)),
+        ("--batches 0", ("--batches", "1", "0")),
+        ("--queries 0", ("--queries", "1", "0")),
+        ("--differentiated 0", ("--differentiated", "1", "0")),
+        ("--workers 0", ("--workers", "1", "0")),
+        ("--json same --html same", ("same",)),
+    ],
+)
+def test_bad_options_are_refused(options: str, named: tuple[str, ...], capfd: pytest.CaptureFixture[str]):
+    assert_names(refused(capfd, "bench", "stability", *options.split()), *named)
+
+
+def test_an_engine_that_is_not_there_is_refused(capfd: pytest.CaptureFixture[str]):
+    if "native" in engines():
+        pytest.skip("the compiled engine is there")
+    assert_names(refused(capfd, "bench", "stability", "--engines", "native"), "native")

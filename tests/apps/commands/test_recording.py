@@ -1,0 +1,173 @@
+"""Recording what was simulated: names of files, and what is said when one cannot be written."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.pipeline.problem import Draft, Group
+from grasp_refine.validation.protocol import FORCE_CLOSURE, TABLETOP
+from grasp_refine.validation.replay.replay import load_replay
+from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.world import World, build_world
+from grasp_refine_apps.commands.recording import Recording
+from grasp_refine_apps.commands.sources import Sources
+from gripper import around, ball, gripper
+from refusals import assert_names, refused
+
+EXAMPLE = resource_dir("robots") / "allegro" / "example_rounded_box.npz"
+MOTION = around(4.0, count=2)
+FILES = (Path("grasps.npz"),)
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return build_world(gripper(), ball(), replace(FORCE_CLOSURE, checks=1))
+
+
+@pytest.fixture(scope="module")
+def group() -> Group:
+    """Two grasps on a ball, as far as names go."""
+    (found,) = Sources(index=(2, 3)).load_from(EXAMPLE, 0, lambda text: None).groups
+    return replace(found, object="ball")
+
+
+@pytest.fixture(scope="module")
+def drafts(group: Group) -> list[Draft]:
+    draft = Sources(index=(2, 3)).draft_from(EXAMPLE, lambda text: None)
+    groups = tuple(replace(group, object="ball") for group in draft.groups)
+    return [replace(draft, hand=replace(draft.hand, name="gripper"), groups=groups)]
+
+
+def recorded(recording: Recording, group: Group, world: World, folder: Path) -> list[str]:
+    return list(recording.record(group, world, MOTION, simulate(world, MOTION), "gripper", folder))
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_each_grasp_has_its_files(world: World, group: Group, tmp_path: Path) -> None:
+    lines = recorded(Recording(tmp_path, direction="+x"), group, world, tmp_path)
+    stems = [f"gripper_ball_{number}_+x" for number in (2, 3)]
+    assert names(tmp_path) == [f"{stem}{ending}" for stem in stems for ending in (".npz", ".xml")]
+    for number, stem, line in zip((2, 3), stems, lines, strict=True):
+        assert_names(line, f"ball {number}: +x held", f"{tmp_path / stem}.npz, .xml")
+
+
+def test_a_model_stays_at_the_pregrasp_until_it_is_told_to_close(world: World, group: Group, tmp_path: Path) -> None:
+    recorded(Recording(tmp_path, direction="+x"), group, world, tmp_path)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "gripper_ball_2_+x.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("pregrasp").id)
+    for _ in range(50):
+        mujoco.mj_step(model, data)
+    np.testing.assert_allclose(data.qpos, load_replay(tmp_path / "gripper_ball_2_+x.npz").qpos[0], atol=1e-9)
+
+
+def test_sizes_of_an_object_have_files_of_their_own(world: World, group: Group, tmp_path: Path) -> None:
+    for scale in (1.0, 0.06, 0.08):
+        recorded(Recording(tmp_path, direction="+x"), replace(group, scale=scale), world, tmp_path)
+    assert [name for name in names(tmp_path) if name.endswith("2_+x.npz")] == [
+        "gripper_ball_2_+x.npz",
+        "gripper_ball_x0.06_2_+x.npz",
+        "gripper_ball_x0.08_2_+x.npz",
+    ]
+
+
+def test_files_with_the_same_grasps_have_folders_of_their_own() -> None:
+    recording = Recording(Path("replays"))
+    assert Recording().folders([Path("a.npz")]) == ()
+    assert recording.folders([Path("a.npz")]) == (Path("replays"),)
+    files = [Path("before/a b.npz"), Path("after/a b.npz"), Path("a_b_2.npz"), Path("c.npz")]
+    assert [folder.name for folder in recording.folders(files)] == ["a_b", "a_b_2", "a_b_2_2", "c"]
+    assert all(folder.parent == Path("replays") for folder in recording.folders(files))
+
+
+def test_what_cannot_be_exported_is_said_and_the_rest_is_recorded(
+    world: World, group: Group, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(spec: object, model: object, replay: object, path: Path) -> None:
+        raise GraspRefineError("tendon t: only fixed tendons are exported")
+
+    monkeypatch.setattr("grasp_refine_apps.commands.recording.export_xml", refuse)
+    lines = recorded(Recording(tmp_path, direction="+x"), group, world, tmp_path)
+    for number, line in zip((2, 3), lines, strict=True):
+        assert_names(line, f"ball {number}: +x held", f"{tmp_path}/gripper_ball_{number}_+x.npz;")
+        assert_names(line, "XML", "tendon t: only fixed tendons are exported")
+    assert [load_replay(path).reason for path in tmp_path.iterdir()] == ["held", "held"]
+
+
+def test_a_film_that_cannot_be_drawn_is_said_and_the_rest_is_recorded(
+    world: World, group: Group, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    line, _ = recorded(Recording(tmp_path, direction="+x", film=True), group, world, tmp_path)
+    assert_names(line, ".npz, .xml;", "film", "MUJOCO_GL=off")
+    assert len(names(tmp_path)) == 4
+
+
+def test_a_replay_that_cannot_be_written_is_said(world: World, group: Group, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    lines = recorded(Recording(tmp_path, direction="+x"), group, world, tmp_path / "file")
+    assert len(lines) == 2
+    assert_names(lines[0], "ball 2: +x held", f"{tmp_path}/file/gripper_ball_2_+x.npz")
+
+
+def test_a_trial_that_cannot_start_is_said(world: World, group: Group, tmp_path: Path) -> None:
+    q = MOTION.q.copy()
+    q[0, 0] = 0.02
+    motion = replace(MOTION, q=q)
+    trials = simulate(world, motion)
+    line, _ = Recording(tmp_path).record(group, world, motion, trials, "gripper", tmp_path)
+    assert_names(line, "ball 2")
+    assert names(tmp_path) and not [name for name in names(tmp_path) if "_2_" in name]
+
+
+def test_a_place_that_cannot_be_written_is_found_out_before_the_work(drafts: list[Draft], tmp_path: Path) -> None:
+    Recording(tmp_path / "new" / "folder").check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
+    assert not names(tmp_path)
+    (tmp_path / "file").write_text("")
+    for folder in (Path("/proc/x"), tmp_path / "file", tmp_path / ("x" * 300)):
+        with refused(GraspRefineError, folder):
+            Recording(folder).check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".xml", ".gif"])
+def test_replays_that_exist_are_kept(drafts: list[Draft], tmp_path: Path, suffix: str) -> None:
+    there = tmp_path / f"gripper_ball_3_-y{suffix}"
+    there.write_text("kept")
+    for direction in ("-y", None):
+        recording = Recording(tmp_path, direction=direction, film=suffix == ".gif")
+        with refused(GraspRefineError, there, "--overwrite"):
+            recording.check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
+        replace(recording, film=False).check(FORCE_CLOSURE, FILES, drafts, overwrite=True)
+    Recording(tmp_path, direction="+y").check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
+
+
+def test_only_directions_that_there_are_can_be_recorded(drafts: list[Draft]) -> None:
+    Recording(Path("replays"), direction="lift").check(TABLETOP, FILES, drafts, overwrite=False)
+    with refused(GraspRefineError, "--direction +x", "lift"):
+        Recording(Path("replays"), direction="+x").check(TABLETOP, FILES, drafts, overwrite=False)
+    with refused(GraspRefineError, "--direction lift", "+x, -x, +y, -y, +z, -z"):
+        Recording(Path("replays"), direction="lift").check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
+
+
+def test_a_lift_is_recorded_from_the_pregrasp_to_the_top(group: Group, tmp_path: Path) -> None:
+    world = build_world(gripper(), ball(), TABLETOP)
+    T = around(8.0, count=2).T_world_root.copy()
+    # The plates reach below the ball.
+    T[..., 2, 3] += 0.015
+    motion = replace(around(8.0, count=2), T_world_root=T)
+    trials = simulate(world, motion)
+    assert trials.success.all()
+    list(Recording(tmp_path).record(group, world, motion, trials, "gripper", tmp_path))
+    replay = load_replay(tmp_path / "gripper_ball_2_lift.npz")
+    moved, _ = replay.displacement()
+    assert moved[-1] == pytest.approx(trials.displacement_m[0, 0], abs=1e-12)
+    assert replay.lifted()[-1] == pytest.approx([0.0, 0.0, TABLETOP.lift])
+    assert np.linalg.norm(replay.object_pose[-1, :3] - replay.object_pose[0, :3]) > 0.9 * TABLETOP.lift

@@ -1,0 +1,168 @@
+"""Shards: every grasp in exactly one, and a stamp that changes with whatever the result depends on."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.grasps.grasp_set import GraspSet, load_grasps, save_npz
+from grasp_refine_apps.batch.shard import Shard
+from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine_apps.commands.job_list import read_jobs
+from grasp_refine_apps.commands.shard_plan import Plan, Planner, part_of
+
+EXAMPLES = resource_dir("robots") / "allegro"
+
+
+def planned(*sources: object, size: int = 64, seed: int = 0, depends: object = None, **defaults: object) -> Plan:
+    jobs = read_jobs([str(source) for source in sources], Inputs(**defaults))
+    planner = Planner(Path("/out"), size, "a batch", {"refine": depends}, seed)
+    return planner.plan(jobs, lambda line: None, lambda number, name: None)
+
+
+def stamps(*sources: object, **options: object) -> list[str]:
+    return [shard.stamp for shard in planned(*sources, **options).shards]
+
+
+def grasps_of(objects: list[str], scales: list[float]) -> GraspSet:
+    """Grasps of the example hand on some objects at some scales."""
+    example = load_grasps(EXAMPLES / "example_mug.npz").select(np.zeros(len(objects), dtype=int))
+    return replace(example, object=np.array(objects), scale=np.array(scales))
+
+
+@pytest.fixture
+def mixed(tmp_path: Path) -> Path:
+    """A file of 11 grasps on two objects at two scales, in no order."""
+    objects = ["mug", "bowl", "mug", "mug", "bowl", "mug", "mug", "mug", "bowl", "mug", "mug"]
+    scales = [1.0, 1.0, 0.9, 1.0, 1.0, 0.9, 1.0, 0.9, 1.0, 1.0, 0.9]
+    path = tmp_path / "mixed.npz"
+    save_npz(path, grasps_of(objects, scales).arrays())
+    return path
+
+
+def test_a_file_with_control_characters_in_its_name_costs_no_other(mixed: Path):
+    """It once refused the whole folder."""
+    shutil.copy(mixed, mixed.with_name("a\nb\x1b[2J.npz"))
+    plan = planned(mixed.parent)
+    assert sum(shard.size for shard in plan.shards) == 11
+    (refused,) = plan.refused
+    assert refused.job == "a\\nb\\x1b[2J" and refused.message.isprintable()
+    assert {shard.task.job for shard in plan.shards} == {"mixed"}
+
+
+def test_every_grasp_is_in_exactly_one_shard_of_its_object(mixed: Path):
+    grasps = load_grasps(mixed)
+    shards = planned(mixed, size=3).shards
+    assert [shard.size for shard in shards] == [3, 3, 2, 3]
+    assert [shard.number for shard in shards] == [0, 1, 2, 3]
+    rows = np.concatenate([shard.task.rows for shard in shards])
+    assert sorted(rows.tolist()) == list(range(11))
+    for shard in shards:
+        assert set(grasps.object[shard.task.rows].tolist()) == {shard.task.object}
+        of_object = np.flatnonzero(grasps.object == shard.task.object)
+        np.testing.assert_array_equal(of_object[shard.task.index], shard.task.rows)
+    # Those of one size are together, or a shard would work on fewer at once.
+    assert grasps.scale[np.concatenate([shard.task.rows for shard in shards[:3]])].tolist() == [0.9] * 4 + [1.0] * 4
+    assert len({shard.path for shard in shards}) == 4
+    assert shards[1].path == Path("/out/mixed/allegro_mug_00001.npz")
+
+
+def test_shards_of_one_hand_and_object_follow_each_other_whatever_their_jobs(mixed: Path, tmp_path: Path):
+    other = Path(shutil.copy(mixed, tmp_path / "other.npz"))
+    shards = planned(mixed, other, size=100).shards
+    assert [(shard.task.job, shard.task.object) for shard in shards] == [
+        ("mixed", "mug"),
+        ("other", "mug"),
+        ("mixed", "bowl"),
+        ("other", "bowl"),
+    ]
+    assert len({shard.group for shard in shards}) == 2
+
+
+def test_the_stamp_changes_with_what_the_result_depends_on_and_with_nothing_else(mixed: Path, tmp_path: Path):
+    first = stamps(mixed)
+    assert stamps(mixed) == first
+    assert stamps(shutil.copy(mixed, tmp_path / "copy.npz")) == first
+    assert not set(first) & set(stamps(mixed, seed=1))
+    assert not set(first) & set(stamps(mixed, depends="other settings"))
+    assert not set(first) & set(stamps(mixed, scale=2.0))
+    assert not set(first) & set(stamps(mixed, hand="leap"))
+    assert not set(first) & set(stamps(mixed, size=2))
+    moved = load_grasps(mixed)
+    moved.hand_pose[0, 0] += 1e-9
+    save_npz(mixed, moved.arrays())
+    assert not set(first) & set(stamps(mixed))
+
+
+def test_the_stamp_changes_with_the_contents_of_meshes_and_of_the_hand(mixed: Path, tmp_path: Path):
+    objects = tmp_path / "objects"
+    objects.mkdir()
+    for name in ("mug", "bowl"):
+        (objects / f"{name}.obj").write_text("v 0 0 0\n")
+    hand = shutil.copytree(EXAMPLES, tmp_path / "hand")
+    options = {"objects": objects, "hand": str(hand)}
+    mug, bowl = stamps(mixed, **options)
+    (objects / "bowl.obj").write_text("v 0 0 1\n")
+    assert stamps(mixed, **options)[0] == mug
+    assert stamps(mixed, **options)[1] != bowl
+    urdf = hand / "allegro.urdf"
+    urdf.write_text(urdf.read_text() + "<!-- another -->\n")
+    assert stamps(mixed, **options)[0] != mug
+
+
+def test_meshes_of_a_hand_count(tmp_path: Path):
+    (tmp_path / "finger.stl").write_text("one")
+    urdf = tmp_path / "hand.urdf"
+    urdf.write_text('<robot name="hand"><link name="a"><mesh filename="finger.stl"/></link></robot>')
+    options = {"hand": str(urdf), "object": "mug"}
+    (first,) = stamps("sample:4", **options)
+    (tmp_path / "finger.stl").write_text("two")
+    assert stamps("sample:4", **options) != [first]
+
+
+def test_sampled_grasps_are_drawn_shard_by_shard():
+    shards = planned("sample:10", size=4, hand="allegro", object="mug").shards
+    assert [shard.size for shard in shards] == [4, 4, 2]
+    assert [shard.task.sampled for shard in shards] == [(4, 0), (4, 1), (2, 2)]
+    assert len({shard.stamp for shard in shards}) == 3
+
+
+def test_jobs_that_cannot_be_done_are_named_and_the_others_planned(mixed: Path, tmp_path: Path):
+    (tmp_path / "broken.npz").write_text("no grasps")
+    plan = planned(tmp_path / "broken.npz", tmp_path / "none.npz", mixed, "sample:3")
+    assert [shard.task.job for shard in plan.shards] == ["mixed", "mixed"]
+    said = {refused.job: refused.message for refused in plan.refused}
+    assert "not an .npz grasp file" in said["broken"]
+    assert "no such grasp file" in said["none"]
+    assert "--hand and --object" in said["sample_3"]
+
+
+def test_an_unknown_hand_is_told_before_anything_is_done(tmp_path: Path):
+    path = tmp_path / "foreign.npz"
+    save_npz(path, replace(grasps_of(["mug"], [1.0]), hand="claw").arrays())
+    (refused,) = planned(path).refused
+    assert "its hand 'claw' is none of ours" in refused.message
+
+
+def test_parts_are_runs_of_shards_that_make_up_the_whole(mixed: Path):
+    shards = planned(mixed, size=1).shards
+    for parts in (1, 2, 3, 4, 11, 20):
+        found = [part_of(shards, part, parts) for part in range(1, parts + 1)]
+        assert [shard for part in found for shard in part] == list(shards)
+        sizes = [sum(shard.size for shard in part) for part in found]
+        assert max(sizes) - min(sizes) <= 1
+    assert part_of((), 1, 3) == ()
+
+
+def test_files_whose_names_differ_in_odd_letters_only_do_not_meet(tmp_path: Path):
+    path = tmp_path / "a b.npz"
+    save_npz(path, grasps_of(["mug"], [1.0]).arrays())
+    shutil.copy(path, tmp_path / "a:b.npz")
+    shards: tuple[Shard, ...] = planned(tmp_path).shards
+    assert [shard.path.as_posix() for shard in shards] == [
+        "/out/a_b/allegro_mug_00000.npz",
+        "/out/a_b/allegro_mug_00000_.npz",
+    ]

@@ -1,0 +1,105 @@
+"""The work on a shard: what comes out depends on its inputs, and on nothing that was worked on before."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.losses import Weights
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.validation.protocol import SETTINGS
+from grasp_refine_apps.batch.record import State, state_of
+from grasp_refine_apps.batch.shard import Done, Shard, Sign
+from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine_apps.commands.job_list import read_jobs
+from grasp_refine_apps.commands.shard_plan import Plan, Planner
+from grasp_refine_apps.commands.shard_work import ShardWork
+from refusals import refused
+
+EXAMPLES = resource_dir("robots") / "allegro"
+QUICK = Config(weights=Weights(wrench=0.0), solver=LevenbergMarquardt(iterations=5))
+
+
+def planned(folder: Path, source: object, batch: str = "a batch", **defaults: object) -> Plan:
+    jobs = read_jobs([str(source)], Inputs(**defaults))
+    return Planner(folder, 2, batch, {}, 0).plan(jobs, lambda line: None, lambda number, name: None)
+
+
+def worked(shard: Shard, protocol: str | None = None) -> Done:
+    return ShardWork(QUICK, None if protocol is None else SETTINGS[protocol], {})(shard, lambda *sign: None)
+
+
+def content(path: Path) -> dict[str, bytes]:
+    with np.load(path) as entries:
+        return {name: entries[name].tobytes() for name in entries.files if name not in ("wall_s", "cpu_s")}
+
+
+@pytest.fixture
+def grasps(tmp_path: Path) -> Path:
+    return Path(shutil.copy(EXAMPLES / "example_rounded_box.npz", tmp_path / "grasps.npz"))
+
+
+def test_a_shard_comes_out_the_same_whatever_came_before(grasps: Path, tmp_path: Path):
+    first, second = planned(tmp_path / "one", grasps).shards
+    other = planned(tmp_path / "two", grasps, batch="another").shards[1]
+    done = worked(first)
+    worked(second)
+    assert (done.number, done.grasps, done.held) == (0, 2, None)
+    assert state_of(first) is State.COMPLETE
+    assert state_of(planned(tmp_path / "one", grasps).shards[0]) is State.COMPLETE
+    worked(other)
+    assert content(second.path) == content(other.path)
+
+
+def test_signs_of_life_say_how_far_it_is(grasps: Path, tmp_path: Path):
+    (shard, _) = planned(tmp_path / "out", grasps).shards
+    heard: list[Sign] = []
+    work = ShardWork(QUICK, SETTINGS["force-closure"], {})
+    work(shard, lambda what, share, refined=0: heard.append((what, share, refined)))
+    for values in zip(*(sign[1:] for sign in heard), strict=True):
+        assert list(values) == sorted(values)
+    assert (heard[0][1:], heard[-1][1:]) == ((0.0, 0), (1.0, 2))
+    refined = {what: refined for what, _, refined in heard}
+    assert [count for what, count in refined.items() if "simulat" in what] == [2, 2]
+    assert refined["refining"] > 0, "grasps count as soon as they are refined, not when the shard ends"
+
+
+def test_each_table_is_simulated_by_itself(grasps: Path, tmp_path: Path):
+    """Worlds are kept for later shards: once, those with another table were taken for the same."""
+    jobs = tmp_path / "jobs.csv"
+    jobs.write_text("name,grasps,table\nlow,grasps.npz,-0.3\nhigh,grasps.npz,-0.03\n")
+    both = [shard for shard in planned(tmp_path / "both", jobs).shards if shard.name.endswith("part 0")]
+    for shard in both:
+        worked(shard, "tabletop")
+    alone = planned(tmp_path / "alone", jobs, batch="another").shards
+    (high,) = (shard for shard in alone if shard.task.job == "high" and shard.name.endswith("part 0"))
+    worked(high, "tabletop")
+    (found,) = (shard for shard in both if shard.task.job == "high")
+    assert content(found.path) == content(high.path)
+    assert (
+        content(found.path)["simulation_displacement_m_before"]
+        != content(next(shard for shard in both if shard.task.job == "low").path)["simulation_displacement_m_before"]
+    )
+
+
+@pytest.mark.parametrize("what", ["grasps", "hand", "object"])
+def test_what_changed_since_it_was_planned_is_refused(grasps: Path, tmp_path: Path, what: str):
+    """A stamp says what a result was made of: it must not be put on a result of something else."""
+    hand = Path(shutil.copytree(EXAMPLES, tmp_path / "hand"))
+    mesh = tmp_path / "box.off"
+    mesh.write_text("OFF\n4 4 0\n0 0 0\n0.1 0 0\n0 0.1 0\n0 0 0.1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n")
+    (shard, _) = planned(tmp_path / "out", grasps, batch=what, hand=str(hand), object=str(mesh)).shards
+    if what == "grasps":
+        shutil.copy(EXAMPLES / "example_bottle.npz", grasps)
+    elif what == "hand":
+        urdf = hand / "allegro.urdf"
+        urdf.write_text(urdf.read_text() + "<!-- another -->\n")
+    else:
+        mesh.write_text(mesh.read_text().replace("0.1", "0.11"))
+    with refused(GraspRefineError, "changed"):
+        worked(shard)
+    assert not shard.path.exists()

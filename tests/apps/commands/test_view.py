@@ -1,0 +1,146 @@
+"""`refine-grasp view`: what it opens, and what it refuses, without a browser."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from command_line import PROGRAM, interruptible, subprocess_environment
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.refinement.force_closure_search import STAGES
+from grasp_refine_apps.cli import main
+from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.commands.view import View
+from grasp_refine_apps.viewer.controller import Controller
+from open_viewer import settled
+from refusals import assert_names, refused
+from running_processes import PATIENCE_S, soon
+
+pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
+
+
+def opened(*files: Path, inputs: Inputs | None = None) -> Controller:
+    """What the files mean; closed, only its state is looked at."""
+    controller = View(files=files, inputs=inputs or Inputs())._controller()
+    controller.close()
+    return controller
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Refined by geometry alone, and tested where it is slippery: some hold, some do not."""
+    folder = tmp_path_factory.mktemp("results")
+    assert main(["run", "--geometry-only", "--index", "1", "3", "--out", str(folder)]) == 0
+    slippery = ["--friction", "0.15", "--json", str(folder / "report.json")]
+    assert main(["validate", str(folder / "allegro_mug.npz"), *slippery, "--replays", str(folder / "replays")]) == 0
+    return folder
+
+
+def test_without_files_the_embedded_example_is_opened() -> None:
+    state = opened().state
+    assert len(state.collection) == 4 and state.collection.label(0) == "mug 0"
+
+
+def test_results_are_opened_with_the_grasps_as_they_came_and_what_simulation_said(results: Path) -> None:
+    state = opened(results / "allegro_mug.npz", results / "report.json").state
+    assert len(state.collection) == 2 and state.collection.refined.all()
+    assert np.abs(state.initial.q - state.pose.q).max() > 1e-2
+    assert set(state.proofs) == {0, 1} and state.proof is state.proofs[0]
+    assert [proof.held for proof in state.proofs.values()] == [False, True]
+    assert state.collection.columns["held"].values.tolist() == ["failed", "held"]
+
+
+def test_a_report_alone_opens_the_file_that_it_is_about(results: Path) -> None:
+    state = opened(results / "report.json").state
+    assert len(state.collection) == 2 and len(state.proofs) == 2
+
+
+def test_a_replay_is_opened_with_its_motion(results: Path) -> None:
+    path = next((results / "replays").rglob("*.npz"))
+    state = opened(path).state
+    assert state.motion is not None and len(state.motion) > 50 and len(state.collection) == 1
+    # The grasp is where the hand had closed to.
+    shown = state.motion.pose(0).q
+    assert np.isfinite(state.pose.q).all() and np.abs(state.pose.q - shown).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("files", "named"),
+    [
+        (("missing.npz",), ("missing.npz",)),
+        (("one.npz", "two.npz"), ("one.npz", "two.npz")),
+        (("note.json",), ("note.json", "JSON")),
+        (("other.json",), ("other.json", "--json")),
+        (("empty",), ("empty", ".npz")),
+    ],
+)
+def test_what_cannot_be_opened_is_said_in_one_line(
+    workplace: Path, capsys: pytest.CaptureFixture[str], files: tuple[str, ...], named: tuple[str, ...]
+) -> None:
+    (workplace / "note.json").write_text("not json")
+    (workplace / "other.json").write_text('{"command": "hands"}')
+    (workplace / "empty").mkdir()
+    assert main(["view", *files, "--port", "0", "--no-open"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("refine-grasp: error: ") and error.count("\n") == 1
+    assert_names(error, *named)
+
+
+def test_options_that_cannot_be_are_refused_before_anything_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["view", "--margin", "-1", "--port", "0", "--no-open"]) == 2
+    assert_names(capsys.readouterr().err, "--margin", "-1")
+    with refused(GraspRefineError, "one.npz", "two.npz"):
+        opened(Path("one.npz"), inputs=Inputs(grasps=Path("two.npz")))
+
+
+def test_a_taken_port_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        assert main(["view", "--port", port, "--no-open"]) == 2
+    assert_names(capsys.readouterr().err, f"127.0.0.1:{port}")
+
+
+def test_without_viser_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("grasp_refine_apps.commands.view.find_spec", lambda name: None)
+    with refused(GraspRefineError, "pip install 'grasp-refine[viewer]'"):
+        View().execute()
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_it_ends_when_asked_and_leaves_nothing(tmp_path: Path, ending: signal.Signals) -> None:
+    environment = {**subprocess_environment(), "TMPDIR": str(tmp_path)}
+    told = tmp_path.with_suffix(".json")
+    command = [sys.executable, "-c", PROGRAM, "view", "--port", "0", "--json", str(told)]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, preexec_fn=interruptible
+    )
+    try:
+        assert "http://127.0.0.1:" in process.stdout.readline()
+        assert soon(told.exists)
+        assert json.loads(told.read_text())["address"].startswith("http://127.0.0.1:")
+        process.send_signal(ending)
+        _, error = process.communicate(timeout=PATIENCE_S)
+    finally:
+        process.kill()
+        process.communicate()
+    assert process.returncode == 0 and error == ""
+    assert not list(tmp_path.iterdir())
+
+
+def test_settings_of_the_command_line_are_those_of_the_page() -> None:
+    controller = View(settings=Settings(geometry_only=True))._controller()
+    try:
+        controller.start()
+        settled(controller)
+        assert controller.state.settings.geometry_only and controller.state.outcome is not None
+        assert not any(stage.name in label for stage in STAGES for label in controller.state.trace.label)
+    finally:
+        controller.close()

@@ -1,0 +1,659 @@
+"""The command line as a user meets it: exit codes, one-line errors, files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import grasp_refine
+from command_line import PROGRAM, interruptible, refused, subprocess_environment
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.collision.engine import chosen
+from grasp_refine.grasps.grasp_set import load_grasps
+from grasp_refine.hands.hand import load_hand
+from grasp_refine_apps.cli import COMMANDS, main
+from refusals import assert_names
+from running_processes import PATIENCE_S
+
+pytestmark = pytest.mark.usefixtures("workplace")
+
+EXAMPLE = resource_dir("robots") / "allegro" / "example_rounded_box.npz"
+QUICK = ("run", "--object", "rounded_box", "--iterations", "30")
+"""A run on the one embedded object that needs no decomposition."""
+GRASP_KEYS = {
+    "index", "row", "object", "status", "advice", "starts", "iterations", "queries", "wall_s", "cpu_s", "quality",
+    "contact_error_m", "penetration_m", "self_penetration_m", "wrench_residual", "limits_violated", "moved",
+    "simulation",
+}  # fmt: skip
+
+
+@pytest.fixture
+def inputs(tmp_path: Path) -> Path:
+    """A folder for input files."""
+    folder = tmp_path / "inputs"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture
+def grasp_file(inputs: Path) -> Callable[..., Path]:
+    """Write the example with the given entries changed (None: left out); returns its path."""
+
+    def write(name: str = "grasps.npz", **changes: object) -> Path:
+        with np.load(EXAMPLE) as example:
+            arrays = {**example, **changes}
+        path = inputs / name
+        np.savez(path, **{key: np.asarray(value) for key, value in arrays.items() if value is not None})
+        return path
+
+    return write
+
+
+# The top level
+
+
+def test_help_is_instant_and_loads_nothing_heavy():
+    """Nothing but the standard library, of which it takes what `argparse` would load, too."""
+    code = (
+        "import sys; before = set(sys.modules); from grasp_refine_apps.cli import main; code = main(['--help']);"
+        "loaded = set(sys.modules) - before; packages = {name.partition('.')[0] for name in loaded};"
+        "print(sorted(packages - sys.stdlib_module_names), len(loaded) < 100, code)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=subprocess_environment())
+    assert result.stdout.splitlines()[-1] == "['grasp_refine'] True 0"
+    assert all(f"  {name} " in result.stdout for name in COMMANDS)
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"refine-grasp {grasp_refine.__version__}\n"
+
+
+def test_without_a_command_the_commands_are_shown(capsys: pytest.CaptureFixture[str]):
+    assert main([]) == 0
+    out = capsys.readouterr().out
+    assert all(f"  {name} " in out for name in COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("words", "unknown", "suggested"),
+    [
+        ("runn", "runn", "run"),
+        ("xyz", "xyz", ""),
+        ("bench algin --preset smoke", "bench algin", "bench align"),
+        ("--versoin", "--versoin", "--version"),
+    ],
+)
+def test_an_unknown_command_names_the_commands(
+    words: str, unknown: str, suggested: str, capfd: pytest.CaptureFixture[str]
+):
+    answer = refused(capfd, *words.split())
+    commands = ", ".join(COMMANDS)
+    assert_names(answer, f"'{unknown}'", commands)
+    assert suggested in answer.replace(commands, "").replace(unknown, "")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_command_explains_its_options(command: str, capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as end:
+        main([*command.split(), "--help"])
+    assert not end.value.code
+    out = capsys.readouterr().out
+    assert f"refine-grasp {command}" in out and "--json FILE" in out
+
+
+def test_hands_and_doctor_need_no_torch_to_start():
+    for command in ("hands", "doctor"):
+        code = f"import sys, grasp_refine_apps.commands.{command}; print('torch' in sys.modules)"
+        result = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, env=subprocess_environment()
+        )
+        assert result.stdout == "False\n", result.stderr
+
+
+# run
+
+
+def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixture[str]):
+    assert main([*QUICK, "--out", "results/deep", "--json", "results/deep/report.json"]) == 0
+    assert {str(path) for path in Path().rglob("*") if path.is_file()} == {
+        "results/deep/allegro_rounded_box.npz",
+        "results/deep/report.json",
+    }
+    captured = capsys.readouterr()
+    assert_names(captured.err, "4 grasps", "allegro", "6 starts")
+    assert_names(captured.out.splitlines()[0], "allegro", "rounded_box", "4 grasps")
+    assert max(map(len, captured.out.splitlines())) <= 80
+
+    document = json.loads(Path("results/deep/report.json").read_text())
+    assert list(document) == [
+        "schema", "command", "versions", "engine", "config", "seed", "totals", "profile", "grasps"
+    ]  # fmt: skip
+    assert document["engine"] == chosen("auto")
+    assert (document["schema"], document["command"], document["seed"]) == (1, "run", 0)
+    assert document["versions"]["grasp-refine"] == grasp_refine.__version__
+    assert document["config"]["refine"]["solver"]["type"] == "LevenbergMarquardt"
+    assert document["config"]["refine"]["solver"]["iterations"] == 30
+    assert set(document["totals"]) == {
+        "n", "converged", "good_before", "good_after", "success_before", "success_after", "wall_s", "cpu_s"
+    }  # fmt: skip
+    assert document["totals"]["n"] == len(document["grasps"]) == 4
+    for grasp in document["grasps"]:
+        assert set(grasp) == GRASP_KEYS
+        assert None not in grasp.values()
+        assert 0 < grasp["quality"]["before"] < grasp["quality"]["after"] <= 1
+        assert grasp["simulation"] == {"before": None, "after": None}
+        assert 0 <= grasp["wrench_residual"]["after"] < 1
+        assert grasp["contact_error_m"]["after"]["max"] < grasp["contact_error_m"]["before"]["max"]
+        assert set(grasp["self_penetration_m"]) == {"before", "after"}
+        assert 0 <= grasp["self_penetration_m"]["after"] < 1e-5
+        assert set(grasp["moved"]) == {"palm_m", "palm_rad", "joints_rad"}
+
+    before, after = load_grasps(EXAMPLE), load_grasps("results/deep/allegro_rounded_box.npz")
+    assert len(after) == 4
+    # A refined grasp gets a pregrasp and a squeeze of its own.
+    assert after.pregrasp is not None and after.squeeze is not None
+    assert (after.hand, after.base_link, after.joint_names) == ("allegro", "base_link", before.joint_names)
+    assert after.targets is None
+    moved = np.linalg.norm(after.hand_pose[:, :3] - before.hand_pose[:, :3], axis=1)
+    np.testing.assert_allclose(moved, [grasp["moved"]["palm_m"] for grasp in document["grasps"]], atol=1e-12)
+    with np.load("results/deep/allegro_rounded_box.npz") as arrays:
+        assert set(arrays["contact_link"]) >= {contact.link for contact in load_hand("allegro").contacts}
+        # A link that is too far away is no part of a grasp.
+        length = np.linalg.norm(arrays["contact_normal"], axis=-1)
+        np.testing.assert_array_equal(np.isnan(length), np.isnan(arrays["contact_distance"]))
+        np.testing.assert_allclose(length[~np.isnan(length)], 1.0)
+        errors = [grasp["contact_error_m"]["after"]["max"] for grasp in document["grasps"]]
+        np.testing.assert_array_equal(arrays["contact_error_after"], errors)
+        for when in ("before", "after"):
+            said = [grasp["quality"][when] for grasp in document["grasps"]]
+            np.testing.assert_array_equal(arrays[f"quality_{when}"], said)
+        assert arrays["starts"].tolist() == [grasp["starts"] for grasp in document["grasps"]]
+        assert (np.nanmax(np.abs(arrays["contact_distance"]), axis=1) <= arrays["contact_error_after"] + 1e-12).all()
+        provenance = json.loads(str(arrays["provenance"]))
+    assert provenance["source"]["path"] == str(EXAMPLE) and len(provenance["source"]["sha256"]) == 64
+    assert provenance["index"] == provenance["row"] == [0, 1, 2, 3]
+
+
+def test_a_result_can_be_refined_further_but_not_overwritten(capfd: pytest.CaptureFixture[str]):
+    assert main([*QUICK, "--index", "0", "--targets", "nearest"]) == 0
+    result = "grasp-refine-results/allegro_rounded_box.npz"
+    assert len(load_grasps(result).targets.links) >= 3
+    capfd.readouterr()
+    assert_names(refused(capfd, *QUICK, "--grasps", result), result, "--out", "--json")
+    elsewhere = ("--grasps", result, "--out", "again", "--json", result, "--overwrite")
+    assert_names(refused(capfd, *QUICK, *elsewhere), result, "--out", "--json")
+    assert main([*QUICK, "--grasps", result, "--out", "again", "--json", "again.json"]) == 0
+    first, again = load_grasps(result), load_grasps("again/allegro_rounded_box.npz")
+    np.testing.assert_array_equal(first.targets.point_link, again.targets.point_link)
+    np.testing.assert_array_equal(first.targets.point_object, again.targets.point_object)
+
+
+def test_a_result_is_replaced_by_the_same_refinement_only(capfd: pytest.CaptureFixture[str]):
+    """A run with --geometry-only replaced the result of a full one, and nothing was said."""
+    quick = (*QUICK, "--index", "0", "--starts", "1")
+    result = Path("grasp-refine-results/allegro_rounded_box.npz")
+    for _ in range(2):
+        assert main([*quick]) == 0
+    before = result.read_bytes()
+    for other in (("--seed", "1"), ("--starts", "2"), ("--index", "1"), ("--json", "no/report.json")):
+        capfd.readouterr()
+        said = refused(capfd, *quick, *other)
+        assert "--overwrite" in said if "--json" not in other else "folder no" in said
+    capfd.readouterr()
+    assert "--overwrite" in refused(capfd, *QUICK, "--index", "0", "--geometry-only")
+    assert result.read_bytes() == before
+    # What simulation says may be added, and is not lost.
+    assert main([*quick, "--validate"]) == 0
+    capfd.readouterr()
+    for other in ((), ("--validate", "--setting", "strict")):
+        assert_names(refused(capfd, *quick, *other), result, "--overwrite")
+    assert main([*QUICK, "--index", "0", "--geometry-only", "--overwrite"]) == 0
+    assert "simulation_after" not in np.load(result).files
+
+
+def test_the_same_seed_gives_the_same_numbers():
+    def numbers(*options: str) -> list:
+        drawn = ("--solver", "descent", "--targets", "nearest")
+        again = ("--json", "report.json", "--overwrite")
+        assert main([*QUICK, *drawn, "--index", "0", "2", *again, *options]) == 0
+        grasps = json.loads(Path("report.json").read_text())["grasps"]
+        return [{key: grasp[key] for key in grasp if not key.endswith("_s")} for grasp in grasps]
+
+    assert numbers() == numbers()
+    assert numbers("--seed", "7") != numbers()
+
+
+def test_index_counts_the_grasps_of_the_object(grasp_file: Callable[..., Path]):
+    grasps = grasp_file(object=["mug", "rounded_box", "mug", "rounded_box"])
+    chosen = ("--grasps", str(grasps), "--object-name", "rounded_box", "--index", "1", "0")
+    assert main([*QUICK, *chosen, "--json", "report.json"]) == 0
+    report = json.loads(Path("report.json").read_text())["grasps"]
+    assert [(grasp["index"], grasp["row"]) for grasp in report] == [(1, 3), (0, 1)]
+    result = load_grasps("grasp-refine-results/allegro_rounded_box.npz")
+    asked = load_grasps(grasps).select([3, 1])
+    assert np.linalg.norm(result.hand_pose[:, :3] - asked.hand_pose[:, :3], axis=1).max() < 0.03
+
+
+def test_several_objects_and_scales_are_refined_together(grasp_file: Callable[..., Path], inputs: Path):
+    grasps = grasp_file(object=["block", "rounded_box", "block", "block"], scale=[1.0, 1.0, 0.9, 1.0])
+    trimesh.creation.box((0.07, 0.07, 0.09)).export(inputs / "block.obj")
+    (inputs / "objects.toml").write_text('block = "block.obj"\nrounded_box = "rounded_box"\n')
+    objects = ("--objects", str(inputs / "objects.toml"))
+    arguments = ["run", "--grasps", str(grasps), *objects, "--iterations", "10", "--json", "report.json"]
+    assert main(arguments) == 0
+    report = json.loads(Path("report.json").read_text())["grasps"]
+    assert [(grasp["object"], grasp["index"], grasp["row"]) for grasp in report] == [
+        ("block", 0, 0), ("block", 1, 2), ("block", 2, 3), ("rounded_box", 0, 1)
+    ]  # fmt: skip
+    assert load_grasps("grasp-refine-results/allegro_block.npz").scale.tolist() == [1.0, 0.9, 1.0]
+    assert len(load_grasps("grasp-refine-results/allegro_rounded_box.npz")) == 1
+
+
+def test_targets_of_a_file_are_aimed_at(grasp_file: Callable[..., Path], capfd: pytest.CaptureFixture[str]):
+    links, n = ["link_7.0_tip", "link_15.0_tip"], 4
+    point_object = np.full((n, 2, 3), 0.02)
+    point_object[1] = np.nan
+    point_link = np.where(np.isnan(point_object), np.nan, 0.01)
+    targets = {"target_link": links, "target_point_link": point_link, "target_point_object": point_object}
+    aimed = grasp_file("targets.npz", **targets)
+    assert main([*QUICK, "--targets", str(aimed), "--json", "report.json"]) == 0
+    capfd.readouterr()
+    used = load_grasps("grasp-refine-results/allegro_rounded_box.npz").targets
+    assert used.links == tuple(links)
+    np.testing.assert_array_equal(used.point_object, point_object)
+    for options in ("--contacts link_7.0_tip", "--reach 0.02", "--reach-others 0.001"):
+        answer = refused(capfd, *QUICK, "--targets", aimed, *options.split())
+        assert_names(answer, "--contacts", "--reach", "--reach-others", "targets")
+    for options in ("--starts 3", "--geometry-only", "--weights.wrench 1"):
+        answer = refused(capfd, *QUICK, "--targets", aimed, *options.split())
+        assert_names(answer, options.split()[0], "targets")
+    statuses = [grasp["status"] for grasp in json.loads(Path("report.json").read_text())["grasps"]]
+    assert [status == "no target" for status in statuses] == [False, True, False, False]
+
+
+def test_the_methods_are_those_that_were_asked_for():
+    solver = "--solver descent --targets nearest"
+    options = f"{solver} --derivative distance --neighborhood fixed --distance.coupling one-sided --fixed.fraction 0.2"
+    others = "--transport --seed 3 --weights.penetration 2 --descent.shares 0.6 --descent.factors 0.1"
+    assert main([*QUICK, "--index", "0", *options.split(), *others.split(), "--json", "report.json"]) == 0
+    refine = json.loads(Path("report.json").read_text())["config"]["refine"]
+    assert refine["derivative"]["type"] == "Distance"
+    assert refine["derivative"]["coupling"] == "one-sided"
+    assert refine["derivative"]["seed"] == refine["seed"] == 3
+    assert refine["derivative"]["neighborhood"] == {
+        "type": "Fixed", "fraction": 0.2, "samples": 16, "minimum": 8
+    }  # fmt: skip
+    assert refine["weights"]["penetration"] == 2.0
+    assert refine["solver"]["transport"] is True
+    assert refine["solver"]["shares"] == [0.6]
+
+
+def test_geometry_alone_moves_less_and_may_slip(capsys: pytest.CaptureFixture[str]):
+    def refined(*options: str) -> dict:
+        assert main([*QUICK, "--index", "2", *options, "--json", "report.json", "--overwrite"]) == 0
+        return json.loads(Path("report.json").read_text())
+
+    both, alone = refined(), refined("--geometry-only")
+    (first,), (second,) = both["grasps"], alone["grasps"]
+    assert both["config"]["refine"]["weights"]["wrench"] > 0 == alone["config"]["refine"]["weights"]["wrench"]
+    assert first["quality"]["after"] >= second["quality"]["after"] > second["quality"]["before"]
+    assert second["starts"] == 1 and "--starts" not in second["advice"]
+    out = capsys.readouterr().out
+    assert out.count(" estimate ") == 1 and out.count(" status ") == 1
+
+
+@pytest.mark.parametrize("form", [("0.002,0.01,0.02",), ("0.002", "0.01", "0.02"), ("0.002,", "0.01,", "0.02")])
+def test_a_refined_grasp_is_no_farther_than_it_may_be(form: tuple[str, ...]):
+    assert main([*QUICK, "--max-move", *form, "--starts", "2", "--seconds", "30", "--json", "report.json"]) == 0
+    report = json.loads(Path("report.json").read_text())
+    assert report["config"]["refine"]["max_move"] == {
+        "type": "MaxMove", "translation": 0.002, "rotation": 0.01, "joints": 0.02
+    }  # fmt: skip
+    assert (report["config"]["refine"]["starts"], report["config"]["refine"]["seconds"]) == (2, 30.0)
+    for grasp in report["grasps"]:
+        assert grasp["moved"]["palm_m"] <= 0.002 + 1e-9
+        assert grasp["moved"]["palm_rad"] <= 0.01 + 1e-9
+        assert grasp["moved"]["joints_rad"] <= 0.02 + 1e-9
+
+
+def test_a_limit_may_be_none():
+    assert main([*QUICK, "--index", "0", "--geometry-only", "--max-move", "inf,inf,0", "--json", "report.json"]) == 0
+    (grasp,) = json.loads(Path("report.json").read_text())["grasps"]
+    assert grasp["moved"]["joints_rad"] < 1e-12 < grasp["moved"]["palm_m"]
+
+
+def test_nothing_usable_is_exit_code_1(grasp_file: Callable[..., Path], capsys: pytest.CaptureFixture[str]):
+    with np.load(EXAMPLE) as example:
+        away = example["hand_pose"] + np.array([1.0, 0, 0, 0, 0, 0, 0])
+    far = grasp_file(hand_pose=away)
+    assert main([*QUICK, "--grasps", str(far), "--json", "report.json"]) == 1
+    assert not Path("grasp-refine-results").exists()
+    assert "4 no target" in capsys.readouterr().out
+    grasp = json.loads(Path("report.json").read_text())["grasps"][0]
+    assert grasp["status"] == "no target" and grasp["advice"]
+    assert grasp["contact_error_m"] == {
+        "before": {"max": None, "mean": None}, "after": {"max": None, "mean": None}
+    }  # fmt: skip
+
+
+# Bad input
+
+
+def write_mesh(path: Path, vertices: np.ndarray) -> Path:
+    faces = trimesh.creation.box().faces + 1
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in faces]
+    path.write_text("\n".join(lines))
+    return path
+
+
+def test_bad_meshes_are_refused(inputs: Path, capfd: pytest.CaptureFixture[str]):
+    box = trimesh.creation.box((0.05, 0.05, 0.05)).vertices
+    empty = inputs / "empty.obj"
+    empty.write_text("")
+    lost, flat = box.copy(), box * [1, 1, 0]
+    lost[0] = np.nan
+    for mesh, named in (
+        (inputs / "missing.obj", ()),
+        (empty, ()),
+        (write_mesh(inputs / "nan.obj", lost), ("1 of its 8 vertices",)),
+        (write_mesh(inputs / "flat.obj", flat), ("1e-06",)),
+        (inputs / "thing.xyz", ("'.xyz'", ".obj, .stl")),
+    ):
+        answer = refused(capfd, "run", "--object", mesh, "--object-name", "rounded_box", "--json", "r.json")
+        assert_names(answer, mesh, *named)
+
+
+@pytest.mark.parametrize("scale", ["0", "-1", "nan", "inf"])
+def test_a_scale_is_positive(scale: str, capfd: pytest.CaptureFixture[str]):
+    assert_names(refused(capfd, *QUICK, "--scale", scale), "--scale", f"{float(scale):g}")
+
+
+def test_bad_grasp_files_are_refused(grasp_file: Callable[..., Path], inputs: Path, capfd: pytest.CaptureFixture[str]):
+    text = inputs / "text.npz"
+    text.write_text("hello")
+    for path, *named in (
+        (inputs / "missing.npz", "missing.npz"),
+        (text, "text.npz", ".npz "),
+        (grasp_file("width.npz", q=np.zeros((4, 15))), "width.npz", "q ", "(4, 16)"),
+        (grasp_file("keys.npz", hand_pose=None), "keys.npz", "hand_pose"),
+        (grasp_file("joints.npz", joint_names=[f"x{i}" for i in range(16)]), "'allegro'", "x0"),
+        (grasp_file("base.npz", hand="claw", base_link="mount"), "'claw'", "base_link 'mount'", "'allegro'"),
+        (grasp_file("empty_base.npz", hand="claw", base_link="palm"), "'claw'", "base_link 'palm'", "'allegro'"),
+    ):
+        answer = refused(capfd, *QUICK, "--hand", "allegro", "--grasps", path, "--json", "report.json")
+        assert_names(answer, *named)
+
+
+def test_real_grasps_of_another_hand_are_refused(shared_assets: Path, capfd: pytest.CaptureFixture[str]):
+    for name, thing, hand in (
+        ("leap_cube", "cube_75mm", "leap"),
+        ("dexgraspnet_shadow", "ddg-gd_banana_poisson_002", "shadow"),
+    ):
+        path = shared_assets / "grasps" / "normalised" / f"{name}.npz"
+        answer = refused(capfd, *QUICK, "--hand", "allegro", "--grasps", path, "--object-name", thing)
+        assert_names(answer, f"'{hand}'", "'allegro'")
+
+
+def test_several_objects_need_a_choice(grasp_file: Callable[..., Path], capfd: pytest.CaptureFixture[str]):
+    many = grasp_file(object=["mug", "mug", "can", "rounded_box"])
+    answer = refused(capfd, "run", "--grasps", many)
+    assert_names(answer, many, "3 objects", "--object-name", "--objects", "mug (2), can (1), rounded_box (1)")
+    answer = refused(capfd, "run", "--grasps", many, "--object-name", "cans")
+    assert_names(answer, "'cans'", "can (1), mug (2), rounded_box (1)")
+    answer = refused(capfd, "run", "--grasps", many, "--object-name", "can")
+    assert_names(answer, "'can'", "--object")
+
+
+def test_objects_must_be_found(grasp_file: Callable[..., Path], inputs: Path, capfd: pytest.CaptureFixture[str]):
+    many = grasp_file(object=["mug", "mug", "can", "rounded_box"])
+    listed = inputs / "objects.toml"
+    for text, *named in (('mug = "mug"', "'can'", "mug"), ("mug = 3", "mug", "3"), ("mug", "TOML")):
+        listed.write_text(text)
+        assert_names(refused(capfd, "run", "--grasps", many, "--objects", listed), listed, *named)
+    nowhere = inputs / "nowhere"
+    assert_names(refused(capfd, "run", "--grasps", many, "--objects", nowhere), nowhere)
+    assert_names(refused(capfd, "run", "--grasps", many, "--objects", inputs), inputs, "'mug'")
+    answer = refused(capfd, "run", "--grasps", many, "--objects", listed, "--object", "mug")
+    assert_names(answer, "--object ", "--objects ")
+
+
+def test_indices_are_separated_by_commas_or_spaces():
+    for number, index in enumerate((["2,0"], ["2", "0"])):
+        assert main([*QUICK, "--index", *index, "--json", f"{number}.json", "--out", str(number)]) == 0
+        grasps = json.loads(Path(f"{number}.json").read_text())["grasps"]
+        assert [grasp["index"] for grasp in grasps] == [2, 0]
+
+
+@pytest.mark.parametrize("index", ["4", "-1"])
+def test_an_index_lies_in_the_range(index: str, capfd: pytest.CaptureFixture[str]):
+    answer = refused(capfd, *QUICK, "--index", index)
+    assert_names(answer, f"index {index}", "'rounded_box'", "4 grasps", "0 to 3")
+
+
+def test_targets_must_fit_the_grasps(grasp_file: Callable[..., Path], capfd: pytest.CaptureFixture[str]):
+    points = {"target_point_link": np.zeros((4, 1, 3)), "target_point_object": np.zeros((4, 1, 3))}
+    none = grasp_file("none.npz")
+    assert_names(refused(capfd, *QUICK, "--targets", none), none, "targets")
+    wrong = grasp_file("wrong.npz", target_link=["nose"], **points)
+    assert_names(refused(capfd, *QUICK, "--targets", wrong), "'nose'")
+    other = grasp_file("other.npz", object="mug", target_link=["link_3.0_tip"], **points)
+    assert_names(refused(capfd, *QUICK, "--targets", other), other, EXAMPLE)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ("--itertions 5", ("--itertions, 5", "--iterations;")),
+        ("--derivative dist", ("'dist'", "'--derivative'")),
+        ("--index x", ("--index", "'x'")),
+        ("--index 0,x", ("--index", "'x'")),
+        ("mine.npz", ("--grasps mine.npz",)),
+        ("--unit feet", ("--unit", "feet", "cm, in, m, mm")),
+        ("--object rounded_box --contacts thumbb", ("thumbb", "thumb?")),
+        ("--object mugg", ("mugg", "mug?")),
+        ("--json", ("'--json'",)),
+        ("--iterations 0", ("--iterations", "1", "0")),
+        ("--tolerance -1", ("--tolerance", "-1")),
+        ("--weights.contact nan", ("contact", "nan")),
+        ("--seed -1", ("--seed", "0 to 4294967295", "-1")),
+        ("--descent.shares 0.5", ("descent", "shares", "factors", "1 and 2")),
+        ("--descent.momentum 1", ("descent", "momentum", "0", "1")),
+        ("--derivative rigid --neighborhood fixed", ("--derivative rigid", "--neighborhood fixed")),
+        ("--distance.coupling one-sided", ("--distance.*", "--derivative distance", "contact-kinematics")),
+        ("--threshold 2", ("threshold", "0.01 to 1", "2")),
+        ("--device nonsense", ("--device nonsense", "--dtype float64")),
+        ("--hand claw", ("'claw'", "allegro")),
+        ("--hand claw.urdf", ("claw.urdf",)),
+        ("--object bowl", ("'allegro'", "'bowl'", "bottle, mug, rounded_box")),
+        ("--json .", (".:",)),
+        ("--weights.table 3", ("--weights.table", "--table")),
+        ("--weights.direction 3", ("--weights.direction",)),
+        ("--weights.joint-limits 3", ("--weights.joint-limits", "--solver descent", "adam")),
+        ("--scales.rotation 2", ("--scales.*", "--weights.stay-near", "0")),
+        ("--scales.rotation 0 --weights.stay-near 1", ("scales", "rotation", "0")),
+        ("--adaptive.samples 4", ("--adaptive.*", "--solver descent", "adam")),
+        ("--contact-kinematics.smallest-curvature 3", ("--contact-kinematics.*", "--solver descent")),
+        ("--levenberg-marquardt.damping 0", ("levenberg-marquardt", "damping", "0")),
+        ("--levenberg-marquardt.widths", ("levenberg-marquardt", "widths")),
+        ("--max-move 0.01,0.1", ("--max-move", "3 numbers", "0.01,0.1,0.2", "2")),
+        ("--max-move 0.01 0.1 x", ("--max-move", "'x'")),
+        ("--max-move 0.01,-1,3", ("--max-move", "0", "-1")),
+        ("--max-move nan,1,1", ("--max-move", "0", "nan")),
+        ("--seconds 0", ("--seconds", "0")),
+        ("--seconds inf", ("--seconds", "inf")),
+        ("--starts 0", ("--starts", "1", "0")),
+        ("--geometry-only --starts 3", ("--geometry-only", "--starts")),
+        ("--geometry-only --weights.wrench 1", ("--geometry-only", "--weights.wrench")),
+        ("--weights.wrench 0 --starts 3", ("--starts", "--weights.wrench 0")),
+        ("--targets nearest --starts 3", ("--starts", "targets")),
+        ("--targets nearest --geometry-only", ("--geometry-only", "targets")),
+        ("--solver adam --starts 3", ("--starts", "--solver levenberg-marquardt", "adam")),
+        ("--solver descent --max-move 1,1,1", ("--max-move", "--solver levenberg-marquardt", "descent")),
+        ("--solver adam --seconds 3", ("--seconds", "--solver levenberg-marquardt", "adam")),
+        ("--solver adam --geometry-only", ("--geometry-only", "--solver levenberg-marquardt", "adam")),
+        ("--solver adam --weights.wrench 2", ("--weights.wrench", "--solver levenberg-marquardt", "adam")),
+        ("--solver adam --width 3", ("--width", "--solver levenberg-marquardt", "adam")),
+        ("--dtype float32", ("--dtype float32", "--solver descent", "adam", "levenberg-marquardt")),
+    ],
+)
+def test_bad_options_are_refused(options: str, named: tuple[str, ...], capfd: pytest.CaptureFixture[str]):
+    assert_names(refused(capfd, "run", *options.split()), *named)
+
+
+def test_only_embedded_hands_have_examples(inputs: Path, capfd: pytest.CaptureFixture[str]):
+    shutil.copy(resource_dir("robots") / "allegro" / "allegro.urdf", inputs / "mine.urdf")
+    assert_names(refused(capfd, "run", "--hand", inputs / "mine.urdf"), "--grasps", "allegro")
+
+
+# Interruption
+
+
+def test_ctrl_c_leaves_one_line_and_no_files():
+    options = "--object rounded_box --tolerance 0 --solver descent"
+    command = [sys.executable, "-c", PROGRAM, "run", *options.split()]
+    process = subprocess.Popen(
+        [*command, "--descent.patience", "100000", "--iterations", "1000000"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=subprocess_environment(),
+        preexec_fn=interruptible,
+    )  # fmt: skip
+    assert process.stderr is not None and "4 grasps" in process.stderr.readline()
+    process.send_signal(signal.SIGINT)
+    out, error = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, out) == (130, "")
+    assert_names(error, "refine-grasp: ")
+    assert list(Path().iterdir()) == []
+
+
+def test_nobody_reads_the_output():
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-c", PROGRAM, "hands"]
+    result = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, env=subprocess_environment())
+    os.close(write)
+    assert (result.returncode, result.stderr) == (141, "")
+
+
+# hands and doctor
+
+
+def test_hands_lists_what_comes_with_the_program(capsys: pytest.CaptureFixture[str]):
+    assert main(["hands", "--json", "hands.json"]) == 0
+    out = capsys.readouterr().out
+    assert "allegro" in out and "Apache-2.0" in out
+    document = json.loads(Path("hands.json").read_text())
+    assert (document["schema"], document["command"]) == (1, "hands")
+    (allegro,) = [hand for hand in document["hands"] if hand["name"] == "allegro"]
+    assert len(allegro["joints"]) == 16 and len(allegro["contacts"]) == 4
+    assert "example_mug.npz" in allegro["examples"]
+    assert not any(contact["guessed"] for contact in allegro["contacts"])
+
+
+def test_hands_shows_one_hand_in_full(capsys: pytest.CaptureFixture[str]):
+    assert main(["hands", "allegro"]) == 0
+    out = capsys.readouterr().out
+    assert all(word in out for word in ("joint_15.0", "link_15.0_tip", "thumb", "hull of", "example_mug.npz"))
+
+
+def test_hands_reads_a_bare_urdf(shared_assets: Path, capsys: pytest.CaptureFixture[str]):
+    urdf = shared_assets / "hands" / "barrett" / "barrett.urdf"
+    assert main(["hands", str(urdf), "--json", "hand.json"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "8 joints" in out
+    (hand,) = json.loads(Path("hand.json").read_text())["hands"]
+    assert "LICENSE" in hand["licence"]
+    assert hand["contacts"] and all(contact["guessed"] for contact in hand["contacts"])
+
+
+def test_an_unknown_hand_is_bad_input(capfd: pytest.CaptureFixture[str]):
+    assert_names(refused(capfd, "hands", "claw"), "'claw'", "allegro")
+
+
+def test_the_doctor_finds_a_working_installation(capsys: pytest.CaptureFixture[str]):
+    assert main(["doctor", "--json", "doctor.json", "--overwrite"]) == 0
+    out = capsys.readouterr().out
+    assert "cpu" in out and "allegro" in out
+    document = json.loads(Path("doctor.json").read_text())
+    assert document["problems"] == []
+    assert document["cache"]["entries"] == 0
+    names = {package["name"] for package in document["packages"]}
+    assert names >= {"torch", "coal", "coacd", "viser"} and not names & {"pytest", "playwright", "ruff"}
+    assert "playwright" not in out
+
+
+def test_the_doctor_says_which_engine_answers_queries(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    from importlib.metadata import version
+
+    from grasp_refine.collision.engine import why_not_native
+    from grasp_refine_apps.commands import doctor
+
+    def told(environment: str) -> tuple[str, dict]:
+        monkeypatch.setenv("GRASP_REFINE_ENGINE", environment)
+        assert main(["doctor", "--json", "doctor.json", "--overwrite"]) == 0
+        (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("engine:"))
+        return line.removeprefix("engine:").strip(), json.loads(Path("doctor.json").read_text())["engine"]
+
+    line, found = told("auto")
+    if why_not_native():
+        assert line.startswith("python") and why_not_native() in line
+    else:
+        assert line.startswith("native") and f"coal {version('coal')}" in line and "OpenMP" not in line
+        assert found["coal"] == version("coal")
+        line, _ = told("python")
+        assert line.startswith("python") and "GRASP_REFINE_ENGINE" in line
+        from grasp_refine.collision import native_search
+
+        monkeypatch.setattr(native_search, "has_threads", lambda: False)
+        line, found = told("auto")
+        assert line.startswith("native") and f"coal {version('coal')}" in line and "OpenMP" in line
+        assert found["threads"] is False
+
+    monkeypatch.setattr(doctor, "why_not_native", lambda: "not built")
+    monkeypatch.setattr(doctor, "chosen", lambda engine: "python")
+    line, found = told("auto")
+    assert line.startswith("python") and "native: not built" in line
+    assert found == {"used": "python", "coal": None, "threads": None, "why_not_native": "not built", "fault": None}
+
+
+def test_an_engine_that_cannot_be_used_is_a_problem(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setenv("GRASP_REFINE_ENGINE", "fast")
+    assert main(["doctor", "--json", "doctor.json"]) == 1
+    out = " ".join(capsys.readouterr().out.split())
+    (said,) = json.loads(Path("doctor.json").read_text())["problems"]
+    assert_names(said, "GRASP_REFINE_ENGINE", "'fast'", "auto, native, python")
+    assert said in out and "engine: none" in out
+    # It is not the installation that is broken.
+    assert "pip install" not in out
+
+
+def test_the_doctor_names_what_is_missing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    from grasp_refine.core.versions import Requirement
+    from grasp_refine_apps.commands import doctor
+
+    needs = (
+        Requirement("no-such-package", ">=1"),
+        Requirement("numpy", ">=999"),
+        Requirement("nor-this", "", "x"),
+    )
+    monkeypatch.setattr(doctor, "requirements", lambda: needs)
+    assert main(["doctor"]) == 1
+    out = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"no-such-package is missing\b.* >=1 ", out) and re.search(r"numpy is too old\b.* >=999 ", out)
+    assert (
+        "nor-this is missing" not in out and "pip install --upgrade" in out and 'pip install "grasp-refine[x]"' in out
+    )

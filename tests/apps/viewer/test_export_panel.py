@@ -1,0 +1,252 @@
+"""The tab "Files" with a real server and a client that uploads, clicks and downloads as a browser does."""
+
+from __future__ import annotations
+
+import io
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from grasp_refine.core.se3 import exp_se3, pose_from_transform
+from grasp_refine.grasps.grasp_set import GraspSet, load_grasps
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.pipeline.problem import Group, Problem
+from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.controller import Controller
+from uploaded import gripper_zip
+
+viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
+
+from grasp_refine_apps.viewer import upload_limit  # noqa: E402
+from grasp_refine_apps.viewer.panels import export_panel  # noqa: E402
+from grasp_refine_apps.viewer.panels.export_panel import TakePanel, open_html, png  # noqa: E402
+from grasp_refine_apps.viewer.uploads import LARGEST_UPLOAD  # noqa: E402
+from viser_client import Client  # noqa: E402
+from websocket_page import until  # noqa: E402
+
+BOX = trimesh.creation.box((0.04, 0.05, 0.06)).export(file_type="stl")
+
+
+@pytest.fixture(scope="module")
+def collection() -> Collection:
+    """One grasp of the Allegro hand on a ball."""
+    hand, ball = load_hand("allegro", candidates=16), load_object("sphere:0.03", candidates=64)
+    T = exp_se3(np.array([[0.0, 0.0, 0.1, 0.0, 0.0, 0.0]]))
+    grasps = GraspSet(
+        hand=hand.name,
+        base_link=hand.base_link,
+        joint_names=hand.joint_names,
+        object=np.array(["sphere:0.03"]),
+        scale=np.ones(1),
+        hand_pose=pose_from_transform(T),
+        q=hand.rest[None],
+    )
+    rows = np.arange(1)
+    group = Group("sphere:0.03", 1.0, Scene(hand, ball, T, hand.rest[None]), grasps, rows, rows, rows)
+    return Collection.of(Problem(hand, (hand.urdf,), (group,), ("a <b>note</b>",), "sample:1"))
+
+
+@dataclass
+class Shown:
+    """A panel, and two browsers that look at it."""
+
+    server: viser.ViserServer
+    controller: Controller
+    panel: TakePanel
+    one: Client
+    other: Client
+
+    def told(self, *named: str, bad: bool = False) -> bool:
+        """Whether the user is told, sooner or later, something that names each of these."""
+
+        def is_told() -> bool:
+            notice = self.controller.state.notice
+            return notice is not None and notice.bad == bad and all(one in notice.text for one in named)
+
+        return bool(until(is_told))
+
+
+@pytest.fixture
+def shown(collection: Collection) -> Iterator[Shown]:
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    controller = Controller(collection, Settings(geometry_only=True))
+    panel = TakePanel(server, controller)
+    controller.listen(panel.draw)
+    panel.draw(controller.state)
+    with Client(server) as one, Client(server) as other:
+        yield Shown(server, controller, panel, one, other)
+    controller.close()
+    panel.close()
+    assert not panel._uploads.path.exists()
+    server.stop()
+
+
+def test_an_uploaded_mesh_takes_the_place_of_the_object(shown: Shown):
+    before = shown.controller.state
+    shown.one.upload(shown.panel._upload, "My Box.stl", BOX, part=300)
+    assert shown.told("My Box.stl", "1 grasp", "allegro", "My_Box")
+    now = shown.controller.state
+    np.testing.assert_allclose(now.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
+    np.testing.assert_allclose(now.pose.T_object_root, before.pose.T_object_root, atol=1e-12)
+    assert now.job is None
+    assert "My_Box" in shown.panel._open.content
+
+
+def test_a_bad_mesh_is_told_of_and_the_next_one_opened(shown: Shown):
+    shown.one.upload(shown.panel._upload, "bad.stl", b"solid nothing", key="1")
+    assert shown.told("bad.stl", bad=True)
+    assert shown.controller.state.scene.object.name == "sphere:0.03"
+    assert [*shown.panel._uploads.path.iterdir()] == [shown.panel._uploads.path / "1"]
+    shown.one.upload(shown.panel._upload, "box.stl", BOX, key="2")
+    assert shown.told("box.stl")
+
+
+def test_the_unit_is_chosen_in_the_panel(shown: Shown):
+    large = trimesh.creation.box((40, 50, 60)).export(file_type="stl")
+    shown.one.upload(shown.panel._upload, "box.stl", large, key="1")
+    assert shown.told("box.stl", "Mesh unit", "millimetres", "40 x 50 x 60 mm", bad=True)
+    shown.one.change(shown.panel._unit, "millimetres")
+    until(lambda: shown.panel._unit.value == "millimetres")
+    shown.one.upload(shown.panel._upload, "box.stl", large, key="2")
+    assert shown.told("box.stl")
+    np.testing.assert_allclose(shown.controller.state.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
+
+
+def test_an_uploaded_hand_comes_with_grasps(shown: Shown):
+    shown.one.upload(shown.panel._upload, "gripper.zip", gripper_zip())
+    assert shown.told("gripper.zip", "gripper on", "sphere:0.03")
+    assert shown.controller.state.collection.hand.joint_names == ("left_hinge", "right_hinge")
+
+
+def test_the_shown_grasp_goes_to_the_browser_that_asks(shown: Shown, tmp_path: Path):
+    T = exp_se3(np.array([0.01, 0.02, 0.12, 0.1, 0.2, 0.3]))
+    shown.controller.move_root(T)
+    shown.one.change(shown.panel._save, True)
+    name, content = shown.one.download()
+    assert name == "allegro_sphere_0.03_ours.npz"
+    (tmp_path / name).write_bytes(content)
+    grasps = load_grasps(tmp_path / name)
+    np.testing.assert_allclose(grasps.hand_pose, pose_from_transform(T[None]), atol=1e-12)
+    assert grasps.pregrasp is not None and grasps.squeeze is not None
+    assert not shown.other.downloads()
+
+
+def test_a_format_that_cannot_hold_it_says_so(shown: Shown):
+    shown.one.change(shown.panel._format, "leap_cache")
+    until(lambda: shown.panel._format.value == "leap_cache")
+    shown.one.change(shown.panel._save, True)
+    assert shown.told("leap_cache", "'allegro'", bad=True) and not shown.one.downloads()
+
+
+def test_the_animation_needs_something_to_show(shown: Shown):
+    shown.one.change(shown.panel._animation, True)
+    assert shown.told(bad=True) and not shown.one.downloads()
+
+
+def test_an_animation_goes_to_the_browser_that_asks(shown: Shown):
+    shown.controller.start()
+    until(lambda: shown.controller.state.outcome is not None and shown.controller.state.job is None)
+    shown.one.change(shown.panel._animation, True)
+    name, content = shown.one.download()
+    assert name == "allegro_sphere_0.03_0.html" and b"<html" in content[:1000].lower()
+    assert not shown.other.downloads()
+
+
+def test_one_thing_at_a_time(shown: Shown):
+    ended = threading.Event()
+    assert shown.controller.run_job("load", "something long", lambda control: ended.wait() and None)
+    shown.one.change(shown.panel._save, True)
+    assert shown.told(bad=True) and not shown.one.downloads()
+    ended.set()
+
+
+def test_a_browser_that_left_gets_nothing(shown: Shown):
+    """The job ends all the same, and the others see nothing of it."""
+    shown.one.change(shown.panel._save, True)
+    until(lambda: shown.controller.state.job is not None)
+    shown.one.close()
+    until(lambda: shown.controller.state.job is None)
+    assert shown.controller.state.notice is None and not shown.other.downloads()
+
+
+def test_a_picture_comes_as_the_browser_drew_it(shown: Shown):
+    shown.one.change(shown.panel._picture, True)
+    until(lambda: shown.one.of("GetRenderRequestMessage"))
+    (asked,) = shown.one.of("GetRenderRequestMessage")
+    assert (asked["height"], asked["width"], asked["format"]) == (600, 800, "image/png")
+    drawn = io.BytesIO()
+    Image.new("RGBA", (64, 48), (255, 0, 0, 0)).save(drawn, "PNG")
+    shown.one.draw(asked, drawn.getvalue())
+    name, content = shown.one.download()
+    assert name == "allegro_sphere_0.03_0.png"
+    picture = Image.open(io.BytesIO(content))
+    # What is transparent is white.
+    assert picture.size == (64, 48) and picture.getpixel((3, 3)) == (255, 255, 255)
+
+
+def test_a_browser_that_draws_nothing_holds_nothing_up(shown: Shown, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(export_panel, "PATIENCE", 0.3)
+    shown.one.change(shown.panel._picture, True)
+    assert shown.told(bad=True) and not shown.one.downloads()
+    # One that leaves meanwhile is not missed.
+    monkeypatch.setattr(export_panel, "PATIENCE", 60.0)
+    told = shown.controller.state.notice
+    shown.one.change(shown.panel._picture, True)
+    until(lambda: len(shown.one.of("GetRenderRequestMessage")) == 2)
+    shown.one.close()
+    until(lambda: len(shown.server.get_clients()) == 1)
+    time.sleep(0.5)
+    assert shown.controller.state.notice is told
+
+
+def test_too_large_uploads_are_refused_before_they_come(shown: Shown):
+    states = shown.server.gui._current_file_upload_states
+    shown.one.upload(shown.panel._upload, "big.stl", bytes(2**20), said=LARGEST_UPLOAD + 1)
+    assert shown.told("big.stl", "64 MiB", bad=True)
+    # The browser is told that it is over, or it would wait for ever.
+    until(lambda: shown.one.of("FileTransferPartAck"))
+    ack = shown.one.of("FileTransferPartAck")[-1]
+    assert ack["transferred_bytes"] == ack["total_bytes"] == LARGEST_UPLOAD + 1
+    assert not states
+
+
+def test_more_bytes_than_were_announced_are_dropped(shown: Shown):
+    states, button = shown.server.gui._current_file_upload_states, shown.panel._upload
+    shown.one.announce(button, "a.stl", 1000, 100)
+    until(lambda: "1" in states)
+    shown.one.send_part(button, 0, bytes(900))
+    shown.one.send_part(button, 1, bytes(900))
+    until(lambda: not states)
+
+
+def test_many_uploads_at_once_are_refused(shown: Shown):
+    states = shown.server.gui._current_file_upload_states
+    for number in range(upload_limit.MOST_AT_ONCE + 3):
+        shown.one.announce(shown.panel._upload, "a.stl", 1000, 2, str(number))
+    assert shown.told("a.stl", "4 files", bad=True)
+    assert len(states) == upload_limit.MOST_AT_ONCE
+    # They go with the browser.
+    shown.one.close()
+    until(lambda: not states)
+
+
+def test_what_is_open_is_shown_as_text(collection: Collection):
+    text = open_html(collection)
+    assert all(one in text for one in ("allegro (allegro.urdf)", "16 joints", "sample:1"))
+    assert "a &lt;b&gt;note&lt;/b&gt;" in text
+
+
+def test_half_transparent_is_half_white():
+    image = np.zeros((2, 3, 4), dtype=np.uint8)
+    image[..., 3] = 128
+    assert Image.open(io.BytesIO(png(image))).getpixel((0, 0)) == (127, 127, 127)

@@ -1,0 +1,265 @@
+"""Proofs of one grasp: the same as `validate` finds, told in steps, and stopped at once."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import distances, pose_from_transform
+from grasp_refine.grasps.grasp_set import Stage
+from grasp_refine.pipeline.problem import Group
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.motion import closing
+from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT
+from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.trials import Reason
+from grasp_refine_apps.commands.sources import Sources
+from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.validating import Prover, protocol_of, prove, stages, watch
+from grasp_refine_apps.viewer.worker import Control, Stopped
+from refusals import assert_names, refused
+from running_processes import PATIENCE_S
+
+EXAMPLE = resource_dir("robots") / "allegro" / "example_mug.npz"
+
+
+@pytest.fixture(scope="module")
+def group() -> Group:
+    """The second example grasp: it holds, but with little friction."""
+    (found,) = Sources(index=(1,)).load_from(EXAMPLE, 0, lambda text: None).groups
+    return found
+
+
+@pytest.fixture(scope="module")
+def scene(group: Group) -> Scene:
+    return group.scene
+
+
+@pytest.fixture(scope="module")
+def prepared(scene: Scene) -> HandObject:
+    return HandObject.of(scene)
+
+
+@pytest.fixture(scope="module")
+def prover() -> Prover:
+    return Prover()
+
+
+def as_it_came(scene: Scene) -> Pose:
+    return Pose(scene.T_world_root[0], scene.q[0])
+
+
+def lifted(scene: Scene, by: float) -> Pose:
+    """The pose, moved along z."""
+    T = scene.T_world_root[0].copy()
+    T[2, 3] += by
+    return Pose(T, scene.q[0])
+
+
+def test_a_proof_says_what_validate_says(prover: Prover, group: Group, scene: Scene, prepared: HandObject) -> None:
+    protocol = protocol_of("force-closure", 0.15)
+    told: list[tuple[float, str]] = []
+    proved = prove(
+        prover,
+        scene,
+        as_it_came(scene),
+        protocol,
+        came=group.grasps,
+        prepared=prepared,
+        tell=lambda share, what: told.append((share, what)),
+    )
+    # What `validate` simulates; linear algebra may round otherwise the second time.
+    assert proved.motion is not None
+    np.testing.assert_allclose(proved.motion.q, group.motion().q, atol=1e-9)
+    np.testing.assert_allclose(proved.motion.T_world_root, group.motion().T_world_root, atol=1e-9)
+    expected = simulate(prover.world(scene, protocol), proved.motion)
+    # To the last bit.
+    for d, tried in enumerate(proved.tried):
+        assert tried.direction == expected.directions[d]
+        assert tried.reason == expected.reason[0, d]
+        values = np.array([tried.time_s, tried.displacement_m, tried.angle_rad, tried.peak_m, tried.peak_rad])
+        columns = ("time_s", "displacement_m", "angle_rad", "peak_m", "peak_rad")
+        np.testing.assert_array_equal(values, [getattr(expected, name)[0, d] for name in columns])
+        assert tried.links == tuple(np.array(expected.links)[expected.contacts[0, d]])
+    assert proved.held == expected.success[0] and not proved.held
+    assert {tried.reason for tried in proved.tried} == {Reason.HELD, Reason.TURNED}
+    assert proved.closing == {"pregrasp": "own", "squeeze": "own"}
+    shares = [share for share, _ in told]
+    assert shares == sorted(shares) and (shares[0], shares[-1]) == (0.0, 1.0) and len(told) > 30
+    # Preparing, closing, squeezing, pushing and the end: each has words of its own, and comes once.
+    parts = [what for what, _ in groupby(what for _, what in told)]
+    assert len(parts) == len(set(parts)) == 5
+    assert_names(parts[3], "6")
+
+
+def test_the_watched_motion_ends_as_the_proof_says(prover: Prover, scene: Scene, prepared: HandObject) -> None:
+    proved = prove(prover, scene, as_it_came(scene), protocol_of("force-closure", 0.15), prepared=prepared)
+    lost = next(tried for tried in proved.tried if not tried.held)
+    motion = watch(prover, scene, as_it_came(scene), proved, lost.direction)
+    assert (motion.direction, motion.reason, motion.setting) == (lost.direction, "turned", "force-closure")
+    # What was found at a check is what is shown in the frame of that time.
+    frame = motion.frame_at(0.8 + lost.time_s)
+    assert motion.since_stage[frame] == pytest.approx(lost.time_s)
+    assert motion.displacement_m[frame] == pytest.approx(lost.displacement_m, abs=1e-12)
+    assert motion.angle_rad[frame] == pytest.approx(lost.angle_rad, abs=1e-12)
+    moved, turned = distances(motion.T_object[:1], motion.T_object[frame : frame + 1])
+    assert (moved[0], turned[0]) == pytest.approx((lost.displacement_m, lost.angle_rad), abs=1e-9)
+    # The hand starts at its pregrasp.
+    assert proved.motion is not None
+    np.testing.assert_allclose(motion.T_root[0], proved.motion.T_world_root[0, 0], atol=1e-12)
+    np.testing.assert_allclose(motion.q[0], proved.motion.q[0, 0], atol=1e-12)
+    held = watch(prover, scene, as_it_came(scene), replace(proved, motion=None), "+x", prepared=prepared)
+    assert held.held and not held.lost.any()
+
+
+def test_pregrasp_and_squeeze_of_the_file_are_for_the_grasp_of_the_file(
+    group: Group, scene: Scene, prepared: HandObject
+) -> None:
+    own = closing(scene, prepared)
+    given = replace(
+        group.grasps,
+        pregrasp=Stage(pose_from_transform(own.T_world_root[:, 0]), own.q[:, 0] + 0.01),
+        squeeze=Stage(pose_from_transform(own.T_world_root[:, 2]), own.q[:, 2] + 0.02),
+    )
+    motion, owners = stages(scene, as_it_came(scene), came=given, prepared=prepared)
+    assert owners == {"pregrasp": "file", "squeeze": "file"}
+    np.testing.assert_array_equal(motion.q[0], [own.q[0, 0] + 0.01, own.q[0, 1], own.q[0, 2] + 0.02])
+    motion, owners = stages(scene, as_it_came(scene), came=replace(given, pregrasp=None), prepared=prepared)
+    assert owners == {"pregrasp": "own", "squeeze": "file"}
+    np.testing.assert_array_equal(motion.q[0], [own.q[0, 0], own.q[0, 1], own.q[0, 2] + 0.02])
+    moved = lifted(scene, 0.001)
+    motion, owners = stages(scene, moved, came=given, prepared=prepared)
+    assert owners == {"pregrasp": "own", "squeeze": "own"}
+    np.testing.assert_array_equal(motion.T_world_root[0, 1], moved.T_object_root)
+
+
+def test_a_grasp_of_others_is_closed_as_its_file_says(prover: Prover, shared_assets: Path) -> None:
+    """DexGraspBench, where it comes from, finds that all grasps of this bottle hold."""
+    bottle = "core_bottle_523cddb320608c09a37f3fc191551700"
+    sources = Sources(
+        hand=str(shared_assets / "hands/shadow/shadow_right.urdf"),
+        object=str(shared_assets / "grasps/bodex_shadow/example_object" / bottle),
+        object_name=bottle,
+        index=(0,),
+    )
+    (group,) = sources.load_from(shared_assets / "grasps/normalised/bodex_shadow.npz", 0, lambda text: None).groups
+    pose = as_it_came(group.scene)
+    proved = prove(prover, group.scene, pose, FORCE_CLOSURE, came=group.grasps)
+    assert proved.held and proved.closing == {"pregrasp": "file", "squeeze": "file"}
+    motion = watch(prover, group.scene, pose, proved, "-y")
+    assert motion.held and len(motion) == 141 and motion.seconds == pytest.approx(2.8)
+    assert group.grasps.pregrasp is not None
+    np.testing.assert_allclose(pose_from_transform(motion.T_root[:1]), group.grasps.pregrasp.hand_pose, atol=1e-6)
+
+
+def test_what_was_compiled_is_kept(prover: Prover, scene: Scene) -> None:
+    world = prover.world(scene, FORCE_CLOSURE)
+    assert prover.world(replace(scene, q=scene.q + 1.0), protocol_of("force-closure")) is world
+    assert prover.world(scene, STRICT) is not world
+    assert prover.model(scene.hand) is world.hand
+
+
+Doing = Callable[[Prover, Scene, HandObject, Control], object]
+
+
+def proving(prover: Prover, scene: Scene, prepared: HandObject, control: Control) -> object:
+    protocol = protocol_of("force-closure", 0.15)
+    return prove(prover, scene, as_it_came(scene), protocol, prepared=prepared, tell=control.tell, check=control.check)
+
+
+def watching(prover: Prover, scene: Scene, prepared: HandObject, control: Control) -> object:
+    pose = as_it_came(scene)
+    proved = prove(prover, scene, pose, FORCE_CLOSURE, prepared=prepared)
+    return watch(prover, scene, pose, proved, "+x", tell=control.tell, check=control.check)
+
+
+def cpu_seconds_to_stop(prover: Prover, scene: Scene, prepared: HandObject, doing: Doing, at: float) -> float:
+    """CPU time (s) that goes by until it stops when that share is done."""
+    reached, ended = threading.Event(), []
+
+    def tell(share: float | None, what: str) -> None:
+        if share is not None and share >= at:
+            reached.set()
+
+    control = Control(tell)
+
+    def work() -> None:
+        with pytest.raises(Stopped):
+            doing(prover, scene, prepared, control)
+        ended.append(time.process_time())
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    assert reached.wait(PATIENCE_S)
+    asked = time.process_time()
+    control.stop()
+    thread.join(PATIENCE_S)
+    assert ended
+    return ended[0] - asked
+
+
+@pytest.mark.parametrize(("doing", "at"), [(proving, 0.1), (proving, 0.9), (watching, 0.5)])
+def test_stop_takes_effect_at_once(prover: Prover, scene: Scene, prepared: HandObject, doing: Doing, at: float) -> None:
+    before = prove(prover, scene, as_it_came(scene), FORCE_CLOSURE, prepared=prepared)
+    # A few milliseconds each; a whole proof takes seconds.
+    assert min(cpu_seconds_to_stop(prover, scene, prepared, doing, at) for _ in range(3)) < 0.2
+    # Nothing of it is left: the next proof is that from before.
+    after = prove(prover, scene, as_it_came(scene), FORCE_CLOSURE, prepared=prepared)
+    assert [tried.reason for tried in after.tried] == [tried.reason for tried in before.tried]
+    moved = [[tried.displacement_m for tried in proved.tried] for proved in (before, after)]
+    np.testing.assert_allclose(*moved, atol=1e-6)
+
+
+def test_stop_is_heard_while_the_hand_is_opened(scene: Scene, prepared: HandObject) -> None:
+    asked = 0
+
+    def check() -> None:
+        nonlocal asked
+        asked += 1
+        if asked == 2:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        stages(scene, as_it_came(scene), prepared=prepared, check=check)
+    assert asked == 2
+
+
+def test_a_grasp_that_cannot_start_is_told_and_cannot_be_watched(
+    prover: Prover, scene: Scene, prepared: HandObject
+) -> None:
+    pose = as_it_came(scene)
+    inside = Pose(pose.T_object_root.copy(), pose.q)
+    towards = np.array([0.0, 0.0, 0.05]) - pose.T_object_root[:3, 3]  # the middle of the mug
+    inside.T_object_root[:3, 3] += 0.08 * towards / np.linalg.norm(towards)
+    proved = prove(prover, scene, inside, FORCE_CLOSURE, prepared=prepared)
+    assert proved.before_push == Reason.PENETRATES and not proved.watchable
+    depth = f"{1e3 * proved.penetration_m:.1f} mm"
+    assert_names(proved.verdict, depth)
+    with refused(GraspRefineError, depth):
+        watch(prover, scene, inside, proved, "+x")
+
+
+def test_a_direction_that_is_none_is_refused(prover: Prover, scene: Scene, prepared: HandObject) -> None:
+    proved = prove(prover, scene, lifted(scene, 1.0), FORCE_CLOSURE, prepared=prepared)
+    with refused(GraspRefineError, "lift", "+x, -x, +y, -y, +z, -z"):
+        watch(prover, scene, lifted(scene, 1.0), proved, "lift")
+
+
+def test_settings_and_friction_that_cannot_be_are_refused() -> None:
+    assert protocol_of("strict") == STRICT
+    assert protocol_of("force-closure", 0.3).torsion == pytest.approx(0.01)
+    with refused(GraspRefineError, "soft", "force-closure, strict, tabletop"):
+        protocol_of("soft")
+    for friction in (0.0, -1.0, 11.0, float("nan")):
+        with refused(GraspRefineError, "friction", "0", "10", f"{friction:g}"):
+            protocol_of("force-closure", friction)

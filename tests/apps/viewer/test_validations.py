@@ -1,0 +1,188 @@
+"""Documents of `validate` and `run`: read, matched to open grasps, and refused where they are not of these."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from math import radians
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.validation.trials import Reason
+from grasp_refine_apps.cli import main
+from grasp_refine_apps.commands.sources import Sources
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.columns import HELD, REASON
+from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.validating import Prover, prove
+from grasp_refine_apps.viewer.validation_file import read_proofs
+from grasp_refine_apps.viewer.validations import with_proofs
+from refusals import assert_names, refused
+
+EXAMPLE = resource_dir("robots") / "allegro" / "example_mug.npz"
+
+
+def opened(path: Path, *index: int) -> Collection:
+    return Collection.of(Sources(index=index).load_from(path, 0, lambda text: None))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Documents of two commands, about two grasps."""
+    folder = tmp_path_factory.mktemp("proofs")
+    chosen = ["--index", "1", "0", "--friction", "0.15"]
+    assert main(["validate", str(EXAMPLE), *chosen, "--json", str(folder / "validate.json")]) == 0
+    run = ["run", "--geometry-only", "--validate", *chosen, "--out", str(folder)]
+    assert main([*run, "--json", str(folder / "run.json")]) == 0
+    return folder
+
+
+def test_what_validate_wrote_is_what_a_proof_finds(folder: Path) -> None:
+    # Whichever grasps are open, in whichever order.
+    collection = opened(EXAMPLE, 0, 1, 2)
+    found = read_proofs(folder / "validate.json").of(collection)
+    assert sorted(found) == [0, 1]
+    for number, read in found.items():
+        scene = collection.scene(number)
+        proved = prove(Prover(), scene, Pose(scene.T_world_root[0], scene.q[0]), read.protocol)
+        assert (proved.verdict, proved.conditions, proved.closed_by) == (read.verdict, read.conditions, read.closed_by)
+        assert [proved.words(tried) for tried in proved.tried] == [read.words(tried) for tried in read.tried]
+        for one, other in zip(proved.tried, read.tried, strict=True):
+            assert (one.direction, one.reason, one.links) == (other.direction, other.reason, other.links)
+            np.testing.assert_equal((one.peak_m, one.time_s), (other.peak_m, other.time_s))
+        assert read.motion is None
+    table = with_proofs(collection, found).columns
+    said = ["held" if found[number].held else "failed" for number in (0, 1)]
+    assert table[HELD.key].values.tolist() == [*said, ""]
+    reasons = [next((t.reason.label for t in found[n].tried if not t.held), "") for n in (0, 1)]
+    assert table[REASON.key].values.tolist() == [*reasons, ""]
+    assert "turned" in reasons
+
+
+def test_what_run_wrote_is_of_its_input_before_and_of_its_output_after(folder: Path) -> None:
+    proofs = read_proofs(folder / "run.json")
+    before = proofs.of(opened(EXAMPLE, 0, 1))
+    assert [before[n].verdict for n in (0, 1)] == [
+        read_proofs(folder / "validate.json").of(opened(EXAMPLE, 0, 1))[n].verdict for n in (0, 1)
+    ]
+    assert before[0].closed_by == ""
+    # Grasp 1 was asked for first.
+    document = json.loads((folder / "run.json").read_text())
+    after = proofs.of(opened(folder / "allegro_mug.npz"))
+    assert sorted(after) == [0, 1] and [grasp["row"] for grasp in document["grasps"]] == [1, 0]
+    for number, grasp in enumerate(document["grasps"]):
+        simulation = grasp["simulation"]["after"]
+        assert [tried.reason.label for tried in after[number].tried] == [d["reason"] for d in simulation["directions"]]
+        assert after[number].held == simulation["success"]
+        assert_names(after[number].closed_by, "pregrasp", "squeeze")
+
+
+Spoil = Callable[[dict[str, Any]], object]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "named"),
+    [
+        (lambda d: d.update(command="bench align"), ("run", "validate", "--json")),
+        (lambda d: d.update(schema=99), ("schema", "1", "99")),
+        (lambda d: d.update(grasps={}), ("grasps", "{}")),
+        (lambda d: d.update(config=None), ("config", "null")),
+        (lambda d: d["grasps"].append(3), ("grasps[2]", "3")),
+        (lambda d: d["grasps"][0].update(row=-1), ("grasps[0].row", "-1")),
+        (lambda d: d["grasps"][0].update(object=None), ("grasps[0].object", "null")),
+        (
+            lambda d: d["grasps"][0]["simulation"]["after"].update(directions=[]),
+            ("grasps[0].simulation.after.directions", "[]"),
+        ),
+        (
+            lambda d: d["grasps"][0]["simulation"]["after"]["directions"][2].update(reason=["held"]),
+            ("directions[2].reason", "held, moved, ", '["held"]'),
+        ),
+        (
+            lambda d: d["grasps"][1]["simulation"]["after"]["directions"][2].update(direction="up"),
+            ("directions[2].direction", "+x, ", "lift", '"up"'),
+        ),
+        (
+            lambda d: d["grasps"][1]["simulation"]["after"]["directions"][0].update(peak_m="far"),
+            ("directions[0].peak_m", "1e+12", "null", '"far"'),
+        ),
+        (lambda d: d["config"]["protocol"].update(mass=0), ("config.protocol.mass", "0")),
+        (lambda d: d["config"]["protocol"].update(directions=[["+x"]]), ("config.protocol.directions", "+x")),
+        (
+            lambda d: d["config"]["files"][0].update(closing={"pregrasp": "whose"}),
+            ("config.files", "file", "own", "pregrasp", "squeeze"),
+        ),
+        (
+            lambda d: (d["config"].update(protocol=None), d["grasps"][0]["simulation"]["after"].update(setting="soft")),
+            ("setting", "force-closure, strict, tabletop", '"soft"'),
+        ),
+    ],
+)
+def test_damaged_documents_are_refused_in_one_line(
+    folder: Path, tmp_path: Path, spoil: Spoil, named: tuple[str, ...]
+) -> None:
+    document = json.loads((folder / "validate.json").read_text())
+    spoil(document)
+    path = tmp_path / "spoilt.json"
+    path.write_text(json.dumps(document))
+    with refused(GraspFileError, *named) as caught:
+        read_proofs(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("", ("JSON",)),
+        ("[" * 100_000, ("JSON",)),
+        ("[1, 2]", ("[1, 2]",)),
+        ("{}", ("run", "validate", "--json")),
+    ],
+)
+def test_other_files_are_refused(tmp_path: Path, text: str, named: tuple[str, ...]) -> None:
+    path = tmp_path / "other.json"
+    path.write_text(text)
+    with refused(GraspFileError, path, *named):
+        read_proofs(path)
+    with refused(GraspFileError, tmp_path / "missing.json"):
+        read_proofs(tmp_path / "missing.json")
+
+
+def test_documents_about_other_grasps_are_refused(folder: Path, tmp_path: Path) -> None:
+    other = opened(resource_dir("robots") / "allegro" / "example_bottle.npz", 0)
+    proofs = read_proofs(folder / "validate.json")
+    with refused(GraspFileError, folder / "validate.json", "example_bottle.npz"):
+        proofs.of(other)
+    with refused(GraspFileError, folder / "validate.json", "2 grasps"):
+        proofs.of(opened(EXAMPLE, 3))
+    document = json.loads((folder / "run.json").read_text())
+    for grasp in document["grasps"]:
+        grasp["quality"]["after"] = 0.25
+    (tmp_path / "run.json").write_text(json.dumps(document))
+    with refused(GraspFileError, tmp_path / "run.json", "quality 0.25", "mug 0"):
+        read_proofs(tmp_path / "run.json").of(opened(folder / "allegro_mug.npz"))
+    for grasp in document["grasps"]:
+        grasp["simulation"] = {"before": None, "after": None}
+    (tmp_path / "run.json").write_text(json.dumps(document))
+    with refused(GraspFileError, tmp_path / "run.json", "`run`", "--validate"):
+        read_proofs(tmp_path / "run.json").of(opened(EXAMPLE, 0))
+
+
+def test_what_is_not_known_is_not_made_up(folder: Path, tmp_path: Path) -> None:
+    """Without its configuration, a document still says which protocol was used, by name."""
+    document = json.loads((folder / "validate.json").read_text())
+    document["config"] = {}
+    thrown = document["grasps"][0]["simulation"]["after"]
+    thrown["closing"] = {"displacement_m": 0.089, "angle_rad": radians(30)}
+    for direction in thrown["directions"]:
+        direction.update(reason="thrown", time_s=None, displacement_m=None, angle_rad=None, peak_m=None, peak_rad=None)
+    (tmp_path / "plain.json").write_text(json.dumps(document))
+    found = read_proofs(tmp_path / "plain.json").of(opened(EXAMPLE, 0, 1))
+    assert found[0].protocol.friction == 0.6 and found[0].closed_by == ""
+    assert found[1].before_push == Reason.THROWN and found[1].watchable
+    assert_names(found[1].verdict, "89 mm", "30°")

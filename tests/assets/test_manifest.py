@@ -1,0 +1,323 @@
+"""The manifests of other people's assets: complete, well formed, and nothing that leaves a folder."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import hashlib
+import json
+import re
+import tomllib
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path, PurePosixPath
+
+import jsonschema
+import pytest
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.assets.manifest import KINDS as KNOWN_KINDS
+from grasp_refine.assets.manifest import read_manifest
+from grasp_refine.core.errors import AssetError
+from refusals import refused
+
+KINDS = ("hands", "objects", "grasps")
+
+
+@cache
+def parsed(kind: str) -> dict[str, dict]:
+    return tomllib.loads((resource_dir("assets_manifest") / f"{kind}.toml").read_text(encoding="utf-8"))
+
+
+def entries(kind: str) -> dict[str, dict]:
+    return copy.deepcopy(parsed(kind))
+
+
+def few() -> dict[str, dict[str, dict]]:
+    """A document of one entry of each kind, which is quicker to validate."""
+    names = {"hands": "allegro", "objects": "ycb_011_banana", "grasps": "leap_cube"}
+    return {kind: {name: copy.deepcopy(parsed(kind)[name])} for kind, name in names.items()}
+
+
+def files(entry: dict) -> Iterator[dict]:
+    """The files of an entry, each with its own source, place in the mirror folder and hash there."""
+    listed = entry.get("files", [entry])
+    for file in listed:
+        mirror = file["mirror"] if file is entry else f"{entry['mirror']}/{file.get('mirror', file['path'])}"
+        yield {
+            **file,
+            "mirror": mirror,
+            "commit": None if "package" in file else entry["commit"],
+            "mirror_sha256": file.get("mirror_sha256", file.get("sha256")),
+        }
+
+
+@pytest.mark.parametrize(("kind", "count"), [("hands", 8), ("objects", 61), ("grasps", 6)])
+def test_every_entry_says_source_licence_and_unit(kind: str, count: int):
+    assert len(entries(kind)) == count
+    for name, entry in entries(kind).items():
+        assert entry["licence"] and entry["unit"], name
+        assert ("package" in entry) != ("repository" in entry), name
+        if "repository" in entry:
+            assert re.fullmatch(r"https://github\.com/[\w.-]+/[\w.-]+", entry["repository"]), name
+            assert re.fullmatch(r"[0-9a-f]{40}", entry["commit"]), name
+        else:
+            assert re.fullmatch(r"[\w-]+==[\w.]+", entry["package"]), name
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_file_has_hashes_and_says_how_the_mirrored_copy_differs(kind: str):
+    for name, entry in entries(kind).items():
+        for file in files(entry):
+            for key in ("sha256", "mirror_sha256"):
+                assert re.fullmatch(r"[0-9a-f]{64}", file.get(key, file["mirror_sha256"])), (name, file)
+            assert ("changed" in file) == (file.get("sha256") != file["mirror_sha256"]), (name, file)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_path_leaves_its_folder(kind: str):
+    for name, entry in entries(kind).items():
+        for file in files(entry):
+            for path in (entry.get("folder", "."), entry["mirror"], file["path"], file["mirror"]):
+                pure = PurePosixPath(path)
+                assert not pure.is_absolute() and ".." not in pure.parts, (name, path)
+                assert "\\" not in path and ":" not in path, (name, path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_two_files_share_a_place_in_the_mirror(kind: str):
+    places = [file["mirror"] for entry in entries(kind).values() for file in files(entry)]
+    assert len(places) == len(set(places))
+
+
+def test_grasp_sets_name_their_hand():
+    sets = [entry for name, entry in entries("grasps").items() if not name.endswith("_objects")]
+    assert {entry["hand"] for entry in sets} <= set(entries("hands"))
+    assert all(entry["format"] for entry in sets)
+
+
+def test_objects_have_a_positive_scale():
+    assert all(entry["scale"] > 0 for entry in entries("objects").values())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_shared_folder_is_a_mirror(shared_assets: Path, kind: str):
+    for name, entry in entries(kind).items():
+        for file in files(entry):
+            content = (shared_assets / file["mirror"]).read_bytes()
+            assert hashlib.sha256(content).hexdigest() == file["mirror_sha256"], (name, file["path"])
+
+
+def test_the_list_of_the_shared_folder_agrees(shared_assets: Path):
+    """Each of its files of hands, objects and grasps that a manifest names has there the source that it has here."""
+    with (shared_assets / "MANIFEST.csv").open(newline="") as file:
+        rows = {row["path"]: row for row in csv.DictReader(file)}
+    for kind in KINDS:
+        for name, entry in entries(kind).items():
+            for file in files(entry):
+                row = rows[file["mirror"]]
+                assert row["sha256"] == file["mirror_sha256"], (name, file)
+                assert int(row["bytes"]) == file.get("mirror_bytes", file.get("bytes")), (name, file)
+                if row["licence"] == "-":  # licence texts, of which only the place here is listed there
+                    continue
+                assert row["licence"] == entry["licence"], name
+                if "package" in file:
+                    continue
+                repository = entry["repository"].removeprefix("https://github.com/")
+                path = str(PurePosixPath(entry.get("folder", ""), file["path"]))
+                listed = row["upstream_path"].partition(" (")[0]
+                if row["commit"]:
+                    listed = f"{row['upstream_repo'].split()[0]}@{row['commit']}:{listed}"
+                assert listed == f"{repository}@{entry['commit']}:{path}", (name, file)
+                assert row["upstream_sha256"] in ("", file.get("sha256")), (name, file)
+                assert (row["modified"] == "False") == ("changed" not in file), (name, file)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_terms_follow_from_the_words_of_the_licence(kind: str):
+    for name, entry in entries(kind).items():
+        words = entry["licence"]
+        if "BY-NC" in words or "research terms" in words:
+            assert entry["terms"] == "non-commercial", name
+        elif any(doubt in words for doubt in ("unclear", "not stated", "conflict", "no repo LICENSE", "no LICENSE")):
+            assert entry["terms"] == "unclear", name
+        else:
+            assert entry["terms"] == "open" and re.search(r"MIT|BSD|Apache|CC BY 4\.0", words), name
+
+
+def test_objects_of_grasp_sets_are_scaled_like_the_same_objects():
+    scales = {entry["path"]: entry["scale"] for entry in entries("objects").values() if "BY-NC" in entry["licence"]}
+    for name in ("bodex_shadow_objects", "dexgraspnet_shadow_objects"):
+        entry = entries("grasps")[name]
+        paths = {f"{entry['folder']}/{file['path']}" for file in entry["files"]} & set(scales)
+        assert len(paths) == 3 and {scales[path] for path in paths} == {entry["scale"]}
+
+
+# The schema, and what the program says of manifests that are not like it
+
+
+@pytest.fixture(scope="module")
+def validator() -> jsonschema.Draft202012Validator:
+    schema = json.loads((resource_dir("assets_manifest") / "schema.json").read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return jsonschema.Draft202012Validator(schema)
+
+
+def test_the_manifests_fit_their_schema(validator: jsonschema.Draft202012Validator):
+    assert KINDS == KNOWN_KINDS
+    document = {kind: entries(kind) for kind in KINDS}
+    assert [f"{error.json_path}: {error.message}" for error in validator.iter_errors(document)] == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_program_reads_what_the_manifests_say(kind: str):
+    assets = read_manifest(kind)
+    assert list(assets) == list(entries(kind))
+    for name, entry in entries(kind).items():
+        asset = assets[name]
+        told = (asset.licence, asset.terms, asset.citation, asset.unit, asset.scale)
+        assert told == tuple(entry[key] for key in ("licence", "terms", "citation", "unit", "scale"))
+        assert [file.mirror for file in asset.files] == [file["mirror"] for file in files(entry)]
+        assert [file.mirror_sha256 for file in asset.files] == [file["mirror_sha256"] for file in files(entry)]
+        assert [file.sha256 for file in asset.files] == [file.get("sha256") for file in files(entry)]
+    if kind == "hands":
+        ends = {name: PurePosixPath(asset.main.mirror_place).suffix for name, asset in assets.items()}
+        assert ends == {name: ".xml" if name.endswith("_mjcf") else ".urdf" for name in ends}
+
+
+def remove(*keys: str) -> Callable[[dict], None]:
+    def change(entry: dict) -> None:
+        for key in keys:
+            del entry[key]
+
+    return change
+
+
+def put(**values: object) -> Callable[[dict], None]:
+    return lambda entry: entry.update(values)
+
+
+def put_in_file(**values: object) -> Callable[[dict], None]:
+    return lambda entry: entry["files"][0].update(values)
+
+
+BAD = {
+    "no licence": (remove("licence"), "licence = None"),
+    "empty citation": (put(citation=""), "citation = ''"),
+    "no terms": (remove("terms"), "terms = None"),
+    "other terms": (put(terms="free"), "terms = 'free'", "open, non-commercial, unclear"),
+    "no unit": (remove("unit"), "unit = None"),
+    "no scale": (remove("scale"), "scale = None"),
+    "scale zero": (put(scale=0.0), "scale = 0.0"),
+    "no source": (remove("repository", "commit"), "repository", "package"),
+    "two sources": (put(package="a==1"), "repository", "package"),
+    "other host": (put(repository="http://example.org/a/b"), "repository = 'http://example.org/a/b'", "https"),
+    "short commit": (put(commit="93505db"), "commit = '93505db'"),
+    "no files": (put(files=[]), "files"),
+    "no main": (remove("main"), "main = None"),
+    "folder above": (put(folder="a/../.."), "folder = 'a/../..'"),
+    "mirror above": (put(mirror="../hands"), "mirror = '../hands'"),
+    "absolute path": (put_in_file(path="/etc/passwd"), "path = '/etc/passwd'"),
+    "path above": (put_in_file(path="meshes/../../x"), "path = 'meshes/../../x'"),
+    "place above": (put_in_file(place="../x"), "place = '../x'"),
+    "mirror of file above": (put_in_file(mirror="x/.."), "mirror = 'x/..'"),
+    "backslash": (put_in_file(place="a\\..\\b"), "place = 'a\\\\..\\\\b'"),
+    "drive": (put_in_file(place="C:/x"), "place = 'C:/x'"),
+    "dots and spaces": (put_in_file(place="a/.. /b"), "place = 'a/.. /b'"),
+    "line break": (put_in_file(place="a\nb"), "place = 'a\\nb'"),
+    "here": (put_in_file(place="./x"), "place = './x'"),
+    "empty part": (put_in_file(place="a//x"), "place = 'a//x'"),
+    "short hash": (put_in_file(sha256="cd51"), "sha256 = 'cd51'"),
+    "capital hash": (put_in_file(sha256="A" * 64), f"sha256 = '{'A' * 64}'"),
+    "negative size": (put_in_file(bytes=-1), "bytes = -1"),
+    "changed without hash": (put_in_file(changed="decimated"), "mirror_sha256 = None"),
+    "package without version": (put_in_file(package="playground"), "package = 'playground'"),
+}
+"""Fault -> what makes it, and what the refusal must name."""
+
+
+@pytest.mark.parametrize("fault", BAD)
+def test_a_manifest_that_is_wrong_is_refused(fault: str, validator: jsonschema.Draft202012Validator, tmp_path: Path):
+    change, *named = BAD[fault]
+    document = few()
+    change(document["hands"]["allegro"])
+    assert list(validator.iter_errors(document)), "the schema"
+    write(tmp_path / "hands.toml", document["hands"])
+    with refused(AssetError, "hands.toml", "hands/allegro", *named):
+        read_manifest("hands", tmp_path)
+
+
+@pytest.mark.parametrize("name", ["..", ".hidden", "a/b", "a b", "-x", "a..b", "\u00fc"])
+def test_a_name_is_a_folder_name(name: str, validator: jsonschema.Draft202012Validator, tmp_path: Path):
+    document = few()
+    document["hands"][name] = document["hands"].pop("allegro")
+    assert list(validator.iter_errors(document))
+    write(tmp_path / "hands.toml", document["hands"])
+    with refused(AssetError, tmp_path / "hands.toml", name, "'_', '-'", "'.'"):
+        read_manifest("hands", tmp_path)
+
+
+def test_two_files_at_one_place_are_refused(tmp_path: Path):
+    hands = few()["hands"]
+    hands["allegro"]["files"][1]["place"] = hands["allegro"]["files"][0]["path"].upper()
+    write(tmp_path / "hands.toml", hands)
+    with refused(AssetError, "hands/allegro", "'MESHES/COLLISION/LINK_TIP.OBJ'"):
+        read_manifest("hands", tmp_path)
+
+
+def test_an_unknown_key_does_not_fit_the_schema(validator: jsonschema.Draft202012Validator):
+    document = few()
+    document["objects"]["ycb_011_banana"]["license"] = "MIT"
+    document["grasps"]["leap_cube"]["files"][0]["sha265"] = "0" * 64
+    assert {error.absolute_path[1] for error in validator.iter_errors(document)} == {"ycb_011_banana", "leap_cube"}
+
+
+def test_a_manifest_that_is_missing_or_no_toml_is_refused(tmp_path: Path):
+    with refused(AssetError, tmp_path / "hands.toml", "No such file"):
+        read_manifest("hands", tmp_path)
+    (tmp_path / "objects.toml").write_text("[a\n")
+    with refused(AssetError, tmp_path / "objects.toml"):
+        read_manifest("objects", tmp_path)
+    (tmp_path / "grasps.toml").write_text("a = 1\n")
+    with refused(AssetError, "grasps/a", "[a]"):
+        read_manifest("grasps", tmp_path)
+
+
+def write(path: Path, document: dict[str, dict]) -> None:
+    """Write entries as TOML."""
+    lines = []
+    for name, entry in document.items():
+        lines.append(f"[{json.dumps(name)}]")
+        lines += [f"{key} = {inline(value)}" for key, value in entry.items()]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def inline(value: object) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {inline(one)}" for key, one in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(inline, value)) + "]"
+    return json.dumps(value)
+
+
+@pytest.mark.parametrize("text", ["x = " + "[" * 5000, "x" + ".a" * 30000 + " = 1", "x = " + "9" * 5000])
+def test_a_manifest_that_takes_too_much_is_refused(text: str, tmp_path: Path):
+    (tmp_path / "hands.toml").write_text(text)
+    with refused(AssetError, tmp_path / "hands.toml"):
+        read_manifest("hands", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (put_in_file(bytes=2**63), "bytes = 9223372036854775808"),
+        (put(citation="\x1b[2J"), "citation = '\\x1b[2J'"),
+        (put_in_file(place="a\x9bb"), "place = 'a\\x9bb'"),
+    ],
+)
+def test_what_the_schema_does_not_see_is_refused(change: Callable[[dict], None], named: str, tmp_path: Path):
+    document = few()
+    change(document["hands"]["allegro"])
+    write(tmp_path / "hands.toml", document["hands"])
+    with refused(AssetError, "hands.toml", "hands/allegro", named):
+        read_manifest("hands", tmp_path)

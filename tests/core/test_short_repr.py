@@ -1,0 +1,147 @@
+"""Dataclasses that hold arrays print in a line or two that say how many there are of what."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import torch
+
+from grasp_refine.collision.query import query
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.core.short_repr import brief, labels, spread, tallied
+from grasp_refine.grasps.grasp_set import load_grasps, match_joints
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.refine import refine
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.results.outcome import compare
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.metrics import metrics
+from grasp_refine.validation.motion import closing
+from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.trials import Reason
+from grasp_refine.validation.validate import model_of, validate
+from grasp_refine.validation.world import build_world
+
+LONGEST = 400
+"""Characters that a person reads at a glance."""
+
+
+@pytest.fixture(scope="module")
+def things() -> dict[str, object]:
+    """One of each kind, of two grasps of which one is not finite."""
+    hand, box = load_hand("allegro", candidates=64), load_object("rounded_box", candidates=64)
+    grasps = load_grasps(hand.urdf.parent / "example_rounded_box.npz").select([0, 1])
+    T, q = transform_from_pose(grasps.hand_pose), match_joints(grasps, hand)[0]
+    T[1] = np.nan
+    scene = Scene(hand, box, T, q, table=Plane(offset=-0.1))
+    result = refine(scene, Config(solver=LevenbergMarquardt(iterations=2), starts=1))
+    prepared = HandObject(hand, box)
+    T_link = prepared.chain(T, q).T_world_link
+    world = build_world(model_of(hand), box, Protocol(moves=1, steps_per_move=1, checks=1, steps_per_check=1))
+    motion = closing(scene, prepared)
+    rows = np.arange(2)
+    return {
+        "Hand": hand,
+        "Link": hand.links[0],
+        "Joint": hand.joints[0],
+        "Object": box,
+        "Body": box.body,
+        "Piece": box.body.pieces[0],
+        "Candidates": box.body.candidates,
+        "GraspSet": grasps,
+        "Scene": scene,
+        "Refinement": result,
+        "HandObject": prepared,
+        "Frames": prepared.chain(T, q),
+        "Pairs": prepared.pairs,
+        "Witness": query(prepared.pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape)),
+        "Metrics": metrics(hand, box, T, q),
+        "Motion": motion,
+        "HandModel": world.hand,
+        "World": world,
+        "Outcome": compare(scene, result, motion, margin=0.0, name="box", scale=1.0, row=rows, index=rows),
+        "Trials": simulate(world, motion),
+        "Validated": validate(scene, name="box", scale=1.0, rows=rows, index=rows, world=world, motion=motion),
+    }
+
+
+NAMED = {
+    "Hand": ("allegro", "16 joints", "23 links"),
+    "Object": ("rounded_box", "60 x 50 x 90 mm", "1 convex piece)"),
+    "Body": ("rounded_box", "64 surface points"),
+    "GraspSet": ("2 grasps", "allegro", "rounded_box"),
+    "Scene": ("allegro", "rounded_box", "2 grasps", "table"),
+    "Refinement": ("2 grasps", "1 not finite", "m^2"),
+    "Witness": ("[2, 21]", "21 not finite"),
+    "Pairs": ("21", "rounded_box"),
+    "Metrics": ("2 grasps", "quality"),
+    "Motion": ("float64[2, 3, 16]",),
+    "World": ("rounded_box", "force-closure"),
+    "Trials": ("of 2 grasps held", "+x", "6 not finite"),
+}
+"""Kind -> what its description must name."""
+
+
+def test_descriptions_are_short_and_name_the_class(things: dict[str, object]):
+    for kind, thing in things.items():
+        text = repr(thing)
+        assert text.startswith(kind) and len(text) <= LONGEST and "array(" not in text, text
+        assert str(thing) == text
+
+
+@pytest.mark.parametrize("kind", NAMED)
+def test_descriptions_name_what_counts(kind: str, things: dict[str, object]):
+    text = repr(things[kind])
+    assert [part for part in NAMED[kind] if part not in text] == [], text
+
+
+def test_labels_are_the_statuses_in_words(things: dict[str, object]):
+    result, trials = things["Refinement"], things["Trials"]
+    assert result.labels[1] == "not finite" and result.status[1] == Status.NOT_FINITE
+    assert result.labels.shape == (2,) and trials.labels.shape == trials.reason.shape == (2, 6)
+    assert trials.labels[1].tolist() == ["not finite"] * 6
+    assert labels(Reason, np.array([[0, 1]])).tolist() == [["held", "moved"]]
+    assert labels(Status, np.zeros((0,), int)).shape == (0,)
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    number: float
+    rows: np.ndarray
+    tensor: torch.Tensor
+    names: tuple[str, ...]
+    text: str
+    nothing: int | None = None
+
+    __repr__ = brief
+
+
+def test_arrays_are_shown_by_type_and_shape():
+    record = Record(0.5, np.zeros((2, 3)), torch.zeros(4, dtype=torch.float32), ("a",) * 20, "x" * 500)
+    text = repr(record)
+    assert "number=0.5" in text and "float64[2, 3]" in text and "float32[4]" in text and "20" in text
+    assert "nothing" not in text and len(text) < 200
+    assert "nothing=3" in repr(replace(record, nothing=3))
+
+
+@pytest.mark.parametrize(
+    ("summary", "wanted"),
+    [
+        (lambda: tallied(["a", "b", "b"]), "2 b, 1 a"),
+        (lambda: tallied([]), ""),
+        (lambda: spread(np.array([0.25, np.nan, 1.0])), "0.25 to 1"),
+        (lambda: spread(np.array([2.0])), "2"),
+        (lambda: spread(np.array([np.nan])), "unknown"),
+    ],
+)
+def test_summaries(summary: Callable[[], str], wanted: str):
+    assert summary() == wanted

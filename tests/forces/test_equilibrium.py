@@ -1,0 +1,408 @@
+"""The equilibrium term: its value by hand, its derivative against finite differences, its rows against dense KKT."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from claw import TIPS, around, claw, objects
+from grasp_refine.core.se3 import exp_se3
+from grasp_refine.forces.equilibrium import HOPELESS, LEVER
+from grasp_refine.forces.wrench import EDGES, LENGTH, MOST, PLANNING_FRICTION, RIDGE, contact_forces, grasp_map
+from grasp_refine.hands.chain import Frames, moved
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.objects.object import Object, load_object
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.goal import Goal, goal_of
+from grasp_refine.refinement.grasp_problem import GraspProblem, Known
+from grasp_refine.refinement.losses import Weights
+from grasp_refine.refinement.solvers.least_squares import Point
+from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.commands.sources import Sources
+
+ONLY = Weights(contact=0.0, penetration=0.0, self_penetration=0.0, table=0.0, wrench=1.0)
+SCALES = (1.0, 0.05, 0.04)
+"""A radian of the root, and of a joint, is as much movement as so many metres of the root."""
+
+SHALLOW = 0.004
+"""Tips deeper in an edge than half their radius follow it less than they should (`counted_distance`), metres."""
+
+
+@pytest.fixture(scope="module")
+def bodies() -> dict[str, Object]:
+    return objects()
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["free", "coupled"])
+def hand(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Hand:
+    return claw(tmp_path_factory.mktemp("claw"), coupled=request.param)
+
+
+@pytest.fixture(scope="module")
+def coupled(tmp_path_factory: pytest.TempPathFactory) -> Hand:
+    return claw(tmp_path_factory.mktemp("claw"), coupled=True)
+
+
+def at(scene: Scene) -> Point:
+    return Point(scene.T_world_root, scene.q)
+
+
+def every(scene: Scene) -> np.ndarray:
+    return np.arange(len(scene.q))
+
+
+ALL_TIPS = Touching(links=TIPS)
+NEAR = Touching()
+
+
+def problem_of(scene: Scene, touching: Touching | Goal = ALL_TIPS, weights: Weights = ONLY) -> GraspProblem:
+    goal = touching if isinstance(touching, Goal) else goal_of(scene, touching)
+    return GraspProblem(scene, goal, Config(weights=weights))
+
+
+def stepped(point: Point, dx: np.ndarray) -> Point:
+    """Points after steps (M, 6 + n)."""
+    return Point(moved(point.T, dx[:, :6]), point.q + dx[:, 6:])
+
+
+def loss_at(problem: GraspProblem, point: Point) -> np.ndarray:
+    return problem.evaluate(np.arange(len(point.q)), point, None).loss
+
+
+def rows(problem: GraspProblem, point: Point, known: Known, width: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    linear = problem.linearize(np.arange(len(point.q)), point, known, np.full(len(point.q), width))
+    return linear.residual, linear.jacobian
+
+
+def slopes(problem: GraspProblem, point: Point, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """Central differences (M, 6 + n) of the loss, and whether those of both sides are the same (M,)."""
+    count, n = point.q.shape[0], 6 + point.q.shape[1]
+    here, ahead, behind = loss_at(problem, point), np.empty((count, n)), np.empty((count, n))
+    for k in range(n):
+        dx = np.tile(h * np.eye(n)[k], (count, 1))
+        ahead[:, k] = (loss_at(problem, stepped(point, dx)) - here) / h
+        behind[:, k] = (here - loss_at(problem, stepped(point, -dx))) / h
+    return 0.5 * (ahead + behind), cosine(ahead, behind) > 0.9999
+
+
+def scaled(gradient: np.ndarray) -> np.ndarray:
+    root, turn, joint = SCALES
+    return gradient * np.concatenate([np.full(3, root), np.full(3, turn), np.full(gradient.shape[1] - 6, joint)])
+
+
+def cosine(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    one, other = scaled(one), scaled(other)
+    return (one * other).sum(axis=1) / (np.linalg.norm(one, axis=1) * np.linalg.norm(other, axis=1))
+
+
+# the value
+
+
+@pytest.mark.parametrize("body", ["sphere", "box"])
+def test_the_value_is_what_the_forces_leave_unbalanced(hand: Hand, bodies: dict[str, Object], body: str) -> None:
+    """Forces and torques about the centre, torques that a tendon cannot make, and a little for the forces."""
+    scene = around(hand, bodies[body], 8, 1)
+    problem = problem_of(scene)
+    known = problem.evaluate(every(scene), at(scene), None)
+    w, frames = known.witness, Frames(known.T_link, known.axes)
+    expected = np.zeros(8)
+    for p, load in enumerate(problem.equilibrium.loads):
+        f = known.forces.force[:, p]
+        x = np.where(f.any(axis=-1, keepdims=True), w.point_b, 0.0)
+        total = np.concatenate([f.sum(axis=1), np.cross(x, f).sum(axis=1) / LENGTH], axis=1) + load
+        torque = problem.chain.pull(frames, np.concatenate([f, np.cross(x, f)], axis=-1), np.arange(f.shape[1]))
+        torque = torque[..., 6:].sum(axis=1)
+        for group in hand.coupled:
+            own = torque[:, [hand.joint_names.index(name) for name in group.joints]]
+            ratio = np.array(group.ratio) / np.linalg.norm(group.ratio)
+            expected += ((own - (own @ ratio)[:, None] * ratio) ** 2).sum(axis=1) / LEVER**2
+        expected += (total**2).sum(axis=1) + RIDGE * (f**2).sum(axis=(1, 2))
+    np.testing.assert_allclose(known.loss, expected / len(problem.equilibrium.loads), rtol=1e-9)
+
+
+def test_no_other_allowed_forces_are_better(coupled: Hand, bodies: dict[str, Object]) -> None:
+    """Random changes of the forces, what they break mended by scaling: the value is a minimum, tendons included."""
+    scene, rng = around(coupled, bodies["sphere"], 6, 2), np.random.default_rng(0)
+    problem = problem_of(scene)
+    known = problem.evaluate(every(scene), at(scene), None)
+    G = problem_map(problem, at(scene), known.forces.local.any(axis=1)[..., 0])
+    for p, load in enumerate(problem.equilibrium.loads):
+        local, outer = known.forces.local[:, p], np.zeros((6, G.shape[2]))
+        outer[:, :6] = load
+
+        def value(local: np.ndarray, outer: np.ndarray = outer) -> np.ndarray:
+            unbalanced = outer + np.einsum("mcij,mcj->mi", G, local)
+            return (unbalanced**2).sum(axis=1) + RIDGE * (local**2).sum(axis=(1, 2))
+
+        best = value(local)
+        for size in (1e-4, 1e-2, 0.3):
+            for _ in range(50):
+                pressure = np.maximum(local[..., 0] + size * rng.normal(size=local.shape[:2]), 0.0)
+                pressure = np.where(known.witness.valid & problem.goal.touching, pressure, 0.0)
+                pressure /= pressure.sum(axis=1, keepdims=True)
+                across = local[..., 1:] + size * rng.normal(size=(*local.shape[:2], 2))
+                length = np.linalg.norm(across, axis=-1, keepdims=True)
+                # Within the circle that the pyramid holds.
+                most = PLANNING_FRICTION * np.cos(np.pi / EDGES) * pressure[..., None]
+                across = across * np.minimum(1.0, most / np.maximum(length, 1e-12))
+                other = np.concatenate([pressure[..., None], across], axis=-1)
+                allowed = pressure.max(axis=1) <= MOST
+                assert (value(other) >= best - 1e-9)[allowed].all()
+
+
+def test_a_hand_without_tendons_has_the_value_of_its_contact_forces(bodies: dict[str, Object], tmp_path: Path) -> None:
+    scene = around(claw(tmp_path), bodies["capsule"], 6, 3)
+    problem = problem_of(scene)
+    known = problem.evaluate(every(scene), at(scene), None)
+    point, normal = known.witness.point_b[:, :4], known.witness.normal[:, :4]
+    expected = np.zeros(6)
+    for load in problem.equilibrium.loads:
+        found = contact_forces(point, normal, problem.equilibrium.center, load=load)
+        unbalanced = (found.unbalanced**2).sum(axis=1)
+        expected += unbalanced + RIDGE * (found.force**2).sum(axis=(1, 2))
+    np.testing.assert_allclose(known.loss, expected / len(problem.equilibrium.loads), rtol=1e-9)
+
+
+# the derivative
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+@pytest.mark.parametrize("body", ["sphere", "box", "capsule"])
+def test_the_gradient_is_that_of_the_loss(hand: Hand, bodies: dict[str, Object], body: str, seed: int) -> None:
+    """Points and normals slide on both surfaces, axes move with their joints; tendons, slides, a mimic joint."""
+    scene = around(hand, bodies[body], 12, seed)
+    problem = problem_of(scene)
+    known = problem.evaluate(every(scene), at(scene), None)
+    residual, J = rows(problem, at(scene), known)
+    found = 2.0 * np.einsum("mrk,mr->mk", J, residual)
+    expected, smooth = slopes(problem, at(scene), 1e-6)
+    # Features of a box, and the edges of friction pyramids, may change in between.
+    smooth &= (known.witness.distance[:, :4] > -SHALLOW).all(axis=1)
+    assert smooth.sum() >= 8
+    assert (cosine(found, expected)[smooth] >= 0.999).all()
+    length, wanted = (np.linalg.norm(scaled(g), axis=1)[smooth] for g in (found, expected))
+    np.testing.assert_allclose(length, wanted, rtol=0.03 if body == "box" else 1e-3)
+
+
+def test_contacts_that_are_switched_off_have_no_part_in_the_gradient(coupled: Hand, bodies: dict[str, Object]) -> None:
+    """Each grasp has other links that touch."""
+    scene = around(coupled, bodies["sphere"], 6, 6)
+    goal = goal_of(scene, Touching(links=TIPS))
+    touching = goal.touching.copy()
+    touching[[0, 1, 2, 3], [0, 1, 2, 3]] = False
+    problem = problem_of(scene, replace(goal, touching=touching), replace(ONLY, penetration=1e-12))
+    known = problem.evaluate(every(scene), at(scene), None)
+    residual, J = rows(problem, at(scene), known)
+    expected, smooth = slopes(problem, at(scene), 1e-6)
+    assert smooth.sum() >= 4
+    found = 2.0 * np.einsum("mrk,mr->mk", J, residual)
+    assert (cosine(found, expected)[smooth] >= 0.999).all()
+    # The finger that does not touch balances nothing, wherever its own joints are.
+    names = list(coupled.joint_names)
+    joints = found[:, 6:]
+    assert not joints[0, [names.index(name) for name in ("I2", "I1")]].any()
+    assert not joints[2, names.index("T2")] and not joints[3, names.index("S1")]
+
+
+def test_a_step_that_the_tendons_feel_alone(coupled: Hand, bodies: dict[str, Object]) -> None:
+    """What the tendons add to the loss has the derivative that it should, apart from the rest of it."""
+    scene = around(coupled, bodies["sphere"], 12, 7)
+    both = [problem_of(scene), problem_of(replace(scene, hand=replace(coupled, coupled=())))]
+    gradients, differences, smooth = [], [], np.ones(12, dtype=bool)
+    for problem in both:
+        residual, J = rows(problem, at(scene), problem.evaluate(every(scene), at(scene), None))
+        gradients.append(2.0 * np.einsum("mrk,mr->mk", J, residual))
+        expected, same = slopes(problem, at(scene), 1e-6)
+        differences.append(expected)
+        smooth &= same
+    assert smooth.sum() >= 8
+    found, expected = gradients[0] - gradients[1], differences[0] - differences[1]
+    assert (cosine(found, expected)[smooth] >= 0.999).all()
+    assert (np.linalg.norm(found, axis=1) > 0.1 * np.linalg.norm(gradients[0], axis=1)).sum() >= 6
+
+
+def problem_map(problem: GraspProblem, point: Point, pushing: np.ndarray) -> np.ndarray:
+    """What the local forces of all links come to (M, L, R, 3) where the hands are at some points."""
+    known = problem.evaluate(np.arange(len(point.q)), point, None)
+    there = (pushing & known.witness.valid)[..., None]
+    p, n = (np.where(there, side, np.nan) for side in (known.witness.point_b, known.witness.normal))
+    forms = problem.equilibrium.torque_forms(np.where(there, p, 0.0), Frames(known.T_link, known.axes))
+    return grasp_map(p, n, problem.equilibrium.center, forms)[0]
+
+
+def active_rows(local: np.ndarray) -> np.ndarray:
+    """Constraints (A, 3 L) on changes of the forces (L, 3) of a grasp that keep what is active as it is."""
+    angle = (np.arange(EDGES) + 0.5) * 2.0 * np.pi / EDGES
+    rim = PLANNING_FRICTION * np.cos(np.pi / EDGES)
+    face = np.stack([np.full(EDGES, -rim), np.cos(angle), np.sin(angle)], axis=1)
+    active = [np.tile([1.0, 0.0, 0.0], len(local))]
+    for link, f in enumerate(local):
+        place = np.zeros((3, len(local), 3))
+        place[:, link] = np.eye(3)
+        place = place.reshape(3, -1)
+        if f[0] < 1e-7:
+            active += list(place)
+            continue
+        active += [row @ place for row in face if row @ f > -1e-7]
+        active += [place[0]] if f[0] > MOST - 1e-7 else []
+    return np.array(active)
+
+
+@pytest.mark.parametrize("body", ["sphere", "box"])
+def test_the_rows_tell_the_best_forces_of_the_linear_problem(hand: Hand, bodies: dict[str, Object], body: str) -> None:
+    """|r + J dx|^2 is the minimum over forces within the active constraints, by a dense KKT system, for any dx."""
+    scene, rng = around(hand, bodies[body], 6, 8), np.random.default_rng(1)
+    problem, h = problem_of(scene), 1e-6
+    known = problem.evaluate(every(scene), at(scene), None)
+    residual, J = rows(problem, at(scene), known)
+    pushing = known.forces.local.any(axis=1)[..., 0]
+    G = problem_map(problem, at(scene), pushing)
+    tolerance = 0.03 if body == "box" else 2e-3
+    for size in (1e-4, 1e-2):
+        dx = size * rng.normal(size=(6, J.shape[2])) * np.concatenate([np.ones(3), np.full(J.shape[2] - 3, 10.0)])
+        dG = (problem_map(problem, stepped(at(scene), h * dx), pushing)) - problem_map(
+            problem, stepped(at(scene), -h * dx), pushing
+        )
+        before, after = np.zeros((2, 6))
+        for p in range(len(problem.equilibrium.loads)):
+            local = known.forces.local[:, p]
+            v = np.einsum("mcij,mcj->mi", dG, local) / (2.0 * h)
+            for m in range(6):
+                A, g = active_rows(local[m]), np.moveaxis(G[m], 0, 1).reshape(G.shape[2], -1)
+                u, f = known.forces.unbalanced[m, p], local[m].reshape(-1)
+                H = g.T @ g + RIDGE * np.eye(len(f))
+                # The constraints may depend on each other: least squares instead of a solve.
+                kkt = np.block([[H, A.T], [A, np.zeros((len(A), len(A)))]])
+                right = np.concatenate([-(g.T @ (u + v[m]) + RIDGE * f), np.zeros(len(A))])
+                d = np.linalg.lstsq(kkt, right, rcond=1e-13)[0][: len(f)]
+                before[m] += (u**2).sum() + RIDGE * (f**2).sum()
+                after[m] += ((u + v[m] + g @ d) ** 2).sum() + RIDGE * ((f + d) ** 2).sum()
+        share = 1.0 / len(problem.equilibrium.loads)
+        predicted = ((residual + np.einsum("mrk,mk->mr", J, dx)) ** 2).sum(axis=1) - (residual**2).sum(axis=1)
+        change = share * (after - before)
+        np.testing.assert_allclose(predicted, change, atol=tolerance * np.abs(change).max())
+
+
+def test_what_is_predicted_comes_true_to_second_order(hand: Hand, bodies: dict[str, Object]) -> None:
+    """Half the step, a quarter of the error, where no constraint on forces comes or goes."""
+    scene = around(hand, bodies["sphere"], 10, 9)
+    problem = problem_of(scene)
+    known = problem.evaluate(every(scene), at(scene), None)
+    residual, J = rows(problem, at(scene), known)
+    direction = np.random.default_rng(2).normal(size=J[:, 0].shape)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    errors = []
+    for h in (2e-5, 1e-5):
+        predicted = ((residual + h * np.einsum("mrk,mk->mr", J, direction)) ** 2).sum(axis=1) - (residual**2).sum(
+            axis=1
+        )
+        change = loss_at(problem, stepped(at(scene), h * direction)) - known.loss
+        errors.append(np.abs(predicted - change))
+        # First order is there: what is left is smaller than the change by a factor in the order of the step.
+        assert np.median(errors[-1] / np.abs(change)) < 2e3 * h
+    ratio = errors[0] / errors[1]
+    assert (np.abs(ratio - 4.0) < 0.4).sum() >= 7
+
+
+def test_the_row_of_one_grasp_does_not_depend_on_the_others(coupled: Hand, bodies: dict[str, Object]) -> None:
+    scene = around(coupled, bodies["box"], 5, 10)
+    problem = problem_of(scene)
+    known = problem.evaluate(every(scene), at(scene), None)
+    residual, J = rows(problem, at(scene), known)
+    for m in range(5):
+        alone = replace(scene, T_world_root=scene.T_world_root[[m]], q=scene.q[[m]])
+        problem = problem_of(alone)
+        own = problem.evaluate(np.array([0]), at(alone), None)
+        np.testing.assert_allclose(own.loss[0], known.loss[m], rtol=1e-9)
+        gradient = np.einsum("rk,r->k", J[m], residual[m])
+        r, j = rows(problem, at(alone), own)
+        np.testing.assert_allclose(np.einsum("rk,r->k", j[0], r[0]), gradient, atol=1e-9)
+
+
+# what is no grasp
+
+
+def test_without_contacts_nothing_is_to_be_gained(coupled: Hand, bodies: dict[str, Object]) -> None:
+    """The value is that of a single contact, and has no derivative; other grasps are as ever."""
+    scene = around(coupled, bodies["sphere"], 4, 11)
+    goal = goal_of(scene, Touching(links=TIPS))
+    touching = goal.touching.copy()
+    touching[1] = False
+    weights = replace(ONLY, penetration=1e-12)
+    plain, problem = problem_of(scene, goal, weights), problem_of(scene, replace(goal, touching=touching), weights)
+    known, clean = (one.evaluate(every(scene), at(scene), None) for one in (problem, plain))
+    assert known.loss[1] == pytest.approx(HOPELESS)
+    np.testing.assert_allclose(known.loss[[0, 2, 3]], clean.loss[[0, 2, 3]], rtol=1e-9)
+    residual, J = rows(problem, at(scene), known)
+    assert np.isfinite(residual).all() and np.isfinite(J).all()
+    np.testing.assert_allclose(np.einsum("mrk,mr->mk", J, residual)[1], 0.0, atol=1e-12)
+
+
+def test_a_single_contact_pushes_for_nothing(coupled: Hand, bodies: dict[str, Object]) -> None:
+    """All of its pressure is left, and the mean of the loads, which push in all directions, does not help."""
+    scene = replace(around(coupled, bodies["sphere"], 3, 12), hand=replace(coupled, coupled=()))
+    problem = problem_of(scene, Touching(links=("thumb",)))
+    known = problem.evaluate(every(scene), at(scene), None)
+    loads = problem.equilibrium.loads
+    np.testing.assert_allclose(loads.mean(axis=0), 0.0, atol=1e-12)
+    # At most, friction takes some of the loads.
+    pushed = (loads**2).sum(axis=1).mean()
+    assert (known.loss <= 1.0 + pushed + 2.0 * RIDGE).all() and (known.loss >= 1.0 - PLANNING_FRICTION**2).all()
+    residual, J = rows(problem, at(scene), known)
+    expected, smooth = slopes(problem, at(scene), 1e-6)
+    found = 2.0 * np.einsum("mrk,mr->mk", J, residual)
+    np.testing.assert_allclose(found[smooth], expected[smooth], atol=1e-2)
+
+
+def test_a_pose_that_is_not_finite_spoils_no_other(coupled: Hand, bodies: dict[str, Object]) -> None:
+    scene = around(coupled, bodies["sphere"], 4, 13)
+    problem = problem_of(scene)
+    clean = loss_at(problem, at(scene))
+    T, q = scene.T_world_root.copy(), scene.q.copy()
+    T[1, 0, 3], q[2, 0] = np.nan, np.inf
+    with np.errstate(invalid="ignore"):
+        found = loss_at(problem, Point(T, q))
+    assert np.isnan(found[[1, 2]]).all()
+    np.testing.assert_allclose(found[[0, 3]], clean[[0, 3]], rtol=1e-12)
+
+
+# real hands
+
+
+def agreement(scene: Scene, touching: Touching = NEAR) -> np.ndarray:
+    """Cosines of the gradient, with the curvatures of the exact features, and differences; NaN where these jump."""
+    problem = problem_of(scene, touching, replace(ONLY, penetration=1e-12))
+    known = problem.evaluate(every(scene), at(scene), None)
+    residual, J = rows(problem, at(scene), known)
+    expected, smooth = slopes(problem, at(scene), 1e-6)
+    return np.where(smooth, cosine(np.einsum("mrk,mr->mk", J, residual), expected), np.nan)
+
+
+def test_the_gradient_of_a_real_hand() -> None:
+    """Fingertips of many small faces on a ball; here and there a face, edge or vertex is taken for another."""
+    allegro, rng = load_hand("allegro", candidates=64), np.random.default_rng(14)
+    ball = load_object("sphere:0.035", candidates=64)
+    q = np.clip(allegro.rest + 0.1 * rng.normal(size=(16, 16)), allegro.lower, allegro.upper)
+    tips = HandObject(allegro, ball).chain(np.tile(np.eye(4), (16, 1, 1)), q).T_world_link[:, :4, :3, 3]
+    T = exp_se3(rng.normal(size=(16, 6)) * [0.0, 0.0, 0.0, 0.2, 0.2, 0.2])
+    T[:, :3, 3] -= (T[:, None, :3, :3] @ tips[..., None])[..., 0].mean(axis=1)
+    found = agreement(Scene(allegro, ball, T, q), Touching(reach=0.03, reach_others=0.0))
+    assert np.isfinite(found).sum() >= 12
+    assert (found[np.isfinite(found)] >= 0.999).mean() >= 0.75
+
+
+def test_the_gradient_of_published_grasps(shared_assets: Path) -> None:
+    """Shadow's tendons, on a bottle."""
+    sources = Sources(
+        hand="shadow",
+        urdf=shared_assets / "hands/shadow/shadow_right.urdf",
+        objects=shared_assets / "grasps/bodex_shadow/example_object",
+    )
+    groups = sources.load_from(shared_assets / "grasps/normalised/bodex_shadow.npz", 0, lambda line: None).groups
+    scene = groups[0].scene
+    found = agreement(replace(scene, T_world_root=scene.T_world_root[:12], q=scene.q[:12]))
+    assert len(scene.hand.coupled) == 4 and np.isfinite(found).sum() >= 9
+    assert (found[np.isfinite(found)] >= 0.999).mean() >= 0.8

@@ -1,0 +1,205 @@
+"""Quality of grasps in closed form, and what may never make it better."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from claw import around, capsule, claw
+from grasp_refine.collision.query import QueryStatus, Witness, query
+from grasp_refine.forces.equilibrium import LEVER
+from grasp_refine.forces.quality import DEEP, PUSH, PUSHES, SLIPPERY, Quality, quality
+from grasp_refine.forces.wrench import EDGES, LENGTH, PLANNING_FRICTION
+from grasp_refine.hands.chain import Chain, Frames
+from grasp_refine.hands.hand import Hand
+from grasp_refine.objects.object import Object, load_object
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import links_of
+
+
+@pytest.fixture(scope="module")
+def free(tmp_path_factory: pytest.TempPathFactory) -> Hand:
+    return claw(tmp_path_factory.mktemp("claw"))
+
+
+@pytest.fixture(scope="module")
+def coupled(tmp_path_factory: pytest.TempPathFactory) -> Hand:
+    return claw(tmp_path_factory.mktemp("claw"), coupled=True)
+
+
+@pytest.fixture(scope="module")
+def ball() -> Object:
+    return load_object("sphere:0.03", candidates=16)
+
+
+def touching(hand: Hand, point: list, normal: list, distance: list | None = None) -> tuple[Chain, Frames, Witness]:
+    """Grasps (N) whose tips touch at points (N, C, 3); other links are far away."""
+    chain = Chain(hand, links_of(hand))
+    point, normal = np.array(point, dtype=float), np.array(normal, dtype=float)
+    count, contacts = point.shape[:2]
+    links = len(chain.links)
+    gap = np.zeros((count, contacts)) if distance is None else np.array(distance, dtype=float)
+    places, normals, gaps = np.zeros((count, links, 3)), np.zeros((count, links, 3)), np.full((count, links), np.inf)
+    places[:, :contacts], normals[:, :contacts], gaps[:, :contacts] = point, normal, gap
+    status = np.where(np.isfinite(gaps), np.where(gaps < 0, QueryStatus.PENETRATING, 0), QueryStatus.FAR)
+    none = np.zeros((count, links), dtype=np.int64)
+    witness = Witness(places - gaps[..., None].clip(-1, 1) * normals, places, normals, gaps, status, none, none)
+    T = np.tile(np.eye(4), (count, 1, 1))
+    return chain, chain(T, np.zeros((count, len(hand.joint_names)))), witness
+
+
+OPPOSING = [[[0.03, 0, 0], [-0.03, 0, 0]]], [[[-1, 0, 0], [1, 0, 0]]]
+
+
+def of(hand: Hand, obj: Object, point: list, normal: list, distance: list | None = None) -> Quality:
+    return quality(hand, obj, *touching(hand, point, normal, distance))
+
+
+# closed forms
+
+
+def test_two_opposing_contacts_need_no_friction_but_for_what_pushes(free: Hand, ball: Object) -> None:
+    """Of a push along y or z of 0.2 they take 0.15 cos 22.5 deg at least; of one along x they take all."""
+    found = of(free, ball, *OPPOSING)
+    assert found.slippery[0] == pytest.approx(0.0, abs=1e-4) and found.deep[0] == 0.0
+    left = PUSH - PLANNING_FRICTION
+    assert 4 / 6 * left - 1e-4 <= found.pushed[0]
+    # What x takes: pressures of 0.5 - 0.1 and 0.5 + 0.1 are not allowed, no contact carries more than half.
+    most = 2 / 6 * PUSH + 4 / 6 * (PUSH - PLANNING_FRICTION * np.cos(np.pi / EDGES))
+    assert found.pushed[0] <= most + 1e-4
+    assert found.score[0] == pytest.approx(found.slippery[0] + found.pushed[0])
+    assert found.value[0] == pytest.approx(1.0 / (1.0 + found.score[0]))
+
+
+def test_contacts_all_around_balance_every_push(free: Hand, ball: Object) -> None:
+    """Tips at the corners of a tetrahedron: 0.1 of friction is more than pushes of 0.2 need."""
+    normal = -np.array([[[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]]) / np.sqrt(3.0)
+    found = of(free, ball, (-0.03 * normal).tolist(), normal.tolist())
+    assert found.score[0] < 1e-3 and found.value[0] > 0.999
+
+
+@pytest.mark.parametrize("slope", [0.05, 0.12, 0.3])
+def test_a_wedge_slips_where_its_slope_is_above_the_small_friction(free: Hand, ball: Object, slope: float) -> None:
+    """What is left of each contact is sin a - mu cos a, for contacts that look up by a."""
+    a = np.arctan(slope)
+    # In the plane of the contacts, so that their friction can be anything between that of pyramid and cone.
+    normal = [[[-np.cos(a), 0, np.sin(a)], [np.cos(a), 0, np.sin(a)]]]
+    found = of(free, ball, [[[0.03, 0, 0], [-0.03, 0, 0]]], normal)
+    low, high = (max(0.0, np.cos(a) * (slope - mu)) for mu in (SLIPPERY, SLIPPERY * np.cos(np.pi / EDGES)))
+    assert low - 1e-4 <= found.slippery[0] <= high + 1e-4
+
+
+def test_depth_counts_by_its_scale(free: Hand, ball: Object) -> None:
+    """Of the deepest link alone; of gaps, the mean by pressure, which is half for each of two contacts."""
+    found = of(free, ball, OPPOSING[0] * 3, OPPOSING[1] * 3, [[0.0, 0.0], [-0.002, -0.001], [0.002, 0.001]])
+    np.testing.assert_allclose(found.deep, [0.0, 0.002 / DEEP, 0.0])
+    np.testing.assert_allclose(found.open, [0.0, 0.0, 0.0015 / DEEP], atol=1e-9)
+    np.testing.assert_allclose(found.score - found.deep - found.open, found.score[0], atol=1e-9)
+
+
+def test_pushes_are_in_six_directions_and_turn_nothing() -> None:
+    np.testing.assert_allclose(PUSHES.sum(axis=0), 0.0, atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(PUSHES[:, :3], axis=1), PUSH)
+    assert len(np.unique(PUSHES, axis=0)) == 6 and not PUSHES[:, 3:].any()
+
+
+# what may never make it better
+
+
+def random_grasps(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Three or four contacts on a dented ball (count, 4, 3), and normals that roughly look inward."""
+    rng = np.random.default_rng(seed)
+    normal = rng.normal(size=(count, 4, 3))
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    return -0.03 * normal + 0.004 * rng.normal(size=normal.shape), normal
+
+
+def test_the_value_is_between_nothing_and_one(free: Hand, coupled: Hand, ball: Object) -> None:
+    point, normal = random_grasps(30, 0)
+    distance = 0.01 * np.random.default_rng(1).normal(size=(30, 4))
+    for hand in (free, coupled):
+        found = of(hand, ball, point.tolist(), normal.tolist(), distance.tolist())
+        assert (found.value >= 0.0).all() and (found.value <= 1.0).all() and (found.score >= 0.0).all()
+        assert len(np.unique(found.value)) > 20
+
+
+def test_deeper_is_worse(free: Hand, ball: Object) -> None:
+    point, normal = random_grasps(10, 2)
+    values = [
+        of(free, ball, point.tolist(), normal.tolist(), np.full((10, 4), -depth).tolist()).value
+        for depth in (0.0, 0.001, 0.004, 0.02)
+    ]
+    assert (np.diff(values, axis=0) < 0.0).all()
+
+
+def test_less_friction_is_never_better(free: Hand, ball: Object, monkeypatch: pytest.MonkeyPatch) -> None:
+    point, normal = random_grasps(10, 3)
+    found = []
+    for friction in (0.02, SLIPPERY, 0.3):
+        monkeypatch.setattr("grasp_refine.forces.quality.SLIPPERY", friction)
+        found.append(of(free, ball, point.tolist(), normal.tolist()).value)
+    assert (np.diff(found, axis=0) >= -1e-5).all() and (found[2] > found[0] + 1e-3).any()
+
+
+def test_another_contact_is_never_worse_for_the_forces(free: Hand, ball: Object) -> None:
+    """It need not push."""
+    point, normal = random_grasps(20, 4)
+    three = of(free, ball, point[:, :3].tolist(), normal[:, :3].tolist())
+    four = of(free, ball, point.tolist(), normal.tolist())
+    assert (four.slippery <= three.slippery + 1e-4).all() and (four.pushed <= three.pushed + 1e-4).all()
+
+
+def test_tendons_are_never_better_than_a_motor_for_each_joint(free: Hand, coupled: Hand, ball: Object) -> None:
+    point, normal = random_grasps(20, 5)
+    one, other = (of(hand, ball, point.tolist(), normal.tolist()) for hand in (free, coupled))
+    np.testing.assert_allclose(other.slippery, one.slippery, atol=1e-9)
+    assert (other.pushed >= one.pushed - 1e-3).all() and (other.pushed > one.pushed + 1e-3).any()
+    assert LEVER > 0 and LENGTH > 0
+
+
+# grasps on their own
+
+
+def test_a_grasp_does_not_depend_on_the_others(coupled: Hand, ball: Object) -> None:
+    point, normal = random_grasps(6, 6)
+    together = of(coupled, ball, point.tolist(), normal.tolist())
+    for m in range(6):
+        alone = of(coupled, ball, point[[m]].tolist(), normal[[m]].tolist())
+        np.testing.assert_allclose(alone.score[0], together.score[m], rtol=1e-9)
+
+
+def test_without_contacts_there_is_no_quality(free: Hand, ball: Object) -> None:
+    """Links that are near but not near enough are none; the other grasp is as ever."""
+    point, normal = OPPOSING[0] * 2, OPPOSING[1] * 2
+    found = of(free, ball, point, normal, [[0.0, 0.0], [0.05, 0.05]])
+    alone = of(free, ball, *OPPOSING)
+    assert np.isinf(found.score[1]) and np.isnan(found.value[1]) and np.isnan(found.slippery[1])
+    assert found.score[0] == pytest.approx(alone.score[0])
+
+
+def test_no_grasps_have_no_qualities(free: Hand, ball: Object) -> None:
+    chain, frames, witness = touching(free, *OPPOSING)
+    found = quality(free, ball, chain, Frames(frames.T_world_link[:0], frames.axes[:0]), witness.rows(slice(0)))
+    assert found.value.shape == (0,)
+
+
+def test_torques_are_about_the_centre_of_mass(tmp_path: Path) -> None:
+    """Grasps of a body that is not where its frame is are judged like those of one that is."""
+    hand, obj = claw(tmp_path), capsule()
+    scene = around(hand, obj, 5, 7)
+    prepared = HandObject(hand, obj)
+    frames = prepared.chain(scene.T_world_root, scene.q)
+    T = frames.T_world_link
+    witness = query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape))
+    here = quality(hand, obj, prepared.chain, frames, witness)
+    shift = np.array([0.5, -1.0, 2.0])
+    mesh = obj.mesh.copy()
+    mesh.apply_translation(shift)
+    away = Object("away", mesh, obj.body, True, ())
+    moved = Witness(
+        witness.point_a + shift, witness.point_b + shift, witness.normal, witness.distance, witness.status,
+        witness.winner, witness.asked,
+    )  # fmt: skip
+    there = quality(hand, away, prepared.chain, frames, moved)
+    assert np.isfinite(here.score).sum() >= 4
+    np.testing.assert_allclose(there.score, here.score, atol=1e-6)

@@ -1,0 +1,189 @@
+"""Squeezes: torques do the work of the forces, set points press and do not pull, actuators make what they can."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.collision.query import query
+from grasp_refine.core.se3 import exp_se3, inverse, transform_from_pose, transform_points
+from grasp_refine.forces.squeeze import SQUEEZE_RIDGE, TOTAL, actuated, contacts, squeezed
+from grasp_refine.forces.wrench import center_of_mass, contact_forces
+from grasp_refine.grasps.grasp_set import load_grasps
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Actuator, Hand, load_hand
+from grasp_refine.hands.hand_toml import Coupled
+from grasp_refine.objects.object import Object, load_object
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+
+PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
+LIMIT = '<limit lower="-0.1" upper="0.1" effort="{}" velocity="1"/>'
+CLAMP = f"""<robot name="clamp">
+  <link name="base"/><link name="left">{PAD}</link><link name="right">{PAD}</link>
+  <joint name="l" type="prismatic"><parent link="base"/><child link="left"/><origin xyz="0.06 0 0"/>
+    <axis xyz="1 0 0"/>{LIMIT.format(100)}</joint>
+  <joint name="r" type="prismatic"><parent link="base"/><child link="right"/><origin xyz="-0.06 0 0"/>
+    <axis xyz="1 0 0"/>{LIMIT.format(5)}</joint>
+</robot>"""
+"""Two balls that hold a ball of 5 cm; the right one is weak."""
+
+
+@pytest.fixture(scope="module")
+def clamp(tmp_path_factory: pytest.TempPathFactory) -> Hand:
+    path: Path = tmp_path_factory.mktemp("clamp") / "clamp.urdf"
+    path.write_text(CLAMP)
+    path.with_name("hand.toml").write_text("actuator = { kp = 5.0 }")
+    return load_hand(path, candidates=16)
+
+
+@pytest.fixture(scope="module")
+def ball() -> Object:
+    return load_object("sphere:0.05", candidates=16)
+
+
+@pytest.fixture(scope="module")
+def mugs() -> Scene:
+    """The example grasps of a mug, with a hand whose actuators have no limits."""
+    grasps = load_grasps(resource_dir("robots") / "allegro" / "example_mug.npz").select(range(4))
+    mug = load_object("mug", scale=float(grasps.scale[0]), candidates=16)
+    hand = load_hand("allegro", candidates=16)
+    return Scene(limitless(hand), mug, transform_from_pose(grasps.hand_pose), grasps.q)
+
+
+def limitless(hand: Hand) -> Hand:
+    return replace(hand, actuator=replace(hand.actuator, force_limit=np.full(len(hand.lower), np.inf)))
+
+
+def forces_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Forces on the object and where links touch it (N, L, 3), as `squeezed` should have them."""
+    known = HandObject.of(scene)
+    T = known.chain(scene.T_world_root, scene.q).T_world_link
+    witness = query(known.pairs, T, np.broadcast_to(np.eye(4), T.shape))
+    point, normal = contacts(scene.hand, scene.links, witness)
+    force = contact_forces(point, normal, center_of_mass(scene.object), ridge=SQUEEZE_RIDGE).force
+    return TOTAL * force, witness.point_a
+
+
+def test_a_clamp_presses_inward_with_half_the_total_each(clamp: Hand, ball: Object) -> None:
+    """Joint values grow to the right; kp is 5 N/m, and the right pad makes 5 N at most."""
+    scene = Scene(clamp, ball, np.eye(4)[None], np.array([[0.002, 0.0]]))
+    found = squeezed(scene)
+    np.testing.assert_allclose(found, [[0.002 - 15.0 / 5.0, 5.0 / 5.0]], atol=1e-6)
+    np.testing.assert_allclose(squeezed(scene, total=4.0), [[0.002 - 2.0 / 5.0, 2.0 / 5.0]], atol=1e-6)
+    assert found[0, 0] < clamp.lower[0], "set points may lie beyond the limits"
+
+
+def test_set_points_are_those_of_the_actuators_that_pull(clamp: Hand, ball: Object) -> None:
+    """Another simulated hand is said by its actuators; what was prepared of the hand may stay."""
+    other = replace(clamp.actuator, kp=np.array([500.0, 1.0]), force_limit=np.array([np.inf, 0.5]))
+    scene = Scene(clamp, ball, np.eye(4)[None], np.array([[0.002, 0.0]]))
+    found = squeezed(replace(scene, hand=replace(clamp, actuator=other)), HandObject.of(scene))
+    np.testing.assert_allclose(found, [[0.002 - 15.0 / 500.0, 0.5]], atol=1e-6)
+
+
+def test_torques_do_the_work_of_the_forces(mugs: Scene) -> None:
+    """Virtual work: tau . dq is the sum of f . dx of the points of the links, for any dq."""
+    force, on_link = forces_of(mugs)
+    assert (np.abs(force).sum(axis=-1) > 0).sum(axis=1).min() >= 2
+    torque = (squeezed(mugs) - mugs.q) * mugs.hand.actuator.kp
+    chain = Chain(mugs.hand, mugs.links)
+    material = transform_points(inverse(chain(mugs.T_world_root, mugs.q).T_world_link), on_link)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        dq = rng.normal(size=mugs.q.shape)
+        ahead, behind = (
+            transform_points(chain(mugs.T_world_root, mugs.q + step * dq).T_world_link, material)
+            for step in (1e-6, -1e-6)
+        )
+        work = (force * (ahead - behind) / 2e-6).sum(axis=(1, 2))
+        np.testing.assert_allclose((torque * dq).sum(axis=1), work, rtol=1e-6, atol=1e-7)
+
+
+def test_links_move_into_the_object(mugs: Scene) -> None:
+    """The forces gain from a small step towards the set points: that is the sign."""
+    force, on_link = forces_of(mugs)
+    chain = Chain(mugs.hand, mugs.links)
+    T = chain(mugs.T_world_root, mugs.q).T_world_link
+    step = mugs.q + 1e-3 * (squeezed(mugs) - mugs.q)
+    moved = transform_points(chain(mugs.T_world_root, step).T_world_link @ inverse(T), on_link)
+    assert ((force * (moved - on_link)).sum(axis=(1, 2)) > 0).all()
+
+
+def test_a_scene_may_be_looked_at_from_anywhere(clamp: Hand, ball: Object) -> None:
+    turn = exp_se3(np.array([0.0, 0.0, 0.0, 0.4, 1.0, -0.3]))
+    straight = Scene(clamp, ball, np.eye(4)[None], np.zeros((1, 2)))
+    turned = replace(straight, T_world_root=turn[None])
+    np.testing.assert_allclose(squeezed(turned), squeezed(straight), atol=1e-6)
+
+
+def test_hands_that_touch_nothing_do_not_squeeze(clamp: Hand, ball: Object) -> None:
+    q = np.array([[0.05, -0.05], [0.011, -0.05], [0.0099, -0.05]])
+    found = squeezed(Scene(clamp, ball, np.tile(np.eye(4), (3, 1, 1)), q))
+    np.testing.assert_array_equal(found[:2], q[:2])
+    # One finger in reach pushes alone, with all that there is.
+    np.testing.assert_allclose(found[2], [0.0099 - 30.0 / 5.0, -0.05], atol=1e-6)
+
+
+def test_grasps_that_are_not_finite_become_nan_and_harm_no_other(clamp: Hand, ball: Object) -> None:
+    T, q = np.tile(np.eye(4), (3, 1, 1)), np.zeros((3, 2))
+    T[0, 1, 1], q[2, 0] = np.nan, np.inf
+    found = squeezed(Scene(clamp, ball, T, q))
+    np.testing.assert_array_equal(np.isnan(found), [[True, True], [False, False], [True, True]])
+    np.testing.assert_array_equal(found[1], squeezed(Scene(clamp, ball, T[1:2], q[1:2]))[0])
+
+
+# actuators
+
+
+def tendons(hand: Hand, groups: tuple[Coupled, ...], limit: float) -> Hand:
+    n = len(hand.lower)
+    plain = np.zeros(n)
+    return replace(hand, coupled=groups, actuator=Actuator(np.full(n, 4.0), np.full(n, limit), plain, plain, plain))
+
+
+def tension(hand: Hand, ahead: np.ndarray, group: Coupled) -> np.ndarray:
+    """What the actuator of a tendon pulls with when its set point is the sum of ratio x set point."""
+    joints = [hand.joint_names.index(name) for name in group.joints]
+    return 4.0 * ahead[:, joints] @ np.array(group.ratio)
+
+
+def test_joints_of_a_tendon_share_the_mean_torque(mugs: Scene) -> None:
+    group = Coupled(mugs.hand.joint_names[2:4], (1.0, 1.0))
+    hand = tendons(mugs.hand, (group,), np.inf)
+    torque = np.random.default_rng(1).normal(size=(7, 16))
+    ahead = actuated(hand, torque)
+    np.testing.assert_allclose(tension(hand, ahead, group), torque[:, 2:4].mean(axis=1))
+    np.testing.assert_allclose(ahead[:, 2], ahead[:, 3])
+    np.testing.assert_allclose(ahead[:, 4:], torque[:, 4:] / 4.0)
+
+
+def test_a_tendon_makes_the_nearest_torques_in_its_ratio(mugs: Scene) -> None:
+    group = Coupled(mugs.hand.joint_names[5:8:2], (1.0, -0.5))
+    hand = tendons(mugs.hand, (group,), np.inf)
+    torque = np.random.default_rng(2).normal(size=(7, 16))
+    made = tension(hand, actuated(hand, torque), group)[:, None] * np.array(group.ratio)
+    # The rest is orthogonal to all that the tendon can make.
+    np.testing.assert_allclose((torque[:, 5:8:2] - made) @ np.array(group.ratio), 0.0, atol=1e-12)
+
+
+def test_no_actuator_is_asked_for_more_than_it_can(mugs: Scene) -> None:
+    group = Coupled(mugs.hand.joint_names[2:4], (1.0, 1.0))
+    hand = tendons(mugs.hand, (group,), 0.5)
+    torque = np.full((1, 16), 3.0) * np.where(np.arange(16) % 4 == 0, -1.0, 1.0)
+    ahead = actuated(hand, torque)
+    np.testing.assert_allclose(tension(hand, ahead, group), 0.5)
+    single = np.delete(ahead, [2, 3], axis=1)
+    np.testing.assert_allclose(np.abs(single), 0.5 / 4.0)
+    np.testing.assert_array_equal(np.sign(single), np.sign(np.delete(torque, [2, 3], axis=1)))
+
+
+def test_actuators_without_stiffness_are_not_moved(mugs: Scene) -> None:
+    kp = np.full(16, 4.0)
+    kp[[1, 2]] = 0.0
+    group = Coupled(mugs.hand.joint_names[2:4], (1.0, 1.0))
+    hand = replace(mugs.hand, coupled=(group,), actuator=replace(mugs.hand.actuator, kp=kp))
+    ahead = actuated(hand, np.ones((1, 16)))
+    np.testing.assert_array_equal(np.flatnonzero(ahead[0] == 0.0), [1, 2, 3])

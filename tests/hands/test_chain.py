@@ -1,0 +1,267 @@
+"""Poses of the chain against `Kinematics`, and its Jacobian against finite differences over `moved` and the joints."""
+
+import numpy as np
+import pytest
+import torch
+
+from grasp_refine.core.errors import HandError
+from grasp_refine.core.se3 import exp_se3, exp_so3, inverse, transform_points
+from grasp_refine.hands.chain import Chain, moved
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.kinematics import Kinematics
+from refusals import refused
+
+LIMIT = '<limit lower="-1" upper="2" effort="3" velocity="1"/>'
+
+MIMIC = f"""<robot name="gripper">
+  <link name="base"/><link name="arm"/><link name="wheel"/><link name="hook"/><link name="left"/><link name="right"/>
+  <link name="tip"><collision><geometry><sphere radius="0.01"/></geometry></collision></link><link name="frame"/>
+  <joint name="tip_turn" type="revolute">
+    <parent link="left"/><child link="tip"/><origin xyz="0.02 0 0.01" rpy="0.3 -0.2 0.9"/><axis xyz="1 1 0"/>
+    <mimic joint="right_slide" multiplier="-3" offset="0.2"/>{LIMIT}
+  </joint>
+  <joint name="lift" type="revolute">
+    <parent link="base"/><child link="arm"/><origin xyz="0 0.1 0" rpy="0.1 0.2 0.3"/><axis xyz="0 3 4"/>{LIMIT}
+  </joint>
+  <joint name="left_slide" type="prismatic">
+    <parent link="arm"/><child link="left"/><origin xyz="0 0.03 0" rpy="0 0.4 0"/><axis xyz="0 1 0"/>{LIMIT}
+  </joint>
+  <joint name="right_slide" type="prismatic">
+    <parent link="arm"/><child link="right"/><origin xyz="0 -0.03 0"/><axis xyz="1 -2 0"/>
+    <mimic joint="left_slide" multiplier="0.5" offset="0.01"/>{LIMIT}
+  </joint>
+  <joint name="end" type="fixed"><parent link="tip"/><child link="frame"/><origin xyz="0 0 0.05" rpy="1 0 0"/></joint>
+  <joint name="spin" type="continuous">
+    <parent link="base"/><child link="wheel"/><origin xyz="0.05 0 0"/><axis xyz="0 0 -1"/>
+  </joint>
+  <joint name="catch" type="revolute">
+    <parent link="wheel"/><child link="hook"/><origin xyz="0 0.05 0.01"/><axis xyz="1 0 0"/>{LIMIT}
+  </joint>
+</robot>"""
+"""A slide that follows a slide, and a hinge that follows the follower; two joints of a level have the same parent."""
+
+
+@pytest.fixture(scope="module")
+def gripper(tmp_path_factory: pytest.TempPathFactory) -> Hand:
+    path = tmp_path_factory.mktemp("gripper") / "gripper.urdf"
+    path.write_text(MIMIC)
+    return load_hand(path, candidates=16)
+
+
+@pytest.fixture(scope="module")
+def allegro() -> Hand:
+    return load_hand("allegro", candidates=16)
+
+
+@pytest.fixture(
+    scope="module",
+    params=["gripper", "ours", "shared allegro", "shared barrett", "shared leap", "shared robotiq3f", "shared shadow"],
+)
+def hand(request: pytest.FixtureRequest) -> Hand:
+    if request.param in ("gripper", "ours"):
+        return request.getfixturevalue("allegro" if request.param == "ours" else request.param)
+    folder = request.getfixturevalue("shared_assets") / "hands" / request.param.removeprefix("shared ")
+    return load_hand(folder, candidates=16)
+
+
+def configurations(hand: Hand, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Random root poses (count, 4, 4) and joint values (count, n)."""
+    rng = np.random.default_rng(seed)
+    T = exp_se3(rng.normal(size=(count, 6)) * [0.1, 0.1, 0.1, 1, 1, 1])
+    return T, rng.uniform(np.maximum(hand.lower, -3.0), np.minimum(hand.upper, 3.0), (count, len(hand.lower)))
+
+
+def all_links(hand: Hand) -> list[str]:
+    return [link.name for link in hand.links]
+
+
+def expected_poses(hand: Hand, links: list[str], T: np.ndarray, q: np.ndarray) -> np.ndarray:
+    return Kinematics(hand, links)(torch.from_numpy(T), torch.from_numpy(q)).numpy()
+
+
+# poses
+
+
+def test_poses_are_those_of_kinematics(hand: Hand) -> None:
+    links = all_links(hand)[::-1]
+    T, q = configurations(hand, 5, seed=0)
+    found = Chain(hand, links)(T, q).T_world_link
+    np.testing.assert_allclose(found, expected_poses(hand, links, T, q), atol=1e-12)
+
+
+def test_joints_that_move_none_of_the_links_are_left_out(gripper: Hand) -> None:
+    T, q = configurations(gripper, 3, seed=1)
+    chain = Chain(gripper, ["frame", "arm"])
+    frames = chain(T, q)
+    assert chain.dof == 4 and chain.links == ("frame", "arm")
+    assert chain.joints == ("lift", "left_slide", "tip_turn")
+    assert frames.axes.shape == (3, 6, 6 + 3)
+    np.testing.assert_allclose(frames.T_world_link, expected_poses(gripper, ["frame", "arm"], T, q), atol=1e-12)
+
+
+def test_links_that_only_the_root_moves(allegro: Hand) -> None:
+    T, q = configurations(allegro, 2, seed=2)
+    chain = Chain(allegro, [allegro.base_link])
+    frames = chain(T, q)
+    np.testing.assert_array_equal(frames.T_world_link[:, 0], T)
+    pulled = chain.pull(frames, np.ones((2, 3, 6)), np.zeros(3, dtype=int))
+    assert frames.axes.shape == (2, 6, 6) and pulled.shape == (2, 3, 6 + len(allegro.joint_names))
+    assert not pulled[..., 6:].any() and np.all(pulled[..., :3] == 1.0)
+
+
+def test_unknown_links_are_refused_with_the_ones_that_exist(allegro: Hand) -> None:
+    with refused(HandError, "allegro", "knee", "base_link, ", "link_3.0_tip"):
+        Chain(allegro, ["base_link", "knee"])
+
+
+# steps of the root
+
+
+def test_the_root_moves_by_v_and_turns_by_w_about_its_origin() -> None:
+    rng = np.random.default_rng(3)
+    T, dx = exp_se3(rng.normal(size=(4, 6))), rng.normal(size=(4, 6))
+    after = moved(T, dx)
+    np.testing.assert_allclose(after[:, :3, 3], T[:, :3, 3] + dx[:, :3], atol=1e-15)
+    np.testing.assert_allclose(after[:, :3, :3], exp_so3(dx[:, 3:]) @ T[:, :3, :3], atol=1e-14)
+    np.testing.assert_array_equal(after[:, 3], np.tile([0.0, 0.0, 0.0, 1.0], (4, 1)))
+
+
+def test_rounding_of_the_rotation_does_not_accumulate() -> None:
+    rounded = exp_se3(np.random.default_rng(4).normal(size=(4, 6))).astype(np.float32).astype(float)
+    R = moved(rounded, np.zeros((4, 6)))[:, :3, :3]
+    error = np.abs(R.swapaxes(-1, -2) @ R - np.eye(3)).max()
+    assert error < 1e-12 < np.abs(rounded[:, :3, :3].swapaxes(-1, -2) @ rounded[:, :3, :3] - np.eye(3)).max()
+
+
+# derivatives
+
+
+@pytest.mark.parametrize("relative", [False, True], ids=["one link", "two links"])
+def test_pulled_wrenches_are_the_slopes_of_their_work(hand: Hand, relative: bool) -> None:
+    chain = Chain(hand, all_links(hand))
+    T, q = configurations(hand, 3, seed=5)
+    rng = np.random.default_rng(6)
+    rows = 2 * len(chain.links)
+    link, minus = rng.permutation(rows) % len(chain.links), rng.integers(len(chain.links), size=rows)
+    force, point = rng.normal(size=(3, rows, 3)), rng.normal(size=(3, rows, 3)) * 0.1
+    frames = chain(T, q)
+    on_link = transform_points(inverse(frames.T_world_link[:, link]), point)
+    on_minus = transform_points(inverse(frames.T_world_link[:, minus]), point)
+
+    def work(T: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Each constant force times the place of its point of the link, less that of the same point of `minus`."""
+        poses = chain(T, q).T_world_link
+        path = transform_points(poses[:, link], on_link)
+        if relative:
+            path = path - transform_points(poses[:, minus], on_minus)
+        return (force * path).sum(axis=-1)
+
+    h = 1e-6
+    root, joints = np.split(h * np.eye(6 + chain.dof), [6], axis=1)
+    slopes = [
+        (work(moved(T, np.tile(r, (3, 1))), q + j) - work(moved(T, np.tile(-r, (3, 1))), q - j)) / (2 * h)
+        for r, j in zip(root, joints, strict=True)
+    ]
+    wrench = np.concatenate([force, np.cross(point, force)], axis=-1)
+    pulled = chain.pull(frames, wrench, link, minus if relative else None)
+    np.testing.assert_allclose(pulled, np.moveaxis(slopes, 0, -1), atol=2e-9)
+
+
+def test_columns_of_axes_are_the_twists_of_root_and_joints(gripper: Hand) -> None:
+    chain = Chain(gripper, ["hook", "left"])
+    assert chain.joints == ("lift", "left_slide", "spin", "catch")
+    T = np.eye(4)[None].copy()
+    T[0, :3, 3] = 1.0, 2.0, 3.0
+    axes = chain(T, np.zeros((1, 4))).axes[0].T
+    np.testing.assert_array_equal(axes[:3], np.eye(3, 6))
+    np.testing.assert_array_equal(axes[3], [0.0, 3.0, -2.0, 1.0, 0.0, 0.0])
+    # Prismatic: no rotation. Spin: about -z through (1.05, 2), where the point (0, 0) moves by -w x p.
+    np.testing.assert_array_equal(axes[7, 3:], np.zeros(3))
+    np.testing.assert_allclose(axes[8], [-2.0, 1.05, 0.0, 0.0, 0.0, -1.0], atol=1e-15)
+
+
+def test_joints_are_pulled_as_what_they_carry(hand: Hand) -> None:
+    """Places after those of the links: a joint's own point, which a link that hangs from it carries too."""
+    chain = Chain(hand, all_links(hand))
+    T, q = configurations(hand, 2, seed=10)
+    frames, links = chain(T, q), len(chain.links)
+    child = [chain.links.index(hand.joints_by_name[name].child) for name in chain.joints]
+    covector = np.random.default_rng(11).normal(size=(2, len(child), 6))
+    by_joints = chain.pull(frames, covector, links + np.arange(len(child)))
+    np.testing.assert_array_equal(by_joints, chain.pull(frames, covector, np.array(child)))
+    # The twist of one relative to the other is none.
+    relative = chain.pull(frames, covector, links + np.arange(len(child)), np.array(child))
+    assert not relative.any()
+
+
+def test_axes_move_as_what_their_joints_carry(hand: Hand) -> None:
+    """An axis (v, w) of a joint that moves by the spatial twist V changes by V x (v, w), the Lie bracket."""
+    chain = Chain(hand, all_links(hand))
+    T, q = configurations(hand, 1, seed=12)
+    frames, links, m = chain(T, q), len(chain.links), len(chain.joints)
+    eye = np.tile(np.eye(6), (m, 1))[None]
+    twist = chain.pull(frames, eye, links + np.repeat(np.arange(m), 6)).reshape(m, 6, -1)
+    v, w = frames.axes[0, :3, 6:].T, frames.axes[0, 3:, 6:].T
+    V, W = twist[:, :3], twist[:, 3:]
+    bracket = [
+        np.cross(W, v[..., None], axis=1) + np.cross(V, w[..., None], axis=1),
+        np.cross(W, w[..., None], axis=1),
+    ]
+    expected, h = np.concatenate(bracket, axis=1), 1e-6
+    for k in range(6 + chain.dof):
+        dx = h * np.eye(6 + chain.dof)[k]
+        ahead, behind = (chain(moved(T, s * dx[None, :6]), q + s * dx[6:]).axes[0, :, 6:].T for s in (1, -1))
+        np.testing.assert_allclose((ahead - behind) / (2 * h), expected[..., k], atol=1e-8)
+
+
+def test_what_follows_what(gripper: Hand) -> None:
+    """Root always, joints on the way from it; places of joints after those of links."""
+    chain = Chain(gripper, ["hook", "tip", "arm"])
+    assert set(chain.joints) == {"lift", "left_slide", "tip_turn", "spin", "catch"}
+
+    def followed(place: int) -> set[str]:
+        row = chain.followed(np.array([place]))[0]
+        assert row[:6].all() and set(row) <= {0.0, 1.0}
+        return {name for name, follows in zip(chain.joints, row[6:], strict=True) if follows}
+
+    assert followed(0) == {"spin", "catch"} and followed(2) == {"lift"}
+    assert followed(1) == {"lift", "left_slide", "tip_turn"}
+    assert followed(3 + chain.joints.index("left_slide")) == {"lift", "left_slide"}
+    assert followed(3 + chain.joints.index("spin")) == {"spin"}
+
+
+# libraries
+
+
+def test_torch_and_numpy_agree(hand: Hand) -> None:
+    chain = Chain(hand, all_links(hand))
+    T, q = configurations(hand, 4, seed=7)
+    rng = np.random.default_rng(8)
+    link, minus = rng.integers(len(chain.links), size=(2, 9))
+    covector, dx = rng.normal(size=(4, 9, 6)), rng.normal(size=(4, 6))
+    expected, at = chain(T, q), moved(T, dx)
+    for dtype, tolerance in ((torch.float64, 1e-13), (torch.float32, 1e-5)):
+        T_t, q_t, covector_t, dx_t = (torch.from_numpy(a).to(dtype) for a in (T, q, covector, dx))
+        frames = chain(T_t, q_t)
+        for found, wanted in (
+            (frames.T_world_link, expected.T_world_link),
+            (frames.axes, expected.axes),
+            (chain.pull(frames, covector_t, link), chain.pull(expected, covector, link)),
+            (chain.pull(frames, covector_t, link, minus), chain.pull(expected, covector, link, minus)),
+            (moved(T_t, dx_t), at),
+        ):
+            assert found.dtype == dtype
+            np.testing.assert_allclose(found.numpy(), wanted, atol=tolerance)
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_number_type_and_batch_size_follow_the_arguments(gripper: Hand, count: int) -> None:
+    chain = Chain(gripper, all_links(gripper))
+    T, q = (a.astype(np.float32) for a in configurations(gripper, count, seed=9))
+    frames = chain(T, q)
+    pulled = chain.pull(frames, np.ones((count, 2, 6), np.float32), np.array([0, 3]), np.array([1, 2]))
+    assert {a.dtype for a in (frames.T_world_link, frames.axes, pulled, moved(T, T[:, :2, :3].reshape(-1, 6)))} == {
+        np.dtype(np.float32)
+    }
+    assert frames.T_world_link.shape == (count, 8, 4, 4) and frames.axes.shape == (count, 6, 6 + 6)
+    assert pulled.shape == (count, 2, 6 + 4)

@@ -1,0 +1,456 @@
+"""Hands: ours as they load, five others, mimic joints, subtrees, and hand.toml."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.errors import AssetError, GraspRefineError, HandError
+from grasp_refine.hands.hand import Contact, Coupled, Hand, list_hands, load_hand, needs_urdf
+from grasp_refine.hands.urdf import read_urdf
+from grasp_refine_apps.commands.hands import Hands
+from refusals import assert_names, refused
+
+FINGERTIPS = {
+    "allegro": ["link_3.0_tip", "link_7.0_tip", "link_11.0_tip", "link_15.0_tip"],
+    "leap": ["fingertip", "fingertip_2", "fingertip_3", "thumb_fingertip"],
+    "shadow": ["ffdistal", "mfdistal", "rfdistal", "lfdistal", "thdistal"],
+    "barrett": ["finger_1_dist_link", "finger_2_dist_link", "finger_3_dist_link"],
+    "robotiq3f": ["finger_1_link_3", "finger_2_link_3", "finger_middle_link_3"],
+}
+"""Contact links of the hands in the shared assets, as its README lists them."""
+
+JOINTS = {"allegro": 16, "leap": 16, "shadow": 24, "barrett": 8, "robotiq3f": 11}
+"""Independent joints of each; Shadow's bare URDF begins at the palm, without the two of the wrist."""
+
+FINGERS = {
+    "leap": ["fingertip", "fingertip_2", "fingertip_3", "thumb"],
+    "shadow": ["index", "middle", "ring", "little", "thumb"],
+    "robotiq3f": ["finger_1_link_3", "finger_2_link_3", "middle"],
+}
+"""Groups of the contact links where names tell the finger."""
+
+WHOLE = [name for name in list_hands() if not needs_urdf(name) and name != "shadow_palm"]
+"""Hands that come with a URDF of their own."""
+
+TIP = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
+
+
+def test_a_link_without_geometry_says_which_links_have_some(tmp_path: Path):
+    path = write(
+        tmp_path, {"base": "", "tip": TIP, "thumb": TIP}, joint("a", "base", "tip"), joint("b", "base", "thumb")
+    )
+    hand = load_hand(path, candidates=16)
+    assert hand.links_by_name["tip"].solid is hand.links_by_name["tip"].body
+    with refused(HandError, "'base'", "tip, thumb"):
+        _ = hand.links_by_name["base"].solid
+
+
+def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: str = "") -> str:
+    inside += '<limit lower="-1" upper="2" effort="3"/>'
+    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>'
+
+
+def write(folder: Path, links: dict[str, str], *joints: str, toml: str | None = None) -> Path:
+    folder.mkdir(exist_ok=True)
+    path = folder / "hand.urdf"
+    elements = "".join(f'<link name="{name}">{inside}</link>' for name, inside in links.items())
+    path.write_text(f'<robot name="r">{elements}{"".join(joints)}</robot>')
+    if toml is not None:
+        (folder / "hand.toml").write_text(toml)
+    return path
+
+
+def finger(folder: Path, toml: str | None = None) -> Path:
+    """A palm on a wrist, with a finger of joints 1, 2 and a frame at its end; returns the URDF file."""
+    links = {"arm": "", "palm": TIP, "near": TIP, "tip": TIP, "frame": ""}
+    chain = [joint("wrist", "arm", "palm"), joint("1", "palm", "near"), joint("2", "near", "tip")]
+    return write(folder, links, *chain, joint("end", "tip", "frame", "fixed"), toml=toml)
+
+
+def rpy_matrix(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+# --- hands that come with the program
+
+
+@pytest.mark.parametrize("name", WHOLE)
+def test_our_hands_compile_in_mujoco_as_they_are(name: str) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    hand = load_hand(name)
+    assert mujoco.MjModel.from_xml_path(str(hand.urdf)).nq == len(hand.joint_names)
+
+
+def test_allegro_touches_with_round_fingertips_of_the_published_size(shared_assets: Path) -> None:
+    hand, other = load_hand("allegro"), load_hand(shared_assets / "hands/allegro")
+    assert [(c.link, c.group) for c in hand.contacts] == list(
+        zip(FINGERTIPS["allegro"], ["index", "middle", "ring", "thumb"], strict=True)
+    )
+    assert hand.notes == () and hand.name == "allegro" and hand.joint_names == other.joint_names
+    for contact in hand.contacts:
+        body = hand.links_by_name[contact.link].body
+        ball = next(piece for piece in body.pieces if piece.radius > 0)
+        np.testing.assert_allclose(contact.point, ball.vertices[0] + ball.radius * np.array(contact.normal), atol=1e-6)
+        assert contact.normal[0] > 0.5, "the pad looks the way that the finger closes"
+        # How far each of the two reaches in any direction.
+        theirs = other.links_by_name[contact.link].body.pieces[0].vertices
+        directions = np.random.default_rng(0).normal(size=(500, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        ours = np.max([(directions @ piece.vertices.T).max(1) + piece.radius for piece in body.pieces], axis=0)
+        difference = np.abs(ours - (directions @ theirs.T).max(1))
+        assert difference[directions[:, 2] > 0].max() < 1e-4 and difference.max() < 1e-3
+    np.testing.assert_array_equal(hand.actuator.kp, 5.0)
+    np.testing.assert_array_equal(hand.actuator.damping, 0.1)
+    np.testing.assert_array_equal(hand.actuator.force_limit, 10.0)
+    assert ((hand.lower < hand.rest) & (hand.rest < hand.upper)).all()
+
+
+def test_allegro_collides_where_the_published_boxes_are(shared_assets: Path) -> None:
+    hand, other = load_hand("allegro"), load_hand(shared_assets / "hands/allegro")
+    for link in hand.links:
+        if link.name not in FINGERTIPS["allegro"] and link.body is not None:
+            for ours, theirs in zip(link.body.pieces, other.links_by_name[link.name].body.pieces, strict=True):
+                np.testing.assert_allclose(ours.bounds, theirs.bounds, atol=1e-12)
+
+
+# --- hands that come without a URDF
+
+
+def theirs(name: str, shared_assets: Path, **options) -> Hand:
+    (urdf,) = (shared_assets / "hands" / name).glob("*.urdf")
+    return load_hand(name, urdf=urdf, candidates=4096, **options)
+
+
+def test_shadow_couples_its_outer_joints_wherever_it_begins(shared_assets: Path) -> None:
+    for base_link in (None, "palm", "world"):
+        hand = theirs("shadow", shared_assets, base_link=base_link)
+        assert hand.base_link == (base_link or "forearm")
+        assert hand.coupled == tuple(Coupled((f"{f}J2", f"{f}J1"), (1.0, 1.0)) for f in ("FF", "MF", "RF", "LF"))
+        wrist = {"WRJ1", "WRJ2"} & set(hand.joint_names)
+        assert len(wrist) == (0 if base_link == "palm" else 2)
+        assert all(hand.actuator.damping[hand.joint_names.index(name)] == 0.5 for name in wrist)
+
+
+def test_a_hand_without_a_urdf_asks_for_one(tmp_path: Path) -> None:
+    assert needs_urdf("barrett") and not needs_urdf("allegro")
+    path = finger(tmp_path / "other")
+    (tmp_path / "mine").mkdir()
+    toml = tmp_path / "mine" / "hand.toml"
+    toml.write_text("base_link = 'palm'")
+    for source in (toml.parent, toml):
+        hand = load_hand(source, urdf=str(path))
+        assert (hand.name, hand.base_link, hand.urdf) == ("mine", "palm", path)
+    for source in (path, path.parent):
+        with refused(HandError, f"'{source}'", "hand.toml"):
+            load_hand(source, urdf=path)
+    with refused(HandError, "none.urdf", "No such file"):
+        load_hand(toml, urdf=tmp_path / "none.urdf")
+
+
+def test_an_mjcf_is_named_by_hand_toml_or_given(tmp_path: Path) -> None:
+    path = finger(tmp_path, "collision = 'mjcf'\nmjcf_joints = { wrist = 'w' }")
+    with refused(HandError, "collision = 'mjcf'", 'mjcf = "FILE"', "--mjcf FILE"):
+        load_hand(path)
+    with refused(HandError, "none.xml"):
+        load_hand(path, mjcf=tmp_path / "none.xml")
+    (tmp_path / "hand.xml").touch()
+    hand = load_hand(path, mjcf=tmp_path / "hand.xml")
+    assert (hand.mjcf, hand.collision, hand.mjcf_joints) == (tmp_path / "hand.xml", "mjcf", {"wrist": "w"})
+    assert load_hand(path, mjcf=hand.mjcf, base_link="palm").mjcf_joints == {}, "the wrist is left out"
+
+
+def test_the_command_hands_shows_them_with_the_users_files(
+    shared_assets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert Hands(json=tmp_path / "all.json").execute() == 0
+    out = capsys.readouterr().out
+    (row,) = [line for line in out.splitlines() if line.startswith("barrett  ")]
+    assert row.split()[1:5] == ["-"] * 4 and row.split()[-1] == "-", "nothing is known before it is fetched"
+    (facts,) = [hand for hand in json.loads((tmp_path / "all.json").read_text())["hands"] if hand["name"] == "barrett"]
+    assert facts["urdf"] is None and "--urdf FILE" in facts["notes"][0]
+    folder = shared_assets / "hands"
+    urdf = folder / "shadow/shadow_right.urdf"
+    assert Hands("shadow", urdf, folder / "shadow_mjcf/right_hand.xml").execute() == 0
+    assert "24 joints" in " ".join(capsys.readouterr().out.split())
+    assert Hands("shadow", urdf).execute() == 0
+    assert re.search(r"\binertia\b.*\bfftip\b", capsys.readouterr().out)
+    with refused(HandError, "right_hand.xml", "WRJ2, "):
+        Hands("shadow", urdf, folder / "leap_mjcf/right_hand.xml").execute()
+    with refused(GraspRefineError, "--urdf", "refine-grasp"):
+        Hands(urdf=urdf).execute()
+
+
+# --- hands of others
+
+
+@pytest.mark.parametrize("name", FINGERTIPS)
+def test_bare_urdfs_load_with_their_fingertips_guessed(name: str, shared_assets: Path) -> None:
+    hand = load_hand(shared_assets / "hands" / name)
+    assert hand.name == name and len(hand.joint_names) == JOINTS[name] - 2 * (name == "shadow")
+    assert [contact.link for contact in hand.contacts] == FINGERTIPS[name]
+    assert [contact.group for contact in hand.contacts] == FINGERS.get(name, FINGERTIPS[name])
+    assert hand.contacts_guessed and any(", ".join(FINGERTIPS[name]) in note for note in hand.notes)
+    np.testing.assert_array_equal(hand.rest, (hand.lower + hand.upper) / 2)
+    known = {hand.base_link}
+    for j in hand.joints:
+        assert j.parent in known, "parents come before children"
+        known.add(j.child)
+    assert [link.name for link in hand.links] == [hand.base_link, *(j.child for j in hand.joints)]
+
+
+def test_facts_of_other_hands_agree_too(shared_assets: Path) -> None:
+    for name in ("leap", "shadow"):
+        hand = load_hand(shared_assets / "hands" / name, base_link="world" if name == "shadow" else None)
+        for fact in json.loads((shared_assets / f"facts/{name}.json").read_text())["urdf"]["joints"]:
+            ours = hand.joints_by_name[fact["name"]]
+            np.testing.assert_allclose(ours.T_parent_child[:3, :3], rpy_matrix(*fact["rpy"]), atol=1e-9)
+            np.testing.assert_allclose(ours.T_parent_child[:3, 3], fact["xyz"], atol=1e-12)
+
+
+def test_shadow_without_its_forearm_and_wrist(shared_assets: Path) -> None:
+    whole = load_hand(shared_assets / "hands/shadow/shadow_right.urdf", base_link="world")
+    hand = load_hand(shared_assets / "hands/shadow/shadow_right.urdf")
+    assert_names(hand.notes[0], "'palm'", "WRJ2, WRJ1", "--base-link world")
+    assert hand.base_link == hand.links[0].name == "palm" and hand.name == "shadow_right"
+    assert hand.joint_names == tuple(n for n in whole.joint_names if not n.startswith("WR"))
+    assert len(hand.joint_names) == 22
+    assert {"forearm", "wrist", "world"}.isdisjoint(hand.links_by_name)
+    assert [contact.link for contact in hand.contacts] == FINGERTIPS["shadow"]
+    tips = [hand.links_by_name[name].body.pieces[0].vertices for name in FINGERTIPS["shadow"]]
+    assert [len(vertices) for vertices in tips] == [1065, 526, 526, 526, 1164]
+    assert all(0.01 < np.ptp(vertices, axis=0).max() < 0.04 for vertices in tips), "millimetres became metres"
+    assert hand.joints_by_name["THJ5"].effort == 5.0 == hand.actuator.force_limit[hand.joint_names.index("THJ5")]
+
+
+def test_joint_names_are_in_file_order_though_joints_are_not(shared_assets: Path) -> None:
+    hand = load_hand(shared_assets / "hands/leap")
+    assert hand.joint_names == tuple(str(i) for i in range(16))
+    movable = [j.name for j in hand.joints if j.movable]
+    assert movable[:4] == ["1", "0", "2", "3"]
+    matrix, offset, names = hand.mimic_map()
+    assert list(names) == movable and not offset.any()
+    np.testing.assert_array_equal(matrix @ np.arange(16.0), [float(name) for name in movable])
+
+
+# --- mimic joints
+
+
+def test_chains_of_mimic_joints_are_resolved(tmp_path: Path) -> None:
+    follows = '<mimic joint="{}" multiplier="{}" offset="{}"/>'
+    path = write(
+        tmp_path,
+        dict.fromkeys("abcdef", ""),
+        joint("c", "a", "b", inside=follows.format("b", 3, 0.5)),
+        joint("b", "b", "c", inside=follows.format("a", -2, 0.25)),
+        joint("f", "c", "d", "fixed"),
+        joint("a", "d", "e"),
+        joint("lone", "e", "f", "continuous", '<mimic joint="a"/>'),
+    )
+    hand = load_hand(path)
+    matrix, offset, names = hand.mimic_map()
+    assert hand.joint_names == ("a",) and names == ("c", "b", "a", "lone")
+    np.testing.assert_array_equal(matrix, [[-6], [-2], [1], [1]])
+    np.testing.assert_array_equal(offset, [1.25, 0.25, 0, 0])
+    assert [j.lower for j in hand.joints if j.mimic] == [-1, -1, -np.inf]
+    np.testing.assert_allclose((hand.lower, hand.upper, hand.rest), [[-0.125], [0.375], [0.125]], atol=1e-15)
+    assert_names(hand.notes[-1], "'a'", "-0.125", "0.375 rad", "-1", "2", " c ")
+
+
+def test_mimic_joints_that_follow_each_other_are_refused(tmp_path: Path) -> None:
+    follows = '<mimic joint="{}"/>'
+    loop = [
+        joint("1", "a", "b", inside=follows.format("2")),
+        joint("2", "b", "c", inside=follows.format("1")),
+    ]
+    with refused(HandError, "'2'", "'1'", "1 -> 2 -> 1"):
+        load_hand(write(tmp_path, dict.fromkeys("abc", ""), *loop))
+
+
+# --- what is guessed
+
+
+def test_continuous_joints_rest_at_zero_and_locked_ones_are_noted(tmp_path: Path) -> None:
+    locked = joint("2", "b", "c").replace('upper="2"', 'upper="-1"')
+    hand = load_hand(write(tmp_path, dict.fromkeys("abc", ""), joint("1", "a", "b", "continuous"), locked))
+    np.testing.assert_array_equal(hand.rest, [0, -1])
+    assert any("'2'" in note and "limits" in note for note in hand.notes)
+
+
+def test_contact_links_are_the_last_solid_ones_that_move(tmp_path: Path) -> None:
+    links = {"palm": TIP, "a1": TIP, "sensor": "", "pad": TIP, "frame": "", "b1": TIP, "mount": TIP, "c1": ""}
+    path = write(
+        tmp_path,
+        links,
+        joint("a", "palm", "a1"),
+        joint("as", "a1", "sensor", "fixed"),
+        joint("ap", "sensor", "pad", "fixed"),
+        joint("af", "pad", "frame", "fixed"),
+        joint("b", "palm", "b1"),
+        joint("m", "palm", "mount", "fixed"),
+        joint("c", "palm", "c1"),
+    )
+    assert load_hand(path).contacts == (Contact("pad", "pad"), Contact("b1", "b1"))
+
+
+def test_a_hand_without_solid_links_has_no_contacts_and_says_so(tmp_path: Path) -> None:
+    hand = load_hand(write(tmp_path, dict.fromkeys("ab", ""), joint("1", "a", "b")))
+    assert hand.contacts == () and "contact" in hand.notes[0]
+
+
+def test_bodies_and_masses_are_in_place(tmp_path: Path) -> None:
+    links = {
+        "a": TIP + TIP.replace("sphere radius", 'box size="1 1 1" x'),
+        "b": '<inertial><mass value="2"/></inertial>',
+    }
+    hand = load_hand(write(tmp_path, links, joint("1", "a", "b")), candidates=100)
+    a, b = hand.links
+    assert len(a.body.pieces) == 2 and len(a.body.candidates.points) == 100 and a.mass is None
+    assert b.body is None and b.mass == 2 and a.inertia is None and b.inertia is None
+
+
+def test_inertias_are_turned_into_the_link_frame(tmp_path: Path) -> None:
+    inertial = """<inertial><origin xyz="1 2 3" rpy="0 0 1.5707963267948966"/><mass value="2"/>
+      <inertia ixx="1" ixy="0" ixz="0" iyy="2" iyz="0" izz="2.5"/></inertial>"""
+    (link,) = load_hand(write(tmp_path, {"a": inertial})).links
+    assert link.mass == link.inertia.mass == 2
+    np.testing.assert_array_equal(link.inertia.centre, [1, 2, 3])
+    np.testing.assert_allclose(link.inertia.matrix, np.diag([2, 1, 2.5]), atol=1e-12)
+
+
+# --- hand.toml
+
+
+def test_hand_toml_is_held_against_the_urdf(tmp_path: Path) -> None:
+    toml = """
+    base_link = "palm"
+    rest_pose = { "2" = 1.5 }
+    actuator = { kp = { default = 4, "1" = 7 }, force_limit = { "2" = 9 }, armature = 0 }
+    contact = [{ link = "near", group = "index", normal = [0, 0, 2] }]
+    coupled = [{ joints = ["1", "2"], ratio = [1, 2] }]
+    """
+    hand = load_hand(finger(tmp_path / "mine", toml))
+    assert (hand.name, hand.base_link, hand.joint_names) == ("mine", "palm", ("1", "2"))
+    np.testing.assert_array_equal(hand.rest, [0.5, 1.5])
+    np.testing.assert_array_equal(hand.actuator.kp, [4, 7][::-1])
+    np.testing.assert_array_equal(hand.actuator.force_limit, [3, 9])
+    np.testing.assert_array_equal(hand.actuator.armature, 0)
+    np.testing.assert_array_equal(hand.actuator.damping, 0.1)
+    assert hand.contacts == (Contact("near", "index", None, (0, 0, 1)),)
+    assert hand.coupled == (Coupled(("1", "2"), (1, 2)),) and hand.notes == ()
+
+
+def test_slides_are_driven_like_joints_at_a_lever_of_10_cm(tmp_path: Path) -> None:
+    def driven(toml: str) -> list[list[float]]:
+        joints = joint("1", "a", "b"), joint("2", "b", "c", "prismatic")
+        found = load_hand(write(tmp_path, dict.fromkeys("abc", TIP), *joints, toml=toml)).actuator
+        return [getattr(found, key).round(12).tolist() for key in ("kp", "damping", "armature", "frictionloss")]
+
+    assert driven("") == [[5, 500], [0.1, 10], [0.0002, 0.02], [0.01, 0.1]]
+    # What is said counts as it is.
+    assert driven("actuator = { kp = 3, damping = { '2' = 4 } }")[:2] == [[3, 3], [0.1, 4]]
+
+
+def test_what_hand_toml_says_of_links_above_the_base_is_left_out(tmp_path: Path) -> None:
+    toml = """
+    rest_pose = { wrist = 1.5, "1" = 0.25 }
+    actuator = { kp = { wrist = 7 } }
+    contact = [{ link = "palm" }, { link = "tip" }]
+    coupled = [{ joints = ["wrist", "1"] }]
+    """
+    path = finger(tmp_path, toml)
+    assert load_hand(path).joint_names == ("wrist", "1", "2")
+    hand = load_hand(path, base_link="near")
+    assert hand.joint_names == ("2",) and hand.rest == [0.5] and hand.coupled == ()
+    assert hand.contacts == (Contact("tip", "tip"),)
+    (note,) = hand.notes
+    assert_names(note, "contact", "'palm'")
+
+
+@pytest.mark.parametrize(
+    ("toml", "named"),
+    [
+        ("base_link = 'wrist'", ("hand.urdf", "'wrist'", "arm, palm, near, tip, frame")),
+        ("rest_pose = {x = 1}", ("[rest_pose]", "'x'", "wrist, 1, 2")),
+        ("rest_pose = {end = 0}", ("[rest_pose]", "'end'", "wrist, 1, 2")),
+        ("rest_pose = {wrist = 2.5}", ("[rest_pose]", "wrist = 2.5", "-1 to 2")),
+        ("contact = [{link = 'x'}]", ("[[contact]]", "'x'", "palm, near, tip")),
+        ("contact = [{link = 'frame'}]", ("'frame'", "palm, near, tip")),
+        ("contact = [{link = 'tip'}, {link = 'tip'}]", ("[[contact]]", "'tip'")),
+        ("actuator = {kp = {x = 1}}", ("[actuator]", "kp", "'x'", "wrist, 1, 2")),
+        ("coupled = [{joints = ['1', 'x']}]", ("[[coupled]]", "'x'", "wrist, 1, 2")),
+        ("coupled = [{joints = ['1', '2']}, {joints = ['2', 'wrist']}]", ("[[coupled]]", "'2'")),
+        ("mjcf_joints = {x = 'y'}", ("[mjcf_joints]", "'x'", "wrist, 1, 2")),
+        ("mjcf_joints = {'1' = 'y', '2' = 'y'}", ("[mjcf_joints]", "'y'")),
+        ("kp = 5", ("hand.toml", "'kp'", "name, urdf, base_link, mjcf, mjcf_joints, collision, rest_pose")),
+    ],
+)
+def test_hand_toml_that_names_nothing(tmp_path: Path, toml: str, named: tuple[str, ...]) -> None:
+    with refused(HandError, *named):
+        load_hand(finger(tmp_path, toml))
+
+
+# --- where hands are found
+
+
+def test_a_hand_is_a_name_a_folder_a_urdf_or_a_hand_toml(tmp_path: Path) -> None:
+    path = finger(tmp_path / "bare")
+    named = finger(tmp_path / "named", toml="urdf = 'hand.urdf'\nbase_link = 'palm'")
+    other = named.with_name("other.urdf")
+    other.write_text(named.read_text())
+    assert load_hand("allegro").urdf == resource_dir("robots") / "allegro/allegro.urdf"
+    assert [load_hand(source).name for source in (path, str(path), path.parent)] == ["hand", "hand", "bare"]
+    for source in (named, named.parent, str(named.parent / "hand.toml")):
+        hand = load_hand(source)
+        assert (hand.name, hand.base_link) == ("named", "palm")
+    assert (load_hand(other).name, load_hand(other).base_link) == ("other", "arm"), "hand.toml names another URDF"
+    assert load_hand(named, base_link="near").base_link == "near", "the argument wins"
+
+
+def test_unknown_hands_are_answered_with_those_there_are(tmp_path: Path) -> None:
+    with refused(AssetError, "'alegro'", "allegro"):
+        load_hand("alegro")
+    with refused(HandError, "none.urdf", "allegro"):
+        load_hand(tmp_path / "none.urdf")
+    with refused(HandError, tmp_path, ".urdf", "hand.toml"):
+        load_hand(tmp_path)
+    for name in ("a.urdf", "b.urdf"):
+        (tmp_path / name).touch()
+    with refused(HandError, tmp_path, "a.urdf, b.urdf"):
+        load_hand(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("link", "named"),
+    [
+        ('<inertial><mass value="-1"/></inertial>', ("'a'", "-1 kg")),
+        ('<collision><geometry><mesh filename="no.stl"/></geometry></collision>', ("'a'", "'no.stl'")),
+        (TIP + TIP.replace("0.01", "1"), None),
+    ],
+)
+def test_links_that_cannot_be_built_are_named(tmp_path: Path, link: str, named: tuple[str, ...] | None) -> None:
+    path = write(tmp_path, {"a": link})
+    if named is None:
+        assert isinstance(load_hand(path), Hand), "a piece inside another is no mistake"
+    else:
+        with refused(HandError, "hand.urdf", *named):
+            load_hand(path)
+
+
+def test_yourdfpy_reads_no_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import trimesh
+
+    for name in ("load", "load_mesh", "load_scene"):
+        monkeypatch.setattr(trimesh, name, lambda *_, **__: pytest.fail("a mesh was read"))
+    path = write(tmp_path, {"a": '<visual><geometry><mesh filename="v.stl"/></geometry></visual>'})
+    assert read_urdf(path).links[0].visuals == []

@@ -1,0 +1,266 @@
+"""Collision geometry of links: primitives, meshes with scales as hulls or several pieces, and what is said of these."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from grasp_refine.core.errors import HandError
+from grasp_refine.geometry.pieces import Piece
+from grasp_refine.hands import mesh_files
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.hands.link_geometry import LinkMeshes, link_pieces
+from grasp_refine.hands.mesh_files import resolve_mesh
+from grasp_refine.hands.urdf import read_urdf
+from refusals import assert_names, refused
+
+WEDGE = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3.0]])
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A ROS-like package NAME/meshes, NAME/urdf; returns its folder."""
+    for folder in ("my_hand/meshes", "my_hand/urdf"):
+        (tmp_path / folder).mkdir(parents=True)
+    wedge = trimesh.Trimesh(WEDGE, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    for suffix in ("stl", "obj", "dae"):
+        wedge.export(tmp_path / f"my_hand/meshes/wedge.{suffix}")
+    return tmp_path / "my_hand"
+
+
+def pieces(package: Path, *geometries: str, origin: str = "") -> tuple[Piece, ...]:
+    return cut(package, *geometries, origin=origin)[0]
+
+
+def cut(package: Path, *geometries: str, origin: str = "", limit: float = 5e-3) -> tuple[tuple[Piece, ...], list[str]]:
+    """The pieces of a link with these collision elements, and what is said about them."""
+    path = package / "urdf/hand.urdf"
+    collisions = "".join(f"<collision>{origin}<geometry>{g}</geometry></collision>" for g in geometries)
+    path.write_text(f'<robot name="r"><link name="tip">{collisions}</link></robot>')
+    meshes = LinkMeshes(path, limit)
+    return link_pieces(read_urdf(path).links[0], meshes), meshes.notes()
+
+
+def volume(piece: Piece) -> float:
+    return float(piece.mesh().volume)
+
+
+def same_points(a: np.ndarray, b: np.ndarray) -> bool:
+    return np.allclose(a[np.lexsort(np.round(a, 6).T)], b[np.lexsort(np.round(b, 6).T)], atol=1e-6)
+
+
+def test_primitives_stand_at_their_origin(package: Path) -> None:
+    shapes = ['<box size="1 2 3"/>', '<cylinder radius="1" length="4"/>', '<sphere radius="0.5"/>']
+    box, cylinder, sphere = pieces(package, *shapes, origin='<origin xyz="1 2 3" rpy="1.5707963267948966 0 0"/>')
+    np.testing.assert_allclose(box.bounds, [[0.5, 0.5, 2], [1.5, 3.5, 4]])
+    np.testing.assert_allclose(cylinder.bounds, [[0, 0, 2], [2, 4, 4]], atol=1e-12)
+    np.testing.assert_allclose(sphere.vertices, [[1, 2, 3]])
+    assert sphere.radius == 0.5
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj", "dae"])
+def test_a_mesh_becomes_its_hull(package: Path, suffix: str) -> None:
+    (piece,) = pieces(package, f'<mesh filename="../meshes/wedge.{suffix}"/>')
+    assert same_points(piece.vertices, WEDGE)
+
+
+def test_the_unit_of_a_collada_file_counts(package: Path) -> None:
+    file = package / "meshes/wedge.dae"
+    text = file.read_text()
+    millimetres = text.replace("<up_axis>", '<unit name="millimeter" meter="0.001"/><up_axis>')
+    assert millimetres != text
+    file.write_text(millimetres)
+    (piece,) = pieces(package, '<mesh filename="../meshes/wedge.dae"/>')
+    assert same_points(piece.vertices, WEDGE / 1000)
+
+
+@pytest.mark.parametrize("scale", ["0.001", "0.001 0.002 0.003", "-1 1 1", "1 -2 -3", "-1 -1 -1"])
+def test_scales_stretch_and_mirror_a_mesh_and_faces_still_look_outward(package: Path, scale: str) -> None:
+    (piece,) = pieces(package, f'<mesh filename="../meshes/wedge.stl" scale="{scale}"/>')
+    factors = np.broadcast_to([float(word) for word in scale.split()], 3)
+    assert same_points(piece.vertices, WEDGE * factors)
+    assert volume(piece) == pytest.approx(abs(factors.prod()), rel=1e-6)
+
+
+def test_several_collisions_of_one_link_are_several_pieces_and_repeated_ones_count_once(
+    package: Path,
+) -> None:
+    shapes = ['<box size="1 1 1"/>', '<sphere radius="1"/>', '<sphere radius="2"/>', '<box size="1 1 1"/>']
+    assert [len(piece.vertices) for piece in pieces(package, *shapes)] == [8, 1, 1]
+
+
+def test_a_file_that_is_used_twice_is_read_once(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = []
+    load_mesh = mesh_files.load_mesh
+    monkeypatch.setattr(mesh_files, "load_mesh", lambda path: read.append(path) or load_mesh(path))
+    names = ["../meshes/wedge.stl", "package://my_hand/meshes/wedge.stl"]
+    assert len(pieces(package, *(f'<mesh filename="{name}" scale="{s}"/>' for s in (1, 2) for name in names))) == 2
+    assert len(read) == 2, "once per spelling of its path"
+
+
+@pytest.fixture
+def palm(package: Path) -> Path:
+    """The package, with meshes of two cubes of 20 mm that are 30 mm apart along x, in metres and in millimetres."""
+    cubes = [trimesh.creation.box([0.02] * 3), trimesh.creation.box([0.02] * 3)]
+    cubes[1].apply_translation([0.05, 0, 0])
+    both = trimesh.util.concatenate(cubes)
+    for suffix in ("obj", "dae"):
+        both.export(package / f"meshes/palm.{suffix}")
+    both.apply_scale(1000).export(package / "meshes/palm_mm.stl")
+    return package
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        'palm.obj"',
+        'palm.dae"',
+        'palm_mm.stl" scale="0.001"',
+        'palm.obj" scale="-1 1 1"',
+        'palm_mm.stl" scale="-0.001 0.001 -0.001"',
+    ],
+)
+def test_bodies_apart_are_a_piece_each_whatever_the_file_and_scale(palm: Path, mesh: str) -> None:
+    found, notes = cut(palm, f'<mesh filename="../meshes/{mesh}/>')
+    side = -1 if "-" in mesh else 1
+    assert sorted(side * piece.bounds.mean(axis=0)[0] for piece in found) == pytest.approx([0, 0.05], abs=1e-8)
+    assert [volume(piece) for piece in found] == pytest.approx([8e-6] * 2, rel=1e-6)
+    # The hull is farthest from both cubes in the middle between them.
+    (note,) = notes
+    assert_names(note, "tip", mesh.split(chr(34))[0], "15.0 mm", "2 convex", "2.0 mm")
+
+
+def test_a_hull_within_the_limit_stays_and_is_noted_if_it_stands_out_noticeably(palm: Path) -> None:
+    (piece,), notes = cut(palm, '<mesh filename="../meshes/palm.obj"/>', limit=0.02)
+    assert volume(piece) == pytest.approx(0.07 * 0.02 * 0.02)
+    (note,) = notes
+    assert_names(note, "tip", "palm.obj", "15.0 mm", "20.0 mm")
+
+
+def test_without_a_limit_hulls_are_not_even_measured(palm: Path) -> None:
+    (_,), notes = cut(palm, '<mesh filename="../meshes/palm.obj"/>', limit=np.inf)
+    assert notes == []
+
+
+def test_a_hand_says_it_and_takes_the_limit(palm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GRASP_REFINE_CACHE", str(tmp_path / "cache"))
+    path = palm / "urdf/hand.urdf"
+    collision = '<collision><geometry><mesh filename="../meshes/palm.obj"/></geometry></collision>'
+    tip = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
+    joint = '<joint name="j" type="revolute"><parent link="palm"/><child link="tip"/>'
+    joint += '<limit lower="0" upper="1" effort="1" velocity="1"/></joint>'
+    path.write_text(f'<robot name="r"><link name="palm">{collision}</link><link name="tip">{tip}</link>{joint}</robot>')
+    for limit, count, said in [(5e-3, 2, "2 convex"), (0.02, 1, "20.0 mm"), (np.inf, 1, None)]:
+        hand = load_hand(path, hull_limit=limit)
+        assert len(hand.links_by_name["palm"].body.pieces) == count
+        notes = [note for note in hand.notes if note.startswith("palm: ") and "palm.obj" in note]
+        assert len(notes) == (said is not None)
+        assert said is None or said in notes[0]
+
+
+def test_meshes_that_are_convex_are_not_mentioned(package: Path) -> None:
+    assert cut(package, '<mesh filename="../meshes/wedge.obj" scale="0.1 0.1 0.1"/>', '<box size="1 1 1"/>')[1] == []
+
+
+def test_a_mesh_of_several_links_is_cut_and_mentioned_once(palm: Path) -> None:
+    path = palm / "urdf/hand.urdf"
+    collision = '<collision><geometry><mesh filename="../meshes/palm.obj"/></geometry></collision>'
+    links = "".join(f'<link name="{name}">{collision * 2}</link>' for name in ("left", "right"))
+    joint = '<joint name="j" type="fixed"><parent link="left"/><child link="right"/></joint>'
+    path.write_text(f'<robot name="r">{links}{joint}</robot>')
+    meshes = LinkMeshes(path)
+    left, right = (link_pieces(link, meshes) for link in read_urdf(path).links)
+    assert len(left) == 2, "the repeated element counts once"
+    assert [a is b for a, b in zip(left, right, strict=True)] == [True, True]
+    (note,) = meshes.notes()
+    assert_names(note, "left, right", "palm.obj")
+
+
+@pytest.mark.parametrize(
+    ("hand", "link", "pieces", "note"),
+    [
+        ("barrett/barrett.urdf", "base_link", 2, r"base_link: .*base_link_cylinder.obj .* 28.\d mm"),
+        ("shadow/shadow_right.urdf", "forearm", 3, r"forearm: .*forearm_E3M5.obj .* [56].\d mm"),
+        ("leap/leap_right.urdf", "fingertip", 1, None),
+    ],
+)
+def test_meshes_of_known_hands(shared_assets: Path, hand: str, link: str, pieces: int, note: str | None) -> None:
+    meshes = LinkMeshes(shared_assets / "hands" / hand)
+    (raw,) = [raw for raw in read_urdf(meshes.urdf).links if raw.name == link]
+    of_meshes = [collision for collision in raw.collisions if collision.geometry.mesh is not None]
+    raw.collisions[:] = of_meshes
+    found = link_pieces(raw, meshes)
+    assert len(found) == pieces
+    notes = meshes.notes()
+    assert len(notes) == (note is not None)
+    assert note is None or re.match(note, notes[0])
+
+
+@pytest.mark.parametrize(
+    "filename",
+    [
+        "../meshes/wedge.stl",
+        "package://my_hand/meshes/wedge.stl",
+        "package://other_name/meshes/wedge.stl",
+        "{folder}/meshes/wedge.stl",
+        "file://{folder}/meshes/wedge.stl",
+        "file://../meshes/wedge.stl",
+    ],
+)
+def test_mesh_addresses(package: Path, filename: str) -> None:
+    found = resolve_mesh(filename.format(folder=package), package / "urdf/hand.urdf")
+    assert found.samefile(package / "meshes/wedge.stl")
+
+
+def test_a_file_address_may_be_percent_encoded(package: Path) -> None:
+    (package / "meshes/wedge.stl").rename(package / "meshes/a wedge.stl")
+    assert resolve_mesh(f"file://{package}/meshes/a%20wedge.stl", package / "urdf/hand.urdf").is_file()
+
+
+def test_the_package_of_that_name_wins_over_a_folder_nearby(package: Path) -> None:
+    nearby, named = package / "urdf/meshes/wedge.stl", package / "urdf/my_hand/meshes/wedge.stl"
+    for file in (nearby, named):
+        file.parent.mkdir(parents=True)
+        file.touch()
+    assert resolve_mesh("package://my_hand/meshes/wedge.stl", package / "urdf/hand.urdf") == named
+
+
+@pytest.mark.parametrize(
+    ("geometry", "named"),
+    [
+        ('<mesh filename="none.stl"/>', ("'none.stl'", "/my_hand/urdf/none.stl")),
+        ('<mesh filename="package://p/none.stl"/>', ("p/none.stl", " none.stl", "/my_hand/urdf ")),
+        ('<mesh filename="http://a.b/c.stl"/>', ("'http://a.b/c.stl'", "file://", "package://")),
+        ('<mesh filename="hand.urdf"/>', ("'.urdf'", ".obj, .stl")),
+        ('<mesh filename="broken.dae"/>', ("broken.dae",)),
+        ('<mesh filename="../meshes/wedge.stl" scale="1 1 0"/>', ("wedge.stl", "[1. 1. 0.]", "flat")),
+        (f'<mesh filename="{"a" * 300}.stl"/>', ("a.stl'",)),
+        (f'<mesh filename="{"a/" * 1500}b.stl"/>', ("b.stl'",)),
+        ('<sphere radius="1e-300"/>', ("sphere", "1e-300 m")),
+        ('<mesh filename="../meshes/wedge.stl" scale="1e200 1e200 1e308"/>', ("1 of", "4 vertices", "finite")),
+        ('<box size="0 1 1"/>', ("box", "[0.0, 1.0, 1.0]")),
+        ('<box size="1 1 1e-9"/>', ("box", "flat")),
+        ('<sphere radius="0"/>', ("sphere", "radius", "0")),
+        ('<cylinder radius="1" length="-1"/>', ("cylinder", "radius", "length", "-1")),
+    ],
+)
+def test_geometry_that_cannot_be_used_names_the_link(package: Path, geometry: str, named: tuple[str, ...]) -> None:
+    (package / "urdf/broken.dae").write_text("broken")
+    with refused(HandError, "hand.urdf", "'tip'", *named):
+        pieces(package, geometry)
+
+
+def test_both_sides_of_faces_are_one_surface(package: Path) -> None:
+    clamp = trimesh.boolean.union(
+        [
+            trimesh.creation.box(bounds=bounds)
+            for bounds in ([[0, 0, 0], [0.06, 0.02, 0.01]], [[0, 0, 0], [0.01, 0.02, 0.04]])
+        ]
+    )
+    both = trimesh.Trimesh(clamp.vertices, np.concatenate([clamp.faces, clamp.faces[:, ::-1]]), process=False)
+    for suffix in ("obj", "stl"):
+        both.export(package / f"meshes/both.{suffix}")
+        found, notes = cut(package, f'<mesh filename="../meshes/both.{suffix}"/>')
+        assert len(found) == 2, notes

@@ -1,0 +1,322 @@
+"""Self-collision: balls on slides, of which it is known who can meet whom, and real hands."""
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grasp_refine.core.errors import CollisionError, HandError
+from grasp_refine.hands import self_collision
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.self_collision import Sampling, self_penetration, touching_pairs
+from refusals import refused
+
+RADIUS = 0.01
+"""Of every ball, in metres."""
+
+QUICK = Sampling(extreme=300)
+"""Enough for hands of a few joints."""
+
+
+def link(name: str, radius: float | None = RADIUS) -> str:
+    ball = f'<collision><geometry><sphere radius="{radius}"/></geometry></collision>' if radius else ""
+    return f'<link name="{name}">{ball}</link>'
+
+
+def slide(
+    parent: str, child: str, low: float, high: float, *, z: float = 0.0, radius: float | None = RADIUS, mimic: str = ""
+) -> str:
+    """A ball that moves along x from `low` to `high`, where it is seen from its parent."""
+    follow = f'<mimic joint="{mimic}"/>' if mimic else ""
+    return f"""{link(child, radius)}<joint name="{child}_slide" type="prismatic">
+      <parent link="{parent}"/><child link="{child}"/><origin xyz="0 0 {z}"/><axis xyz="1 0 0"/>{follow}
+      <limit lower="{low}" upper="{high}" effort="1" velocity="1"/></joint>"""
+
+
+def fixed(parent: str, child: str, z: float) -> str:
+    """A ball at rest above its parent."""
+    return f"""{link(child)}<joint name="{child}_mount" type="fixed"><parent link="{parent}"/><child link="{child}"/>
+      <origin xyz="0 0 {z}"/></joint>"""
+
+
+def turn(parent: str, child: str, reach: float) -> str:
+    """A ball that turns about z without a limit, `reach` away from the axis; at 0 it is on the x axis."""
+    return f"""<link name="{child}"><collision><origin xyz="{reach} 0 0"/><geometry><sphere radius="{RADIUS}"/>
+      </geometry></collision></link><joint name="{child}_turn" type="continuous"><parent link="{parent}"/>
+      <child link="{child}"/><axis xyz="0 0 1"/></joint>"""
+
+
+def build(folder: Path, *parts: str, rest: dict[str, float] | None = None, base: str = link("base")) -> Hand:
+    folder.mkdir(exist_ok=True)
+    path = folder / "hand.urdf"
+    path.write_text(f'<robot name="balls">{base}{"".join(parts)}</robot>')
+    pose = ", ".join(f"{child}_slide = {value}" for child, value in (rest or {}).items())
+    (folder / "hand.toml").write_text(f"rest_pose = {{ {pose} }}")
+    return load_hand(path, candidates=16)
+
+
+def found(hand: Hand, sampling: Sampling = QUICK) -> tuple[tuple[str, str], ...]:
+    return touching_pairs(hand, sampling, cache=None)
+
+
+# which pairs
+
+
+def test_links_that_can_meet_are_found_and_rigid_ones_and_neighbours_are_not(tmp_path: Path) -> None:
+    hand = build(
+        tmp_path,
+        fixed("base", "mount", 0.015),
+        slide("base", "left", 0.015, 0.16),
+        fixed("left", "pad", 0.015),
+        slide("base", "right", 0.16, 0.24),
+        slide("right", "end", -0.04, 0.04, z=0.015),
+        slide("base", "nothing", -0.03, 0.03, radius=None),
+    )
+    closed = hand.lower[None]
+    for pair in (("base", "mount"), ("base", "left"), ("mount", "pad")):
+        assert self_penetration(hand, [pair], closed) > 0, "they overlap by design"
+    assert found(hand) == (("left", "right"), ("left", "end"), ("pad", "right"), ("pad", "end"))
+
+
+def test_links_over_a_joint_without_anything_solid_between_are_neighbours(tmp_path: Path) -> None:
+    parts = slide("base", "between", -0.01, 0.01, radius=None), slide("between", "tip", 0.025, 0.06)
+    assert found(build(tmp_path, *parts)) == (), "though they overlap where both are at their lower limits"
+    solid = slide("base", "between", -0.01, 0.01, z=0.1), slide("between", "tip", 0.025, 0.06, z=-0.1)
+    assert found(build(tmp_path, *solid)) == (("base", "tip"),)
+
+
+@pytest.mark.parametrize(("apart", "pairs"), [(0.0, ()), (0.02, (("base", "finger"),))])
+def test_links_over_joints_that_turn_about_one_point_are_neighbours(
+    tmp_path: Path, apart: float, pairs: tuple[tuple[str, str], ...]
+) -> None:
+    """A knuckle of two joints is one joint; where the second sits elsewhere, it is none."""
+    base = f"""<link name="base"><collision><origin xyz="-0.05 0.01 0"/><geometry><sphere radius="{RADIUS}"/></geometry>
+      </collision></link>"""
+    knuckle = turn("base", "knuckle", 0.0)
+    finger = turn("knuckle", "finger", 0.045).replace("<axis", f'<origin xyz="{apart} 0 0"/><axis')
+    assert found(build(tmp_path, knuckle, finger, base=base)) == pairs
+
+
+def test_fingers_on_a_base_that_is_not_solid_are_no_neighbours(tmp_path: Path) -> None:
+    fingers = slide("base", "a", 0.0, 0.1), slide("base", "b", 0.1, 0.2)
+    assert found(build(tmp_path, *fingers, base=link("base", None))) == (("a", "b"),)
+
+
+def test_more_pairs_than_are_looked_at_are_refused_before_anything_is_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A URDF of 20,000 links once kept `hands --check` busy for minutes."""
+    monkeypatch.setattr(self_collision, "query", None)
+    monkeypatch.setattr(self_collision, "MOST_PAIRS", 9)
+    # Four moving balls and the base with a ball fixed to it: 4 x 3 / 2 pairs of them, 2 x 4 with the base.
+    parts = [slide("base", name, 0.0, 0.1) for name in "abcd"]
+    with refused(HandError, "14 pairs", " 9 "):
+        found(build(tmp_path, *parts, fixed("base", "more", 0.5)))
+
+
+def test_a_joint_that_cannot_move_is_rigid(tmp_path: Path) -> None:
+    def hand(low: float) -> Hand:
+        return build(tmp_path, slide("base", "a", 0, 0.1, z=0.1), slide("a", "b", low, 0), slide("b", "c", 0.015, 0.06))
+
+    assert found(hand(-0.01)) == (("a", "c"),)
+    assert found(hand(0.0)) == ()
+
+
+def test_the_margin_decides_about_links_that_only_come_near(tmp_path: Path) -> None:
+    gap = 0.003
+    hand = build(tmp_path, slide("base", "a", 0.05, 0.1), slide("base", "b", 0.1 + 2 * RADIUS + gap, 0.2))
+    assert found(hand, Sampling(extreme=300, margin=gap + 1e-4)) == (("a", "b"),), "both at a limit: one time in 16"
+    assert found(hand, Sampling(extreme=300, margin=gap - 1e-4)) == ()
+    assert found(hand, Sampling(extreme=0, margin=gap + 1e-4)) == (), "inside the limits they never meet"
+
+
+def test_links_that_overlap_at_rest_are_left_out(tmp_path: Path) -> None:
+    parts = slide("base", "a", 0.05, 0.1), slide("base", "b", 0.1, 0.2)
+    assert found(build(tmp_path, *parts)) == (("a", "b"),)
+    assert found(build(tmp_path, *parts, rest={"a": 0.1, "b": 0.1})) == ()
+    assert found(build(tmp_path, *parts, rest={"a": 0.1, "b": 0.1 + 2.1 * RADIUS})) == (("a", "b"),)
+
+
+def test_links_that_nearly_always_overlap_are_left_out(tmp_path: Path) -> None:
+    # Apart in one of ten configurations, of which the rest pose is one.
+    hand = build(
+        tmp_path, slide("base", "a", 0.05, 0.0501), slide("base", "b", 0.05, 0.0722), rest={"a": 0.05, "b": 0.0722}
+    )
+    assert found(hand) == ()
+    assert found(hand, Sampling(extreme=300, always=0.99)) == (("a", "b"),)
+
+
+def test_joints_without_limits_turn_all_around(tmp_path: Path) -> None:
+    assert found(build(tmp_path, turn("base", "hand", 0.05), slide("base", "post", -0.07, -0.05))) == (
+        ("hand", "post"),
+    )
+
+
+def test_mimic_joints_follow(tmp_path: Path) -> None:
+    def hand(mimic: str) -> Hand:
+        return build(tmp_path, slide("base", "a", 0.1, 0.2), slide("base", "b", 0.1, 0.2, z=0.015, mimic=mimic))
+
+    # The middle of both ranges is the rest pose, where free slides would overlap as well.
+    assert self_penetration(hand(""), [("a", "b")], np.array([[0.1, 0.2]])) == 0.0
+    assert self_penetration(hand("a_slide"), [("a", "b")], np.array([[0.1]])) == pytest.approx(0.005, abs=1e-9)
+    apart = slide("base", "a", 0.1, 0.2), slide("a", "c", 0.04, 0.05), slide("base", "b", 0.1, 0.2)
+    assert ("c", "b") in found(build(tmp_path, *apart, rest={"a": 0.2, "b": 0.1}))
+    following = (*apart[:2], slide("base", "b", 0.1, 0.2, mimic="a_slide"))
+    assert ("c", "b") not in found(build(tmp_path, *following)), "40 mm apart wherever they are"
+
+
+def test_a_hand_without_bodies_or_joints_has_no_pairs(tmp_path: Path) -> None:
+    assert found(build(tmp_path)) == ()
+    assert found(build(tmp_path, slide("base", "a", 0, 1, radius=None), base=link("base", None))) == ()
+
+
+@pytest.mark.parametrize(
+    "setting", [{"uniform": 0}, {"extreme": -1}, {"seed": -1}, {"margin": -0.001}, {"margin": np.inf}, {"always": 1.1}]
+)
+def test_settings_out_of_range_are_refused(setting: dict[str, float]) -> None:
+    ((name, value),) = setting.items()
+    # The settings as they are, and which of them may not be so.
+    with refused(CollisionError, f"{name}={value}") as caught:
+        Sampling(**setting)
+    assert str(caught.value).count(name) >= 2
+
+
+# the cache
+
+
+@pytest.fixture
+def pliers(tmp_path: Path) -> Hand:
+    return build(tmp_path / "pliers", slide("base", "a", 0.05, 0.1), slide("base", "b", 0.1, 0.2))
+
+
+PLIERS = (("a", "b"),)
+
+
+def test_the_second_time_the_answer_is_read(pliers: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert touching_pairs(pliers, QUICK, cache=tmp_path / "cache") == PLIERS
+    monkeypatch.setattr(self_collision, "query", lambda *_, **__: pytest.fail("it was asked again"))
+    assert touching_pairs(pliers, QUICK, cache=tmp_path / "cache") == PLIERS
+
+
+def test_the_users_cache_is_the_default(pliers: Hand, workplace: Path, tmp_path: Path) -> None:
+    touching_pairs(pliers, QUICK)
+    (entry,) = (tmp_path / "cache/touching").iterdir()
+    assert entry.suffix == ".npz"
+
+
+@pytest.mark.parametrize("kind", ["cut short", "no archive", "other array", "other length", "other type", "pickled"])
+def test_a_damaged_entry_is_replaced(pliers: Hand, tmp_path: Path, kind: str) -> None:
+    cache = tmp_path / "cache"
+    touching_pairs(pliers, QUICK, cache=cache)
+    (entry,) = cache.iterdir()
+    good = entry.read_bytes()
+    arrays = {
+        "other array": {"pairs": np.array([False])},
+        "other length": {"touching": np.array([False, False])},
+        "other type": {"touching": np.array([0.0])},
+        "pickled": {"touching": np.array([{}], dtype=object)},
+    }
+    if kind in arrays:
+        np.savez(entry, **arrays[kind])
+    else:
+        entry.write_bytes(good[: len(good) // 2] if kind == "cut short" else b"no archive")
+    assert touching_pairs(pliers, QUICK, cache=cache) == PLIERS
+    assert [file.read_bytes() for file in cache.iterdir()] == [good], "it is whole again"
+
+
+def test_whatever_the_answer_depends_on_has_an_entry_of_its_own(tmp_path: Path) -> None:
+    cache, a, b = tmp_path / "cache", slide("base", "a", 0.05, 0.1), slide("base", "b", 0.1, 0.2)
+    variants = [
+        (a, b),
+        (a, slide("base", "b", 0.1, 0.21)),
+        (a, slide("base", "b", 0.1, 0.2, z=0.001)),
+        (a, slide("base", "b", 0.1, 0.2, radius=0.011)),
+        (a, slide("a", "b", 0.1, 0.2)),
+        (a, slide("base", "b", 0.05, 0.2, mimic="a_slide")),
+        (a, b.replace("1 0 0", "0 1 0")),
+        (a, b, fixed("b", "c", 0.01)),
+    ]
+    hands = [build(tmp_path, *parts) for parts in variants]
+    hands += [build(tmp_path, a, b, rest={"b": 0.11})]
+    others = [Sampling(seed=1), Sampling(uniform=127), Sampling(extreme=9), Sampling(margin=0.1), Sampling(always=0.4)]
+    names = [self_collision._entry_name(hand, QUICK) for hand in hands]
+    names += [self_collision._entry_name(hands[0], sampling) for sampling in others]
+    assert len(set(names)) == len(names) == len(variants) + 1 + len(others)
+    touching_pairs(hands[0], QUICK, cache=cache)
+    renamed = build(tmp_path, slide("base", "left", 0.05, 0.1), slide("base", "right", 0.1, 0.2))
+    assert touching_pairs(renamed, QUICK, cache=cache) == (("left", "right"),)
+    assert [file.name for file in cache.iterdir()] == names[:1], "names of links do not matter, nor do paths"
+
+
+def test_a_folder_that_cannot_be_written_to_only_costs_the_entry(pliers: Hand, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    assert touching_pairs(pliers, QUICK, cache=tmp_path / "file" / "touching") == PLIERS
+
+
+# how deep
+
+
+def test_penetration_is_that_of_the_deepest_pair(tmp_path: Path) -> None:
+    hand = build(tmp_path, *(slide("base", name, -0.1, 0.1) for name in "abc"))
+    pairs = list(combinations("abc", 2))
+    q = np.array([[-0.05, 0.0, 0.05], [0.0, 0.015, 0.032], [0.0, 0.05, 0.001], [0.0, 2 * RADIUS + 1e-6, 0.06]])
+    np.testing.assert_allclose(self_penetration(hand, pairs, q), [0, 0.005, 0.019, 0], atol=1e-9)
+    np.testing.assert_allclose(self_penetration(hand, [("c", "b")], q), [0, 0.003, 0, 0], atol=1e-9)
+    assert (self_penetration(hand, [], q) == 0.0).all()
+    assert self_penetration(hand, pairs, q[:0]).shape == (0,)
+    many = np.random.default_rng(0).uniform(-0.1, 0.1, (700, 3))
+    gaps = np.abs(many[:, [0, 0, 1]] - many[:, [1, 2, 2]])
+    np.testing.assert_allclose(self_penetration(hand, pairs, many), np.maximum(2 * RADIUS - gaps.min(1), 0), atol=1e-9)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_penetration_of_what_is_not_finite_is_unknown_and_spoils_no_other(tmp_path: Path, bad: float) -> None:
+    hand = build(tmp_path, *(slide("base", name, -0.1, 0.1) for name in "abc"))
+    q = np.array([[0.0, 0.015, 0.1], [0.0, bad, 0.1], [0.0, 0.015, bad]])
+    for pairs, depth in (([("a", "b")], 0.005), ([], 0.0)):
+        np.testing.assert_allclose(self_penetration(hand, pairs, q), [depth, np.nan, np.nan], atol=1e-9)
+
+
+def test_penetration_of_links_that_are_not_there_or_not_solid(tmp_path: Path) -> None:
+    hand = build(tmp_path, slide("base", "a", 0, 1, radius=None))
+    with refused(HandError, " b;", "a, base"):
+        self_penetration(hand, [("base", "b")], np.zeros((1, 1)))
+    with refused(HandError, "'a'"):
+        self_penetration(hand, [("base", "a")], np.zeros((1, 1)))
+
+
+# real hands
+
+THUMB_AND_FINGER = {
+    "allegro": ("link_3.0_tip", "link_15.0_tip"),
+    "leap": ("fingertip", "thumb_fingertip"),
+    "shadow": ("ffdistal", "thdistal"),
+    "barrett": ("finger_1_dist_link", "finger_3_dist_link"),
+    "robotiq3f": ("finger_1_link_3", "finger_middle_link_3"),
+}
+
+
+def check(hand: Hand, opposed: tuple[str, str]) -> None:
+    pairs = found(hand, Sampling(extreme=1000))
+    assert opposed in pairs
+    neighbours = {frozenset((joint.parent, joint.child)) for joint in hand.joints}
+    assert not neighbours & {frozenset(pair) for pair in pairs}
+    order = [link.name for link in hand.links]
+    places = [(order.index(a), order.index(b)) for a, b in pairs]
+    assert places == sorted(places) and all(a < b for a, b in places)
+    assert self_penetration(hand, pairs, hand.rest[None]) == 0.0
+    q = np.random.default_rng(1).uniform(
+        np.maximum(hand.lower, -np.pi), np.minimum(hand.upper, np.pi), (64, len(hand.rest))
+    )
+    depth = self_penetration(hand, pairs, q)
+    assert 0.0 < depth.max() < 0.1 and (depth == 0.0).any()
+
+
+@pytest.mark.parametrize("name", THUMB_AND_FINGER)
+def test_thumbs_meet_fingers_and_no_hand_is_in_itself_at_rest(name: str, shared_assets: Path) -> None:
+    check(load_hand(shared_assets / "hands" / name, candidates=16), THUMB_AND_FINGER[name])
+
+
+def test_our_allegro_as_well() -> None:
+    check(load_hand("allegro", candidates=16), THUMB_AND_FINGER["allegro"])

@@ -1,0 +1,290 @@
+"""Hands that nobody tuned anything for: underactuated, with a coupled spread, on an arm, left; from URDF to a hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+import spread_gripper as gripper_of_three
+import underactuated as hand_of_five
+from grasp_refine.core.se3 import exp_se3, inverse, pose_from_transform, transform_from_pose, transform_points
+from grasp_refine.hands.chain import Chain, moved
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.kinematics import Kinematics
+from grasp_refine.hands.mimics import followed
+from grasp_refine.hands.self_collision import touching_pairs
+from grasp_refine.objects.object import load_object
+from grasp_refine.refinement.refine import Config, Refinement, Scene, refine
+from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.sampling.sample import sample_grasps
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.validation.metrics import metrics
+from grasp_refine.validation.motion import Motion, closing
+from grasp_refine.validation.protocol import FORCE_CLOSURE
+from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.urdf_model import urdf_model
+from grasp_refine.validation.world import World, build_world
+from spread_gripper import spread_gripper
+from underactuated import underactuated
+
+MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
+"""What a left hand is of a right one, and back."""
+
+MODULES = {"five fingers": hand_of_five, "three fingers": gripper_of_three}
+
+
+@pytest.fixture(scope="module")
+def hands(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Hand]:
+    folder = tmp_path_factory.mktemp("hands")
+    return {
+        "five fingers": underactuated(folder / "right"),
+        "left": underactuated(folder / "left", left=True),
+        "three fingers": spread_gripper(folder / "gripper"),
+        "arm": spread_gripper(folder / "arm", arm=True),
+    }
+
+
+@pytest.fixture(params=MODULES)
+def hand(request: pytest.FixtureRequest, hands: dict[str, Hand]) -> Hand:
+    return hands[request.param]
+
+
+def configurations(hand: Hand, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Root poses and joint values within the limits."""
+    rng = np.random.default_rng(0)
+    T = exp_se3(rng.normal(size=(count, 6)) * [0.1, 0.1, 0.1, 1, 1, 1])
+    return T, rng.uniform(hand.lower, hand.upper, (count, len(hand.lower)))
+
+
+def values(hand: Hand, q: np.ndarray) -> dict[str, np.ndarray]:
+    """Values of all movable joints, worked out from each mimic joint and what it follows, one after the other."""
+    found = {name: q[..., i] for i, name in enumerate(hand.joint_names)}
+    waiting = [joint for joint in hand.joints if joint.mimic is not None]
+    while waiting:
+        joint = next(j for j in waiting if j.mimic.joint in found)
+        found[joint.name] = joint.mimic.multiplier * found[joint.mimic.joint] + joint.mimic.offset
+        waiting.remove(joint)
+    return found
+
+
+def links(hand: Hand) -> list[str]:
+    return [link.name for link in hand.links]
+
+
+# what is read
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_joints_are_independent_or_follow(hands: dict[str, Hand], name: str) -> None:
+    hand, module = hands[name], MODULES[name]
+    assert set(hand.joint_names) == set(module.INDEPENDENT)
+    followers = {joint.name for joint in hand.joints if joint.mimic is not None}
+    assert followers == set(module.FOLLOWERS)
+    assert sum(joint.movable for joint in hand.joints) == len(followers) + len(hand.joint_names)
+    _, q = configurations(hand, 5)
+    matrix, offset, names = hand.mimic_map()
+    for column, values_of in zip((q @ matrix.T + offset).T, (values(hand, q)[n] for n in names), strict=True):
+        np.testing.assert_allclose(column, values_of, atol=1e-15)
+
+
+def test_contact_links_are_the_fingertips(hands: dict[str, Hand]) -> None:
+    of_five = {contact.link: contact.group for contact in hands["five fingers"].contacts}
+    assert of_five == {
+        "thumb_c": "thumb",
+        "index_b": "index",
+        "middle_b": "middle",
+        "ring_b": "ring",
+        "little_b": "little",
+    }
+    assert [c.link for c in hands["three fingers"].contacts] == ["finger_1_b", "finger_2_b", "finger_3_b"]
+
+
+def test_followers_narrow_the_limits_of_what_they_follow(hands: dict[str, Hand]) -> None:
+    limits = {
+        name: (low, high)
+        for hand in hands.values()
+        for name, low, high in zip(hand.joint_names, hand.lower, hand.upper, strict=True)
+    }
+    assert limits["little_1"] == (0.0, pytest.approx(1.0)), "1.1 x 1 is the follower's limit"
+    assert limits["spread"] == (0.0, 1.2)
+    assert limits["index_1"] == (0.0, 1.5), "0.9 x 1.5 + 0.1 is within the follower's limits"
+    for hand in hands.values():
+        ends = np.array(np.meshgrid(*np.stack([hand.lower, hand.upper], axis=1)[:4])).reshape(4, -1).T
+        q = np.tile(hand.rest, (len(ends), 1))
+        q[:, :4] = np.clip(ends, -9.0, 9.0)
+        for name, at in values(hand, q).items():
+            joint = hand.joints_by_name[name]
+            assert (at >= joint.lower - 1e-12).all() and (at <= joint.upper + 1e-12).all(), name
+
+
+# kinematics
+
+
+def test_three_ways_to_know_where_links_are_agree(hand: Hand) -> None:
+    T, q = configurations(hand, 20)
+    ours = Chain(hand, links(hand))(T, q).T_world_link
+    torches = Kinematics(hand, links(hand))(torch.from_numpy(T), torch.from_numpy(q)).numpy()
+    np.testing.assert_allclose(ours, torches, atol=1e-12)
+    made = urdf_model(hand)
+    assert made.matrix.shape == (sum(j.movable for j in hand.joints), len(hand.joint_names))
+    model = made.spec.compile()
+    data, bodies = mujoco.MjData(model), {link: body for body, link in made.links.items()}
+    for row, each in zip(inverse(T[:, None]) @ ours, q, strict=True):
+        for name, value in values(hand, each).items():
+            data.joint(name).qpos = value
+        mujoco.mj_kinematics(model, data)
+        for link, expected in zip(links(hand), row, strict=True):
+            body = data.body(bodies[link])
+            np.testing.assert_allclose(body.xpos, expected[:3, 3], atol=1e-9)
+            np.testing.assert_allclose(body.xmat.reshape(3, 3), expected[:3, :3], atol=1e-9)
+
+
+def test_forces_at_the_fingertips_do_the_work_of_the_independent_joints(hand: Hand) -> None:
+    """Virtual work by the geometric Jacobian, against finite differences of where the tips are."""
+    tips = [contact.link for contact in hand.contacts]
+    chain, rng = Chain(hand, tips), np.random.default_rng(1)
+    T, q = configurations(hand, 4)
+    frames = chain(T, q)
+    force, point = rng.normal(size=(2, 4, len(tips), 3)) * np.array([1.0, 0.05])[:, None, None, None]
+    on_link = transform_points(inverse(frames.T_world_link), point)
+
+    def work(T: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return (force * transform_points(chain(T, q).T_world_link, on_link)).sum(axis=(1, 2))
+
+    h = 1e-6
+    steps = h * np.eye(6 + len(hand.joint_names))
+    slopes = [
+        (work(moved(T, np.tile(s[:6], (4, 1))), q + s[6:]) - work(moved(T, np.tile(-s[:6], (4, 1))), q - s[6:]))
+        / (2 * h)
+        for s in steps
+    ]
+    covector = np.concatenate([force, np.cross(point, force)], axis=-1)
+    pulled = chain.pull(frames, covector, np.arange(len(tips))).sum(axis=1)
+    np.testing.assert_allclose(pulled, np.stack(slopes, axis=-1), atol=1e-8)
+
+
+# from nothing to a grasp that holds
+
+
+def grasped(
+    hand: Hand, spec: str, count: int = 6, config: Config | None = None
+) -> tuple[Scene, HandObject, Refinement]:
+    obj = load_object(spec, candidates=1024)
+    prepared = HandObject(hand, obj)
+    drawn = sample_grasps(hand, obj, count, prepared=prepared)
+    scene = Scene(hand, obj, transform_from_pose(drawn.hand_pose), drawn.q)
+    return scene, prepared, refine(scene, config, prepared=prepared)
+
+
+@pytest.mark.parametrize("spec", ["sphere:0.03", pytest.param("cylinder:0.025,0.12", marks=pytest.mark.slow)])
+def test_grasps_are_found_refined_and_hold(hand: Hand, spec: str) -> None:
+    scene, prepared, found = grasped(hand, spec)
+    count = len(scene.q)
+    assert count == 6
+    # Six joints need not reach a cylinder with five fingers at once.
+    converged, gap = (count, 1e-5) if spec.startswith("sphere") else (3, 2e-4)
+    assert (found.status == Status.CONVERGED).sum() >= converged
+    assert ((found.q >= hand.lower) & (found.q <= hand.upper)).all()
+    for name, at in values(hand, found.q).items():
+        joint = hand.joints_by_name[name]
+        assert (at >= joint.lower - 1e-12).all() and (at <= joint.upper + 1e-12).all(), f"{name} keeps its own limits"
+    measured = metrics(hand, scene.object, found.T_world_root, found.q)
+    assert measured.limits_violated.sum() == 0
+    assert np.median(measured.contact_distance_m) < gap and measured.penetration_m.max() < 2e-5
+    assert measured.self_penetration_m.max() < 1e-5
+    motion = closing(replace(scene, T_world_root=found.T_world_root, q=found.q), prepared)
+    world = build_world(urdf_model(hand), scene.object, FORCE_CLOSURE)
+    assert simulate(world, motion, threads=1).success.sum() >= count - 1
+    assert slack(hand, world, motion) < 3e-3
+
+
+def slack(hand: Hand, world: World, motion: Motion) -> float:
+    """By how much mimic joints lag behind at worst, in rad, while the first hand closes from pregrasp to squeeze."""
+    model = world.spec.compile()
+    data = mujoco.MjData(model)
+    q = motion.q[0] @ world.hand.matrix.T + world.hand.offset
+    data.qpos[world.root_at : world.root_at + 7] = pose_from_transform(motion.T_world_root[0, 0])
+    data.mocap_pos[0] = motion.T_world_root[0, 0, :3, 3]
+    data.mocap_quat[0] = pose_from_transform(motion.T_world_root[0, 0])[3:]
+    data.qpos[world.joints_at] = q[0]
+    data.qpos[world.object_at : world.object_at + 7] = [0, 0, 0, 1, 0, 0, 0]
+    worst = 0.0
+    for stage in (0, 1):
+        for share in np.linspace(0.1, 1.0, 10):
+            T = motion.T_world_root[0, stage + (share > 0.5)]
+            data.mocap_pos[0], data.mocap_quat[0] = T[:3, 3], pose_from_transform(T)[3:]
+            data.ctrl[:] = world.control @ (q[stage] + share * (q[stage + 1] - q[stage]))
+            mujoco.mj_step(model, data, 10)
+            now = dict(zip(world.hand.joints, data.qpos[world.joints_at], strict=True))
+            for joint in hand.joints:
+                if joint.mimic is not None:
+                    leads = followed(joint, hand.joints_by_name)
+                    worst = max(worst, abs(now[joint.name] - leads.multiplier * now[leads.joint] - leads.offset))
+    return worst
+
+
+# a hand on an arm
+
+
+def test_only_the_hand_of_an_arm_moves(hands: dict[str, Hand]) -> None:
+    alone, on_arm = hands["three fingers"], hands["arm"]
+    assert on_arm.base_link == "palm" and on_arm.joint_names == alone.joint_names
+    assert "camera" not in on_arm.links_by_name
+    assert on_arm.notes[0] == (
+        "the hand begins at its palm, link 'palm': the joints above it do not move (lift, wrist); "
+        "--base-link stand moves them too"
+    )
+    T, q = configurations(alone, 3)
+    tips = [contact.link for contact in alone.contacts]
+    np.testing.assert_array_equal(Chain(alone, tips)(T, q).T_world_link, Chain(on_arm, tips)(T, q).T_world_link)
+    assert touching_pairs(alone) == touching_pairs(on_arm)
+
+
+def test_slides_and_endless_joints_of_an_arm_move_when_asked(tmp_path: Path) -> None:
+    spread_gripper(tmp_path, arm=True)
+    whole = load_hand(tmp_path / "gripper.urdf", base_link="stand", candidates=256)
+    assert whole.joint_names == ("lift", "wrist", *gripper_of_three.INDEPENDENT)
+    assert [whole.joints_by_name[n].kind for n in ("lift", "wrist", "screw")] == ["prismatic", "continuous", "fixed"]
+    assert (whole.lower[1], whole.upper[1], whole.rest[1]) == (-np.inf, np.inf, 0.0)
+    scene, _, found = grasped(whole, "sphere:0.03", 4, Config(starts=2))
+    assert (found.status == Status.CONVERGED).sum() >= 2, "the stand is in the way"
+    assert np.ptp(found.q[:, 0]) > 0 and ((found.q >= whole.lower) & (found.q <= whole.upper)).all()
+    assert metrics(whole, scene.object, found.T_world_root, found.q).penetration_m.max() < 1e-4
+
+
+# a left hand
+
+
+def test_a_left_hand_is_the_mirror_image_of_the_right_one(hands: dict[str, Hand]) -> None:
+    right, left = hands["five fingers"], hands["left"]
+    T, q = configurations(right, 10)
+    poses = Chain(right, links(right))(T, q).T_world_link
+    mirrored = Chain(left, links(left))(MIRROR @ T @ MIRROR, q).T_world_link
+    np.testing.assert_allclose(mirrored, MIRROR @ poses @ MIRROR, atol=1e-12)
+    for a, b in zip(right.links, left.links, strict=True):
+        assert (a.body is None) == (b.body is None)
+        for one, other in zip(a.body.pieces, b.body.pieces, strict=True) if a.body else ():
+            volumes = [piece.mesh().volume if len(piece.vertices) > 3 else piece.radius for piece in (one, other)]
+            assert volumes[0] == pytest.approx(volumes[1]) and volumes[0] > 0, "faces look outwards"
+            np.testing.assert_allclose(one.bounds[:, 1:], other.bounds[:, 1:], atol=1e-12)
+            np.testing.assert_allclose(one.bounds[:, 0], -other.bounds[::-1, 0], atol=1e-12)
+
+
+def test_what_a_left_hand_comes_to_mirrors_what_the_right_one_comes_to(hands: dict[str, Hand]) -> None:
+    """Balls and capsules are exact in contact, so that no sampled surface makes a difference between the two."""
+    right, left = hands["five fingers"], hands["left"]
+    obj = load_object("sphere:0.03", candidates=512)
+    drawn = sample_grasps(right, obj, 6)
+    T, config = transform_from_pose(drawn.hand_pose), Config(starts=1)
+    one = refine(Scene(right, obj, T, drawn.q), config)
+    other = refine(Scene(left, obj, MIRROR @ T @ MIRROR, drawn.q), config)
+    assert (one.status == Status.CONVERGED).all() and (other.status == Status.CONVERGED).all()
+    back = MIRROR @ other.T_world_root @ MIRROR
+    assert np.abs(one.T_world_root - T).max() > 1e-4 and np.abs(one.q - drawn.q).max() > 1e-3, "both moved"
+    np.testing.assert_allclose(back, one.T_world_root, atol=1e-6)
+    np.testing.assert_allclose(other.q, one.q, atol=1e-6)

@@ -1,0 +1,628 @@
+"""Objects from names, primitives, files and folders of pieces; which mesh or folder in a folder a name means."""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from grasp_refine.core.errors import AssetError, MeshError
+from grasp_refine.geometry.pieces import Decomposition
+from grasp_refine.geometry.shapes import EMBEDDED
+from grasp_refine.objects import object
+from grasp_refine.objects.folders import find_object
+from refusals import assert_names, refused
+
+load_object = partial(object.load_object, unit="m")  # most bodies of these tests are metres large
+
+
+@pytest.fixture
+def cache(tmp_path: Path) -> Path:
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def cube(tmp_path: Path) -> Path:
+    path = tmp_path / "cube.obj"
+    trimesh.creation.box(extents=(2, 2, 2)).export(path)
+    return path
+
+
+@pytest.mark.parametrize("name", ["box:0.1,0.2,0.3", "cylinder:0.03,0.1", "sphere:0.04"])
+def test_primitives_are_one_exact_piece(name: str):
+    thing = load_object(name, candidates=64)
+    assert thing.name == name
+    assert thing.convex and thing.notes == ()
+    assert len(thing.body.pieces) == 1
+    assert len(thing.body.candidates.points) == 64
+    assert thing.mesh.is_watertight
+
+
+def test_a_sphere_is_a_point_with_a_radius():
+    (piece,) = load_object("sphere:0.04", scale=2.0, candidates=64).body.pieces
+    assert piece.vertices.tolist() == [[0, 0, 0]]
+    assert piece.radius == 0.08
+
+
+def test_the_scale_takes_everything_along(cube: Path, cache: Path):
+    for source, size in ((cube, 2.0), ("box:2,2,2", 2.0)):
+        thing = load_object(source, scale=0.03, candidates=64, cache=cache)
+        np.testing.assert_allclose(thing.mesh.extents, 0.03 * size)
+        np.testing.assert_allclose(thing.body.diagonal, 0.03 * size * np.sqrt(3))
+        np.testing.assert_allclose(np.abs(thing.body.candidates.points).max(), 0.03 * size / 2)
+
+
+def test_a_convex_mesh_is_its_hull_and_needs_no_decomposition(cube: Path, cache: Path):
+    lines: list[str] = []
+    thing = load_object(cube, scale=0.03, candidates=64, cache=cache, progress=lines.append)
+    assert thing.name == "cube"
+    assert thing.convex
+    assert len(thing.body.pieces) == 1
+    assert lines == []
+    assert not cache.exists()
+
+
+@pytest.fixture
+def corner(tmp_path: Path) -> Path:
+    """Two boxes in the shape of an L: concave, and quickly decomposed."""
+    path = tmp_path / "corner.ply"
+    arm = trimesh.creation.box(bounds=[[0, 0, 0], [3, 1, 1]])
+    leg = trimesh.creation.box(bounds=[[0, 0, 0], [1, 3, 1]])
+    trimesh.boolean.union([arm, leg]).export(path)
+    return path
+
+
+def test_a_concave_mesh_is_decomposed_once_for_all_scales(corner: Path, cache: Path):
+    lines: list[str] = []
+    first = load_object(corner, candidates=64, cache=cache, progress=lines.append)
+    assert not first.convex
+    assert len(first.body.pieces) == 2
+    assert len(lines) == 2 and "corner" in lines[0]
+    again = load_object(corner, candidates=64, cache=cache, progress=lines.append)
+    assert len(lines) == 2
+    for one, other in zip(first.body.pieces, again.body.pieces, strict=True):
+        np.testing.assert_array_equal(one.vertices, other.vertices)
+    small = load_object(corner, scale=0.02, candidates=64, cache=cache, progress=lines.append)
+    assert len(lines) == 2
+    np.testing.assert_allclose(small.body.diagonal, 0.02 * first.body.diagonal)
+
+
+def test_the_users_cache_is_used_unless_another_is_named(corner: Path, tmp_path: Path, monkeypatch):
+    monkeypatch.setenv("GRASP_REFINE_CACHE", str(tmp_path / "user"))
+    load_object(corner, candidates=64, cache=None)
+    assert not (tmp_path / "user").exists()
+    load_object(corner, candidates=64)
+    assert len(list((tmp_path / "user" / "pieces").iterdir())) == 1
+
+
+def test_decomposition_settings_reach_coacd(corner: Path):
+    coarse = Decomposition(threshold=1.0)
+    assert len(load_object(corner, candidates=64, cache=None, decomposition=coarse).body.pieces) == 1
+
+
+@pytest.mark.parametrize("name", EMBEDDED)
+def test_embedded_objects_load(name: str):
+    thing = load_object(name, candidates=64, cache=None, decomposition=Decomposition(threshold=1.0))
+    assert thing.name == name
+    assert thing.mesh.is_watertight
+    assert 0.05 < thing.body.diagonal < 0.3
+    assert thing.convex == (name == "rounded_box")
+
+
+def test_same_seed_same_candidates():
+    points = [load_object("box:1,1,1", candidates=64, seed=s).body.candidates.points for s in (1, 1, 2)]
+    np.testing.assert_array_equal(points[0], points[1])
+    assert not np.array_equal(points[0], points[2])
+
+
+def test_repairs_are_noted(tmp_path: Path, cache: Path):
+    mesh = trimesh.creation.box(extents=(2, 2, 2))
+    mesh.invert()
+    mesh.export(tmp_path / "inverted.stl")
+    thing = load_object(tmp_path / "inverted.stl", candidates=64, cache=cache)
+    assert thing.mesh.volume > 0
+    assert len(thing.notes) == 1 and "inside out" in thing.notes[0]
+
+
+def test_an_embedded_name_wins_over_a_file_only_without_a_suffix(tmp_path: Path, monkeypatch, cache: Path):
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box(extents=(2, 2, 2)).export("bowl.obj")
+    assert load_object("bowl.obj", candidates=64, cache=cache).convex
+
+
+@pytest.mark.parametrize("source", ["box:90,60,40", "file"])
+def test_a_file_in_millimetres_is_asked_about_and_read_when_told(source: str, tmp_path: Path, cache: Path):
+    trimesh.creation.box(extents=(90, 60, 40)).export(tmp_path / "brick.stl")
+    source = tmp_path / "brick.stl" if source == "file" else source
+    with refused(MeshError, "90 x 60 x 40 m ", "--unit mm", "90 x 60 x 40 mm"):
+        object.load_object(source, candidates=64, cache=cache)
+    thing = load_object(source, unit="mm", candidates=64, cache=cache)
+    np.testing.assert_allclose(thing.mesh.extents, [0.09, 0.06, 0.04])
+    np.testing.assert_allclose(thing.body.pieces[0].bounds[1], [0.045, 0.03, 0.02])
+    # Whoever says metres, or a scale, is believed.
+    assert load_object(source, unit="m", candidates=64, cache=cache).body.diagonal > 100
+    assert load_object(source, scale=0.002, unit=None, candidates=64, cache=cache).body.diagonal < 0.3
+
+
+def test_convex_bodies_in_one_file_are_the_pieces(tmp_path: Path, cache: Path):
+    bars = [trimesh.creation.box(bounds=bounds) for bounds in ([[0, 0, 0], [3, 1, 1]], [[0, 0.5, 0.5], [1, 3, 1.5]])]
+    for suffix in ("obj", "glb"):
+        trimesh.Scene(bars).export(tmp_path / f"cross.{suffix}")
+        thing = load_object(tmp_path / f"cross.{suffix}", candidates=64, cache=cache)
+        assert sorted(piece.mesh().volume for piece in thing.body.pieces) == pytest.approx([2.5, 3])
+        assert not thing.convex
+    assert not cache.exists()
+
+
+def test_a_cavity_is_no_piece(tmp_path: Path, cache: Path):
+    shell = trimesh.creation.box(extents=(2, 2, 2))
+    cavity = trimesh.creation.box(extents=(1, 1, 1))
+    cavity.invert()
+    trimesh.util.concatenate([shell, cavity]).export(tmp_path / "hollow.obj")
+    pieces = load_object(tmp_path / "hollow.obj", candidates=64, cache=cache).body.pieces
+    assert len(pieces) > 1
+
+
+def test_holes_are_closed_as_asked(tmp_path: Path, cache: Path):
+    mesh = trimesh.creation.cylinder(0.03, 0.1, sections=24)
+    mesh.update_faces(mesh.face_normals[:, 2] < 0.9)
+    mesh.export(tmp_path / "pot.stl")
+    with refused(MeshError, "pot", "24 edges", "--holes cap", "--holes hull"):
+        load_object(tmp_path / "pot.stl", candidates=64, cache=cache)
+    volume = trimesh.creation.cylinder(0.03, 0.1, sections=24).volume
+    for holes, size in (("cap", "84.9 mm"), ("hull", "24 edges")):
+        thing = load_object(tmp_path / "pot.stl", holes=holes, candidates=64, cache=cache)
+        assert_names(thing.notes[-1], size)
+        assert thing.mesh.is_volume and thing.mesh.volume == pytest.approx(volume)
+
+
+@pytest.mark.parametrize(
+    ("source", "scale", "error", "named"),
+    [
+        (
+            "teapot",
+            1.0,
+            AssetError,
+            ("'teapot'", ", ".join(EMBEDDED), "box:x,y,z, sphere:r, cylinder:r,h", ".obj, .stl, .ply, .glb, .off"),
+        ),
+        ("teapot.obj", 1.0, MeshError, ("teapot.obj",)),
+        (Path("teapot"), 1.0, MeshError, ("teapot",)),
+        ("teapot.step", 1.0, MeshError, ("teapot.step",)),
+        ("folder/teapot", 1.0, MeshError, ("folder/teapot",)),
+        ("", 1.0, AssetError, ("''",)),
+        ("cone:1,2", 1.0, MeshError, ("'cone:1,2'", "box:x,y,z")),
+        ("mug", 0.0, MeshError, ("mug", "scale", "positive", "0")),
+        ("sphere:1", float("nan"), MeshError, ("sphere:1", "scale", "finite", "nan")),
+    ],
+)
+def test_what_there_is_not(source: str | Path, scale: float, error: type, named: tuple[str, ...]):
+    with refused(error, *named):
+        load_object(source, scale=scale)
+
+
+def test_an_open_mesh_is_refused_by_name(tmp_path: Path):
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    mesh.update_faces(mesh.triangles_center[:, 2] < 0.3)
+    mesh.export(tmp_path / "open.ply")
+    with refused(MeshError, "open: ", "watertight"):
+        load_object(tmp_path / "open.ply")
+
+
+def test_a_shared_object_loads(shared_assets: Path):
+    path = shared_assets / "objects" / "ycb_005_tomato_soup_can.obj"
+    # One coarse piece: the threshold of the defaults takes CoACD minutes here.
+    thing = load_object(path, candidates=64, cache=None, decomposition=Decomposition(threshold=1.0))
+    assert thing.name == "ycb_005_tomato_soup_can"
+    assert 0.1 < thing.body.diagonal < 0.2
+
+
+# -- folders of convex pieces ----------------------------------------------------------------------------
+
+
+ARM, LEG = ([0, 0, 0], [3, 1, 1]), ([0, 1, 0], [1, 3, 1])
+"""Two boxes in the shape of an L that share a face."""
+
+
+def put(path: Path, *meshes: trimesh.Trimesh) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    trimesh.util.concatenate(list(meshes)).export(path)
+    return path
+
+
+def block(bounds) -> trimesh.Trimesh:
+    return trimesh.creation.box(bounds=bounds)
+
+
+def without_top(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    mesh.update_faces(mesh.triangles_center[:, 2] < mesh.bounds[1, 2] - 1e-6)
+    return mesh
+
+
+SHEET = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [2, 1, 3]], process=False)
+TRIANGLE = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
+SPECK = trimesh.Trimesh(np.ones((4, 3)), [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], process=False)
+
+
+@pytest.fixture
+def parts(tmp_path: Path) -> Path:
+    """The meshes of a folder are the pieces of an L."""
+    # They are written in another order than that of their names.
+    put(tmp_path / "el" / "b.STL", block(LEG))
+    put(tmp_path / "el" / "a.obj", block(ARM))
+    (tmp_path / "el" / "notes.txt").write_text("no mesh")
+    return tmp_path / "el"
+
+
+@pytest.fixture
+def bodex(tmp_path: Path) -> Path:
+    """An L as DexGraspBench and BODex lay out an object."""
+    folder = tmp_path / "el_0"
+    put(folder / "urdf" / "meshes" / "convex_piece_001.obj", block(LEG))
+    put(folder / "urdf" / "meshes" / "convex_piece_000.obj", block(ARM))
+    (folder / "urdf" / "coacd.urdf").write_text("<robot/>")
+    trimesh.boolean.union([block(ARM), block(LEG)]).export(put(folder / "mesh" / "simplified.obj", block(ARM)))
+    return folder
+
+
+def corners(pieces) -> list[list[list[float]]]:
+    return [piece.bounds.tolist() for piece in pieces]
+
+
+@pytest.fixture
+def dexgraspnet(tmp_path: Path) -> Path:
+    """An L as DexGraspNet lays out an object: both pieces, which touch, in one file."""
+    folder = tmp_path / "core-el-0"
+    groups, count = [], 1
+    for name, bounds in (("convex_10", LEG), ("convex_9", ARM)):
+        mesh = block(bounds)
+        groups += [f"o {name}", *(f"v {x} {y} {z}" for x, y, z in mesh.vertices)]
+        groups += [f"f {a} {b} {c}" for a, b, c in mesh.faces + count]
+        count += len(mesh.vertices)
+    (folder / "coacd").mkdir(parents=True)
+    (folder / "coacd" / "decomposed.obj").write_text("\n".join(groups))
+    return folder
+
+
+@pytest.mark.parametrize("layout", ["parts", "bodex", "dexgraspnet"])
+def test_the_meshes_of_a_folder_are_the_pieces(layout: str, request: pytest.FixtureRequest, cache: Path):
+    folder = request.getfixturevalue(layout)
+    lines: list[str] = []
+    thing = load_object(folder, candidates=64, cache=cache, progress=lines.append)
+    assert thing.name == folder.name
+    assert corners(thing.body.pieces) == [[list(map(float, corner)) for corner in box] for box in (ARM, LEG)]
+    assert not thing.convex and thing.notes == ()
+    assert thing.mesh.volume == pytest.approx(5)
+    # Nothing was decomposed.
+    assert lines == [] and not cache.exists()
+
+
+def test_pieces_are_hulls_of_what_the_mesh_uses(tmp_path: Path):
+    """A point inside a piece, and one that no face uses, are no vertices of the collision geometry."""
+    mesh = trimesh.creation.icosphere(subdivisions=2)
+    stray = np.concatenate([mesh.vertices, [[5, 5, 5]]])
+    put(tmp_path / "ball" / "piece.ply", trimesh.Trimesh(stray, mesh.faces, process=False))
+    thing = load_object(tmp_path / "ball", candidates=64)
+    (piece,) = thing.body.pieces
+    assert len(piece.vertices) == len(mesh.vertices)
+    assert thing.convex and thing.notes == ()
+    assert thing.mesh.is_watertight
+
+
+def test_the_scale_takes_pieces_and_surface_along(bodex: Path):
+    big, small = (load_object(bodex, scale=scale, candidates=64) for scale in (1.0, 0.02))
+    for one, other in zip(big.body.pieces, small.body.pieces, strict=True):
+        np.testing.assert_allclose(other.bounds, 0.02 * one.bounds, atol=1e-15)
+    np.testing.assert_allclose(small.mesh.extents, [0.06, 0.06, 0.02])
+    np.testing.assert_allclose(small.body.diagonal, 0.02 * big.body.diagonal)
+
+
+def test_a_folder_is_named_in_any_way_that_the_system_allows(parts: Path, monkeypatch):
+    monkeypatch.chdir(parts)
+    for source in (".", f"{parts}/", "../el", Path()):
+        assert load_object(source, candidates=64).name == "el"
+    monkeypatch.chdir(parts.parent)
+    assert load_object("el", candidates=64).name == "el"
+
+
+def test_an_embedded_name_is_no_folder_unless_it_comes_as_a_path(parts: Path, monkeypatch):
+    monkeypatch.chdir(parts.parent)
+    parts.rename("rounded_box")
+    assert load_object("rounded_box", candidates=64).convex
+    for source in ("./rounded_box", Path("rounded_box")):
+        assert len(load_object(source, candidates=64).body.pieces) == 2
+
+
+def test_a_folder_may_have_a_dot_in_its_name(parts: Path):
+    assert load_object(parts.rename(parts.parent / "el_v1.5"), candidates=64).name == "el_v1.5"
+    assert load_object(parts.parent / "el_v1.5", candidates=64).convex is False
+
+
+def test_what_is_shown_is_the_simplified_mesh_or_the_only_one_or_all_pieces(bodex: Path):
+    def shown() -> np.ndarray:
+        return load_object(bodex, candidates=64).mesh.extents
+
+    put(bodex / "mesh" / "raw.obj", block([[0, 0, 0], [7, 7, 7]]))
+    np.testing.assert_allclose(shown(), [3, 3, 1])
+    (bodex / "mesh" / "simplified.obj").unlink()
+    np.testing.assert_allclose(shown(), [7, 7, 7])
+    put(bodex / "mesh" / "other.obj", block([[0, 0, 0], [8, 8, 8]]))
+    thing = load_object(bodex, candidates=64)
+    np.testing.assert_allclose(thing.mesh.extents, [3, 3, 1])
+    assert len(thing.mesh.faces) == 24 and thing.mesh.volume == pytest.approx(5)
+
+
+def check_only_note(thing: object.Object, *named: str) -> None:
+    (note,) = thing.notes
+    assert_names(note, *named)
+
+
+def test_an_open_surface_changes_nothing_that_is_touched(bodex: Path):
+    whole = load_object(bodex, candidates=64)
+    torn = trimesh.boolean.union([block(ARM), block(LEG)]).subdivide()
+    put(bodex / "mesh" / "simplified.obj", without_top(torn))
+    thing = load_object(bodex, candidates=64)
+    check_only_note(thing, "simplified.obj", "watertight")
+    assert not thing.mesh.is_watertight
+    assert corners(thing.body.pieces) == corners(whole.body.pieces)
+    np.testing.assert_array_equal(thing.body.candidates.points, whole.body.candidates.points)
+
+
+def test_a_surface_that_can_be_repaired_is(bodex: Path):
+    inverted = block(ARM)
+    inverted.invert()
+    put(bodex / "mesh" / "simplified.obj", inverted)
+    thing = load_object(bodex, candidates=64)
+    assert thing.mesh.volume == pytest.approx(3)
+    check_only_note(thing, "simplified.obj", "inside out")
+
+
+def test_a_piece_that_is_not_convex_is_noted(parts: Path):
+    # The hull of the L has the area of the square without the corner: 9 - 2 * 2 / 2 = 7, against 5.
+    put(parts / "c.obj", trimesh.boolean.union([block(ARM), block(LEG)]))
+    thing = load_object(parts, candidates=64)
+    check_only_note(thing, "c.obj", "hull", "40.0%")
+    assert thing.body.pieces[2].mesh().volume == pytest.approx(7)
+
+
+@pytest.mark.parametrize(("dent", "noted"), [(0.05, False), (0.07, True)])
+def test_two_percent_more_volume_are_convex_enough(tmp_path: Path, dent: float, noted: bool):
+    """A dent of depth d in a face of the unit cube, a pyramid on it, takes d / 3 of its volume."""
+    cube = block([[0, 0, 0], [1, 1, 1]])
+    top = np.isclose(cube.triangles_center[:, 2], 1)
+    ring = [[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
+    apex = [0.5, 0.5, 1 - dent]
+    pyramid = trimesh.Trimesh([*ring, apex], [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]], process=False)
+    cube.update_faces(~top)
+    put(tmp_path / "dented" / "cube.obj", cube, pyramid)
+    notes = load_object(tmp_path / "dented", candidates=64).notes
+    assert bool(notes) == noted
+
+
+def test_a_piece_inside_out_is_a_piece(tmp_path: Path):
+    inverted = block(ARM)
+    inverted.invert()
+    put(tmp_path / "one" / "a.obj", inverted)
+    thing = load_object(tmp_path / "one", candidates=64)
+    assert thing.convex and thing.notes == ()
+    assert thing.mesh.volume == pytest.approx(3)
+
+
+def test_an_open_piece_is_its_hull_and_noted(tmp_path: Path):
+    put(tmp_path / "one" / "a.obj", without_top(block(ARM).subdivide()))
+    thing = load_object(tmp_path / "one", candidates=64)
+    check_only_note(thing, "a.obj", "watertight", "hull")
+    assert thing.mesh.volume == pytest.approx(3)
+
+
+@pytest.mark.parametrize("flat", [SHEET, TRIANGLE, SPECK], ids=["sheet", "triangle", "speck"])
+def test_flat_pieces_are_dropped_and_noted(parts: Path, flat: trimesh.Trimesh):
+    put(parts / "aa.obj", flat)
+    thing = load_object(parts, candidates=64)
+    check_only_note(thing, "aa.obj", "flat")
+    assert len(thing.body.pieces) == 2
+
+
+def test_a_folder_without_a_usable_piece_is_refused(tmp_path: Path):
+    folder = tmp_path / "paper"
+    put(folder / "a.obj", SHEET)
+    put(folder / "b.obj", TRIANGLE)
+    with refused(MeshError, folder, "flat", "a.obj, b.obj"):
+        load_object(folder)
+
+
+def test_a_folder_without_meshes_is_refused(tmp_path: Path):
+    with refused(MeshError, tmp_path, "urdf/meshes", ".obj, .stl, .ply, .glb, .off", "coacd/decomposed.obj"):
+        load_object(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"])
+def test_a_broken_piece_is_refused_not_left_out(parts: Path, text: str):
+    (parts / "c.obj").write_text(text)
+    with refused(MeshError, parts / "c.obj"):
+        load_object(parts)
+
+
+def test_pieces_of_a_shared_object_fill_its_surface(shared_assets: Path):
+    """BODex cut its bottle into three pieces; sizes and volumes agree with the mesh beside them."""
+    folder = find_object(
+        "523cddb320608c09a37f3fc191551700", shared_assets / "grasps" / "bodex_shadow" / "example_object"
+    )
+    thing = load_object(folder, scale=0.06, candidates=64, cache=None)
+    assert thing.name == folder.name
+    assert thing.notes == ()
+    assert len(thing.body.pieces) == 3
+    assert sum(piece.mesh().volume for piece in thing.body.pieces) == pytest.approx(thing.mesh.volume, rel=0.02)
+    np.testing.assert_allclose(thing.body.diagonal, np.linalg.norm(thing.mesh.extents), rtol=0.02)
+
+
+# -- finding ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    folder = tmp_path / "objects"
+    folder.mkdir()
+    meshes = ("ycb_011_banana.obj", "banana_peel.obj", "red-mug.STL", "blue_mug.obj", "Cup.ply")
+    for name in (*meshes, "notes_mug.txt"):
+        (folder / name).touch()
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [
+        ("ycb_011_banana", "ycb_011_banana.obj"),
+        ("011_banana", "ycb_011_banana.obj"),
+        ("011-Banana", "ycb_011_banana.obj"),
+        ("banana", "ycb_011_banana.obj"),
+        ("11banana", None),
+        ("nana", None),
+        ("redmug", "red-mug.STL"),
+        ("CUP", "Cup.ply"),
+    ],
+)
+def test_a_name_is_the_end_of_a_stem_from_a_word_on(folder: Path, name: str, file: str | None):
+    if file is None:
+        with refused(AssetError, f"'{name}'"):
+            find_object(name, folder)
+    else:
+        assert find_object(name, folder) == folder / file
+
+
+def test_the_exact_stem_wins(folder: Path):
+    (folder / "mug.obj").touch()
+    assert find_object("mug", folder) == folder / "mug.obj"
+    (folder / "m-u-g.obj").touch()
+    assert find_object("mug", folder) == folder / "mug.obj"
+
+
+@pytest.mark.parametrize(
+    ("name", "listed"),
+    [
+        ("mug", " blue_mug.obj, red-mug.STL"),
+        ("pear", " Cup.ply, banana_peel.obj, blue_mug.obj, red-mug.STL, ycb_011_banana.obj"),
+        ("_", " Cup.ply, banana_peel.obj, blue_mug.obj, red-mug.STL, ycb_011_banana.obj"),
+    ],
+)
+def test_none_or_several(folder: Path, name: str, listed: str):
+    with refused(AssetError, f"'{name}'", folder, listed) as caught:
+        find_object(name, folder)
+    assert len(re.findall(r"\.(?:obj|STL|ply)\b", str(caught.value))) == len(listed.split(", "))
+
+
+def test_a_folder_that_is_missing_or_empty(tmp_path: Path):
+    with refused(AssetError, tmp_path / "none"):
+        find_object("mug", tmp_path / "none")
+    with refused(AssetError, "'mug'", tmp_path, ".obj, .stl, .ply, .glb, .off"):
+        find_object("mug", tmp_path)
+
+
+def test_finds_the_objects_of_the_shared_grasps(shared_assets: Path):
+    for path in sorted((shared_assets / "grasps" / "normalised").glob("*.npz")):
+        with np.load(path) as grasps:
+            names = set(grasps["object"].tolist()) - {"cube_75mm"}
+        for name in names:
+            assert find_object(name, shared_assets / "objects").is_file()
+
+
+# -- finding folders of pieces -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def mixed(folder: Path) -> Path:
+    """Meshes, and folders with and without pieces."""
+    for path in (
+        "core_bottle_5f/urdf/meshes/p0.obj",
+        "sem-Car-1/p0.STL",
+        "old_Cup/p0.obj",
+        "textures_banana/skin.png",
+        "empty_peel/urdf/meshes/readme.txt",
+        "peach.v2/p0.obj",
+    ):
+        (folder / path).parent.mkdir(parents=True)
+        (folder / path).touch()
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [
+        ("core_bottle_5f", "core_bottle_5f"),
+        ("Core-Bottle-5F", "core_bottle_5f"),
+        ("5f", "core_bottle_5f"),
+        ("car_1", "sem-Car-1"),
+        ("peach.v2", "peach.v2"),
+        # Plainly equal goes before the end of another one.
+        ("cup", "Cup.ply"),
+        ("old_cup", "old_Cup"),
+        # Folders without pieces are no objects.
+        ("banana", "ycb_011_banana.obj"),
+        ("peel", "banana_peel.obj"),
+    ],
+)
+def test_folders_of_pieces_are_found_like_meshes(mixed: Path, name: str, file: str):
+    assert find_object(name, mixed) == mixed / file
+
+
+@pytest.mark.parametrize("name", ["Cup", "cup", "CUP"])
+def test_a_folder_of_pieces_wins_over_a_mesh_of_the_same_name(mixed: Path, name: str):
+    (mixed / "Cup").mkdir()
+    assert find_object(name, mixed) == mixed / "Cup.ply"
+    (mixed / "Cup" / "p0.obj").touch()
+    assert find_object(name, mixed) == mixed / "Cup"
+    (mixed / "Cup.obj").touch()
+    assert find_object(name, mixed) == mixed / "Cup"
+
+
+def test_a_mesh_and_a_folder_of_other_names_that_fit_alike_are_ambiguous(mixed: Path):
+    (mixed / "cu-p").mkdir()
+    (mixed / "cu-p" / "p0.obj").touch()
+    with refused(AssetError, "'cup'", " Cup.ply, cu-p/ ", mixed):
+        find_object("cup", mixed)
+    # The one of exactly that name is meant all the same.
+    assert find_object("Cup", mixed) == mixed / "Cup.ply"
+    (mixed / "green_mug").mkdir()
+    (mixed / "green_mug" / "p0.obj").touch()
+    with refused(AssetError, "'mug'", " blue_mug.obj, green_mug/, red-mug.STL ", mixed):
+        find_object("mug", mixed)
+
+
+def test_all_meshes_and_folders_of_pieces_are_listed(mixed: Path):
+    listed = (
+        " Cup.ply, banana_peel.obj, blue_mug.obj, core_bottle_5f/, old_Cup/, peach.v2/, red-mug.STL, sem-Car-1/, "
+        "ycb_011_banana.obj"
+    )
+    with refused(AssetError, "'pear'", mixed, listed):
+        find_object("pear", mixed)
+
+
+def test_finds_the_pieces_of_the_shared_grasps(shared_assets: Path):
+    folder = shared_assets / "grasps" / "bodex_shadow" / "example_object"
+    with np.load(shared_assets / "grasps" / "normalised" / "bodex_shadow.npz") as grasps:
+        for name in set(grasps["object"].tolist()):
+            assert find_object(name, folder) == folder / name
+
+
+def test_a_name_that_is_too_long_for_a_file_is_no_folder():
+    with refused(MeshError, "a" * 20):
+        load_object("a" * 300 + ".obj")
+    with refused(AssetError, "'aaa"):
+        load_object("a" * 300)
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("sphere:1e-60", "1e-60 m"),
+        ("sphere:1e60", "1e+60 m"),
+        ("box:1e-60,1e-60,1e-60", "1.73205e-60 m"),
+        ("cylinder:1e60,1", "2.82843e+60 m"),
+    ],
+)
+def test_primitives_of_no_size_are_refused(name: str, size: str):
+    with refused(MeshError, name.partition(":")[0], size):
+        load_object(name)

@@ -1,0 +1,315 @@
+"""What the authors' code of arXiv 2511.06267 is known to get wrong, one named test for each, in numbers."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+from grasp_refine.collision.query import Pairs, QueryStatus, query
+from grasp_refine.core.se3 import exp_se3
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.pieces import box, hull, sphere
+from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.distance import Distance
+from grasp_refine.witness.zeroth_order import ZerothOrder
+from shapes_for_tests import convex_body, ellipsoid_hull
+from twists import FIELDS, gradients, poses_at_gap, random_cotangents, random_poses, weighed
+
+
+def cube(side: float) -> Body:
+    return build_body(f"cube {side:g}", [box([side] * 3)], candidates=64)
+
+
+def pair(a: Body, b: Body) -> Pairs:
+    return Pairs((a,), (b,))
+
+
+@cache
+def hulls() -> Pairs:
+    return pair(convex_body(0), convex_body(1))
+
+
+def beside(distances: np.ndarray, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (N, 1, 4, 4) with bodies b shifted so far in x from bodies a, then all moved alike."""
+    T_a = np.tile(np.eye(4), (len(distances), 1, 1, 1))
+    T_b = T_a.copy()
+    T_b[:, 0, 0, 3] = distances
+    return motion @ T_a, motion @ T_b
+
+
+def limit(diagonal: float, position: float = 0.0) -> float:
+    """What a signed distance may be off by, in metres."""
+    return 1e-8 * diagonal + 1e-12 + 1e-15 * position
+
+
+# small gaps and small bodies
+
+
+TURNED = exp_se3(np.array([0.1, -0.2, 0.3, 0.7, -0.4, 1.1]))
+GAPS = np.array([1e-3, 1e-5, 1e-6, 1e-7, 1e-8, 5e-9])
+
+
+@pytest.mark.parametrize("kind", ["balls", "ball and cube", "cubes face to face", "cubes edge to edge", "hulls"])
+def test_gaps_of_a_micrometre_and_below_do_not_collapse_to_contact(kind: str) -> None:
+    """Apart is apart, and inside is inside, by the very distance; all are 4 cm large."""
+    signed = np.concatenate([GAPS, -GAPS])
+    ball = build_body("ball", [sphere(0.02)], candidates=64)
+    side = 0.04 / np.sqrt(3.0)
+    quarter = exp_se3(np.array([0, 0, 0, 0, 0, np.pi / 4]))[:3, :3]
+    diamond = build_body("diamond", [hull(box([side] * 3).vertices @ quarter.T)], candidates=64)
+    if kind == "hulls":
+        # Along the normal at contact the distance is what they are moved by.
+        T_a, T_b = poses_at_gap(hulls(), 1, 1e-3, seed=4)
+        found = query(hulls(), T_a, T_b)
+        T_a, T_b = (np.tile(T, (len(signed), 1, 1, 1)) for T in (T_a, T_b))
+        T_b[..., :3, 3] += (signed[:, None] - found.distance)[..., None] * found.normal
+        pairs = hulls()
+    else:
+        a, b, apart = {
+            "balls": (ball, ball, 0.04),
+            "ball and cube": (ball, cube(side), 0.02 + side / 2),
+            "cubes face to face": (cube(side), cube(side), side),
+            "cubes edge to edge": (cube(side), diamond, side / 2 + side / np.sqrt(2.0)),
+        }[kind]
+        pairs = pair(a, b)
+        T_a, T_b = beside(apart + signed, TURNED)
+    found = query(pairs, T_a, T_b)
+    np.testing.assert_allclose(found.distance[:, 0], signed, rtol=0, atol=limit(0.04))
+    np.testing.assert_array_equal(found.status[:, 0] == QueryStatus.SEPARATED, signed > 0)
+    gap = np.linalg.norm(found.point_b - found.point_a, axis=-1)[:, 0]
+    np.testing.assert_allclose(gap, np.abs(signed), rtol=0, atol=limit(0.04))
+
+
+@pytest.mark.parametrize("gap", [1e-6, 1e-7, 1e-9, -1e-8, -1e-7])
+def test_boxes_of_a_micrometre_have_distances(gap: float) -> None:
+    pairs = pair(cube(1e-6), cube(1e-6))
+    T_a, T_b = beside(np.array([1e-6 + gap]), exp_se3(np.array([0, 0, 0, 0.7, -0.4, 1.1])))
+    found = query(pairs, T_a, T_b)
+    assert abs(found.distance[0, 0] - gap) < limit(1e-6 * np.sqrt(3.0))
+    assert (found.status[0, 0] == QueryStatus.SEPARATED) == (gap > 0)
+    np.testing.assert_allclose(found.normal[0, 0], exp_se3(np.array([0, 0, 0, 0.7, -0.4, 1.1]))[:3, 0], atol=1e-6)
+
+
+# large translations
+
+
+@pytest.mark.parametrize("gap", [1e-2, 1e-4, -1e-3])
+@pytest.mark.parametrize("far", [1.0, 1e3, 1e6])
+def test_a_thousand_kilometres_from_the_origin_distances_are_right(far: float, gap: float) -> None:
+    """Poses there round to 1e-10 m; the limit has a hundredth of a micrometre for a position of 1e6 m."""
+    T_a, T_b = poses_at_gap(hulls(), 5, gap, seed=2)
+    near = query(hulls(), T_a, T_b)
+    away = far * np.array([1.0, -0.5, 0.25])
+    T_a[..., :3, 3] += away
+    T_b[..., :3, 3] += away
+    found = query(hulls(), T_a, T_b)
+    np.testing.assert_array_equal(found.status, near.status)
+    # Of each coordinate half a unit in the last place may be lost, of both bodies.
+    rounding = 4.0 * np.spacing(far)
+    np.testing.assert_allclose(found.distance, near.distance, rtol=0, atol=limit(0.1, far) + rounding)
+    np.testing.assert_allclose(found.point_a, near.point_a + away, rtol=0, atol=1e-5)
+    layer = WitnessLayer(hulls(), ContactKinematics())
+    gradient = gradients(layer, T_a, T_b, random_cotangents(near, FIELDS, seed=3))
+    assert torch.isfinite(gradient).all()
+
+
+# poses that are not finite
+
+
+@pytest.fixture(scope="module")
+def poses() -> tuple[np.ndarray, np.ndarray]:
+    """Poses (8, 1, 4, 4) of two hulls, a millimetre apart or deep."""
+    apart, deep = poses_at_gap(hulls(), 4, 1e-3, seed=0), poses_at_gap(hulls(), 4, -1e-3, seed=1)
+    return tuple(np.concatenate(side) for side in zip(apart, deep, strict=True))
+
+
+METHODS = {"contact kinematics": ContactKinematics(), "distance": Distance(), "zeroth order": ZerothOrder()}
+
+
+@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e12])
+def test_a_pose_that_is_not_finite_costs_only_itself(
+    poses: tuple[np.ndarray, np.ndarray], value: float, name: str
+) -> None:
+    T_a, T_b = (T.copy() for T in poses)
+    T_a[2, 0, 1, 3], T_b[5, 0, 0, 0] = value, value if not np.isfinite(value) else np.nan
+    clean, found = query(hulls(), *poses), query(hulls(), T_a, T_b)
+    good = np.array([0, 1, 3, 4, 6, 7])
+    for field in FIELDS:
+        np.testing.assert_array_equal(getattr(found, field)[good], getattr(clean, field)[good])
+    if not np.isfinite(value):
+        assert (found.status[[2, 5]] == QueryStatus.NOT_FINITE).all() and np.isnan(found.distance[[2, 5]]).all()
+    cotangents = random_cotangents(clean, FIELDS, seed=5)
+    for field, unknown in (("distance", np.isnan(found.distance)),):
+        cotangents[field][unknown] = 0.0
+    layer = WitnessLayer(hulls(), METHODS[name])
+    one, other = (gradients(layer, *T, cotangents).numpy() for T in (poses, (T_a, T_b)))
+    np.testing.assert_allclose(other[:, good], one[:, good], rtol=1e-12, atol=1e-12)
+    if not np.isfinite(value):
+        assert (other[:, [2, 5]] == 0.0).all()
+
+
+# memory layouts
+
+
+def layouts(T: np.ndarray) -> dict[str, np.ndarray]:
+    """The same numbers, otherwise in memory."""
+    wide = np.zeros((2 * len(T), 1, 4, 6))
+    wide[::2, :, :, :4] = T
+    locked = T.copy()
+    locked.setflags(write=False)
+    return {
+        "Fortran": np.asfortranarray(T),
+        "every second row of a wider one": wide[::2, :, :, :4],
+        "backwards": T[::-1].copy()[::-1],
+        "transposed": np.ascontiguousarray(T.mT).mT,
+        "locked": locked,
+    }
+
+
+def test_arrays_may_lie_in_memory_as_they_like(poses: tuple[np.ndarray, np.ndarray]) -> None:
+    clean = query(hulls(), *poses)
+    assert not layouts(poses[0])["transposed"].flags.c_contiguous
+    for name, T_a in layouts(poses[0]).items():
+        before = T_a.copy()
+        for T_b in layouts(poses[1]).values():
+            found = query(hulls(), T_a, T_b)
+            for field in (*FIELDS, "status"):
+                np.testing.assert_array_equal(getattr(found, field), getattr(clean, field), err_msg=name)
+        np.testing.assert_array_equal(T_a, before)
+
+
+def test_tensors_may_lie_in_memory_as_they_like(poses: tuple[np.ndarray, np.ndarray]) -> None:
+    layer, cotangents = WitnessLayer(hulls(), ContactKinematics()), random_cotangents(query(hulls(), *poses), FIELDS, 6)
+    expected = gradients(layer, *poses, cotangents).numpy()
+    straight = [torch.from_numpy(T) for T in poses]
+    for view in (
+        lambda T: T.mT.contiguous().mT,
+        lambda T: T.repeat_interleave(2, dim=0)[::2],
+        lambda T: torch.nn.functional.pad(T, (1, 1, 1, 1))[..., 1:5, 1:5],
+    ):
+        leaves = [view(T).detach().requires_grad_() for T in straight]
+        assert not leaves[0].is_contiguous()
+        weighed(layer(*leaves), cotangents).backward()
+        np.testing.assert_array_equal(np.stack([leaf.grad.numpy() for leaf in leaves]), expected)
+
+
+# batches of other sizes, graphs at the same time
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_the_size_of_the_batch_may_change_from_call_to_call(poses: tuple[np.ndarray, np.ndarray], name: str) -> None:
+    layer, whole = WitnessLayer(hulls(), METHODS[name]), query(hulls(), *poses)
+    cotangents = random_cotangents(whole, FIELDS, seed=7)
+    expected = gradients(layer, *poses, cotangents).numpy()
+    for rows in ([3], [0, 1, 2, 3, 4], [7, 2], [], list(range(8)), [1]):
+        T_a, T_b = (T[rows] for T in poses)
+        found = query(hulls(), T_a, T_b)
+        np.testing.assert_array_equal(found.distance, whole.distance[rows])
+        some = {field: cotangent[rows] for field, cotangent in cotangents.items()}
+        one = gradients(layer, T_a, T_b, some).numpy()
+        np.testing.assert_allclose(one, expected[:, rows], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+def test_graphs_that_are_made_together_keep_apart(
+    poses: tuple[np.ndarray, np.ndarray], order: tuple[int, ...], name: str
+) -> None:
+    """Three forward passes of one layer, of other sizes, poses and keys, then their backward passes in any order."""
+    layer = WitnessLayer(hulls(), METHODS[name])
+    parts = [tuple(T[rows] for T in poses) for rows in ([0, 1, 2], [5, 6], [3])]
+    cotangents = [random_cotangents(query(hulls(), *part), FIELDS, seed) for seed, part in enumerate(parts)]
+    expected = [gradients(layer, *part, cotangents[k], key=k).numpy() for k, part in enumerate(parts)]
+    leaves = [[torch.from_numpy(T.copy()).requires_grad_() for T in part] for part in parts]
+    losses = [weighed(layer(*pair, key=k), cotangents[k]) for k, pair in enumerate(leaves)]
+    for k in order:
+        losses[k].backward()
+    for k, pair_of_leaves in enumerate(leaves):
+        found = np.stack([leaf.grad.numpy() for leaf in pair_of_leaves])
+        np.testing.assert_array_equal(found, expected[k])
+
+
+# noise
+
+
+@pytest.mark.parametrize("method", [ZerothOrder(), ContactKinematics(), Distance()], ids=lambda m: type(m).__name__)
+def test_what_is_drawn_depends_on_seed_and_key_only(poses: tuple[np.ndarray, np.ndarray], method: object) -> None:
+    cotangents = random_cotangents(query(hulls(), *poses), FIELDS, seed=8)
+    torch.manual_seed(1)
+    np.random.seed(1)  # noqa: NPY002
+    first = gradients(WitnessLayer(hulls(), method), *poses, cotangents, key=3).numpy()
+    state = torch.get_rng_state()
+    torch.manual_seed(2)
+    np.random.seed(2)  # noqa: NPY002
+    drawn = torch.rand(1).item()
+    again = gradients(WitnessLayer(hulls(), method), *poses, cotangents, key=3).numpy()
+    np.testing.assert_array_equal(again, first)
+    # The caller's generators are left alone.
+    torch.manual_seed(1)
+    assert torch.equal(torch.get_rng_state(), state)
+    torch.manual_seed(2)
+    assert torch.rand(1).item() == drawn
+
+
+def test_other_seeds_and_keys_draw_other_samples(poses: tuple[np.ndarray, np.ndarray]) -> None:
+    cotangents = random_cotangents(query(hulls(), *poses), FIELDS, seed=8)
+    first, key, seed = (
+        gradients(WitnessLayer(hulls(), ZerothOrder(seed=s)), *poses, cotangents, key=k).numpy()
+        for s, k in ((0, 0), (0, 1), (1, 0))
+    )
+    assert np.abs(first - key).max() > 1e-3 * np.abs(first).max()
+    assert np.abs(first - seed).max() > 1e-3 * np.abs(first).max()
+
+
+# scales
+
+
+SCALES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
+"""Diagonals in metres."""
+
+
+@cache
+def scaled(diagonal: float) -> Pairs:
+    """Two ellipsoids of about that size."""
+    bodies = []
+    for seed in (0, 1):
+        vertices = ellipsoid_hull(seed, 100, (0.5, 0.3, 0.2)).vertices
+        bodies.append(build_body(f"hull {seed}", [hull(diagonal * vertices)], seed=seed))
+    return pair(*bodies)
+
+
+@pytest.mark.parametrize("diagonal", SCALES)
+def test_a_world_of_another_size_has_answers_of_that_size(diagonal: float) -> None:
+    """Distances and points scale, normals stay; from a tenth of a diagonal apart to total penetration."""
+    T_a, T_b = random_poses(40, seed=9, spread=0.4), random_poses(40, seed=10, spread=0.4)
+    unit = query(scaled(1.0), T_a, T_b)
+    assert (unit.distance > 0.1).any() and (unit.distance < -0.1).any()
+    for T in (T_a, T_b):
+        T[..., :3, 3] *= diagonal
+    found = query(scaled(diagonal), T_a, T_b)
+    np.testing.assert_array_equal(found.status, unit.status)
+    np.testing.assert_allclose(found.distance / diagonal, unit.distance, rtol=0, atol=2e-8)
+    # Points and normals are as good as the distance lets them be where surfaces are flat.
+    np.testing.assert_allclose(found.normal, unit.normal, atol=1e-3)
+    off = np.maximum(*(np.abs(getattr(found, name) / diagonal - getattr(unit, name)) for name in FIELDS[:2])).max(-1)
+    assert off.max() < 1e-4 and off[unit.distance > 0].max() < 1e-6
+
+
+@pytest.mark.parametrize("diagonal", SCALES)
+def test_the_gradient_of_the_distance_scales(diagonal: float) -> None:
+    """That by a shift has no unit, that by a turn is a length."""
+    cotangents = {"distance": np.ones((12, 1))}
+    found = []
+    for size in (1.0, diagonal):
+        T_a, T_b = poses_at_gap(scaled(1.0), 12, 0.05, seed=11)
+        for T in (T_a, T_b):
+            T[..., :3, 3] *= size
+        found.append(gradients(WitnessLayer(scaled(size), ContactKinematics()), T_a, T_b, cotangents).numpy())
+    np.testing.assert_allclose(found[1][..., :3, 3], found[0][..., :3, 3], atol=1e-4)
+    np.testing.assert_allclose(np.linalg.norm(found[1][..., :3, 3], axis=-1), 1.0, atol=1e-9)
+    np.testing.assert_allclose(found[1][..., :3, :3] / diagonal, found[0][..., :3, :3], atol=1e-4)

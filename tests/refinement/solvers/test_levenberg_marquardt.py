@@ -1,0 +1,274 @@
+"""Steps within bounds against scipy and closed forms; how lambda moves."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import lsq_linear
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt, bounded_step
+from refusals import refused
+
+
+def problems(count: int, m: int, n: int, seed: int) -> tuple[np.ndarray, ...]:
+    """J, r, lambda and W."""
+    rng = np.random.default_rng(seed)
+    J, r = rng.normal(size=(count, m, n)), rng.normal(size=(count, m))
+    return J, r, 10.0 ** rng.uniform(-4, 1, count), rng.uniform(0.2, 2.0, (count, n))
+
+
+def damped_loss(J: np.ndarray, r: np.ndarray, damping: np.ndarray, metric: np.ndarray, dx: np.ndarray) -> np.ndarray:
+    """|J dx + r|^2 + lambda dx . W dx, which a step minimises within its bounds."""
+    left = np.einsum("bij,bj->bi", J, dx) + r
+    return (left**2).sum(axis=1) + damping * (metric * dx * dx).sum(axis=1)
+
+
+def optimum(
+    J: np.ndarray, r: np.ndarray, damping: np.ndarray, metric: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> np.ndarray:
+    """The same by scipy, one after the other; variables without room are taken out."""
+    rows = []
+    for i in range(len(r)):
+        room = upper[i] > lower[i]
+        A = np.concatenate([J[i], np.diag(np.sqrt(damping[i] * metric[i]))])[:, room]
+        b = np.concatenate([-r[i], np.zeros(len(room))])
+        dx = np.zeros(len(room))
+        if room.any():
+            dx[room] = lsq_linear(A, b, (lower[i][room], upper[i][room]), tol=1e-14, method="bvls").x
+        rows.append(dx)
+    return np.array(rows)
+
+
+FREE = 1e9
+
+
+@pytest.mark.parametrize("m", [3, 8, 20])
+def test_without_active_bounds_steps_are_those_of_the_normal_equations(m: int) -> None:
+    J, r, damping, metric = problems(20, m, 6, 0)
+    dx, fall = bounded_step(J, r, damping, metric, np.full((20, 6), -FREE), np.full((20, 6), FREE))
+    for i in range(20):
+        expected = np.linalg.solve(J[i].T @ J[i] + damping[i] * np.diag(metric[i]), -J[i].T @ r[i])
+        np.testing.assert_allclose(dx[i], expected, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(
+        dx, optimum(J, r, damping, metric, *np.full((2, 20, 6), FREE) * [[[-1]], [[1]]]), atol=1e-8
+    )
+
+
+def test_with_active_bounds_steps_are_the_optimum_within_them() -> None:
+    """Held unknowns are released again: without that, two of three steps were not the best, and some went uphill."""
+    J, r, damping, metric = problems(300, 12, 6, 1)
+    rng = np.random.default_rng(2)
+    lower, upper = -rng.uniform(0, 0.3, (300, 6)), rng.uniform(0, 0.3, (300, 6))
+    dx, fall = bounded_step(J, r, damping, metric, lower, upper)
+    assert (dx >= lower).all() and (dx <= upper).all()
+    best = optimum(J, r, damping, metric, lower, upper)
+    held = ((best == lower) | (best == upper)).sum(axis=1)
+    assert held.min() == 0 and held.max() >= 5
+    start = (r**2).sum(axis=1)
+    won, possible = start - damped_loss(J, r, damping, metric, dx), start - damped_loss(J, r, damping, metric, best)
+    assert (won <= possible * (1 + 1e-9)).all()
+    np.testing.assert_allclose(won, possible, rtol=1e-9)
+    np.testing.assert_allclose(dx, best, atol=1e-6)
+    assert (fall > 0).all()
+
+
+@pytest.mark.parametrize("room", [(0.5, 0.5), (0.0, 0.5)])
+def test_as_many_unknowns_as_a_hand_has_settle_too(room: tuple[float, float]) -> None:
+    """Some at their limits, all in a box, hardly damped."""
+    J, r, damping, metric = problems(100, 35, 28, 13)
+    damping = damping * 1e-4
+    lower, upper = np.full((100, 28), -0.5), np.full((100, 28), 0.5)
+    lower[:, 10:14], upper[:, 14:18] = -room[0], room[0]
+    dx, fall = bounded_step(J, r, damping, metric, lower, upper)
+    np.testing.assert_allclose(dx, optimum(J, r, damping, metric, lower, upper), atol=1e-6)
+
+
+def test_unknowns_that_do_not_meet_in_a_residual_stop_at_their_own_bounds() -> None:
+    """With a diagonal J the optimum is that of each unknown, cut off."""
+    rng = np.random.default_rng(3)
+    slope, r = rng.uniform(0.5, 2, (50, 5)), rng.normal(size=(50, 5))
+    damping, metric = rng.uniform(0, 1, 50), rng.uniform(0.5, 1, (50, 5))
+    lower, upper = -rng.uniform(0, 1, (50, 5)), rng.uniform(0, 1, (50, 5))
+    J = slope[:, :, None] * np.eye(5)
+    dx, _ = bounded_step(J, r, damping, metric, lower, upper)
+    expected = np.clip(-slope * r / (slope**2 + damping[:, None] * metric), lower, upper)
+    np.testing.assert_allclose(dx, expected, atol=1e-12)
+
+
+def test_a_held_unknown_changes_what_the_others_do() -> None:
+    """r = [x + y - 2, y]: at x <= 0.5 the best y is 0.75, not the 0 that cutting off the free step would leave."""
+    J, r = np.array([[[1.0, 1.0], [0.0, 1.0]]]), np.array([[-2.0, 0.0]])
+    dx, fall = bounded_step(J, r, np.zeros(1), np.ones((1, 2)), np.full((1, 2), -9.0), np.array([[0.5, 9.0]]))
+    np.testing.assert_allclose(dx, [[0.5, 0.75]], atol=1e-12)
+    assert fall[0] == pytest.approx(4.0 - 0.75**2 - 0.75**2)
+
+
+def test_where_there_is_no_room_nothing_moves() -> None:
+    J, r, damping, metric = problems(10, 7, 4, 4)
+    zero = np.zeros((10, 4))
+    dx, fall = bounded_step(J, r, damping, metric, zero, zero)
+    np.testing.assert_array_equal(dx, 0.0)
+    np.testing.assert_array_equal(fall, 0.0)
+    # Some without room, the others free.
+    lower, upper = np.full((10, 4), -FREE), np.full((10, 4), FREE)
+    lower[:, 1], upper[:, 1] = 0.0, 0.0
+    dx, _ = bounded_step(J, r, damping, metric, lower, upper)
+    np.testing.assert_allclose(dx, optimum(J, r, damping, metric, lower, upper), atol=1e-7)
+
+
+@pytest.mark.parametrize("m", [0, 1])
+def test_fewer_residuals_than_unknowns_are_damped(m: int) -> None:
+    J, r, damping, metric = problems(5, m, 4, 5)
+    bounds = np.full((2, 5, 4), 0.05) * [[[-1]], [[1]]]
+    dx, fall = bounded_step(J, r, damping, metric, *bounds)
+    assert np.isfinite(dx).all() and (np.abs(dx) <= 0.05).all() and (fall >= 0).all()
+    if not m:
+        np.testing.assert_array_equal(dx, 0.0)
+
+
+def test_the_prediction_is_the_fall_of_a_linear_problem() -> None:
+    J, r, damping, metric = problems(100, 9, 5, 6)
+    rng = np.random.default_rng(7)
+    for room in (FREE, 0.1):
+        bounds = room * rng.uniform(0, 1, (2, 100, 5)) * [[[-1]], [[1]]]
+        dx, fall = bounded_step(J, r, damping, metric, *bounds)
+        after = np.einsum("bij,bj->bi", J, dx) + r
+        np.testing.assert_allclose(fall, (r**2).sum(axis=1) - (after**2).sum(axis=1), rtol=1e-9, atol=1e-12)
+        assert (fall > 0).all()
+
+
+# one-sided rows
+
+
+def one_sided_problems(count: int, seed: int) -> tuple[np.ndarray, ...]:
+    """J, r, lambda, W and which rows are one-sided: half of them, some positive at first."""
+    J, r, damping, metric = problems(count, 14, 6, seed)
+    one_sided = np.tile(np.arange(14) % 2 == 0, (count, 1))
+    return J, r, damping, metric, one_sided
+
+
+def one_sided_loss(J: np.ndarray, r: np.ndarray, one_sided: np.ndarray, dx: np.ndarray) -> np.ndarray:
+    after = r + np.einsum("bij,bj->bi", J, dx)
+    return (np.where(one_sided, np.maximum(after, 0.0), after) ** 2).sum(axis=1)
+
+
+def test_one_sided_rows_count_where_they_are_positive_after_the_step() -> None:
+    """r = [x - 1, 3 (x - 0.5)+]: neither 1, as if it were free, nor 0.55, as if it pulled from below as well."""
+    J, damping = np.array([[[1.0], [3.0]]]), np.zeros(1)
+    bounds = np.full((1, 1), -9.0), np.full((1, 1), 9.0)
+    one_sided = np.array([[False, True]])
+    dx, fall = bounded_step(J, np.array([[-1.0, -1.5]]), damping, np.ones((1, 1)), *bounds, one_sided)
+    np.testing.assert_allclose(dx, [[0.55]], atol=1e-12)
+    assert fall[0] == pytest.approx(1.0 - 0.45**2 - 0.15**2)
+    # r = [x + 1, 3 (x + 0.1)+]: what a step leaves does not hold it back nor push it on.
+    dx, fall = bounded_step(J, np.array([[1.0, 0.3]]), damping, np.ones((1, 1)), *bounds, one_sided)
+    np.testing.assert_allclose(dx, [[-1.0]], atol=1e-12)
+    assert fall[0] == pytest.approx(1.09)
+
+
+@pytest.mark.parametrize("room", [FREE, 0.3])
+def test_steps_with_one_sided_rows_are_the_optimum_and_foretell_the_fall(room: float) -> None:
+    """The damped loss is convex and piecewise quadratic: at its minimum no way within the bounds leads down."""
+    J, r, damping, metric, one_sided = one_sided_problems(200, 14)
+    rng = np.random.default_rng(15)
+    lower, upper = -room * rng.uniform(0.1, 1, (200, 6)), room * rng.uniform(0.1, 1, (200, 6))
+    dx, fall = bounded_step(J, r, damping, metric, lower, upper, one_sided)
+    assert (dx >= lower).all() and (dx <= upper).all()
+    zero = np.zeros_like(dx)
+    np.testing.assert_allclose(
+        fall, one_sided_loss(J, r, one_sided, zero) - one_sided_loss(J, r, one_sided, dx), rtol=1e-9, atol=1e-12
+    )
+    after = r + np.einsum("bij,bj->bi", J, dx)
+    slope = (
+        np.einsum("bij,bi->bj", J, np.where(one_sided, np.maximum(after, 0.0), after)) + damping[:, None] * metric * dx
+    )
+    free = np.where((dx <= lower) & (slope > 0) | (dx >= upper) & (slope < 0), 0.0, slope)
+    settled = np.abs(free).max(axis=1) < 1e-8
+    assert settled.mean() > 0.9 and (fall[settled] > 0).all() and (fall > 0).mean() > 0.99
+
+
+def test_without_one_sided_rows_that_matter_nothing_changes() -> None:
+    J, r, damping, metric, one_sided = one_sided_problems(20, 16)
+    bounds = np.full((20, 6), -0.3), np.full((20, 6), 0.3)
+    plain = bounded_step(J, r, damping, metric, *bounds)
+    for found, expected in zip(
+        bounded_step(J, r, damping, metric, *bounds, np.zeros_like(one_sided)), plain, strict=True
+    ):
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
+    far = np.where(one_sided, -1e3, r)
+    masked = np.where(one_sided, 0.0, r), np.where(one_sided[..., None], 0.0, J)
+    found = bounded_step(J, far, damping, metric, *bounds, one_sided)
+    np.testing.assert_allclose(found[0], bounded_step(masked[1], masked[0], damping, metric, *bounds)[0], atol=1e-12)
+
+
+def test_more_damping_means_shorter_steps_that_turn_to_the_gradient() -> None:
+    J, r, _, metric = problems(1, 9, 5, 8)
+    bounds = np.full((1, 5), -FREE), np.full((1, 5), FREE)
+    lengths = []
+    for damping in 10.0 ** np.arange(-6, 9):
+        dx, fall = bounded_step(J, r, np.array([damping]), metric, *bounds)
+        lengths.append(float(np.sqrt((metric * dx * dx).sum())))
+    assert (np.diff(lengths) < 0).all() and fall > 0
+    steepest = -(J[0].T @ r[0]) / metric[0]
+    assert dx[0] @ steepest == pytest.approx(np.linalg.norm(dx) * np.linalg.norm(steepest), rel=1e-6)
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-10), (torch.float32, 1e-3)])
+def test_torch_and_numpy_agree(dtype: torch.dtype, tolerance: float) -> None:
+    arrays = problems(30, 8, 6, 9)
+    rng = np.random.default_rng(10)
+    arrays = (*arrays, -rng.uniform(0, 0.3, (30, 6)), rng.uniform(0, 0.3, (30, 6)))
+    tensors = [torch.from_numpy(a).to(dtype) for a in arrays]
+    for found, expected in zip(bounded_step(*tensors), bounded_step(*arrays), strict=True):
+        assert isinstance(found, torch.Tensor) and found.dtype == dtype
+        close = np.abs(found.numpy() - expected) <= tolerance * (1 + np.abs(expected))
+        # In single precision an unknown may end up on the other side of a tie.
+        assert close.mean() > (0.95 if dtype == torch.float32 else 1 - 1e-12)
+
+
+def test_members_do_not_depend_on_each_other() -> None:
+    arrays = problems(40, 8, 6, 11)
+    rng = np.random.default_rng(12)
+    arrays = (*arrays, -rng.uniform(0, 0.3, (40, 6)), rng.uniform(0, 0.3, (40, 6)))
+    dx, fall = bounded_step(*arrays)
+    for rows in ([3], [39, 0, 17]):
+        alone = bounded_step(*(a[rows] for a in arrays))
+        np.testing.assert_allclose(alone[0], dx[rows], rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(alone[1], fall[rows], rtol=1e-12, atol=1e-14)
+
+
+# lambda
+
+
+@pytest.mark.parametrize("library", ["numpy", "torch"])
+def test_lambda_shrinks_after_what_was_predicted_stays_after_less_and_grows_after_a_rejection(library: str) -> None:
+    solver = LevenbergMarquardt(shrink=0.25, grow=8.0, gain=0.5, smallest=1e-3)
+    arrays = (
+        np.array([1.0, 1.0, 1.0, 1.0, 2e-3, 1.0]),
+        np.array([True, True, False, False, True, False]),
+        np.array([0.9, 0.4, -1.0, 0.9, 1.0, np.nan]),
+    )
+    found = solver.adapted(*(arrays if library == "numpy" else map(torch.from_numpy, arrays)))
+    np.testing.assert_allclose(np.asarray(found), [0.25, 1.0, 8.0, 8.0, 1e-3, 8.0])
+
+
+@pytest.mark.parametrize(("shrink", "grow"), [(1.0, 4.0), (0.0, 4.0), (0.3, 1.0), (-0.1, 4.0)])
+def test_a_lambda_that_would_not_move_is_refused(shrink: float, grow: float) -> None:
+    with refused(GraspRefineError, "shrink", "grow", "(0, 1)", f"{shrink:g} and {grow:g}"):
+        LevenbergMarquardt(shrink=shrink, grow=grow)
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"damping": 0.0}, ("damping", "0")),
+        ({"damping": float("nan")}, ("damping", "nan")),
+        ({"smallest": -1e-7}, ("smallest", "0", "-1e-07")),
+        ({"progress": 0.0}, ("progress", "(0, 1)", " 0")),
+        ({"progress": 1.0}, ("progress", "(0, 1)", " 1")),
+        ({"widths": ()}, ("widths",)),
+    ],
+)
+def test_settings_that_cannot_work_are_refused(settings: dict[str, object], named: tuple[str, ...]) -> None:
+    with refused(GraspRefineError, *named):
+        LevenbergMarquardt(**settings)

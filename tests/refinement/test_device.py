@@ -1,0 +1,104 @@
+"""Devices: everything but collision queries runs where it is asked to.
+
+Without a GPU, a default device on which numbers cannot be read stands for "another device": a tensor that is made
+without saying where would end up there, and could not be used with the others. With one, results are compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.grasps.grasp_set import load_grasps
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.goal import goal_of
+from grasp_refine.refinement.objective import Objective
+from grasp_refine.refinement.refine import refine
+from grasp_refine.refinement.solvers.adam import Adam
+from grasp_refine.refinement.solvers.descent import Descent
+from grasp_refine.refinement.solvers.least_squares import Point
+from grasp_refine.scene.scene import Scene
+from grasp_refine.witness.analytical import Analytical
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.derivative import Derivative
+from grasp_refine.witness.direction import Direction
+from grasp_refine.witness.distance import Distance
+from grasp_refine.witness.finite_difference import FiniteDifference
+from grasp_refine.witness.zeroth_order import ZerothOrder
+from grasp_refine_apps.cli import main
+
+METHODS = [ContactKinematics(), Distance(), Direction(), Analytical(), ZerothOrder(), FiniteDifference()]
+
+needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device is here")
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """Grasps of the embedded hand on the embedded box."""
+    grasps = load_grasps(resource_dir("robots") / "allegro/example_rounded_box.npz").select(np.arange(2))
+    obj = load_object("rounded_box", candidates=256)
+    return Scene(load_hand("allegro", candidates=256), obj, transform_from_pose(grasps.hand_pose), grasps.q)
+
+
+@pytest.fixture
+def elsewhere() -> Iterator[None]:
+    """A default device that is none."""
+    before = torch.get_default_device()
+    torch.set_default_device("meta")
+    yield
+    torch.set_default_device(before)
+
+
+def objective(scene: Scene, config: Config) -> Objective:
+    return Objective(scene, goal_of(scene, config.touching, nearest=config.nearest), config)
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda method: type(method).__name__)
+@pytest.mark.parametrize("nearest", [False, True], ids=["anywhere", "targets"])
+def test_losses_and_gradients_leave_no_tensor_elsewhere(
+    scene: Scene, method: Derivative, nearest: bool, request: pytest.FixtureRequest
+):
+    config = Config(solver=Descent(transport=True), derivative=method, nearest=nearest)
+    of = objective(scene, config)
+    start = torch.as_tensor(scene.T_world_root), torch.as_tensor(scene.q)
+    expected = of.evaluate(np.arange(2), *start, 0, None)
+    request.getfixturevalue("elsewhere")
+    loss, gradient, _ = of.evaluate(np.arange(2), *start, 0, None)
+    assert loss.device.type == gradient.device.type == "cpu"
+    torch.testing.assert_close(loss, expected[0])
+    torch.testing.assert_close(gradient, expected[1])
+
+
+@pytest.mark.parametrize("solver", [Descent(iterations=3), Adam(iterations=3)], ids=["descent", "adam"])
+def test_steps_leave_no_tensor_elsewhere(scene: Scene, solver: Descent | Adam, request: pytest.FixtureRequest):
+    from grasp_refine.refinement.solvers.first_order import descend
+
+    of = objective(scene, Config(solver=solver, nearest=True))
+    request.getfixturevalue("elsewhere")
+    found = descend(of, Point(scene.T_world_root, scene.q), solver, 0.0, status=np.zeros(2, dtype=np.int64))
+    assert (found.loss[:, 1] < found.loss[:, 0]).all()
+
+
+@needs_gpu
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("method", METHODS, ids=lambda method: type(method).__name__)
+def test_a_gpu_finds_what_the_cpu_finds(scene: Scene, method: Derivative, dtype: str):
+    config = Config(solver=Descent(iterations=5, transport=True), derivative=method, nearest=True, dtype=dtype)
+    on_cpu, on_gpu = (refine(scene, replace(config, device=device)) for device in ("cpu", "cuda"))
+    tolerance = 1e-9 if dtype == "float64" else 1e-3
+    np.testing.assert_allclose(on_gpu.loss, on_cpu.loss, rtol=tolerance)
+    np.testing.assert_allclose(on_gpu.q, on_cpu.q, atol=tolerance)
+    np.testing.assert_allclose(on_gpu.T_world_root, on_cpu.T_world_root, atol=tolerance)
+
+
+@needs_gpu
+def test_the_command_refines_on_a_gpu(workplace: None):
+    assert main(["run", "--solver", "descent", "--device", "cuda", "--iterations", "20", "--index", "0"]) == 0

@@ -1,0 +1,612 @@
+"""Grasps as least squares: the Jacobian against finite differences, the loss against `Objective`, culling, limits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.collision.query import QueryStatus
+from grasp_refine.core.array_records import take
+from grasp_refine.core.se3 import exp_se3, matvec, tangents, transform_from_pose, transform_points
+from grasp_refine.grasps.grasp_set import load_grasps
+from grasp_refine.hands.chain import moved
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.objects.object import load_object
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.goal import Goal, goal_of
+from grasp_refine.refinement.grasp_problem import BOX, NOISE, GraspProblem, Known
+from grasp_refine.refinement.losses import Weights
+from grasp_refine.refinement.objective import Objective
+from grasp_refine.refinement.solvers.adam import Adam
+from grasp_refine.refinement.solvers.least_squares import Point, minimise
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.solvers.rows import NEAR
+from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.scene import Scene
+
+GRIPPER = """<robot name="gripper">
+  <link name="base"><collision><origin xyz="0 0 -0.03"/><geometry><sphere radius="0.02"/></geometry></collision></link>
+  <link name="left"><collision><geometry><sphere radius="0.012"/></geometry></collision></link>
+  <link name="right"><collision><geometry><sphere radius="0.011"/></geometry></collision></link>
+  <link name="thumb"><collision><origin xyz="0 0 0.06"/><geometry><sphere radius="0.01"/></geometry></collision></link>
+  <joint name="left_slide" type="prismatic">
+    <parent link="base"/><child link="left"/><origin xyz="0.02 0 0.04" rpy="0 0.1 0"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="0.05" effort="3" velocity="1"/>
+  </joint>
+  <joint name="right_slide" type="prismatic">
+    <parent link="base"/><child link="right"/><origin xyz="-0.02 0 0.04"/><axis xyz="-1 0 0"/>
+    <mimic joint="left_slide" multiplier="0.8" offset="0.002"/><limit lower="0" upper="0.05" effort="3" velocity="1"/>
+  </joint>
+  <joint name="thumb_turn" type="revolute">
+    <parent link="base"/><child link="thumb"/><origin xyz="0 0.04 -0.01"/><axis xyz="1 0 0"/>
+    <limit lower="-0.5" upper="1.2" effort="3" velocity="1"/>
+  </joint>
+</robot>"""
+"""Balls on slides, one of which follows the other, and on a hinge: curvatures are known everywhere."""
+
+
+HALF_WAY = 0.015
+"""Links that are deeper in the object's ball than half its radius are followed only in direction."""
+
+
+@pytest.fixture(scope="module")
+def gripper(tmp_path_factory: pytest.TempPathFactory) -> Hand:
+    path = tmp_path_factory.mktemp("gripper") / "gripper.urdf"
+    path.write_text(GRIPPER)
+    return load_hand(path, candidates=8192)
+
+
+@pytest.fixture(scope="module")
+def allegro() -> Hand:
+    return load_hand("allegro", candidates=256)
+
+
+def around_ball(hand: Hand, count: int, seed: int, source: str = "sphere:0.03") -> Scene:
+    """Random hands of which some links are in the object or in each other."""
+    rng = np.random.default_rng(seed)
+    T = exp_se3(rng.normal(size=(count, 6)) * [0.01, 0.01, 0.01, 0.3, 0.3, 0.3])
+    if hand.name == "allegro":
+        T[:, :3, 3] += [-0.075, 0.0, -0.03]
+    else:
+        T[:, :3, 3] += [0.0, 0.0, -0.04]
+    q = rng.uniform(hand.lower, hand.upper, (count, len(hand.lower)))
+    candidates = len(hand.links_by_name[hand.contacts[0].link].body.candidates.points)
+    return Scene(hand, load_object(source, candidates=candidates), T, q)
+
+
+@pytest.fixture(scope="module")
+def examples(allegro: Hand) -> Scene:
+    """The four example grasps of the embedded hand on the embedded box."""
+    grasps = load_grasps(resource_dir("robots") / "allegro/example_rounded_box.npz")
+    obj = load_object("rounded_box", candidates=256)
+    return Scene(allegro, obj, transform_from_pose(grasps.hand_pose), grasps.q)
+
+
+def rows_of(scene: Scene, m: int) -> Scene:
+    """One grasp of a scene."""
+    targets = {name: getattr(scene, name)[[m]] for name in ("target_link", "target_object")}
+    return replace(scene, T_world_root=scene.T_world_root[[m]], q=scene.q[[m]], **targets)
+
+
+def aimed_at(scene: Scene, links: int, seed: int) -> Scene:
+    """The first links should touch at points that are near neither now."""
+    rng = np.random.default_rng(seed)
+    shape = (len(scene.q), len(scene.links), 3)
+    on_link, on_object = np.full((2, *shape), np.nan)
+    on_link[:, :links] = 0.02 * rng.normal(size=(shape[0], links, 3))
+    on_object[:, :links] = 0.03 * rng.normal(size=(shape[0], links, 3))
+    return replace(scene, target_link=on_link, target_object=on_object)
+
+
+def with_directions(scene: Scene, links: int, seed: int) -> Scene:
+    wanted = np.full((len(scene.q), len(scene.links), 3), np.nan)
+    n = np.random.default_rng(seed).normal(size=(len(scene.q), links, 3))
+    wanted[:, :links] = n / np.linalg.norm(n, axis=-1, keepdims=True)
+    return replace(scene, direction=wanted)
+
+
+def partly(goal: Goal, extra: int) -> Goal:
+    """The goal, and that `extra` more links should touch anywhere."""
+    touching = goal.touching.copy()
+    first = int(goal.aimed.any(axis=0).sum())
+    touching[:, first : first + extra] = True
+    return replace(goal, touching=touching)
+
+
+ALL = Weights(1.0, 50.0, 30.0, table=20.0, stay_near=1e-4, direction=1e-3, wrench=0.0)
+NO_FORCES = Weights(wrench=0.0)
+
+
+def point_of(scene: Scene) -> Point:
+    hand = scene.hand
+    return Point(scene.T_world_root, np.clip(scene.q, hand.lower, hand.upper))
+
+
+def stepped(point: Point, dx: np.ndarray) -> Point:
+    """Points after the same step (6 + n,) without any limits."""
+    return Point(moved(point.T, np.tile(dx[:6], (len(point.q), 1))), point.q + dx[6:])
+
+
+def slopes(value: object, point: Point, h: float) -> np.ndarray:
+    """Central differences (..., 6 + n) of value(point) in root and joints."""
+    columns = []
+    for k in range(6 + point.q.shape[1]):
+        dx = h * np.eye(6 + point.q.shape[1])[k]
+        columns.append((value(stepped(point, dx)) - value(stepped(point, -dx))) / (2 * h))
+    return np.stack(columns, axis=-1)
+
+
+def linearized(problem: GraspProblem, at: Point, known: Known, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (M, m) and Jacobians (M, m, 6 + n); one-sided rows that are not positive are zero."""
+    count = len(at.q)
+    linear = problem.linearize(np.arange(count), at, known, np.full(count, width))
+    counts = np.ones(linear.residual.shape, dtype=bool)
+    if linear.one_sided is not None:
+        counts = ~linear.one_sided | (linear.residual > 0)
+    return np.where(counts, linear.residual, 0.0), np.where(counts[..., None], linear.jacobian, 0.0)
+
+
+def every(scene: Scene) -> np.ndarray:
+    return np.arange(len(scene.q))
+
+
+# the Jacobian
+
+
+@pytest.mark.parametrize("weights", [
+    Weights(penetration=0.0, self_penetration=0.0, wrench=0.0),
+    Weights(contact=0.0, penetration=70.0, self_penetration=0.0, wrench=0.0),
+    Weights(contact=0.0, penetration=0.0, self_penetration=40.0, wrench=0.0),
+    Weights(contact=0.0, penetration=0.0, self_penetration=0.0, table=30.0, wrench=0.0),
+    Weights(contact=0.0, penetration=0.0, self_penetration=0.0, table=0.0, stay_near=1e-3, wrench=0.0),
+    ALL,
+], ids=["gap", "penetration", "self-penetration", "table", "stay near", "all"])  # fmt: skip
+@pytest.mark.parametrize("which", ["allegro", "gripper"])
+def test_the_gradient_of_exact_terms_is_that_of_the_loss(
+    which: str, weights: Weights, request: pytest.FixtureRequest
+) -> None:
+    """2 J^T r against finite differences of the true loss: gaps and depths need no curvature."""
+    hand = request.getfixturevalue(which)
+    scene = replace(around_ball(hand, 6, 1), table=Plane((0.0, 0.6, 0.8), -0.01))
+    goal = goal_of(scene, Touching(links=scene.links[:2]))
+    problem = GraspProblem(scene, goal, Config(weights=weights, margin=1e-3))
+    at = point_of(scene)
+    # Not where the hand began, so that there is something to stay near to.
+    at = stepped(at, np.concatenate([[0.003, -0.002, 0.001, 0.05, -0.03, 0.02], np.full(at.q.shape[1], 1e-3)]))
+    rows = every(scene)
+    known = problem.evaluate(rows, at, None)
+    residual, J = linearized(problem, at, known, 1.0)
+    np.testing.assert_allclose((residual**2).sum(axis=1), known.loss, rtol=1e-12)
+    expected = slopes(lambda p: problem.evaluate(rows, p, None).loss, at, 1e-7)
+    found = 2.0 * np.einsum("brk,br->bk", J, residual)
+    scale = np.abs(expected).max(axis=1, keepdims=True)
+    assert (scale > 1e-9).sum() >= 2
+    # A polytope's deepest face may change within a step, in a grasp or two.
+    error = (np.abs(found - expected) / (scale + 1e-9)).max(axis=1)
+    assert (np.sort(error)[:5] < 1e-4).all(), error
+
+
+def hands_own_frame(problem: GraspProblem, at: Point, known: Known, columns: int) -> object:
+    """Gap and misses along the tangents of the first links, as each body sees them (see `losses`)."""
+    w = known.witness.pairs(slice(0, columns))
+    E = tangents(w.normal)
+    on_link = known.T_link[:, :columns, :3, :3].mT @ E
+    goal = problem.goal
+
+    def seen(point: Point) -> np.ndarray:
+        now = problem.evaluate(np.arange(len(point.q)), point, None)
+        found, T = now.witness.pairs(slice(0, columns)), now.T_link[:, :columns]
+        local = matvec(T[..., :3, :3].mT, found.point_a - transform_points(T, goal.target_link[:, :columns]))
+        own, other = matvec(on_link.mT, local), matvec(E.mT, found.point_b - goal.target_object[:, :columns])
+        return np.concatenate([found.distance[..., None], own, other], axis=-1).reshape(len(point.q), -1)
+
+    return seen
+
+
+@pytest.mark.parametrize("width", [0.0, 1.0], ids=["exact features", "fitted"])
+def test_rows_of_targets_are_the_slopes_of_the_misses(gripper: Hand, width: float) -> None:
+    """On balls: those of round features are exact, fitted ones as good as the curvatures."""
+    scene = aimed_at(around_ball(gripper, 6, 2), 4, 3)
+    problem = GraspProblem(
+        scene, goal_of(scene, Touching()), Config(weights=Weights(penetration=0.0, self_penetration=0.0, wrench=0.0))
+    )
+    rows, at = every(scene), point_of(scene)
+    known = problem.evaluate(rows, at, None)
+    assert known.witness.valid.all() and (known.witness.distance < 0).any() and (known.witness.distance > 0).any()
+    residual, J = linearized(problem, at, known, width)
+    links = len(scene.links)
+    # Rows are those of gap, two misses on the link, two on the object, link by link.
+    seen = hands_own_frame(problem, at, known, links)
+    np.testing.assert_allclose(residual, seen(at), atol=1e-12)
+    expected = slopes(seen, at, 1e-6)
+    error = np.abs(J - expected).reshape(6, links, 5, -1)
+    np.testing.assert_allclose(error[:, :, 0], 0.0, atol=1e-6)
+    shallow = known.witness.distance > -HALF_WAY
+    assert 0 < (~shallow).sum() < 6
+    if width == 0.0:
+        np.testing.assert_allclose(error[shallow], 0.0, atol=2e-3)
+        # Deeper, rows are shorter than what happens, and still go the same way.
+        deep = (J * expected).reshape(6, links, -1).sum(axis=-1)[~shallow]
+        assert (deep > 0).all()
+    else:
+        # Deep in a ball, near its centre, points slide far for little, and so does the error.
+        assert np.median(error.max(axis=(2, 3))) < 0.1 and np.quantile(error.max(axis=(2, 3)), 0.9) < 0.5
+
+
+def test_rows_of_directions_are_the_slopes_of_the_normals(gripper: Hand) -> None:
+    scene = with_directions(around_ball(gripper, 6, 4), 3, 5)
+    weights = Weights(contact=0.0, penetration=0.0, self_penetration=0.0, direction=4e-3, wrench=0.0)
+    goal = goal_of(scene, Touching(links=scene.links))
+    problem = GraspProblem(scene, goal, Config(weights=weights))
+    rows, at = every(scene), point_of(scene)
+    known = problem.evaluate(rows, at, None)
+    residual, J = linearized(problem, at, known, 0.0)
+    np.testing.assert_allclose((residual**2).sum(axis=1), known.loss, rtol=1e-12)
+    expected = slopes(lambda p: problem.evaluate(rows, p, None).witness.normal[:, :3].reshape(6, -1), at, 1e-6)
+    # The rows of gap and misses of the same links come first; here they weigh nothing.
+    found, others = J[:, 15:24] / np.sqrt(4e-3), np.delete(J, np.arange(15, 24), axis=1)
+    shallow = np.repeat(known.witness.distance[:, :3] > -HALF_WAY, 3, axis=1)
+    assert shallow.sum() >= 45
+    np.testing.assert_allclose(found[shallow], expected[shallow], rtol=1e-3, atol=1e-2)
+    assert not others.any()
+
+
+def test_the_squares_of_the_rows_are_the_loss_less_the_misses_along_the_normals(examples: Scene) -> None:
+    """Those have no derivative: seen from its body, a witness point moves along its surface."""
+    scene = with_directions(replace(aimed_at(examples, 3, 6), table=Plane(offset=-0.02)), 3, 7)
+    config = Config(weights=ALL, margin=2e-3)
+    goal = partly(goal_of(scene, Touching()), 4)
+    problem = GraspProblem(scene, goal, config)
+    rows, at = every(scene), stepped(point_of(scene), np.concatenate([np.full(6, 0.01), np.zeros(16)]))
+    known = problem.evaluate(rows, at, None)
+    residual, J = linearized(problem, at, known, 1.0)
+    w, T = known.witness.pairs(slice(0, 3)), known.T_link[:, :3]
+    along = [
+        ((w.point_a - transform_points(T, goal.target_link[:, :3])) * w.normal).sum(axis=-1),
+        ((w.point_b - goal.target_object[:, :3]) * w.normal).sum(axis=-1),
+    ]
+    normal_misses = sum((a**2).sum(axis=1) for a in along)
+    assert (normal_misses > 0.01 * known.loss).any()
+    np.testing.assert_allclose((residual**2).sum(axis=1) + ALL.contact * normal_misses, known.loss, rtol=1e-10)
+    assert J.shape == (*residual.shape, 6 + 16) and np.isfinite(J).all()
+
+
+def test_the_prediction_of_a_small_step_comes_true(examples: Scene) -> None:
+    """Where derivatives are exact, the loss falls by what the linear problem says, to second order."""
+    goal = goal_of(examples, Touching(links=examples.links[:4]))
+    problem = GraspProblem(examples, goal, Config(weights=Weights(self_penetration=0.0, wrench=0.0)))
+    rows, at = every(examples), point_of(examples)
+    known = problem.evaluate(rows, at, None)
+    residual, J = linearized(problem, at, known, 1.0)
+    direction = -np.einsum("brk,br->bk", J, residual)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    for h in (1e-4, 1e-5):
+        dx = h * direction
+        now = problem.evaluate(rows, Point(moved(at.T, dx[:, :6]), at.q + dx[:, 6:]), None).loss
+        linear = ((residual + np.einsum("brk,bk->br", J, dx)) ** 2).sum(axis=1)
+        assert (now < known.loss).all()
+        np.testing.assert_allclose(now - known.loss, linear - known.loss, rtol=100 * h)
+
+
+def with_forces(weight: float) -> Weights:
+    """All terms whose derivatives are exact on balls."""
+    return Weights(1.0, 50.0, 30.0, table=20.0, stay_near=1e-4, direction=0.0, wrench=weight)
+
+
+def test_forces_that_balance_are_one_term_among_the_others(gripper: Hand) -> None:
+    """The gradient of the whole sum is that of the loss, whatever the weight, and the rows are its square root long."""
+    scene = replace(around_ball(gripper, 8, 23), table=Plane((0.0, 0.6, 0.8), -0.03))
+    goal = goal_of(scene, Touching(links=scene.links[:3]))
+    rows, at, gradients = every(scene), point_of(scene), []
+    for weight in (0.0, 1e-3, 4e-3):
+        problem = GraspProblem(scene, goal, Config(weights=with_forces(weight)))
+        known = problem.evaluate(rows, at, None)
+        shallow = (known.witness.distance[:, :3] > -0.005).all(axis=1)
+        residual, J = linearized(problem, at, known, 0.0)
+        found = 2.0 * np.einsum("brk,br->bk", J, residual)
+        expected = slopes(lambda p, problem=problem: problem.evaluate(rows, p, None).loss, at, 1e-7)
+        cosine = (found * expected).sum(axis=1) / np.linalg.norm(found, axis=1) / np.linalg.norm(expected, axis=1)
+        assert shallow.sum() >= 3 and (np.sort(cosine[shallow])[1:] >= 0.999).all()
+        gradients.append(found)
+    np.testing.assert_allclose(gradients[2] - gradients[0], 4.0 * (gradients[1] - gradients[0]), atol=1e-9)
+    assert np.abs(gradients[1] - gradients[0]).max() > 1e-5
+
+
+@pytest.mark.parametrize("kind", ["forces", "some targets", "directions"])
+def test_curvatures_are_fitted_only_where_a_term_looks_and_nothing_else_changes(
+    examples: Scene, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, weights = examples, with_forces(1e-3)
+    if kind != "forces":
+        scene, weights = aimed_at(examples, 3, 6), ALL
+        scene.target_link[2:, 0] = scene.target_object[2:, 0] = np.nan
+        scene = with_directions(scene, 2, 7) if kind == "directions" else scene
+    goal = goal_of(scene, Touching(reach=0.02))
+    # The last two grasps do without a link that the others touch with.
+    without = 0 if kind != "forces" else int(np.flatnonzero(goal.touching.all(axis=0))[0])
+    goal.touching[2:, without] = False
+    problem = GraspProblem(scene, goal, Config(weights=weights))
+    known = problem.evaluate(every(scene), at := point_of(scene), None)
+    fit, counts = problem.curvatures.fit, []
+
+    def counted(pair: np.ndarray, *arguments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        counts.append(len(pair))
+        return fit(pair, *arguments)
+
+    monkeypatch.setattr(type(problem.curvatures), "fit", lambda self, *arguments: counted(*arguments))
+    found = linearized(problem, at, known, 1.0)
+    plain = GraspProblem._curvatures
+    monkeypatch.setattr(
+        GraspProblem, "_curvatures", lambda self, looked, *rest: plain(self, np.ones_like(looked), *rest)
+    )
+    for one, other in zip(found, linearized(problem, at, known, 1.0), strict=True):
+        np.testing.assert_array_equal(one, other)
+    few, all_of_them = counts
+    # With a direction there, a link is looked at all the same.
+    assert 0 < few <= all_of_them and (few < all_of_them or kind == "directions")
+
+
+def test_with_given_targets_forces_need_not_balance(examples: Scene) -> None:
+    """Targets say where contacts are."""
+    scene = aimed_at(examples, 3, 24)
+    found = [
+        GraspProblem(scene, goal_of(scene, Touching()), Config(weights=weights)).evaluate(
+            every(scene), point_of(scene), None
+        )
+        for weights in (Weights(), NO_FORCES)
+    ]
+    np.testing.assert_array_equal(found[0].loss, found[1].loss)
+
+
+# the loss
+
+
+@pytest.mark.parametrize("kind", ["gaps", "targets", "nearest", "all"])
+def test_the_loss_is_that_of_the_other_solvers(examples: Scene, kind: str) -> None:
+    scene = examples if kind in ("gaps", "nearest") else aimed_at(examples, 4, 8)
+    if kind == "all":
+        scene = with_directions(replace(scene, table=Plane(offset=-0.02)), 6, 9)
+    weights = ALL if kind == "all" else NO_FORCES
+    goal = goal_of(scene, Touching(), nearest=kind == "nearest")
+    if kind == "all":
+        goal = partly(goal, 5)
+    config = Config(weights=weights, margin=1e-3)
+    problem = GraspProblem(scene, goal, config)
+    objective = Objective(scene, goal, replace(config, solver=Adam()))
+    rng = np.random.default_rng(10)
+    for size in (0.0, 0.003, 0.02):
+        dx = size * rng.normal(size=22) * np.concatenate([np.ones(3), np.full(19, 10.0)])
+        now = stepped(point_of(scene), dx)
+        now = Point(now.T, np.clip(now.q, scene.hand.lower, scene.hand.upper))
+        expected = objective.evaluate(every(scene), torch.from_numpy(now.T), torch.from_numpy(now.q), 0, None)[0]
+        found = problem.evaluate(every(scene), now, None)
+        np.testing.assert_allclose(found.loss, expected.numpy(), rtol=1e-9, atol=1e-12)
+        assert (found.asked >= 0).all() and (found.loss > 0).all()
+
+
+@pytest.mark.parametrize("size", [1e-4, 2e-3, 0.03], ids=["small", "middling", "large"])
+@pytest.mark.parametrize("kind", ["targets", "gaps", "forces"])
+def test_what_is_culled_by_what_was_known_changes_no_loss(examples: Scene, kind: str, size: float) -> None:
+    """Walks of random steps, each told what was found at the last one, and that any loss will do."""
+    scene = aimed_at(examples, 2, 11) if kind == "targets" else examples
+    weights = Weights() if kind == "forces" else NO_FORCES
+    problem = GraspProblem(scene, goal_of(scene, Touching()), Config(weights=weights))
+    rng = np.random.default_rng(12)
+    rows, at = every(scene), point_of(scene)
+    known = problem.evaluate(rows, at, None)
+    asked, deep, rejected = np.zeros(2, dtype=int), np.zeros(2, dtype=bool), 0
+    for _ in range(25):
+        dx = size * rng.normal(size=(4, 22)) * np.concatenate([np.ones(3), np.full(19, 8.0)])
+        at, before = problem.moved(rows, at, dx), known
+        plain = problem.evaluate(rows, at, None)
+        known = problem.evaluate(rows, at, replace(before, loss=np.full(4, np.inf)))
+        np.testing.assert_allclose(known.loss, plain.loss, rtol=1e-6, atol=1e-12)
+        asked += np.array([known.asked.sum(), plain.asked.sum()])
+        deep |= [(w.distance < 0).any() for w in (plain.witness, plain.own)]
+        # What was not asked is at least as far away as it says.
+        for told, truth in ((known.witness, plain.witness), (known.own, plain.own)):
+            both = (told.status == QueryStatus.FAR) & truth.valid
+            assert (told.distance[both] <= truth.distance[both] + 1e-9).all()
+        # A loss that is not below the last one need not be exact, but must not look as if it were below.
+        short = problem.evaluate(rows, at, before).loss
+        worse = plain.loss >= before.loss
+        np.testing.assert_allclose(short[~worse], plain.loss[~worse], rtol=1e-6, atol=1e-12)
+        assert (short[worse] >= before.loss[worse]).all() and (short <= plain.loss * (1 + 1e-6)).all()
+        rejected += worse.sum()
+    assert deep[0] and asked[0] <= 1.1 * asked[1] and 0 < rejected < 100
+
+
+def test_a_pose_that_is_not_finite_has_no_loss_and_spoils_no_other(examples: Scene) -> None:
+    problem = GraspProblem(examples, goal_of(examples, Touching()), Config())
+    at = point_of(examples)
+    clean = problem.evaluate(every(examples), at, None).loss
+    T = at.T.copy()
+    T[1, 0, 3] = np.nan
+    found = problem.evaluate(every(examples), Point(T, at.q), None).loss
+    assert np.isnan(found[1])
+    np.testing.assert_array_equal(found[[0, 2, 3]], clean[[0, 2, 3]])
+
+
+# steps
+
+
+def test_no_trial_leaves_the_joint_limits_or_the_box(allegro: Hand) -> None:
+    """Hands that begin at their limits, on the way to targets that they cannot reach within them."""
+    scene = aimed_at(around_ball(allegro, 6, 14), 4, 15)
+    rng = np.random.default_rng(16)
+    q = np.where(rng.random(scene.q.shape) < 0.5, allegro.lower, allegro.upper)
+    scene = replace(scene, q=q)
+    problem = GraspProblem(scene, goal_of(scene, Touching()), Config())
+    trials: list[np.ndarray] = []
+    moves: list[np.ndarray] = []
+    plain = problem.moved
+
+    def recorded(member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
+        after = plain(member, point, dx)
+        trials.append(after.q)
+        moves.append(dx)
+        return after
+
+    problem.moved = recorded
+    found = minimise(problem, point_of(scene), LevenbergMarquardt(iterations=60, restarts=2), 1e-10)
+    seen, steps = np.concatenate(trials), np.concatenate(moves)
+    assert (seen >= allegro.lower).all() and (seen <= allegro.upper).all()
+    assert (seen == allegro.lower).any() and (seen == allegro.upper).any()
+    assert (found.loss[:, 1] < found.loss[:, 0]).all()
+    # Restarts are no steps, and have no box.
+    largest = np.sort(np.abs(steps[:, :3]).max(axis=1))
+    assert (largest <= BOX[0] * (1 + 1e-12)).mean() > 0.9
+
+
+def test_room_is_what_the_limits_leave_of_the_box(gripper: Hand) -> None:
+    scene = around_ball(gripper, 4, 17)
+    problem = GraspProblem(scene, goal_of(scene, Touching(links=scene.links)), Config())
+    at = Point(scene.T_world_root, np.array([[0.0, 1.2], [0.05, -0.5], [0.02, 0.3], [0.049, 0.0]]))
+    lower, upper = problem.room(every(scene), at)
+    np.testing.assert_array_equal(upper[:, :6], np.tile([0.05, 0.05, 0.05, 1.0, 1.0, 1.0], (4, 1)))
+    np.testing.assert_array_equal(lower[:, :6], -upper[:, :6])
+    # The slide has room of the box of translations, the hinge of that of joints.
+    np.testing.assert_allclose(upper[:, 6:], [[0.05, 0.0], [0.0, 0.5], [0.03, 0.5], [0.001, 0.5]], atol=1e-15)
+    np.testing.assert_allclose(lower[:, 6:], [[0.0, -0.5], [-0.05, 0.0], [-0.02, -0.5], [-0.049, -0.5]], atol=1e-15)
+
+
+def test_new_starts_are_those_of_the_member_and_the_number(examples: Scene) -> None:
+    scene = aimed_at(examples, 3, 18)
+    problem = GraspProblem(scene, goal_of(scene, Touching()), Config(seed=3))
+    now = point_of(scene)
+    best = stepped(now, np.full(22, 0.01))
+    best = Point(best.T, np.clip(best.q, scene.hand.lower, scene.hand.upper))
+    number = np.array([1, 2, 1, 4])
+    found = problem.restarted(every(scene), number, best, now)
+    for m in range(4):
+        alone = problem.restarted(np.array([m]), number[[m]], *(take(point, np.array([m])) for point in (best, now)))
+        np.testing.assert_allclose(alone.T[0], found.T[m], atol=1e-9)
+        np.testing.assert_allclose(alone.q[0], found.q[m], atol=1e-9)
+    other = problem.restarted(every(scene), number + 2, best, now)
+    assert (np.abs(other.q - found.q).max(axis=1) > 1e-3).all()
+    assert (found.q >= scene.hand.lower).all() and (found.q <= scene.hand.upper).all()
+
+
+def test_new_starts_are_keyed_by_the_grasp_not_by_its_place(examples: Scene) -> None:
+    scene, order = aimed_at(examples, 3, 18), np.array([2, 0, 3, 1])
+    other = Scene(
+        scene.hand, scene.object, *(getattr(scene, name)[order] for name in (
+            "T_world_root", "q", "target_link", "target_object"
+        ))
+    )  # fmt: skip
+    number = np.array([1, 2, 3, 4])
+    found, again = (
+        GraspProblem(one, goal_of(one, Touching()), Config()).restarted(every(one), k, point_of(one), point_of(one))
+        for one, k in ((scene, number), (other, number[order]))
+    )
+    np.testing.assert_allclose(again.q, found.q[order], atol=1e-12)
+    np.testing.assert_allclose(again.T, found.T[order], atol=1e-12)
+    # Grasps that differ, however little, start elsewhere; so does another seed.
+    nudged = replace(scene, q=scene.q + 1e-9)
+    for one, seed in ((nudged, 0), (scene, 1)):
+        problem = GraspProblem(one, goal_of(one, Touching()), Config(seed=seed))
+        elsewhere = problem.restarted(every(one), number, point_of(one), point_of(one))
+        assert (np.abs(elsewhere.q - found.q).max(axis=1) > 1e-3).all()
+
+
+def test_new_starts_are_as_far_away_as_their_noise_each_in_its_unit(gripper: Hand) -> None:
+    """A slide once moved by 0.1 m, which was meant for radians: from one limit to the other."""
+    scene = around_ball(gripper, 400, 22)
+    scene = replace(scene, q=np.tile([0.025, 0.35], (400, 1)))
+    problem = GraspProblem(scene, goal_of(scene, Touching(links=scene.links)), Config())
+    at = point_of(scene)
+    found = problem.restarted(every(scene), np.ones(400, dtype=int), at, at)
+    translation, rotation, joint = NOISE
+    slide, turn = (found.q - at.q).std(axis=0)
+    # Limits at 2.5 standard deviations cut off a little.
+    assert slide == pytest.approx(translation, rel=0.15) and turn == pytest.approx(joint, rel=0.15)
+    turned = (np.trace(found.T[:, :3, :3] @ at.T[:, :3, :3].mT, axis1=1, axis2=2) - 1) / 2
+    assert np.sqrt((np.arccos(turned) ** 2).mean() / 3) == pytest.approx(rotation, rel=0.15)
+
+
+def test_inverse_kinematics_brings_target_points_together_without_a_query(examples: Scene) -> None:
+    """Targets of hands that exist, from hands 2 cm and 15 degrees away: 8 steps bring them to a tenth of that."""
+    problem = GraspProblem(examples, goal_of(examples, Touching(), nearest=True), Config())
+    goal, rng = problem.goal, np.random.default_rng(19)
+    there = problem.evaluate(every(examples), point_of(examples), None)
+    # Points on the object where those of the links are now.
+    on_object = transform_points(there.T_link, np.nan_to_num(goal.target_link))
+    reachable = np.where(goal.aimed[..., None], on_object, np.nan)
+    problem = GraspProblem(examples, replace(goal, target_object=reachable), Config())
+    dx = rng.normal(size=(4, 22)) * np.concatenate([np.full(3, 0.012), np.full(3, 0.15), np.full(16, 0.2)])
+    start = problem.moved(every(examples), point_of(examples), dx)
+
+    def miss(point: Point) -> np.ndarray:
+        T = problem.chain(point.T, point.q).T_world_link
+        gap = np.linalg.norm(transform_points(T, np.nan_to_num(goal.target_link)) - on_object, axis=-1)
+        return np.where(goal.aimed, gap, 0.0).max(axis=1)
+
+    reached = problem.reached(every(examples), start)
+    assert (miss(start) > 0.01).all() and (miss(reached) < 1e-3).all()
+    assert (reached.q >= examples.hand.lower).all() and (reached.q <= examples.hand.upper).all()
+
+
+def test_without_targets_there_is_nothing_to_reach(examples: Scene) -> None:
+    problem = GraspProblem(examples, goal_of(examples, Touching()), Config())
+    at = point_of(examples)
+    assert problem.reached(every(examples), at) is at
+
+
+@pytest.mark.parametrize("kind", ["gaps", "targets"])
+def test_a_gripper_of_slides_and_a_mimic_joint_comes_to_a_ball(gripper: Hand, kind: str) -> None:
+    scene = around_ball(gripper, 6, 20)
+    goal = goal_of(scene, Touching(links=("left", "right", "thumb")), nearest=kind == "targets")
+    problem = GraspProblem(scene, goal, Config(weights=NO_FORCES))
+    found = minimise(problem, point_of(scene), LevenbergMarquardt(restarts=0), 1e-10)
+    assert (found.loss[:, 1] < 0.5 * found.loss[:, 0]).all()
+    if kind == "gaps":
+        assert (found.loss[:, 1] < 1e-10).sum() >= 4
+    after = problem.evaluate(every(scene), found.point, None)
+    np.testing.assert_allclose(after.loss, found.loss[:, 1], rtol=1e-6, atol=1e-14)
+    assert (found.point.q >= gripper.lower).all() and (found.point.q <= gripper.upper).all()
+
+
+def test_grasps_do_not_depend_on_their_batch(examples: Scene) -> None:
+    """Loss and Jacobian of a grasp alone are those among others, though rows are added where others have more."""
+    scene = aimed_at(examples, 3, 21)
+    problem = GraspProblem(scene, partly(goal_of(scene, Touching()), 4), Config(weights=replace(ALL, table=0.0)))
+    rows, at = every(scene), stepped(point_of(scene), np.full(22, 0.01))
+    known = problem.evaluate(rows, at, None)
+    residual, J = linearized(problem, at, known, 1.0)
+    normal = np.einsum("brk,brl->bkl", J, J), np.einsum("brk,br->bk", J, residual)
+    for m in range(4):
+        single = GraspProblem(rows_of(scene, m), partly(goal_of(rows_of(scene, m), Touching()), 4), problem.config)
+        own = take(at, np.array([m]))
+        alone = single.evaluate(np.array([0]), own, None)
+        np.testing.assert_allclose(alone.loss[0], known.loss[m], rtol=1e-12)
+        r, J_own = linearized(single, own, alone, 1.0)
+        np.testing.assert_allclose(J_own[0].T @ J_own[0], normal[0][m], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(J_own[0].T @ r[0], normal[1][m], rtol=1e-9, atol=1e-12)
+
+
+def test_depths_that_are_not_yet_there_come_as_one_sided_rows(examples: Scene) -> None:
+    """Pairs less than 3 mm apart: minus their distance, with its slope, so that a step does not run into them."""
+    weights = Weights(contact=0.0, penetration=1.0, self_penetration=0.0)
+    problem = GraspProblem(examples, goal_of(examples, Touching()), Config(weights=weights))
+    rows, at = every(examples), point_of(examples)
+    known = problem.evaluate(rows, at, None)
+    linear = problem.linearize(rows, at, known, np.ones(4))
+    w = known.witness
+    near = w.valid & (w.distance < NEAR)
+    assert linear.one_sided is not None and (near & (w.distance > 0)).any()
+    for m in range(4):
+        found = linear.residual[m][linear.one_sided[m] & linear.jacobian[m].any(axis=-1)]
+        np.testing.assert_allclose(np.sort(found), np.sort(-w.distance[m][near[m]]), rtol=1e-12)
+    # A step along which they come nearer: what they will be is foretold, also beyond zero.
+    dx = 0.002 * np.eye(22)[1]
+    later = problem.evaluate(rows, stepped(at, dx), replace(known, loss=np.full(4, np.inf))).witness
+    place = np.argsort(~near, axis=1, kind="stable")
+    told = linear.residual + linear.jacobian @ dx
+    for m in range(4):
+        first = int(np.flatnonzero(linear.one_sided[m])[0])
+        for row, column in enumerate(place[m][: near[m].sum()]):
+            if later.valid[m, column]:
+                assert told[m, first + row] == pytest.approx(-later.distance[m, column], abs=3e-4)

@@ -1,0 +1,92 @@
+"""What result files record of where they come from."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.grasps.grasp_set import Stage, load_grasps
+from grasp_refine.results.result_files import fingerprint, recorded_urdf
+from grasp_refine_apps.cli import main
+from grasp_refine_apps.commands.sources import Sources
+from refusals import refused
+
+
+def test_a_folder_is_known_by_the_names_and_contents_of_its_files(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "0.npy").write_bytes(b"one")
+    first = fingerprint(tmp_path / "a")
+    (tmp_path / "b" / "deep").mkdir(parents=True)
+    (tmp_path / "b" / "0.npy").write_bytes(b"one")
+    assert fingerprint(tmp_path / "b")["sha256"] == first["sha256"]
+    (tmp_path / "b" / "0.npy").rename(tmp_path / "b" / "deep" / "0.npy")
+    assert fingerprint(tmp_path / "b")["sha256"] != first["sha256"]
+    (tmp_path / "a" / "0.npy").write_bytes(b"two")
+    assert fingerprint(tmp_path / "a")["sha256"] != first["sha256"]
+    assert fingerprint(tmp_path / "a" / "0.npy")["path"] == str(tmp_path / "a" / "0.npy")
+
+
+def test_the_urdf_is_recorded_in_result_files_only(tmp_path: Path) -> None:
+    results = tmp_path / "results.npz"
+    np.savez(results, provenance=np.array(json.dumps({"urdf": {"path": "hand.urdf", "sha256": "abc"}})))
+    assert recorded_urdf(results) == "abc"
+    odd = json.dumps({"urdf": {"sha256": ["abc"]}})
+    for entry in ({"q": np.zeros(1)}, *({"provenance": np.array(text)} for text in ("{}", "no JSON", odd))):
+        np.savez(results, **entry)
+        assert recorded_urdf(results) is None
+    assert recorded_urdf(tmp_path / "folder") is None
+
+
+def test_grasps_of_another_urdf_are_not_judged_with_ours_unasked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A user's hand may be called like one of ours; the file that it was refined with is recorded."""
+    monkeypatch.chdir(tmp_path)
+    ours = resource_dir("robots") / "allegro"
+    (tmp_path / "allegro").mkdir()
+    text = (ours / "allegro.urdf").read_text(encoding="utf-8")
+    (tmp_path / "allegro" / "mine.urdf").write_text(text.replace("Metres", "metres"), encoding="utf-8")
+    quick = ["--geometry-only", "--index", "0", "--grasps", str(ours / "example_rounded_box.npz")]
+    assert main(["run", "--hand", "./allegro", *quick, "--out", "mine"]) == 0
+    results = Path("mine/allegro_rounded_box.npz")
+    with refused(GraspFileError, results, "'allegro'", ours / "allegro.urdf", "--hand", "--urdf", "--hand allegro"):
+        Sources().load_from(results, 0, print)
+    assert any(str(results) in note for note in Sources(hand="allegro").load_from(results, 0, print).notes)
+    assert not any(str(results) in note for note in Sources(hand="./allegro").load_from(results, 0, print).notes)
+
+
+def test_results_say_where_grasps_were_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    source = load_grasps(resource_dir("robots") / "allegro" / "example_rounded_box.npz")
+    assert main(["run", "--hand", "allegro", "--object", "rounded_box", "--geometry-only", "--index", "2", "0"]) == 0
+    path = Path("grasp-refine-results/allegro_rounded_box.npz")
+    refined = load_grasps(path)
+    with np.load(path, allow_pickle=False) as entries:
+        before = Stage(entries["initial_pose"], entries["initial_q"])
+    assert source.joint_names == refined.joint_names
+    # A pose goes through a rotation matrix, which keeps a quaternion up to its sign and rounding.
+    assert np.allclose(transform_from_pose(before.hand_pose), transform_from_pose(source.hand_pose[[2, 0]]), atol=1e-12)
+    assert (before.q == source.q[[2, 0]]).all()
+    assert np.abs(before.q - refined.q).max() > 1e-3
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x05\x06 and no more", b"no archive"])
+def test_a_damaged_file_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
+    """Whatever zipfile and NumPy raise; they left the file open, too."""
+    (tmp_path / "results.npz").write_bytes(content)
+    with refused(GraspFileError, tmp_path / "results.npz"):
+        recorded_urdf(tmp_path / "results.npz")
+
+
+def test_a_record_that_is_too_deep_says_nothing(tmp_path: Path) -> None:
+    np.savez(tmp_path / "results.npz", provenance=np.array("[" * 10**5))
+    assert recorded_urdf(tmp_path / "results.npz") is None
+    np.savez(tmp_path / "results.npz", provenance=np.array([{}], dtype=object))
+    with refused(GraspFileError, "results.npz", "'provenance'", "pickle"):
+        recorded_urdf(tmp_path / "results.npz")

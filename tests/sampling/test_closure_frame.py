@@ -1,0 +1,131 @@
+"""Grips: closing joints curl fingers or bring tips together, wrists do not close, the hand comes palm behind."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grasp_refine.core.errors import HandError
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.sampling.closure_frame import grip_of
+from refusals import refused
+
+PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
+TIP = '<collision><origin xyz="0 0 0.03"/><geometry><sphere radius="0.01"/></geometry></collision>'
+
+
+HINGE = '<limit lower="-0.2" upper="1.6" effort="1" velocity="1"/>'
+SLIDE = '<limit lower="-0.02" upper="0.05" effort="1" velocity="1"/>'
+SLIDE_BACK = '<limit lower="-0.05" upper="0.02" effort="1" velocity="1"/>'
+FOLLOW = '<mimic joint="l" multiplier="-1"/>'
+
+
+def link(*names: str) -> str:
+    return "".join(f'<link name="{name}">{PAD}</link>' for name in names)
+
+
+def joint(name: str, parent: str, child: str, xyz: str, axis: str, limit: str = HINGE, more: str = "") -> str:
+    kind = "prismatic" if limit in (SLIDE, SLIDE_BACK) else "revolute" if limit else "continuous"
+    return f"""<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>
+      <origin xyz="{xyz}"/><axis xyz="{axis}"/>{limit}{more}</joint>"""
+
+
+CLAW = (
+    link("base", "palm", "a1", "b1")
+    + "<link name='turn'/>"
+    + f"<link name='a3'>{TIP}</link><link name='b3'>{TIP}</link>"
+    + joint("wrist", "base", "palm", "0 0 0.1", "1 0 0")
+    + joint("spread", "palm", "turn", "0.04 0 0", "0 0 1")
+    + joint("a_near", "turn", "a1", "0 0 0.02", "0 -1 0")
+    + joint("a_far", "a1", "a3", "0 0 0.04", "0 -1 0")
+    + joint("b_near", "palm", "b1", "-0.04 0 0.02", "0 1 0")
+    + joint("b_far", "b1", "b3", "0 0 0.04", "0 -1 0", '<limit lower="-1.6" upper="0.2" effort="1" velocity="1"/>')
+)
+"""Two upright fingers at both sides of a palm, at the end of a wrist; they bend towards each other, one of them about
+an axis turned round at its far joint, and one is spread as well."""
+
+
+def write(folder: Path, body: str, base_link: str | None = None) -> Hand:
+    path = folder / "hand.urdf"
+    path.write_text(f'<robot name="hand">{body}</robot>')
+    return load_hand(path, base_link=base_link, candidates=64)
+
+
+def jaws(folder: Path, *, mimic: bool = False) -> Hand:
+    """A palm and two jaws that slide: each on its own, or the second with the first."""
+    return write(
+        folder,
+        link("palm", "left", "right")
+        + joint("l", "palm", "left", "0.05 0 0.08", "-1 0 0", SLIDE)
+        + joint("r", "palm", "right", "-0.05 0 0.08", "-1 0 0", SLIDE_BACK, FOLLOW if mimic else ""),
+    )
+
+
+def closing(hand: Hand) -> dict[str, float]:
+    return dict(zip(hand.joint_names, grip_of(hand).closing.tolist(), strict=True))
+
+
+def test_fingers_curl_towards_each_other_whatever_the_sign_of_their_axes(tmp_path: Path):
+    hand = write(tmp_path, CLAW, "base")
+    assert closing(hand) == {"wrist": 0, "spread": 0, "a_near": 1, "a_far": 1, "b_near": 1, "b_far": -1}
+    grip = grip_of(hand)
+    assert dict(zip(hand.joint_names, grip.spreading, strict=True))["spread"]
+    assert grip.spreading.sum() == 1, "the wrist is no finger's"
+
+
+def test_the_hand_comes_palm_behind_and_closes_across(tmp_path: Path):
+    grip = grip_of(jaws(tmp_path))
+    np.testing.assert_allclose(grip.center, [0.0, 0.0, 0.08], atol=1e-6)
+    np.testing.assert_allclose(grip.approach, [0.0, 0.0, 1.0], atol=0.1)
+    np.testing.assert_allclose(np.abs(grip.across), [1.0, 0.0, 0.0], atol=0.1)
+    assert abs(grip.across @ grip.approach) < 1e-12
+    assert grip.opening == pytest.approx(0.14, abs=1e-3)
+
+
+@pytest.mark.parametrize("mimic", [False, True])
+def test_jaws_come_together(tmp_path: Path, mimic: bool):
+    assert closing(jaws(tmp_path, mimic=mimic)) == ({"l": 1} if mimic else {"l": 1, "r": -1})
+
+
+def test_a_single_finger_closes_against_the_palm(tmp_path: Path):
+    body = link("palm", "jaw") + joint("l", "palm", "jaw", "0 0 0.08", "0 0 1", SLIDE)
+    assert closing(write(tmp_path, body)) == {"l": -1}
+
+
+def test_joints_without_limits_get_some(tmp_path: Path):
+    body = link("palm", "left", "right") + "".join(
+        joint(name, "palm", name, f"{x} 0 0.05", "0 1 0", "") for name, x in (("left", 0.05), ("right", -0.05))
+    )
+    grip = grip_of(write(tmp_path, body))
+    for value in (grip.lower, grip.upper, grip.opened):
+        assert np.isfinite(value).all()
+
+
+def test_a_hand_that_cannot_move_cannot_grip(tmp_path: Path):
+    hand = write(tmp_path, link("palm"))
+    with refused(HandError, "'hand'"):
+        grip_of(hand)
+
+
+BENDS = {
+    "allegro/allegro_right.urdf": [f"joint_{i}.0" for i in (1, 2, 3, 5, 6, 7, 9, 10, 11, 14, 15)],
+    "leap/leap_right.urdf": ["1", "2", "3", "5", "6", "7", "9", "10", "11", "14", "15"],
+    "shadow/shadow_right.urdf": [f"{f}J{i}" for f in ("FF", "MF", "RF", "LF") for i in (1, 2, 3)] + ["THJ1"],
+    "robotiq3f/robotiq3f.urdf": [f"finger_{f}_joint_{i}" for f in ("1", "2", "middle") for i in (1, 2, 3)],
+}
+"""Joints that everybody knows to close these hands as they rise; those of Barrett's close as they fall."""
+
+
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("urdf", [*BENDS, "barrett/barrett.urdf"])
+def test_real_hands_close_as_they_do(shared_assets: Path, urdf: str, named: bool):
+    path = shared_assets / "hands" / urdf
+    name = path.parent.name
+    hand = load_hand(name, urdf=path, candidates=64) if named else load_hand(path, candidates=64)
+    signs = closing(hand)
+    if name == "barrett":
+        bends = [joint for joint in signs if "med" in joint or "dist" in joint]
+        assert all(signs[joint] == (-1 if joint in bends else 0) for joint in signs)
+    else:
+        assert all(signs[joint] == 1 for joint in BENDS[urdf])
+    assert not any(signs[joint] for joint in signs if joint.startswith("WR"))

@@ -1,0 +1,162 @@
+"""Sampled grasps touch with two groups of links, are deep in nothing, and differ; the seed says which they are."""
+
+from pathlib import Path
+
+import grasp_refine.grasp_sampling as grasp_sampling
+import numpy as np
+import pytest
+
+from grasp_refine.collision.query import Witness, query
+from grasp_refine.core.errors import GraspRefineError, HandError
+from grasp_refine.core.se3 import transform_from_pose, transform_points
+from grasp_refine.forces.squeeze import grasp_forces
+from grasp_refine.grasps.grasp_set import GraspSet
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.self_collision import self_penetration, touching_pairs
+from grasp_refine.objects.object import Object, load_object
+from grasp_refine.sampling.sample import ALIKE, DEEP, HALVINGS, HOLDS, MOST, sample_grasps
+from grasp_refine.scene.contact_selection import PALM, link_groups
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.scene import links_of
+from plate_gripper import PLATE, URDF
+from refusals import refused
+
+
+@pytest.fixture(scope="module")
+def gripper(tmp_path_factory: pytest.TempPathFactory) -> Hand:
+    path: Path = tmp_path_factory.mktemp("gripper") / "gripper.urdf"
+    path.write_text(URDF)
+    return load_hand(path, candidates=64)
+
+
+@pytest.fixture(scope="module")
+def allegro() -> Hand:
+    return load_hand("allegro", candidates=64)
+
+
+@pytest.fixture(scope="module")
+def box() -> Object:
+    return load_object("box:0.05,0.06,0.07", candidates=256)
+
+
+@pytest.fixture(scope="module")
+def held(allegro: Hand, box: Object) -> GraspSet:
+    return sample_grasps(allegro, box, 12)
+
+
+def witness_of(hand: Hand, obj: Object, grasps: GraspSet) -> Witness:
+    prepared = HandObject(hand, obj)
+    T = prepared.chain(transform_from_pose(grasps.hand_pose), grasps.q).T_world_link
+    return query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape))
+
+
+def groups_touching(hand: Hand, obj: Object, grasps: GraspSet) -> list[set[str]]:
+    """The groups of links that touch in each grasp."""
+    group = np.array(link_groups(hand, links_of(hand)))
+    return [set(group[row]) for row in witness_of(hand, obj, grasps).distance <= HOLDS]
+
+
+def check(hand: Hand, obj: Object, grasps: GraspSet) -> None:
+    """What holds of all sampled grasps."""
+    assert np.isfinite(grasps.hand_pose).all()
+    assert (grasps.q >= hand.lower).all() and (grasps.q <= hand.upper).all()
+    assert witness_of(hand, obj, grasps).distance.min() >= -DEEP
+    assert self_penetration(hand, touching_pairs(hand), grasps.q).max(initial=0.0) <= DEEP
+    assert all(len(groups) >= 2 for groups in groups_touching(hand, obj, grasps))
+
+
+def test_sampled_grasps_hold_the_object(allegro: Hand, box: Object, held: GraspSet):
+    check(allegro, box, held)
+    assert (held.hand, held.base_link, held.joint_names) == ("allegro", "base_link", allegro.joint_names)
+    assert set(held.object) == {box.name}
+    assert (held.scale == 1.0).all()
+    assert len(held) == 12
+    forces = grasp_forces(allegro, box, links_of(allegro), witness_of(allegro, box, held))
+    assert np.median(forces.residual) < 0.05, "most of them can squeeze the object without moving it"
+
+
+def test_no_two_grasps_are_alike(allegro: Hand, held: GraspSet):
+    points = transform_points(transform_from_pose(held.hand_pose)[:, None], 0.1 * np.eye(4)[:, :3])
+    apart = np.linalg.norm(points[:, None] - points[None], axis=-1).max(axis=-1)
+    assert apart[~np.eye(len(apart), dtype=bool)].min() > ALIKE / 2**HALVINGS
+
+
+def test_the_seed_says_which_grasps(gripper: Hand, box: Object):
+    one, again, other = (sample_grasps(gripper, box, 4, seed=seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one.hand_pose, again.hand_pose)
+    np.testing.assert_array_equal(one.q, again.q)
+    assert not np.isin(one.hand_pose[:, 0], other.hand_pose[:, 0]).any()
+
+
+@pytest.mark.parametrize("source", ["sphere:0.03", "box:0.04,0.05,0.1", "cylinder:0.025,0.1"])
+def test_jaws_hold_from_both_sides(gripper: Hand, source: str):
+    obj = load_object(source, candidates=256)
+    grasps = sample_grasps(gripper, obj, 8)
+    check(gripper, obj, grasps)
+    assert all({"left", "right"} <= groups for groups in groups_touching(gripper, obj, grasps)[:4])
+    witness = witness_of(gripper, obj, grasps)
+    facing = (witness.normal[:, 0] * witness.normal[:, 1]).sum(axis=-1)
+    assert facing[0] < -0.9, "the best push against each other"
+
+
+@pytest.mark.parametrize("source", ["sphere:0.15", "box:0.5,0.5,0.5"])
+def test_what_is_too_large_to_be_wrapped_is_touched(allegro: Hand, source: str):
+    obj = load_object(source, candidates=256)
+    grasps = sample_grasps(allegro, obj, 4)
+    assert len(grasps) == 4
+    check(allegro, obj, grasps)
+
+
+def test_a_concave_object_is_held(allegro: Hand):
+    mug = load_object("mug", candidates=256)
+    check(allegro, mug, sample_grasps(allegro, mug, 4))
+
+
+@pytest.mark.parametrize("urdf", ["shadow/shadow_right.urdf", "barrett/barrett.urdf"])
+def test_a_bare_urdf_will_do(shared_assets: Path, box: Object, urdf: str):
+    hand = load_hand(shared_assets / "hands" / urdf, candidates=64)
+    grasps = sample_grasps(hand, box, 4)
+    assert len(grasps) == 4
+    check(hand, box, grasps)
+    assert any(len(groups - {PALM}) >= 3 for groups in groups_touching(hand, box, grasps))
+
+
+def test_no_link_is_below_the_table(gripper: Hand):
+    obj, table = load_object("box:0.04,0.05,0.1", candidates=256), Plane(offset=-0.05)
+    grasps = sample_grasps(gripper, obj, 8, table=table)
+    check(gripper, obj, grasps)
+    prepared = HandObject(gripper, obj)
+    T = prepared.chain(transform_from_pose(grasps.hand_pose), grasps.q).T_world_link
+    assert transform_points(T, table.lowest(prepared.bodies, T))[..., 2].min() >= table.offset - DEEP
+
+
+def test_fewer_come_out_where_no_more_are_found(gripper: Hand, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(grasp_sampling, "TRIES", 1)
+    monkeypatch.setattr(grasp_sampling, "AT_LEAST", 256)
+    told = []
+    ball = load_object("sphere:0.03", candidates=128)
+    grasps = sample_grasps(gripper, ball, 250, progress=lambda found, tried: told.append((found, tried)))
+    ((found, tried),) = told
+    assert 0 < len(grasps) <= found < tried == 256
+    check(gripper, ball, grasps)
+
+
+@pytest.mark.parametrize("count", [0, -1, MOST + 1])
+def test_a_count_is_in_range(gripper: Hand, box: Object, count: int):
+    with refused(GraspRefineError, f"1 to {MOST}", count):
+        sample_grasps(gripper, box, count)
+
+
+def test_what_cannot_be_held_is_an_error_that_tells_the_sizes(gripper: Hand):
+    pebble = load_object("sphere:0.005", candidates=64)
+    named = ("'gripper'", "'sphere:0.005'", "1024 tries", "0.01 x 0.01 x 0.01 m", "0.18 m")
+    with refused(GraspRefineError, *named):
+        sample_grasps(gripper, pebble, 1)
+
+
+def test_what_has_no_fingers_cannot_grip(tmp_path: Path, box: Object):
+    path = tmp_path / "block.urdf"
+    path.write_text(f'<robot name="block"><link name="palm">{PLATE}</link></robot>')
+    with refused(HandError, "block"):
+        sample_grasps(load_hand(path, candidates=16), box, 1)
