@@ -71,8 +71,8 @@ without its batch dimension:
 **Numbers.** float64 by default, float32 on request; collision queries run in float64 always. Seeds, device and dtype
 travel with the scene: same seed, same machine, same result.
 
-**Errors.** What a file or an argument can get wrong is a `grasp_refine.core.errors.GraspRefineError` of one line, raised
-where it comes in. Not converging is a status of the result, which its `labels` say in words.
+**Errors.** What a file or an argument can get wrong is a `grasp_refine.core.errors.GraspRefineError` of one
+line, raised where it comes in. Not converging is a status of the result, which its `labels` say in words.
 """
 
 __version__: str

@@ -11,13 +11,16 @@ from pathlib import Path
 import pytest
 
 import grasp_refine
+import grasp_refine_apps
 from grasp_refine_apps.cli import main
 
 PROGRAM = "import sys; from grasp_refine_apps.cli import main; sys.exit(main())"
 
 
 def subprocess_environment() -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": str(Path(grasp_refine.__file__).parents[1])}
+    """The environment of a process that imports what is imported here."""
+    sources = {str(Path(package.__file__).parents[1]) for package in (grasp_refine, grasp_refine_apps)}
+    return os.environ | {"PYTHONPATH": os.pathsep.join(sorted(sources))}
 
 
 def interruptible() -> None:

@@ -78,7 +78,7 @@ def versions() -> dict[str, str]:
 
 
 def _checkout() -> list[str]:
-    file = Path(__file__).resolve().parent.parent / "pyproject.toml"
+    file = Path(__file__).resolve().parents[2] / "pyproject.toml"
     if not file.is_file():
         return []
     project = tomllib.loads(file.read_text(encoding="utf-8"))["project"]

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import trimesh
 
 SHIPPED = Path(__file__).parent / "embedded_pieces"
-"""The pieces of the embedded objects, made by `python -m grasp_refine_apps.authoring.cut_embedded`."""
+"""Convex pieces of the embedded objects, written by `cut_embedded.py` of the application."""
 
 NEGLIGIBLE = 1e-9
 """A piece of less than this volume, times the cubed diagonal of the mesh, is dropped."""

@@ -33,7 +33,7 @@ def start(tmp_path: Path) -> Iterator[Starter]:
 
     def start(program: str, *arguments: str | Path) -> subprocess.Popen[str]:
         # Their processes import `endless_job`, and what a test puts into the folder `instead`.
-        paths = [str(tmp_path / "instead"), subprocess_environment()["PYTHONPATH"], str(Path(__file__).parent)]
+        paths = [str(tmp_path / "instead"), subprocess_environment()["PYTHONPATH"], str(Path(__file__).parents[1])]
         started.append(
             subprocess.Popen(
                 [sys.executable, "-c", program, *map(str, arguments)],

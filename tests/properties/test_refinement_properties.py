@@ -275,7 +275,11 @@ def test_results_do_not_depend_on_the_number_of_threads(tmp_path: Path) -> None:
     root = Path(__file__).resolve().parents[2]
     for threads in ("1", "3"):
         names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-        variables = {**os.environ, **dict.fromkeys(names, threads), "PYTHONPATH": f"{root}:{root / 'tests'}"}
+        variables = {
+            **os.environ,
+            **dict.fromkeys(names, threads),
+            "PYTHONPATH": f"{root}:{root / 'apps'}:{root / 'tests'}",
+        }
         subprocess.run([sys.executable, "-c", MANY, str(tmp_path), threads], env=variables, check=True)
     one, three = (np.load(tmp_path / f"{threads}.npz") for threads in (1, 3))
     assert (one["status0"] != Status.NO_TARGET).mean() > 0.5

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import grasp_refine.grasp_sampling as grasp_sampling
 import numpy as np
 import pytest
 
@@ -14,6 +13,7 @@ from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.objects.object import Object, load_object
+from grasp_refine.sampling import sample as grasp_sampling
 from grasp_refine.sampling.sample import ALIKE, DEEP, HALVINGS, HOLDS, MOST, sample_grasps
 from grasp_refine.scene.contact_selection import PALM, link_groups
 from grasp_refine.scene.hand_object import HandObject

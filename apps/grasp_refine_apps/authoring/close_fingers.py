@@ -1,10 +1,10 @@
 """Make the example grasps of robots/: put a hand around an object, close its fingers, disturb the result.
 
-Run `python -m grasp_refine_apps.authoring.close_fingers`. Each grasp of the Allegro hand starts from a pose given here by hand,
-the palm facing the object, and its fingers close joint by joint until their tips almost touch. Those of the other hands
-are sampled: the best that touch with all fingertips. A small seeded disturbance then makes a grasp only *almost* right,
-with some tips a centimetre away and some links inside the object: what a grasp from a generator or a demonstration
-looks like, and what refinement is for.
+Run `python -m grasp_refine_apps.authoring.close_fingers`. Each grasp of the Allegro hand starts from a pose given
+here by hand, the palm facing the object, and its fingers close joint by joint until their tips almost touch. Those of
+the other hands are sampled: the best that touch with all fingertips. A small seeded disturbance then makes a grasp
+only *almost* right, with some tips a centimetre away and some links inside the object: what a grasp from a generator
+or a demonstration looks like, and what refinement is for.
 
 Disturbances are drawn in a seeded order, and those with the wanted gap and depth count. The first and the third grasp
 of a file are the first of these that loses the object in simulation (force-closure, closed and squeezed as `validate`

@@ -9,14 +9,13 @@ from typing import Annotated, Any, get_args
 
 from tyro.conf import DisallowNone, arg
 
-from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import SCHEMA, check_writable, save_json
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
 from grasp_refine_apps.bench.bar import progress_bar
-from grasp_refine_apps.bench.gate.baseline import judged, load_baseline, updated
+from grasp_refine_apps.bench.gate.baseline import BASELINE, judged, load_baseline, updated
 from grasp_refine_apps.bench.gate.measures import measure
 from grasp_refine_apps.bench.gate.ratios import Group
 from grasp_refine_apps.bench.gate.table import gate_table
@@ -63,7 +62,7 @@ class BenchGate:
             rows, worse, baseline = [{"name": name, "now": value} for name, value in now.items()], [], None
             said = f"wrote {len(rows)} ratios to {self.update}"
         else:
-            baseline = self.baseline or resource_dir("apps") / "bench" / "baseline.json"
+            baseline = self.baseline or BASELINE
             known = load_baseline(baseline, engine)
             with _Bar() as bar:
                 verdicts = judged(known, bar.measured)

@@ -32,7 +32,7 @@ def rendered(package: str, **values: Any) -> str:
 
     light, dark = stylesheet()
     text = (files(package) / TEMPLATE).read_text(encoding="utf-8")
-    style = (files(__package__.rpartition(".")[0]) / STYLE).read_text(encoding="utf-8")
+    style = (files(__package__) / STYLE).read_text(encoding="utf-8")
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )

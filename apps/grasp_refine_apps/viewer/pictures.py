@@ -1,7 +1,7 @@
 """Take the README's pictures of the viewer: a refined grasp, and a push that the hand does not withstand.
 
 Run `python -m grasp_refine_apps.viewer.pictures` after anything that changes how the viewer looks. It writes
-apps/grasp_refine_apps/viewer/overview.png and apps/viewer/replay.png. It needs playwright, which the extra 'test' installs, and chromium.
+`overview.png` and `replay.png` beside this file. It needs playwright, which the extra 'test' installs, and chromium.
 """
 
 from __future__ import annotations

@@ -12,6 +12,9 @@ from typing import Any, get_args
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.bench.gate.ratios import RATIOS, Group, Ratio
 
+BASELINE = Path(__file__).parents[1] / "baseline.json"
+"""The committed ratios."""
+
 SCHEMA = 1
 
 UPDATE = "refine-grasp bench --gate --update FILE writes a new one"

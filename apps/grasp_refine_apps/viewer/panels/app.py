@@ -39,7 +39,7 @@ class Viewer:
 
     def _prepare(self) -> None:
         """Do what the first refinement would wait for, and measure what no file tells."""
-        import grasp_refine.kinematics  # noqa: F401 - loads PyTorch
+        import grasp_refine.hands.kinematics  # noqa: F401 - loads PyTorch
 
         self.controller.measure()
 

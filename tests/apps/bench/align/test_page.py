@@ -344,4 +344,4 @@ def test_importing_the_page_loads_no_plotting():
     code = (
         "import sys, grasp_refine_apps.bench.align.page; assert not {'matplotlib', 'jinja2', 'PIL'} & set(sys.modules)"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=root, timeout=PATIENCE_S)
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=root / "apps", timeout=PATIENCE_S)
