@@ -1,6 +1,17 @@
 """grasp-refine: refine the grasps of a robot hand with differentiable collision detection.
 
-Importing the package loads nothing else; import the module you need. These conventions hold in every file;
+Importing the package loads nothing else: its names (`__all__`) are loaded when they are used. They are all that most
+scripts need:
+
+    import grasp_refine as gr
+
+    hand, mug = gr.load_hand("allegro"), gr.load_object("mug")
+    grasps = gr.sample_grasps(hand, mug, 16)      # or gr.load_grasps("mine.npz"), or gr.GraspSet.of(hand, pose, q)
+    refined = gr.refine(hand, mug, grasps)
+    print(refined)
+    refined.save("refined.npz")
+
+These conventions hold in every file;
 `tests/test_conventions.py` runs the examples and checks each statement.
 
 **Units.** SI everywhere: metres, radians, kilograms, newtons. Prismatic joints are in metres. Millimetres and degrees
@@ -75,16 +86,79 @@ travel with the scene: same seed, same machine, same result.
 line, raised where it comes in. Not converging is a status of the result, which its `labels` say in words.
 """
 
-__version__: str
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from grasp_refine.core.errors import GraspRefineError as GraspRefineError
+    from grasp_refine.grasps.grasp_set import GraspSet as GraspSet
+    from grasp_refine.grasps.grasp_set import Targets as Targets
+    from grasp_refine.grasps.grasp_set import load_grasps as load_grasps
+    from grasp_refine.hands.hand import Hand as Hand
+    from grasp_refine.hands.hand import list_hands as list_hands
+    from grasp_refine.hands.hand import load_hand as load_hand
+    from grasp_refine.objects.object import Object as Object
+    from grasp_refine.objects.object import load_object as load_object
+    from grasp_refine.pipeline.facade import Evaluation as Evaluation
+    from grasp_refine.pipeline.facade import evaluate as evaluate
+    from grasp_refine.pipeline.facade import problem_of as problem_of
+    from grasp_refine.pipeline.facade import refine as refine
+    from grasp_refine.pipeline.facade import simulate as simulate
+    from grasp_refine.pipeline.facade import view as view
+    from grasp_refine.pipeline.load import load_problem as load_problem
+    from grasp_refine.pipeline.problem import Problem as Problem
+    from grasp_refine.pipeline.refine import refine_problem as refine_problem
+    from grasp_refine.pipeline.refined import RefinedGrasps as RefinedGrasps
+    from grasp_refine.pipeline.spec import ProblemSpec as ProblemSpec
+    from grasp_refine.refinement.config import Config as Config
+    from grasp_refine.sampling.sample import sample_grasps as sample_grasps
+    from grasp_refine.validation.protocol import Protocol as Protocol
+
+    __version__: str
+
+_HOMES = {
+    "core.errors": ("GraspRefineError",),
+    "grasps.grasp_set": ("GraspSet", "Targets", "load_grasps"),
+    "hands.hand": ("Hand", "list_hands", "load_hand"),
+    "objects.object": ("Object", "load_object"),
+    "pipeline.facade": ("Evaluation", "evaluate", "problem_of", "refine", "simulate", "view"),
+    "pipeline.load": ("load_problem",),
+    "pipeline.problem": ("Problem",),
+    "pipeline.refine": ("refine_problem",),
+    "pipeline.refined": ("RefinedGrasps",),
+    "pipeline.spec": ("ProblemSpec",),
+    "refinement.config": ("Config",),
+    "sampling.sample": ("sample_grasps",),
+    "validation.protocol": ("Protocol",),
+}
+"""Modules of the names below, which are loaded when one of them is used (PEP 562)."""
+
+_MODULE_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = [*sorted(_MODULE_OF), "__version__"]  # noqa: PLE0604 - all are strings
 
 
-def __getattr__(name: str) -> str:
-    """Return `__version__`, read from the installed metadata when asked for, because that import is slow."""
-    if name != "__version__":
+def __getattr__(name: str) -> Any:
+    """Load a name of the vocabulary, or read `__version__` from the installed metadata, when it is used first.
+
+    Raises:
+        AttributeError: there is no such name.
+    """
+    if name in _MODULE_OF:
+        value = getattr(import_module(f"grasp_refine.{_MODULE_OF[name]}"), name)
+    elif name == "__version__":
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            value = version("grasp-refine")
+        except PackageNotFoundError:
+            value = "0+not.installed"
+    else:
         raise AttributeError(f"module 'grasp_refine' has no attribute '{name}'")
-    from importlib.metadata import PackageNotFoundError, version
+    globals()[name] = value
+    return value
 
-    try:
-        return version("grasp-refine")
-    except PackageNotFoundError:
-        return "0+not.installed"
+
+def __dir__() -> list[str]:
+    """Return the names of the vocabulary, for completion."""
+    return sorted({*globals(), *__all__})

@@ -33,6 +33,7 @@ from grasp_refine.core.arguments import as_numbers, check_kind, check_shape, sho
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.npz_files import NpzFile, load_npz, save_npz
 from grasp_refine.core.plurals import count_text
+from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.mimics import followed
@@ -118,6 +119,25 @@ class GraspSet:
     """Where the hand is before it closes to the grasp, when the file says so."""
     squeeze: Stage | None = None
     """Where it is sent after that, to press, when the file says so."""
+
+    @classmethod
+    def of(cls, hand: Hand, pose: ArrayLike, q: ArrayLike, *, object: str = "object", scale: float = 1.0) -> GraspSet:
+        """Return grasps of a hand from arrays.
+
+        Args:
+            hand: The hand.
+            pose: Poses of its base link in the object's frame, (N, 7) as x y z qw qx qy qz or (N, 4, 4), metres.
+            q: Joint values (N, n) in the order of `hand.joint_names`, radians or metres.
+            object: Name of the object.
+            scale: Factor that takes the object's mesh to metres.
+
+        Raises:
+            GraspFileError: arrays of another shape.
+        """
+        pose = np.asarray(pose, dtype=np.float64)
+        pose = pose_from_transform(pose) if pose.shape[-2:] == (4, 4) else pose
+        count = len(pose)
+        return cls(hand.name, hand.base_link, hand.joint_names, np.full(count, object), np.full(count, scale), pose, q)
 
     def __repr__(self) -> str:
         names = np.unique(self.object)

@@ -9,10 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Targets
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, UncutObject
-from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.scene import Scene, links_of
 from grasp_refine.validation.motion import Motion, closing, motion_of
 
 StageSource = Literal["auto", "file", "own"]
@@ -130,3 +131,27 @@ class Problem:
     def order(self) -> np.ndarray:
         """Takes the grasps from group after group to the order in which they were asked for."""
         return np.argsort(np.concatenate([group.place for group in self.groups]))
+
+
+def aim(hand: Hand, targets: Targets | None, rows: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return `target_link` and `target_object` of a scene with some rows of a grasp file; None each without targets.
+
+    Raises:
+        GraspFileError: a link has no target column.
+    """
+    if targets is None:
+        return None, None
+    links = links_of(hand)
+    columns = list(links)
+    points = np.full((2, len(rows), len(columns), 3), np.nan)
+    for k, link in enumerate(targets.links):
+        if link not in columns:
+            raise GraspFileError(
+                f"target link '{link}' is no link with collision geometry of hand '{hand.name}', or comes more "
+                f"often than its contact points; there are {', '.join(links)}"
+            )
+        at = columns.index(link)
+        # A link with several contact points has as many columns.
+        columns[at] = ""
+        points[0, :, at], points[1, :, at] = targets.point_link[rows, k], targets.point_object[rows, k]
+    return points[0], points[1]

@@ -34,6 +34,34 @@ def result_paths(folder: Path, hand: str, objects: tuple[str, ...]) -> dict[str,
     return paths
 
 
+def refined_set(hand: Hand, links: tuple[str, ...], outcome: Outcome) -> GraspSet:
+    """Return the refined grasps of an outcome, with targets, pregrasps and squeezes.
+
+    Args:
+        hand: The hand.
+        links: Its links with collision geometry, as in `Scene.links`.
+        outcome: The grasps.
+    """
+    aimed = np.flatnonzero(~np.isnan(outcome.target_link[..., 0]).all(axis=0))
+    names = tuple(links[k] for k in aimed)
+    targets = Targets(names, outcome.target_link[:, aimed], outcome.target_object[:, aimed]) if names else None
+    return GraspSet(
+        hand=hand.name,
+        base_link=hand.base_link,
+        joint_names=hand.joint_names,
+        object=outcome.object,
+        scale=outcome.scale,
+        hand_pose=outcome.hand_pose,
+        q=outcome.q,
+        targets=targets,
+        **{
+            name: Stage(outcome.stage_pose[:, at], outcome.stage_q[:, at])
+            for at, name in enumerate(STAGES)
+            if name in OTHER_STAGES
+        },
+    )
+
+
 def save_results(
     path: Path,
     hand: Hand,
@@ -87,25 +115,8 @@ def save_results(
     Raises:
         GraspFileError: the file cannot be written.
     """
-    aimed = np.flatnonzero(~np.isnan(outcome.target_link[..., 0]).all(axis=0))
-    names = tuple(links[k] for k in aimed)
     touching = np.flatnonzero(outcome.touching.any(axis=0))
-    targets = Targets(names, outcome.target_link[:, aimed], outcome.target_object[:, aimed]) if names else None
-    grasps = GraspSet(
-        hand=hand.name,
-        base_link=hand.base_link,
-        joint_names=hand.joint_names,
-        object=outcome.object,
-        scale=outcome.scale,
-        hand_pose=outcome.hand_pose,
-        q=outcome.q,
-        targets=targets,
-        **{
-            name: Stage(outcome.stage_pose[:, at], outcome.stage_q[:, at])
-            for at, name in enumerate(STAGES)
-            if name in OTHER_STAGES
-        },
-    )
+    grasps = refined_set(hand, links, outcome)
     error, mean = outcome.worst_error, outcome.mean_error
     save_npz(
         path,

@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool
+from rich.console import Group
 from rich.text import Text
 
+from grasp_refine.results.console import html_of
 from grasp_refine.results.verdict import Agreement, held_line, should_hold
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Reason, Trials
@@ -33,6 +35,24 @@ class Proof:
         """Which grasps held, before and after (N, 2)."""
         return np.stack([self.before.success, self.after.success], axis=1)
 
+    def lines(self) -> list[Text]:
+        """Return how many grasps held before and after, and why the others did not."""
+        before, after = self.held.T
+        changed = int((after & ~before).sum()), int((before & ~after).sum())
+        held = held_line(self.protocol.name, (int(before.sum()), int(after.sum())), *changed, len(after))
+        return [held, *reason_lines(self.after, self.protocol)]
+
+    def __repr__(self) -> str:
+        before, after = self.held.sum(axis=0)
+        return f"{type(self).__name__}({self.protocol.name}: {before} → {after} of {len(self.held)} held)"
+
+    def __str__(self) -> str:
+        return "\n".join(line.plain for line in self.lines())
+
+    def _repr_html_(self) -> str:
+        """The lines, for a notebook."""
+        return html_of(Group(*self.lines()))
+
 
 def reason_lines(trials: Trials, protocol: Protocol) -> list[Text]:
     """How many grasps failed for which reason."""
@@ -55,10 +75,8 @@ def closing_line(owners: Mapping[str, str]) -> Text:
 def proof_lines(proof: Proof, quality: np.ndarray) -> list[Text]:
     """How many grasps held before and after, why the others did not, and what their quality (N, 2) had said."""
     before, after = proof.held.T
-    changed = int((after & ~before).sum()), int((before & ~after).sum())
     return [
-        held_line(proof.protocol.name, (int(before.sum()), int(after.sum())), *changed, len(after)),
-        *reason_lines(proof.after, proof.protocol),
+        *proof.lines(),
         Agreement.of(should_hold(quality[:, 0]), before).line("before, "),
         Agreement.of(should_hold(quality[:, 1]), after).line("after, "),
     ]

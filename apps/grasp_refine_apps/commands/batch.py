@@ -22,6 +22,7 @@ from grasp_refine.core.json_files import SCHEMA
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
+from grasp_refine.pipeline.spec import NEAREST, SAMPLE
 from grasp_refine.refinement.config import Config
 from grasp_refine.results.document import settings
 from grasp_refine.results.profile import profile_entry, profile_table
@@ -35,7 +36,7 @@ from grasp_refine_apps.batch.table import batch_table
 from grasp_refine_apps.commands.batch_outputs import Outputs
 from grasp_refine_apps.commands.batch_session import Session, Summary
 from grasp_refine_apps.commands.ending import NOTHING_USABLE
-from grasp_refine_apps.commands.inputs import NEAREST, SAMPLE, Inputs
+from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.invocation import invocation
 from grasp_refine_apps.commands.job_list import read_jobs
 from grasp_refine_apps.commands.settings import Settings

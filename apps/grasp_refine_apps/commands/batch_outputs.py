@@ -13,6 +13,7 @@ from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.json_files import check_writable, save_text
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.pipeline.input_cache import InputCache
 from grasp_refine_apps.batch.index import IndexWriter, index_writer
 from grasp_refine_apps.batch.page import page
 from grasp_refine_apps.batch.pictures import draw_cases
@@ -22,7 +23,6 @@ from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.batch.worst import Case
 from grasp_refine_apps.commands.batch_document import save_batch
 from grasp_refine_apps.commands.batch_session import Summary
-from grasp_refine_apps.commands.input_cache import Kept
 from grasp_refine_apps.commands.shard_plan import Plan
 from grasp_refine_apps.commands.shard_work import problem_of
 
@@ -93,7 +93,7 @@ class Outputs:
         """Write report and summary, as far as they are wanted."""
         if self.report:
             shards = {shard.number: shard for shard in summary.complete}
-            load = partial(_shown, shards, Kept(), document["seed"])
+            load = partial(_shown, shards, InputCache(), document["seed"])
             worst = summary.statistics.worst()
             pictures = draw_cases(worst, self.out, load, tell=lambda what, share: progress.wait(what))
             save_text(self.out / REPORT, page(document, summary.statistics, pictures))
@@ -124,10 +124,10 @@ def _remove_index(path: Path) -> None:
             path.unlink()
 
 
-def _shown(shards: Mapping[int, Shard], kept: Kept, seed: int, case: Case) -> tuple[Hand, Object]:
+def _shown(shards: Mapping[int, Shard], cache: InputCache, seed: int, case: Case) -> tuple[Hand, Object]:
     """Hand and object of one of the worst cases."""
     shard = shards[case.shard]
-    problem = kept.get("problem", case.shard, lambda: problem_of(shard.task, seed, kept, lambda *sign: None))
+    problem = cache.get("problem", case.shard, lambda: problem_of(shard.task, seed, cache, lambda *sign: None))
     for group in problem.groups:
         if group.scale == case.scale:
             return problem.hand, group.scene.object

@@ -16,6 +16,9 @@ from tyro.conf import DisallowNone, arg
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.hands.hand import list_hands, needs_urdf
+from grasp_refine.pipeline.example import EXAMPLE_HAND
+from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.spec import AUTO, SAMPLE
 from grasp_refine.refinement.config import Config
 from grasp_refine_apps.bench.grasp.page import page
 from grasp_refine_apps.bench.grasp.presets import PRESETS, Preset
@@ -25,7 +28,7 @@ from grasp_refine_apps.bench.grasp.table import bench_tables
 from grasp_refine_apps.bench.grasp.tasks import Disturbance, Kind
 from grasp_refine_apps.bench.grasp.variants import DerivativeName, SolverName, Variant
 from grasp_refine_apps.commands.benchmark import check_asked, run_benchmark
-from grasp_refine_apps.commands.inputs import AUTO, EXAMPLE_HAND, SAMPLE, Inputs
+from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
 PresetName = Literal["targets", "nothing", "time-to-error", "contacts", "pieces", "workers", "smoke"]
@@ -225,7 +228,7 @@ class BenchGrasp:
 
     def _load(self, name: str, parts: list[Inputs], say: Callable[[str], None]) -> GraspSet:
         """A set, joined of what several inputs mean."""
-        problems = [part.load(self.options.seed, say) for part in parts]
+        problems = [load_problem(part, seed=self.options.seed, on_message=say) for part in parts]
         return GraspSet(
             name,
             tuple(

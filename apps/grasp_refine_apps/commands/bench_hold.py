@@ -14,7 +14,9 @@ from rich.markup import escape
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Problem
+from grasp_refine.pipeline.spec import AUTO
 from grasp_refine.refinement.config import Config
 from grasp_refine.validation.protocol import SettingName
 from grasp_refine.validation.validate import model_of
@@ -25,7 +27,7 @@ from grasp_refine_apps.bench.hold.runner import Group
 from grasp_refine_apps.bench.hold.study import Outcome, Study, run_study
 from grasp_refine_apps.bench.hold.table import bench_tables
 from grasp_refine_apps.commands.benchmark import check_asked, run_benchmark
-from grasp_refine_apps.commands.inputs import AUTO, Inputs
+from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
 PresetName = Literal["smoke"]
@@ -95,7 +97,7 @@ class BenchHold:
             def say(line: str) -> None:
                 console.print(escape(line), style="dim", soft_wrap=True)
 
-            problem = self.inputs.load(options.seed, say)
+            problem = load_problem(self.inputs, seed=options.seed, on_message=say)
             model = model_of(problem.hand)
             stages = "file" in problem.closing().values()
             notes = [*problem.notes, *model.notes]

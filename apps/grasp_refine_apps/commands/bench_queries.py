@@ -14,6 +14,8 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.collision.engine import chosen, engines
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine_apps.bench.queries.cases import Kind, State
 from grasp_refine_apps.bench.queries.page import page
@@ -24,7 +26,6 @@ from grasp_refine_apps.bench.queries.skip import Example, several
 from grasp_refine_apps.bench.queries.study import Outcome, Study, run_study
 from grasp_refine_apps.bench.queries.table import bench_tables
 from grasp_refine_apps.commands.benchmark import check_asked, run_benchmark
-from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
 PresetName = Literal["full", "skips", "smoke"]
@@ -167,5 +168,5 @@ class BenchQueries:
 
     def _example(self, hand: str, obj: str, count: int, say: Callable[[str], None]) -> Example:
         """So many grasps of a hand on an object, the example's own first."""
-        (group,) = Inputs(hand=hand, object=obj).load(self.seed, say).groups
+        (group,) = load_problem(ProblemSpec(hand=hand, object=obj), seed=self.seed, on_message=say).groups
         return Example(hand, obj, several(group.scene, count, self.seed), Config(seed=self.seed))

@@ -14,9 +14,9 @@ from grasp_refine.core.json_files import dumps
 from grasp_refine.hands.mesh_files import resolve_mesh
 from grasp_refine.hands.source import hand_files
 from grasp_refine.objects.source import ObjectSource
+from grasp_refine.pipeline.spec import AUTO, NEAREST, ProblemSpec, SourceSpec
 from grasp_refine.results.document import settings
 from grasp_refine.results.result_files import fingerprint
-from grasp_refine_apps.commands.inputs import AUTO, NEAREST, Inputs
 
 LAYOUT = 1
 """Of result files; another number makes all of them be computed again."""
@@ -48,7 +48,7 @@ class Digests:
             self._files[path] = fingerprint(path)
         return self._files[path]
 
-    def hand(self, source: str, inputs: Inputs, say: Callable[[str], None]) -> tuple[str, str]:
+    def hand(self, source: str, inputs: SourceSpec, say: Callable[[str], None]) -> tuple[str, str]:
         """The hand's name, and a hash of its files and all meshes that they name.
 
         Raises:
@@ -70,7 +70,7 @@ class Digests:
         path = Path(source.source)
         return self.file(path)["sha256"] if path.exists() else str(source.source)
 
-    def stamp(self, inputs: Inputs, **depends: Any) -> str:
+    def stamp(self, inputs: ProblemSpec, **depends: Any) -> str:
         """Hash of the inputs' settings, the targets, this version, and all that it `depends` on besides."""
         told = {name: value for name, value in settings(inputs).items() if name not in (*PATHS, *NO_MATTER)}
         targets = inputs.targets

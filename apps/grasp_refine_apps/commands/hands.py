@@ -15,8 +15,9 @@ from grasp_refine.core.versions import versions
 from grasp_refine.hands.hand import Hand, list_hands, load_hand, needs_urdf
 from grasp_refine.hands.link_geometry import HULL_LIMIT
 from grasp_refine.hands.source import HAND_TOML
+from grasp_refine.pipeline.spec import check_hull_limit
 from grasp_refine_apps.commands.ending import NOTHING_USABLE
-from grasp_refine_apps.commands.options import Overwrite, check_hull_limit
+from grasp_refine_apps.commands.options import Overwrite
 from grasp_refine_apps.report.hand_facts import examples, facts_without_urdf, hand_facts
 from grasp_refine_apps.report.hand_table import bullets, list_table, show_hand
 from grasp_refine_apps.report.screen import screen

@@ -18,7 +18,8 @@ from grasp_refine.core.names import at_home, exists, is_folder, is_sound
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 from grasp_refine.grasps.formats.folders import natural, told_apart
 from grasp_refine.grasps.formats.reading import SUFFIXES
-from grasp_refine_apps.commands.inputs import SAMPLE, Inputs
+from grasp_refine.pipeline.spec import SAMPLE
+from grasp_refine_apps.commands.inputs import Inputs
 
 LISTS = (".toml", ".csv")
 """Endings of job lists."""

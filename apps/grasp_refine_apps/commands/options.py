@@ -151,16 +151,6 @@ def check_numbers(options: Any, prefix: str = "--") -> None:
                 raise GraspRefineError(f"{option} must be at least {least}, got {number}")
 
 
-def check_hull_limit(metres: float) -> None:
-    """Nothing, when so many metres can be a limit of how far hulls stand out; infinite: no limit.
-
-    Raises:
-        GraspRefineError: it is not above 0.
-    """
-    if not metres > 0:
-        raise GraspRefineError(f"--hull-limit must be above 0 metres, or inf, got {metres:g}")
-
-
 def check_device(device: str, dtype: str) -> None:
     """Nothing, when torch can hold numbers of a type on a device.
 

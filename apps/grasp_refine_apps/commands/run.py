@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import torch
 from tyro.conf import DisallowNone, arg
 
@@ -17,29 +16,26 @@ from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_no_input, check_writable, save_json
 from grasp_refine.core.profiling import Stopwatch, cpu_seconds
-from grasp_refine.core.versions import versions
-from grasp_refine.pipeline.problem import Draft, Problem, UncutGroup
-from grasp_refine.pipeline.recorded_objects import object_entries, pieces_digest, surface_digest
+from grasp_refine.pipeline.load import Loader
+from grasp_refine.pipeline.problem import Draft, Group, UncutGroup
+from grasp_refine.pipeline.recorded_objects import pieces_digest, surface_digest
+from grasp_refine.pipeline.refine import Listener, refine_problem
+from grasp_refine.pipeline.spec import NEAREST
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.losses import Weights
+from grasp_refine.refinement.solvers.least_squares import Progress
 from grasp_refine.results.document import run_document, settings
-from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.profile import profile_table
-from grasp_refine.results.result_files import fingerprint, is_same_refinement, result_paths, save_results
-from grasp_refine.results.simulated import Proof
-from grasp_refine.results.table import grasp_table
+from grasp_refine.results.result_files import is_same_refinement, result_paths
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.scene.contact_selection import Touching
-from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import links_of
 from grasp_refine.validation.protocol import Protocol
-from grasp_refine.validation.trials import Trials
 from grasp_refine_apps.commands.digests import Digests
 from grasp_refine_apps.commands.ending import NOTHING_USABLE
-from grasp_refine_apps.commands.inputs import NEAREST, Inputs
+from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import Overwrite
-from grasp_refine_apps.commands.refining import proved, refined
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.commands.validation_options import Proving
 from grasp_refine_apps.report.progress import Reporter
@@ -97,33 +93,33 @@ class Run:
         watch = Stopwatch() if self.output.profile else None
         with watch or nullcontext(), Reporter(screen(stderr=True)) as reporter:
             check_writable(self.output.json, overwrite=self.output.overwrite, inside=self.output.out)
-            draft = self.inputs.draft(config.seed, reporter.say, reporter.wait)
+            loader = Loader(self.inputs, config.seed, reporter.say, reporter.wait)
+            draft = loader.draft()
             self._check_used(draft, config)
             stamps = self._stamps(draft, described["refine"])
             paths = self._paths(draft, stamps, protocol)
-            problem = self.inputs.cut(draft, config.seed, reporter.say)
+            problem = loader.cut(draft)
             for note in problem.notes:
                 reporter.say(f"note: {note}")
             held = config.holds and not _aimed(draft, config)
             most = most_iterations(config) if held else config.solver.iterations
             reporter.start(problem.hand.name, len(problem), most, config.starts if held else 0)
-            parts = [
-                refined(group, config, reporter.group(group.object, len(group.rows)), HandObject.of(group.scene))
-                for group in problem.groups
-            ]
-            proof = None if protocol is None else _proved(problem, parts, protocol, reporter)
-            outcome = Outcome.join(parts).select(problem.order)
+            refined = refine_problem(problem, config, protocol, listener=_Listener(reporter))
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
         profile = None if watch is None else watch.profile
+        outcome = refined.outcome
         if outcome.usable.any():
-            self._save(problem, outcome, paths, stamps, described, proof)
+            objects = {name: {"config": described, "stamp": stamp} for name, stamp in stamps.items()}
+            refined.write(paths, objects)
         if self.output.json is not None:
             save_json(
                 self.output.json,
-                run_document(outcome, config, proof, config=described, wall_s=wall, cpu_s=cpu, profile=profile),
+                run_document(
+                    outcome, config, refined.simulated, config=described, wall_s=wall, cpu_s=cpu, profile=profile
+                ),
             )
         console = screen()
-        console.print(grasp_table(outcome, problem.hand.name, config, proof, verbose=self.output.verbose))
+        console.print(refined.table(verbose=self.output.verbose))
         if not should_hold(outcome.quality[:, 1]).all():
             for note in problem.convention_notes:
                 console.print(f"mend the file first: {note}", soft_wrap=True, markup=False)
@@ -202,54 +198,23 @@ class Run:
         check_writable(*paths.values(), out.json, overwrite=True, inside=out.out)
         return paths
 
-    def _save(
-        self,
-        problem: Problem,
-        outcome: Outcome,
-        paths: dict[str, Path],
-        stamps: Mapping[str, str],
-        described: Mapping[str, Any],
-        proof: Proof | None,
-    ) -> None:
-        source: dict[str, Any] = fingerprint(problem.files[0])
-        provenance = {
-            "versions": versions(),
-            "seed": described["refine"]["seed"],
-            "config": described,
-            # Which grasps were drawn depends on the hand, the object and the seed.
-            "source": {"sampled": problem.sampled, "hand": source} if problem.sampled else source,
-            "urdf": fingerprint(problem.hand.urdf),
-        }
-        links = problem.groups[0].scene.links
-        for name, path in paths.items():
-            rows = np.flatnonzero(outcome.object == name)
-            trials = None if proof is None else (proof.before.select(rows), proof.after.select(rows))
-            objects = object_entries(group for group in problem.groups if group.object == name)
-            of_object = provenance | {"objects": objects, "stamp": stamps[name]}
-            save_results(path, problem.hand, links, outcome.select(rows), of_object, trials)
-
 
 def _aimed(draft: Draft, config: Config) -> bool:
     """Whether links have targets."""
     return config.nearest or draft.aimed
 
 
-def _proved(problem: Problem, parts: Sequence[Outcome], protocol: Protocol, reporter: Reporter) -> Proof:
-    """What simulation says of all grasps before and after, in the order in which they were asked for."""
-    from grasp_refine.validation.validate import model_of
-    from grasp_refine.validation.world import build_world
+class _Listener(Listener):
+    """Shows the progress of a refinement with a reporter."""
 
-    model = model_of(problem.hand)
-    for note in model.notes:
-        reporter.say(f"note: {note}")
-    trials = []
-    for group, part in zip(problem.groups, parts, strict=True):
-        world = build_world(model, group.scene.object, protocol, group.scene.table)
-        trials.append(proved(group, part, world, reporter.telling(group.object, len(part))))
-    before, after = zip(*trials, strict=True)
-    return Proof(
-        protocol,
-        Trials.join(before).select(problem.order),
-        problem.closing(),
-        Trials.join(after).select(problem.order),
-    )
+    def __init__(self, reporter: Reporter) -> None:
+        self._reporter = reporter
+
+    def refining(self, group: Group) -> Progress:
+        return self._reporter.group(group.object, len(group.rows))
+
+    def note(self, line: str) -> None:
+        self._reporter.say(f"note: {line}")
+
+    def simulating(self, group: Group) -> Callable[[str, float], None]:
+        return self._reporter.telling(group.object, len(group.rows))

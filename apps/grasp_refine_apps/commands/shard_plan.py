@@ -17,13 +17,15 @@ from grasp_refine.grasps.formats.folders import object_folder
 from grasp_refine.grasps.grasp_set import choose_rows
 from grasp_refine.hands.source import check_known
 from grasp_refine.objects.source import ObjectSource, chosen_object
+from grasp_refine.pipeline.input_cache import InputCache
+from grasp_refine.pipeline.load import Loader
+from grasp_refine.pipeline.sampled import check_sampled
+from grasp_refine.pipeline.spec import SAMPLE
 from grasp_refine_apps.batch.record import is_result
 from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.commands.digests import Digests
-from grasp_refine_apps.commands.input_cache import Kept, KeptInputs
-from grasp_refine_apps.commands.inputs import SAMPLE, Inputs
+from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.job_list import Job
-from grasp_refine_apps.commands.sources import on_disk
 
 READ = ("grasps", "hand", "urdf", "mjcf", "object", "objects", "targets")
 """Inputs that may be files or folders."""
@@ -112,19 +114,19 @@ class Planner:
             say: Hears what is fetched.
             progress: Hears how many jobs are planned, and which one is next.
         """
-        digests, kept, results = Digests(), Kept(), 0
+        digests, cache, results = Digests(), InputCache(), 0
         shards: list[Shard] = []
         refused: list[Refused] = []
         for number, job in enumerate(jobs):
             progress(number, visible(job.name))
-            inputs = KeptInputs.of(job.inputs, kept)
+            loader = Loader(job.inputs, self.seed, say, cache=cache)
             try:
                 if not is_sound(job.name):
                     raise GraspRefineError("the name of its file holds control characters; rename it")
-                if not job.named and is_result(Path(str(inputs.grasps))):
+                if not job.named and is_result(Path(str(job.inputs.grasps))):
                     results += 1
                     continue
-                shards += list(self._shards(job, inputs, digests, say))
+                shards += list(self._shards(job, loader, digests))
             except GraspRefineError as error:
                 refused.append(Refused(visible(job.name), " ".join(str(error).split())))
         # What shares a hand and an object is done together; else jobs stay in order.
@@ -140,25 +142,25 @@ class Planner:
         ]
         return Plan(tuple(numbered), tuple(refused), tuple(files), results)
 
-    def _shards(self, job: Job, inputs: KeptInputs, digests: Digests, say: Callable[[str], None]) -> Iterator[Shard]:
+    def _shards(self, job: Job, loader: Loader, digests: Digests) -> Iterator[Shard]:
         """The shards of a job, still without numbers.
 
         Raises:
             GraspRefineError: the job cannot be done.
         """
-        inputs.check_numbers()
+        inputs = loader.spec
+        inputs.check()
         if str(inputs.grasps).startswith(SAMPLE):
-            yield from self._sampled(job, inputs, digests, say)
+            yield from self._sampled(job, loader, digests)
             return
-        assert inputs.grasps is not None  # a job names them
-        path = on_disk(inputs.grasps, say)
-        read = inputs.read(path, say)
+        path = loader.grasp_path()
+        read = loader.read(path)
         if inputs.hand is None:
             check_known(read.grasps.hand, path)
         named = inputs.hand or read.grasps.hand
-        hand, digest = digests.hand(named, inputs, say)
+        hand, digest = digests.hand(named, inputs, loader.on_message)
         of_job = partial(Task, self.batch, job.name, job.inputs, source=digests.file(path), hand=(named, digest))
-        for name, where in inputs.named_objects(read.grasps, path, say).items():
+        for name, where in loader.named_objects(read.grasps, path).items():
             of_object = partial(of_job, object=name, object_digest=digests.object(where), object_source=where)
             rows = choose_rows(read.grasps, object_name=name, index=None)
             scales = read.grasps.scale[rows] * inputs.scale
@@ -169,12 +171,13 @@ class Planner:
                 some = tuple(np.unique(scales[index]).tolist())
                 yield self._shard(of_object(rows=rows[index], index=index, scales=some), hand, number, digests)
 
-    def _sampled(self, job: Job, inputs: KeptInputs, digests: Digests, say: Callable[[str], None]) -> Iterator[Shard]:
+    def _sampled(self, job: Job, loader: Loader, digests: Digests) -> Iterator[Shard]:
         """The shards of a job whose grasps are drawn, each in a draw of its own."""
-        count = inputs.sample_count()
+        inputs = loader.spec
+        count = check_sampled(inputs)
         assert inputs.hand is not None and inputs.object is not None  # or it refuses
-        hand, digest = digests.hand(inputs.hand, inputs, say)
-        where = chosen_object(inputs.object, say)
+        hand, digest = digests.hand(inputs.hand, inputs, loader.on_message)
+        where = chosen_object(inputs.object, loader.on_message)
         name = where.asset.name if where.asset is not None else Path(str(where.source)).stem
         for number, start in enumerate(range(0, count, self.size)):
             size, nothing = min(self.size, count - start), np.zeros(0, dtype=np.int64)

@@ -16,6 +16,7 @@ from tyro.conf import DisallowNone, Positional, arg
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_no_input, check_writable, save_json
 from grasp_refine.core.profiling import cpu_seconds
+from grasp_refine.pipeline.load import Loader
 from grasp_refine.pipeline.problem import Draft, Group, Problem
 from grasp_refine.results.document import settings
 from grasp_refine.results.result_files import fingerprint
@@ -83,11 +84,12 @@ class Validate:
         self._check(protocol, files)
         torch.set_num_threads(1)
         with Reporter(screen(stderr=True)) as reporter:
-            drafts = [self.sources.draft_from(path, reporter.say) for path in files]
+            loaders = [Loader(self.sources.of(path), self.robustness.seed, reporter.say) for path in files]
+            drafts = [loader.draft() for loader in loaders]
             if self.told.compare is not None:
                 _check_comparable(*drafts)
             self.recording.check(protocol, files, drafts, overwrite=self.told.overwrite)
-            problems = [self.sources.cut(draft, self.robustness.seed, reporter.say) for draft in drafts]
+            problems = [loader.cut(draft) for loader, draft in zip(loaders, drafts, strict=True)]
             for note in dict.fromkeys(note for problem in problems for note in problem.notes):
                 reporter.say(f"note: {note}")
             examined = [self._examined(problem, protocol, reporter) for problem in problems]

@@ -24,6 +24,7 @@ from grasp_refine.grasps.formats.listing import OURS
 from grasp_refine.grasps.formats.reading import Reading
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
+from grasp_refine.pipeline.load import Loader
 from grasp_refine.validation.replay.replay import Stage
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import Overwrite
@@ -148,7 +149,8 @@ class View:
                 return self._replayed(grasps[0], reporter)
             if documents and inputs.grasps is None:
                 inputs = replace(inputs, grasps=_told_file(documents[0]))
-            problem = inputs.load(self.settings.seed, reporter.say, reporter.wait)
+            loader = Loader(inputs, self.settings.seed, reporter.say, reporter.wait)
+            problem = loader.cut(loader.draft())
             for note in problem.notes:
                 reporter.say(f"note: {note}")
         collection = Collection.of(problem)
@@ -166,13 +168,34 @@ class View:
         from grasp_refine_apps.viewer.shown_motion import shown_motion
 
         replay = load_replay(path)
-        hand = self.inputs.load_hand(self.inputs.hand or replay.hand, None, reporter.say)
+        loader = Loader(self.inputs, self.settings.seed, reporter.say)
+        hand = loader.load_hand(self.inputs.hand or replay.hand, None)
         motion = shown_motion(hand, model_of(hand), replay)
-        problem = self.inputs.load_read(_grasp_of(motion, hand), path, self.settings.seed, reporter.say)
+        problem = loader.cut(loader.draft_read(_grasp_of(motion, hand), path))
         controller = Controller(Collection.of(problem), self.settings)
         controller.show_motion(motion)
         controller.say("this is a simulation: play it in the tab Prove")
         return controller
+
+
+def show(problem: Problem) -> Viewer:
+    """Show a problem in a browser, and return the viewer: the entry point of `grasp_refine.view`.
+
+    Raises:
+        GraspRefineError: viser is not installed.
+    """
+    if find_spec("viser") is None:
+        raise GraspRefineError("the viewer needs viser: pip install 'grasp-refine[viewer]'")
+    from grasp_refine_apps.viewer.collection import Collection
+    from grasp_refine_apps.viewer.controller import Controller
+    from grasp_refine_apps.viewer.page import open_server
+    from grasp_refine_apps.viewer.panels.app import Viewer
+
+    viewer = Viewer(open_server(Serving.host, 0), Controller(Collection.of(problem), Settings()))
+    screen().print(f"{viewer.address} shows it", soft_wrap=True, highlight=False)
+    if _has_screen():
+        webbrowser.open(viewer.address)
+    return viewer
 
 
 def _told_file(document: Proofs) -> Path:

@@ -60,7 +60,7 @@ def recorded(problem: Problem) -> Recorded | None:
 
 def row_files(problem: Problem) -> tuple[Path, ...]:
     """The .npz files whose rows, one file after the other, are those that `Group.rows` number."""
-    if problem.sampled:
+    if problem.sampled or not problem.files:
         return ()
     first, *others = problem.files
     files = tuple(path for path in others if path.is_relative_to(first)) if first.is_dir() else (first,)

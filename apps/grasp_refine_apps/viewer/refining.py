@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.pipeline.problem import Group
+from grasp_refine.pipeline.refine import refine_group
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.goal import goal_of
 from grasp_refine.refinement.iteration_state import Glimpse
-from grasp_refine.refinement.refine import refine
-from grasp_refine.results.outcome import Outcome, compare
+from grasp_refine.results.outcome import Outcome
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.target import Target
 from grasp_refine_apps.viewer.trace import Recorder, Trace
@@ -86,21 +86,12 @@ def refined(
                 show(trace)
 
     control.tell(None, "preparing")
-    found = refine(scene, config, watch=watch, prepared=prepared)
-    end = Pose(found.T_world_root[0], found.q[0])
-    recorder.keep(end, found.touching[0], float(found.loss[0, 1]), "the best of all")
-    control.tell(None, "measuring what came out")
-    after = replace(scene, T_world_root=found.T_world_root, q=found.q)
-    outcome = compare(
-        scene,
-        found,
-        closing(after, prepared, lambda *done: control.check()),
-        margin=config.margin,
-        name=group.object,
-        scale=group.scale,
-        row=np.zeros(1, dtype=int),
-        index=np.zeros(1, dtype=int),
+    alone = replace(group, scene=scene, rows=np.zeros(1, dtype=int), index=np.zeros(1, dtype=int))
+    outcome = refine_group(
+        alone, config, prepared=prepared, on_iteration=watch, on_opening=lambda *done: control.check()
     )
+    end = Pose(transform_from_pose(outcome.hand_pose)[0], outcome.q[0])
+    recorder.keep(end, outcome.touching[0], float(outcome.loss[0, 1]), "the best of all")
     trace = recorder.trace()
     assert trace is not None
     return Refined(end, trace, outcome)

@@ -56,6 +56,10 @@ class Viewer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Stop what is being done, and the server."""
+        self.close()
+
+    def close(self) -> None:
+        """Stop what is being done, and the server."""
         self._measuring.cancel()
         self.panel.close()
         self.controller.close()

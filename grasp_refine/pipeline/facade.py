@@ -1,0 +1,249 @@
+"""Functions of `import grasp_refine as gr`: refine, evaluate, simulate and show grasps that are in memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from importlib.metadata import entry_points
+from typing import Any
+
+import numpy as np
+from rich.console import RenderableType
+
+from grasp_refine.core.arguments import check_kind
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.grasps.grasp_set import GraspSet, match_joints
+from grasp_refine.hands.hand import Hand
+from grasp_refine.objects.object import Object
+from grasp_refine.pipeline.problem import Group, Problem, aim
+from grasp_refine.pipeline.refine import Listener, refine_problem, simulate_refined
+from grasp_refine.pipeline.refined import RefinedGrasps
+from grasp_refine.refinement.config import Config
+from grasp_refine.results.console import html_of, text_of
+from grasp_refine.results.simulated import Proof
+from grasp_refine.results.validation_table import validation_table
+from grasp_refine.scene.convention_check import convention_notes
+from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.protocol import SETTINGS, Protocol
+from grasp_refine.validation.validate import Validated, model_of, validate
+from grasp_refine.validation.world import build_world
+
+VIEWERS = "grasp_refine.viewers"
+"""Group of entry points of viewers: functions that show a `Problem` and return the viewer."""
+
+
+def problem_of(hand: Hand, obj: Object, grasps: GraspSet, *, table: float | None = None) -> Problem:
+    """Return grasps of a hand on an object as a problem, in memory.
+
+    Args:
+        hand: The hand.
+        obj: The object, in metres; scales that the grasps name are those of its mesh.
+        grasps: Grasps on this object alone, joint values by name.
+        table: Height (metres) of a table in the object's frame, z up; None: there is none.
+
+    Raises:
+        GraspRefineError: an argument of another kind, grasps of several objects, or of other joints.
+    """
+    check_kind("hand", hand, Hand)
+    check_kind("object", obj, Object)
+    check_kind("grasps", grasps, GraspSet)
+    names = list(dict.fromkeys(grasps.object.tolist()))
+    if len(names) > 1 or len(np.unique(grasps.scale)) > 1:
+        listing = ", ".join(f"{name} ({np.count_nonzero(grasps.object == name)})" for name in names)
+        raise GraspRefineError(
+            f"the grasps are on several objects or scales: {listing}; choose those on {obj.name} with "
+            "grasps.select(...), or give the file to load_problem"
+        )
+    if grasps.base_link != hand.base_link:
+        raise GraspRefineError(
+            f"the grasps give poses of link '{grasps.base_link}', the hand begins at '{hand.base_link}': "
+            f"load_hand(..., base_link='{grasps.base_link}')"
+        )
+    q, notes = match_joints(grasps, hand)
+    plane = None if table is None else Plane(offset=table)
+    rows = np.arange(len(grasps))
+    targets = aim(hand, grasps.targets, rows)
+    scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q, *targets, table=plane)
+    group = Group(names[0] if names else obj.name, float(np.mean(grasps.scale)), scene, grasps, rows, rows, rows)
+    doubts = convention_notes([scene])
+    told = dict.fromkeys((*hand.notes, *obj.notes, *notes, *doubts))
+    return Problem(hand, (), (group,), tuple(told), convention_notes=doubts)
+
+
+def refine(
+    hand: Hand | Problem,
+    object: Object | None = None,
+    grasps: GraspSet | None = None,
+    config: Config | None = None,
+    *,
+    table: float | None = None,
+    listener: Listener | None = None,
+) -> RefinedGrasps:
+    """Refine grasps of a hand on an object until its links touch, penetrate nothing and hold.
+
+    Args:
+        hand: The hand; or a problem of `load_problem`, which has object and grasps.
+        object: The object, in metres.
+        grasps: Grasps on it.
+        config: Settings; the defaults when None.
+        table: Height (metres) of a table in the object's frame, z up, that no link may go through.
+        listener: Hears of the progress.
+
+    Raises:
+        GraspRefineError: an argument of another kind, grasps of another hand or of several objects.
+    """
+    check_kind("config", config, Config | None)
+    problem = _problem(hand, object, grasps, table)
+    return refine_problem(problem, config, listener=listener)
+
+
+def simulate(
+    refined: RefinedGrasps, protocol: str | Protocol = "force-closure", *, listener: Listener | None = None
+) -> Proof:
+    """Simulate refined grasps in MuJoCo, before and after their refinement.
+
+    Args:
+        refined: Result of `refine`.
+        protocol: Name of a protocol of `refine-grasp validate`, or one of your own.
+        listener: Hears of the progress.
+
+    Raises:
+        GraspRefineError: there is no such protocol, or MuJoCo cannot make the hand or the world.
+    """
+    check_kind("refined", refined, RefinedGrasps)
+    return simulate_refined(refined, _protocol(protocol), listener=listener)
+
+
+def evaluate(
+    hand: Hand | Problem,
+    object: Object | None = None,
+    grasps: GraspSet | None = None,
+    protocol: str | Protocol | None = None,
+    *,
+    table: float | None = None,
+) -> Evaluation:
+    """Measure grasps as they are, refined or not, and, with a protocol, simulate them.
+
+    Args:
+        hand: The hand; or a problem of `load_problem`.
+        object: The object, in metres.
+        grasps: Grasps on it, with their own pregrasps and squeezes where they have some.
+        protocol: Name of a protocol of `refine-grasp validate`, or one of your own; None: nothing is simulated.
+        table: Height (metres) of a table in the object's frame, z up.
+
+    Raises:
+        GraspRefineError: an argument of another kind, grasps of another hand or of several objects.
+    """
+    problem = _problem(hand, object, grasps, table)
+    chosen = None if protocol is None else _protocol(protocol)
+    model = None if chosen is None else model_of(problem.hand)
+    parts = []
+    for group in problem.groups:
+        scene, world, motion = group.scene, None, None
+        if chosen is not None and model is not None:
+            world, motion = build_world(model, scene.object, chosen, scene.table), group.motion()
+        labels: dict[str, Any] = {"name": group.object, "scale": group.scale, "rows": group.rows, "index": group.index}
+        parts.append(validate(scene, **labels, world=world, motion=motion))
+    return Evaluation(problem, chosen, Validated.join(parts).select(problem.order))
+
+
+def view(grasps: RefinedGrasps | Problem) -> Any:
+    """Show grasps in a browser and return the viewer; its `address` is the page's, `close()` ends it.
+
+    Args:
+        grasps: Refined grasps, or a problem.
+
+    Raises:
+        GraspRefineError: no viewer is installed.
+    """
+    check_kind("grasps", grasps, RefinedGrasps | Problem)
+    viewers = entry_points(group=VIEWERS)
+    if not viewers:
+        raise GraspRefineError("no viewer is installed: pip install 'grasp-refine[viewer]'")
+    problem = grasps
+    if isinstance(grasps, RefinedGrasps):
+        after = grasps.after
+        groups = [(group, after.select(np.sort(group.place))) for group in grasps.problem.groups]
+        problem = replace(
+            grasps.problem, files=(), groups=tuple(_with_grasps(group, refined) for group, refined in groups)
+        )
+    return next(iter(viewers)).load()(problem)
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Measures of N grasps and, where they were simulated, their trials."""
+
+    problem: Problem
+    """Hand, objects and grasps."""
+    protocol: Protocol | None
+    """Protocol of the simulation; None: not simulated."""
+    validated: Validated
+    """Measures and trials, in the order in which the grasps were asked for."""
+
+    def __len__(self) -> int:
+        """Return the number of grasps."""
+        return len(self.validated)
+
+    @property
+    def quality(self) -> np.ndarray:
+        """Estimated quality (N,) from 0 to 1; NaN without contacts."""
+        return self.validated.metrics.quality
+
+    @property
+    def held(self) -> np.ndarray:
+        """Which grasps (N,) held in simulation.
+
+        Raises:
+            GraspRefineError: they were not simulated.
+        """
+        if self.protocol is None:
+            raise GraspRefineError("the grasps were not simulated: evaluate(..., protocol='force-closure')")
+        return self.validated.success
+
+    def table(self, *, verbose: bool = False) -> RenderableType:
+        """Return the table of `refine-grasp validate`, for a console of rich; `verbose` lists all of many grasps."""
+        return validation_table(self.validated, self.problem.hand.name, self.protocol, (), verbose=verbose)
+
+    def __repr__(self) -> str:
+        return f"Evaluation({count_text(len(self), 'grasp')} of {self.problem.hand.name}: {self.validated.metrics})"
+
+    def __str__(self) -> str:
+        return text_of(self.table())
+
+    def _repr_html_(self) -> str:
+        """The table, for a notebook."""
+        return html_of(self.table())
+
+
+def _problem(hand: Hand | Problem, obj: Object | None, grasps: GraspSet | None, table: float | None) -> Problem:
+    if isinstance(hand, Problem):
+        if obj is not None or grasps is not None or table is not None:
+            raise GraspRefineError("a problem has its object, grasps and table: give it alone")
+        return hand
+    if obj is None or grasps is None:
+        raise GraspRefineError("a hand, an object and grasps are needed, or a problem of load_problem")
+    return problem_of(hand, obj, grasps, table=table)
+
+
+def _protocol(protocol: str | Protocol) -> Protocol:
+    if isinstance(protocol, Protocol):
+        return protocol
+    if protocol not in SETTINGS:
+        raise GraspRefineError(f"no protocol '{protocol}': there are {', '.join(SETTINGS)}")
+    return SETTINGS[protocol]
+
+
+def _with_grasps(group: Group, grasps: GraspSet) -> Group:
+    """Return a group with other grasps on the same object."""
+    scene = replace(
+        group.scene,
+        T_world_root=transform_from_pose(grasps.hand_pose),
+        q=grasps.q,
+        target_link=None,
+        target_object=None,
+        direction=None,
+    )
+    return replace(group, scene=scene, grasps=grasps)

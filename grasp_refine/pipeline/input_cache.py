@@ -1,0 +1,39 @@
+"""Cache of inputs in memory: files, hands and objects that the next problem needs too."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar
+
+MAX_ENTRIES = {"file": 2, "hand": 4, "uncut": 16, "object": 16}
+"""Entries of each kind that are held, the ones used last; of any other kind 4. They bound the memory of a worker."""
+
+Value = TypeVar("Value")
+
+
+class InputCache:
+    """Values by kind and key; of each kind, those that were used last."""
+
+    def __init__(self) -> None:
+        """Begin empty."""
+        self._kinds: dict[str, OrderedDict[Hashable, Any]] = {}
+
+    def get(self, kind: str, key: Hashable, make: Callable[[], Value]) -> Value:
+        """Return the value of a key, made by `make` where it is not held."""
+        known = self._kinds.setdefault(kind, OrderedDict())
+        if key not in known:
+            # First, so that never more than the most are in memory.
+            while len(known) >= MAX_ENTRIES.get(kind, 4):
+                known.popitem(last=False)
+            known[key] = make()
+        known.move_to_end(key)
+        return known[key]
+
+
+class NoCache(InputCache):
+    """A cache that holds nothing: each value is made anew."""
+
+    def get(self, kind: str, key: Hashable, make: Callable[[], Value]) -> Value:
+        """Return a new value."""
+        return make()

@@ -1,0 +1,348 @@
+"""Problems from specifications: hands, objects and grasps are read and checked, then objects are decomposed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+
+from grasp_refine.assets.locating import fetched
+from grasp_refine.assets.names import find_asset
+from grasp_refine.core.errors import GraspFileError, GraspRefineError, HandError
+from grasp_refine.core.names import exists
+from grasp_refine.core.profiling import stage
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.geometry.decomposition import Decomposition
+from grasp_refine.grasps.formats.reading import Reading, reading
+from grasp_refine.grasps.grasp_set import GraspSet, Targets, choose_rows, load_grasps, match_joints
+from grasp_refine.grasps.rebase import rebased
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.source import check_known
+from grasp_refine.hands.tree import read_tree
+from grasp_refine.objects.object import Object, UncutObject, cut_objects, read_object
+from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, named_object
+from grasp_refine.pipeline.example import example_grasps
+from grasp_refine.pipeline.input_cache import InputCache, NoCache
+from grasp_refine.pipeline.problem import Draft, Group, Problem, UncutGroup, aim
+from grasp_refine.pipeline.recorded_objects import check_objects
+from grasp_refine.pipeline.sampled import check_sampled, sample_group, sampled_problem
+from grasp_refine.pipeline.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
+from grasp_refine.results.result_files import fingerprint, recorded_urdf
+from grasp_refine.scene.convention_check import convention_notes
+from grasp_refine.scene.scene import Scene
+
+
+def _ignore(message: str) -> None:
+    """Drop a message."""
+
+
+def load_problem(
+    spec: ProblemSpec,
+    cache: InputCache | None = None,
+    *,
+    seed: int = 0,
+    on_message: Callable[[str], None] = _ignore,
+    on_wait: Callable[[str], None] = _ignore,
+) -> Problem:
+    """Return the grasps of a specification with their hand and objects.
+
+    Args:
+        spec: Names and files.
+        cache: Holds files, hands and objects for the next problem; None: nothing is held.
+        seed: Of decompositions and of sampled grasps.
+        on_message: Is called when something is fetched, and when a decomposition starts and ends.
+        on_wait: Is called with the name of what takes a while.
+
+    Raises:
+        GraspRefineError: something is missing, cannot be used, or does not fit the rest.
+    """
+    loader = Loader(spec, seed, on_message, on_wait, cache or NoCache())
+    return loader.cut(loader.draft())
+
+
+@dataclass(frozen=True)
+class Loader:
+    """Loads a specification in two halves: `draft` reads and checks everything, `cut` decomposes the objects."""
+
+    spec: ProblemSpec
+    """Names and files."""
+    seed: int = 0
+    """Of decompositions and of sampled grasps."""
+    on_message: Callable[[str], None] = _ignore
+    """Is called when something is fetched, and when a decomposition starts and ends."""
+    on_wait: Callable[[str], None] = _ignore
+    """Is called with the name of what takes a while."""
+    cache: InputCache = field(default_factory=NoCache)
+    """Holds files, hands and objects for the next problem."""
+
+    @stage("loading")
+    def draft(self) -> Draft:
+        """Read and check everything that the specification names; no object is decomposed yet.
+
+        Raises:
+            GraspRefineError: something is missing, cannot be used, or does not fit the rest.
+        """
+        spec = self.spec
+        if str(spec.grasps).startswith(SAMPLE):
+            return self.draft_sampled(check_sampled(spec))
+        path = self.grasp_path() if spec.grasps is not None else example_grasps(spec)
+        return self.draft_read(self._read_file(path), path)
+
+    def grasp_path(self) -> Path:
+        """Return the path of the grasp file, fetched where it is an asset."""
+        assert self.spec.grasps is not None
+        return on_disk(self.spec.grasps, self.on_message)
+
+    def draft_read(self, read: Reading, path: Path) -> Draft:
+        """Return the draft of grasps that were read from `path` already."""
+        spec = self.spec
+        spec.check()
+        grasps = read.grasps
+        names = self._names(grasps, path)
+        chosen = {name: choose_rows(grasps, object_name=name, index=spec.index or None) for name in names}
+        sources = {name: self._source(name, path) for name in names}
+        targets = self._targets(grasps, path)
+        hand, grasps, resting = self._hand(grasps, path)
+        q, notes = match_joints(grasps, hand)
+        notes = (*read.notes, *hand.notes, *resting, *notes, *_other_urdf(path, hand, chosen=bool(spec.hand)))
+        groups: list[UncutGroup] = []
+        count = 0
+        for name, rows in chosen.items():
+            index = np.asarray(spec.index) if spec.index else np.arange(len(rows))
+            place, count = np.arange(count, count + len(rows)), count + len(rows)
+            scales = grasps.scale[rows] * spec.scale
+            for scale in np.unique(scales):
+                at = np.flatnonzero(scales == scale)
+                uncut = self.read_object(sources[name], float(scale))
+                notes += tuple(f"{name}: {note}" for note in uncut.notes)
+                file_scale = float(grasps.scale[rows[at[0]]])
+                groups.append(UncutGroup(name, spec.metres(scale), uncut, file_scale, rows[at], index[at], place[at]))
+        aims = [aim(hand, targets, group.rows) for group in groups]
+        notes += check_objects(read.files, {group.key: group.uncut for group in groups}, other=spec.other_object)
+        files, table = self._files(path, read), spec.plane
+
+        def finish(objects: Sequence[Object]) -> Problem:
+            found = []
+            for group, obj, points in zip(groups, objects, aims, strict=True):
+                some = grasps.select(group.rows)
+                scene = Scene(hand, obj, transform_from_pose(some.hand_pose), q[group.rows], *points, table=table)
+                found.append(Group(group.object, group.scale, scene, some, group.rows, group.index, group.place))
+            cut = {group.key: obj for group, obj in zip(groups, objects, strict=True)}
+            doubts = convention_notes([group.scene for group in found])
+            told = dict.fromkeys((*notes, *check_objects(read.files, cut, other=True), *doubts))
+            return Problem(hand, files, tuple(found), tuple(told), convention_notes=doubts)
+
+        names_of_grasps = tuple(name for name, rows in chosen.items() for _ in rows)
+        return Draft(hand, files, names_of_grasps, targets is not None, tuple(groups), finish)
+
+    def draft_sampled(self, count: int, draw: int = 0) -> Draft:
+        """Return the draft of `count` new grasps of the hand on the object, which are sampled once it is decomposed.
+
+        Args:
+            count: Number of grasps.
+            draw: Number of the draw, of several with one seed; each gives other grasps.
+
+        Raises:
+            GraspRefineError: hand or object cannot be used.
+        """
+        spec = self.spec
+        spec.check()
+        assert spec.hand is not None and spec.object is not None  # or `check_sampled` refuses
+        hand = self._simulated(self.load_hand(spec.hand, spec.base_link))
+        source = chosen_object(spec.object, self.on_message)
+        scale = spec.scale * (1.0 if source.asset is None else source.asset.scale)
+        uncut = self.read_object(source, scale)
+        seed = (self.seed, draw) if draw else self.seed
+
+        def finish(objects: Sequence[Object]) -> Problem:
+            return sampled_problem(spec, hand, objects[0], scale, count, seed, self.on_wait)
+
+        group = sample_group(uncut, spec.metres(scale))
+        return Draft(hand, (hand.urdf,), (uncut.name,), False, (group,), finish, f"{SAMPLE}{count}")
+
+    @stage("loading")
+    def cut(self, draft: Draft) -> Problem:
+        """Decompose the objects of a draft into convex pieces, several at a time, and return the problem."""
+        return draft.finish(self._cut([group.uncut for group in draft.groups]))
+
+    def read(self, path: Path) -> Reading:
+        """Return all grasps of the file `path`, with the targets that the specification asks for.
+
+        Raises:
+            GraspFileError: it cannot be read, or the targets cannot.
+        """
+
+        def aimed() -> Reading:
+            read = self._read_file(path)
+            return replace(read, grasps=replace(read.grasps, targets=self._targets(read.grasps, path)))
+
+        spec = self.spec
+        return self.cache.get("file", (path, spec.format, spec.hand, spec.urdf, spec.targets), aimed)
+
+    def named_objects(self, grasps: GraspSet, path: Path) -> dict[str, ObjectSource]:
+        """Return the source of each object of the grasps that is meant, in the order of the file.
+
+        Raises:
+            GraspRefineError: an object is not known, or cannot be told.
+        """
+        return {name: self._source(name, path) for name in self._names(grasps, path)}
+
+    def load_hand(self, source: str, base_link: str | None) -> Hand:
+        """Return a hand, of the files that the specification names."""
+        spec = self.spec
+        key = (source, base_link, spec.urdf, spec.mjcf, spec.hull_limit)
+        load = partial(load_hand, base_link=base_link, urdf=spec.urdf, mjcf=spec.mjcf, hull_limit=spec.hull_limit)
+        return self.cache.get("hand", key, lambda: load(source, progress=self.on_message))
+
+    def read_object(self, source: ObjectSource, scale: float) -> UncutObject:
+        """Return an object of the specified size, still to be decomposed.
+
+        Raises:
+            GraspRefineError: it cannot be read or used.
+        """
+        spec = self.spec
+
+        def read() -> UncutObject:
+            found = read_object(source.source, scale=scale, unit=spec.unit, holes=spec.holes)
+            return found if source.asset is None else replace(found, name=source.asset.name)
+
+        return self.cache.get("uncut", (source.source, scale, spec.unit, spec.holes), read)
+
+    def _cut(self, objects: Sequence[UncutObject]) -> Sequence[Object]:
+        settings = Decomposition(threshold=self.spec.threshold)
+
+        def cut(uncut: Sequence[UncutObject]) -> Sequence[Object]:
+            return cut_objects(uncut, settings, seed=self.seed, progress=self.on_message)
+
+        if isinstance(self.cache, NoCache):
+            return cut(objects)
+
+        def one(uncut: UncutObject) -> Object:
+            return self.cache.get("object", (uncut, settings.threshold, self.seed), lambda: cut([uncut])[0])
+
+        return [one(uncut) for uncut in objects]
+
+    def _read_file(self, path: Path) -> Reading:
+        """Return the grasps of a file, or of a folder, of any format."""
+        spec = self.spec
+        # Ours name their joints; for others the hand may have to say what their columns are.
+        hand = None if spec.hand is None or path.suffix == ".npz" else self.load_hand(spec.hand, None)
+        return reading(path, format=spec.format, hand=hand)
+
+    def _files(self, path: Path, read: Reading) -> tuple[Path, ...]:
+        """Return the path that was given, the files in it if it is a folder, and the file of targets."""
+        files = tuple(dict.fromkeys((path, *read.files)))
+        return files if self.spec.targets in (AUTO, NEAREST) else (*files, Path(self.spec.targets))
+
+    def _targets(self, grasps: GraspSet, path: Path) -> Targets | None:
+        """Return the targets of all rows of the grasp file; None: they are to be found."""
+        wanted = self.spec.targets
+        if wanted in (AUTO, NEAREST):
+            return grasps.targets if wanted == AUTO else None
+        aimed = load_grasps(wanted)
+        if aimed.targets is None:
+            raise GraspFileError(f"{wanted}: has no targets (target_link, target_point_link, target_point_object)")
+        if len(aimed) != len(grasps) or (aimed.object != grasps.object).any():
+            raise GraspFileError(
+                f"{wanted}: its rows must be those of {path}: {len(aimed)} against {len(grasps)} grasps"
+                + ("" if len(aimed) != len(grasps) else ", of other objects")
+            )
+        return aimed.targets
+
+    def _hand(self, grasps: GraspSet, path: Path) -> tuple[Hand, GraspSet, list[str]]:
+        """Return the hand below the base link that is asked for, the grasps expressed in its frame, and notes."""
+        spec = self.spec
+        source = spec.hand or grasps.hand
+        if spec.hand is None:
+            check_known(source, path)
+        load = cache(partial(self.load_hand, source))
+        try:
+            hand = load(grasps.base_link)
+        except HandError:
+            whole = load(None)
+            links = read_tree(whole.urdf).links
+            if grasps.base_link in links:
+                raise
+            raise GraspFileError(
+                f"{path}: the grasps are for another hand ('{grasps.hand}'): their base_link '{grasps.base_link}' "
+                f"is no link of hand '{whole.name}'; its links are {', '.join(links)}"
+            ) from None
+        notes = []
+        if spec.base_link is not None:
+            told, hand = rebased(grasps, spec.base_link, load), load(spec.base_link)
+            resting = [name for name in told.joint_names if name not in grasps.joint_names]
+            notes = [f"joints that the grasps lack begin at rest: {', '.join(resting)}"] if resting else []
+            grasps = told
+        if not any(link.body is not None for link in hand.links):
+            raise GraspFileError(
+                f"{path}: the grasps are for another hand ('{grasps.hand}'): from their base_link "
+                f"'{grasps.base_link}' on, no link of hand '{hand.name}' has collision geometry"
+            )
+        return self._simulated(hand), grasps, notes
+
+    def _simulated(self, hand: Hand) -> Hand:
+        """Return the hand as it will be simulated."""
+        # A file that is given is meant to be used.
+        hand = hand if self.spec.mjcf is None else replace(hand, collision="mjcf")
+        return self.cache.get("simulated", (hand, self.spec.mjcf), partial(_with_actuators, hand))
+
+    def _names(self, grasps: GraspSet, path: Path) -> list[str]:
+        """Return the names of the objects whose grasps are meant, in the order of the file."""
+        spec = self.spec
+        if spec.object is not None and spec.objects is not None:
+            raise GraspRefineError("--object and --objects exclude each other: give one of them")
+        if spec.object_name is not None:
+            return [spec.object_name]
+        names = list(dict.fromkeys(grasps.object.tolist()))
+        if len(names) > 1 and spec.objects is None and not (spec.object is None and all(map(is_known, names))):
+            listing = ", ".join(f"{name} ({np.count_nonzero(grasps.object == name)})" for name in names)
+            raise GraspFileError(
+                f"{path}: has grasps of {len(names)} objects; choose one with --object-name, or give all their "
+                f"meshes with --objects: {listing}"
+            )
+        return names
+
+    def _source(self, name: str, path: Path) -> ObjectSource:
+        """Return the source of the object `name` of the grasp file."""
+        spec = self.spec
+        if spec.object is not None:
+            return chosen_object(spec.object, self.on_message)
+        return named_object(
+            name, None if spec.objects is None else on_disk(spec.objects, self.on_message), path, self.on_message
+        )
+
+
+def on_disk(path: Path, say: Callable[[str], None]) -> Path:
+    """Return a path, or the folder of the asset of this name, if nothing else is called so."""
+    asset = None if exists(path) or path.suffix else find_asset(str(path), "grasps")
+    return path if asset is None else fetched(asset, say)
+
+
+def _other_urdf(path: Path, hand: Hand, *, chosen: bool) -> list[str]:
+    """Return a note where grasps were refined with another URDF than that of the hand.
+
+    Raises:
+        GraspFileError: they were, and this one was not `chosen` by the user, whose hand may be called like one of ours.
+    """
+    recorded = recorded_urdf(path)
+    if recorded in (None, fingerprint(hand.urdf)["sha256"]):
+        return []
+    other = f"{path} was made with another URDF of hand '{hand.name}' than {hand.urdf}"
+    if not chosen:
+        raise GraspFileError(
+            f"{other}: give that one with --hand or --urdf, or --hand {hand.name} if this one is meant"
+        )
+    return [other]
+
+
+def _with_actuators(hand: Hand) -> Hand:
+    """Return the hand with the actuators of its MJCF, if that is what will be simulated."""
+    if hand.collision != "mjcf" or hand.mjcf is None:
+        return hand
+    from grasp_refine.validation.mjcf_model import mjcf_model
+
+    # Squeezes are for the actuators that will press.
+    return replace(hand, actuator=mjcf_model(hand, hand.mjcf).actuator)

@@ -1,0 +1,157 @@
+"""Refinement of a problem: each group of grasps is refined and measured, then simulated where that is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.pipeline.input_cache import InputCache, NoCache
+from grasp_refine.pipeline.problem import Group, Problem
+from grasp_refine.pipeline.refined import RefinedGrasps
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.iteration_state import Watch
+from grasp_refine.refinement.refine import refine
+from grasp_refine.refinement.solvers.least_squares import Progress
+from grasp_refine.results.outcome import Outcome, compare
+from grasp_refine.results.simulated import Proof
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.validation.motion import Motion, closing
+from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.trials import Trials
+
+
+class Listener:
+    """Hears of the progress of `refine_problem`; a subclass overrides what it wants to hear."""
+
+    def refining(self, group: Group) -> Progress | None:
+        """Return the progress callback of the refinement of a group, which begins now."""
+        return None
+
+    def note(self, line: str) -> None:
+        """Hear of what a user should know about the simulated hand."""
+
+    def simulating(self, group: Group) -> Callable[[str, float], None]:
+        """Return the callback of the simulation of a group: what is simulated, and how many grasps are done."""
+        return lambda what, done: None
+
+
+def refine_problem(
+    problem: Problem,
+    config: Config | None = None,
+    protocol: Protocol | None = None,
+    *,
+    listener: Listener | None = None,
+    cache: InputCache | None = None,
+    threads: int | None = None,
+) -> RefinedGrasps:
+    """Refine and measure all grasps of a problem, and simulate them before and after.
+
+    Args:
+        problem: Hand, objects and grasps.
+        config: All settings of the refinement; the defaults when None.
+        protocol: Protocol of the simulation; None: nothing is simulated.
+        listener: Hears of the progress.
+        cache: Holds what is prepared of hands and objects for the next problem.
+        threads: CPU threads of the simulation; by default as many as there are.
+
+    Raises:
+        GraspRefineError: a link that should touch is not there, or MuJoCo cannot make the hand or the world.
+    """
+    config, listener, cache = config or Config(), listener or Listener(), cache or NoCache()
+
+    def prepared(group: Group) -> HandObject:
+        return cache.get("prepared", (problem.hand, group.scene.object), partial(HandObject.of, group.scene))
+
+    parts = [
+        refine_group(group, config, prepared=prepared(group), progress=listener.refining(group))
+        for group in problem.groups
+    ]
+    outcome = Outcome.join(parts).select(problem.order)
+    simulated = None if protocol is None else _simulate(problem, parts, protocol, listener, cache, threads)
+    return RefinedGrasps(problem, config, outcome, simulated)
+
+
+def refine_group(
+    group: Group,
+    config: Config,
+    *,
+    prepared: HandObject | None = None,
+    progress: Progress | None = None,
+    on_iteration: Watch | None = None,
+    on_opening: Progress | None = None,
+) -> Outcome:
+    """Refine the grasps of one object, give them pregrasps and squeezes, and measure them before and after.
+
+    Args:
+        group: The grasps.
+        config: All settings of the refinement.
+        prepared: Of their hand and object; None: built here.
+        progress: As for `refine`.
+        on_iteration: As the `watch` of `refine`.
+        on_opening: As the `progress` of `closing`.
+
+    Raises:
+        GraspRefineError: a link that should touch is not there.
+    """
+    scene, prepared = group.scene, prepared or HandObject.of(group.scene)
+    refinement = refine(scene, config, progress, on_iteration, prepared=prepared)
+    after = replace(scene, T_world_root=refinement.T_world_root, q=refinement.q)
+    return compare(
+        scene,
+        refinement,
+        closing(after, prepared, on_opening),
+        margin=config.margin,
+        name=group.object,
+        scale=group.scale,
+        row=group.rows,
+        index=group.index,
+    )
+
+
+def simulate_refined(
+    refined: RefinedGrasps,
+    protocol: Protocol,
+    *,
+    listener: Listener | None = None,
+    cache: InputCache | None = None,
+    threads: int | None = None,
+) -> Proof:
+    """Simulate refined grasps as they were given and as they are now; arguments as of `refine_problem`.
+
+    Raises:
+        GraspRefineError: MuJoCo cannot make the hand or the world.
+    """
+    parts = [refined.outcome.select(group.place) for group in refined.problem.groups]
+    return _simulate(refined.problem, parts, protocol, listener or Listener(), cache or NoCache(), threads)
+
+
+def _simulate(
+    problem: Problem,
+    parts: Sequence[Outcome],
+    protocol: Protocol,
+    listener: Listener,
+    cache: InputCache,
+    threads: int | None,
+) -> Proof:
+    """Simulate the grasps of each group before and after; `parts` are the outcomes of the groups."""
+    from grasp_refine.validation.simulation import simulate
+    from grasp_refine.validation.validate import model_of
+    from grasp_refine.validation.world import build_world
+
+    hand = problem.hand
+    model = cache.get("model", hand, partial(model_of, hand))
+    for note in model.notes:
+        listener.note(note)
+    before, after = [], []
+    for group, part in zip(problem.groups, parts, strict=True):
+        obj, table = group.scene.object, group.scene.table
+        world = cache.get("world", (hand, obj, protocol, table), partial(build_world, model, obj, protocol, table))
+        tell = listener.simulating(group)
+        refined = Motion(transform_from_pose(part.stage_pose), part.stage_q)
+        for motion, trials, when in ((group.motion(), before, "before"), (refined, after, "after")):
+            progress = partial(tell, f"simulating, {when}")
+            trials.append(simulate(world, motion, threads=threads, progress=progress))
+    order = problem.order
+    return Proof(protocol, Trials.join(before).select(order), problem.closing(), Trials.join(after).select(order))

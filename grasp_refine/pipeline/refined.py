@@ -1,0 +1,151 @@
+"""Refined grasps: what came of a problem, printed as a table, shown in a notebook, saved as a result file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import RenderableType
+
+from grasp_refine.core.json_files import check_writable
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.short_repr import labels, tallied
+from grasp_refine.core.versions import versions
+from grasp_refine.grasps.grasp_set import GraspSet, Stage
+from grasp_refine.pipeline.problem import Problem
+from grasp_refine.pipeline.recorded_objects import object_entries
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.results.console import html_of, text_of
+from grasp_refine.results.document import settings
+from grasp_refine.results.outcome import Outcome
+from grasp_refine.results.result_files import fingerprint, refined_set, result_paths, save_results
+from grasp_refine.results.simulated import Proof
+from grasp_refine.results.table import grasp_table
+from grasp_refine.validation.motion import STAGES
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedGrasps:
+    """N grasps before and after their refinement, in the order in which they were asked for."""
+
+    problem: Problem
+    """Hand, objects and grasps as they were given."""
+    config: Config
+    """Settings of the refinement."""
+    outcome: Outcome
+    """Poses, joint values and measures, before and after."""
+    simulated: Proof | None = None
+    """The same grasps in simulation, before and after; None: not simulated."""
+
+    def __len__(self) -> int:
+        """Return the number of grasps."""
+        return len(self.outcome)
+
+    @property
+    def status(self) -> np.ndarray:
+        """How the refinement of each grasp ended (N,), in words."""
+        return labels(Status, self.outcome.status)
+
+    @property
+    def quality(self) -> np.ndarray:
+        """Estimated quality (N, 2) before and after, from 0 to 1; NaN where there are no contacts."""
+        return self.outcome.quality
+
+    @property
+    def before(self) -> GraspSet:
+        """The grasps as they were given, joint values in the order of the hand."""
+        hand, outcome = self.problem.hand, self.outcome
+        pose, q = outcome.initial_pose, outcome.initial_q
+        return GraspSet(hand.name, hand.base_link, hand.joint_names, outcome.object, outcome.scale, pose, q)
+
+    @property
+    def after(self) -> GraspSet:
+        """The refined grasps, with their targets, pregrasps and squeezes."""
+        return refined_set(self.problem.hand, self.problem.groups[0].scene.links, self.outcome)
+
+    @property
+    def pregrasp(self) -> Stage:
+        """The open hand before each refined grasp, poses (N, 7) and joint values (N, n)."""
+        return self._stage("pregrasp")
+
+    @property
+    def squeeze(self) -> Stage:
+        """Poses (N, 7) and joint values (N, n) that position actuators are sent to so that the hand presses."""
+        return self._stage("squeeze")
+
+    def table(self, *, verbose: bool = False) -> RenderableType:
+        """Return the table of `refine-grasp run`, for a console of rich; `verbose` lists all of many grasps."""
+        return grasp_table(self.outcome, self.problem.hand.name, self.config, self.simulated, verbose=verbose)
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> tuple[Path, ...]:
+        """Write a result file, or, of grasps on several objects, a folder with one for each; return the paths.
+
+        `refine-grasp validate` and `view` read them, and `load_grasps`.
+
+        Args:
+            path: The file, .npz; for several objects a folder.
+            overwrite: Whether files that exist are replaced.
+
+        Raises:
+            GraspRefineError: a file exists, or cannot be written.
+        """
+        path, names = Path(path), list(dict.fromkeys(self.outcome.object.tolist()))
+        one = len(names) == 1
+        paths = {names[0]: path} if one else result_paths(path, self.problem.hand.name, tuple(names))
+        check_writable(*paths.values(), overwrite=overwrite, inside=None if one else path)
+        if not one:
+            path.mkdir(exist_ok=True)
+        self.write(paths)
+        return tuple(paths.values())
+
+    def write(self, paths: Mapping[str, Path], provenance: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+        """Write the result file of each object.
+
+        Args:
+            paths: Name of the object -> file.
+            provenance: Name of the object -> further entries of the provenance of its file.
+
+        Raises:
+            GraspFileError: a file cannot be written.
+        """
+        problem = self.problem
+        source: dict[str, Any] = {"memory": True}
+        if problem.files:
+            source = fingerprint(problem.files[0])
+            # Which grasps were sampled depends on the hand, the object and the seed.
+            source = {"sampled": problem.sampled, "hand": source} if problem.sampled else source
+        common = {
+            "versions": versions(),
+            "seed": self.config.seed,
+            "config": {"refine": settings(self.config)},
+            "source": source,
+            "urdf": fingerprint(problem.hand.urdf),
+        }
+        for name, path in paths.items():
+            rows = np.flatnonzero(self.outcome.object == name)
+            of_object = common | {"objects": object_entries(group for group in problem.groups if group.object == name)}
+            of_object |= {} if provenance is None else provenance[name]
+            trials = None
+            if self.simulated is not None:
+                trials = self.simulated.before.select(rows), self.simulated.after.select(rows)
+            save_results(
+                path, problem.hand, problem.groups[0].scene.links, self.outcome.select(rows), of_object, trials
+            )
+
+    def __repr__(self) -> str:
+        return f"RefinedGrasps({count_text(len(self), 'grasp')} of {self.problem.hand.name}: {tallied(self.status)})"
+
+    def __str__(self) -> str:
+        return text_of(self.table())
+
+    def _repr_html_(self) -> str:
+        """The table, for a notebook."""
+        return html_of(self.table())
+
+    def _stage(self, name: str) -> Stage:
+        at = STAGES.index(name)
+        return Stage(self.outcome.stage_pose[:, at], self.outcome.stage_q[:, at])

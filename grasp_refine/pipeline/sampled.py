@@ -1,0 +1,76 @@
+"""Sampled grasps as a problem: N new grasps of a hand on an object."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.grasps.grasp_set import choose_rows
+from grasp_refine.hands.hand import Hand
+from grasp_refine.objects.object import Object, UncutObject
+from grasp_refine.objects.source import check_object
+from grasp_refine.pipeline.problem import Group, Problem, UncutGroup
+from grasp_refine.pipeline.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
+from grasp_refine.scene.scene import Scene
+
+
+def check_sampled(spec: ProblemSpec) -> int:
+    """Return the number of grasps to sample.
+
+    Raises:
+        GraspRefineError: it is no number, or hand or object is not given.
+    """
+    asked = str(spec.grasps)
+    count = asked.removeprefix(SAMPLE)
+    if not (count.isascii() and count.isdigit() and int(count)):
+        raise GraspRefineError(f"--grasps {asked}: {SAMPLE}N needs a whole number N from 1 on, as in {SAMPLE}32")
+    if spec.objects is not None or spec.object_name is not None:
+        raise GraspRefineError(f"--objects and --object-name are for grasp files; --grasps {asked} needs --object")
+    if spec.object is not None:
+        check_object(spec.object)
+    lacking = [f"--{name}" for name in ("hand", "object") if getattr(spec, name) is None]
+    if lacking:
+        raise GraspRefineError(f"--grasps {asked} needs a hand and an object: give {' and '.join(lacking)}")
+    if spec.targets not in (AUTO, NEAREST):
+        raise GraspRefineError(f"--targets {spec.targets}: has no rows for the grasps of --grasps {asked}")
+    return int(count)
+
+
+def sample_group(uncut: UncutObject, scale: float) -> UncutGroup:
+    """Return the group of grasps that are still to be sampled on an object; `scale` takes its mesh to metres."""
+    none = np.zeros(0, dtype=np.int64)
+    return UncutGroup(uncut.name, scale, uncut, scale, none, none, none)
+
+
+def sampled_problem(
+    spec: ProblemSpec,
+    hand: Hand,
+    obj: Object,
+    scale: float,
+    count: int,
+    seed: int | tuple[int, int],
+    on_wait: Callable[[str], None],
+) -> Problem:
+    """Return `count` new grasps of a hand on an object, whose mesh is scaled by `scale`."""
+    from grasp_refine.sampling.sample import sample_grasps
+
+    table = spec.plane
+    began = time.perf_counter()
+    on_wait(f"sampling grasps of {hand.name} on {obj.name}")
+    grasps = sample_grasps(hand, obj, count, seed=seed, table=table)
+    notes = [*hand.notes, *(f"{obj.name}: {note}" for note in obj.notes)]
+    notes.append(f"sampled {count_text(len(grasps), 'grasp')} in {time.perf_counter() - began:.1f} s")
+    if len(grasps) < count:
+        notes.append(f"found only {len(grasps)} of {count_text(count, 'grasp')} of '{hand.name}' on '{obj.name}'")
+    grasps = replace(grasps, scale=np.full(len(grasps), spec.metres(scale)))
+    rows = choose_rows(grasps, object_name=None, index=spec.index or None)
+    grasps = grasps.select(rows)
+    scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), grasps.q, table=table)
+    group = Group(obj.name, spec.metres(scale), scene, grasps, rows, rows, np.arange(len(rows)))
+    return Problem(hand, (hand.urdf,), (group,), tuple(dict.fromkeys(notes)), f"{SAMPLE}{count}")
