@@ -5,10 +5,8 @@ from __future__ import annotations
 import ast
 import builtins
 import re
-import shutil
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -20,22 +18,23 @@ ROOT = Path(__file__).resolve().parents[1]
 STRICT = """
 [mypy]
 strict = True
-[mypy-grasp_refine.*]
+[mypy-grasp_refine.*,grasp_refine_apps.*]
 follow_imports = silent
 """
-"""How a careful user checks a project; what is installed is not reported on."""
+"""Options of a careful user's project; what is installed is not reported on."""
 
 REVEALED = """
 import numpy as np
 import torch
-from grasp_refine.grasps import load_grasps, match_joints
-from grasp_refine.hand import load_hand
-from grasp_refine.kinematics import Kinematics
-from grasp_refine.objects import load_object
-from grasp_refine.refine import refine
-from grasp_refine.scene import Scene
-from grasp_refine.se3 import exp_se3, transform_from_pose
+from grasp_refine.core.se3 import exp_se3, transform_from_pose
+from grasp_refine.grasps.grasp_set import load_grasps, match_joints
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.hands.kinematics import Kinematics
+from grasp_refine.objects.object import load_object
+from grasp_refine.refinement.refine import refine
+from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.metrics import metrics
+from grasp_refine_apps.cli import main
 
 hand, obj, grasps = load_hand("allegro"), load_object("mug"), load_grasps("grasps.npz")
 q, notes = match_joints(grasps, hand)
@@ -51,13 +50,14 @@ reveal_type(exp_se3(torch.zeros(6)))  # Tensor
 reveal_type(result)  # Refinement
 reveal_type(result.loss)  # ndarray
 reveal_type(metrics(hand, obj, result.T_world_root, result.q).quality)  # ndarray
+reveal_type(main([]))  # int
 reveal_type(Kinematics(hand, hand.joint_names)(torch.eye(4), torch.zeros(16)))  # Tensor
 """
 
 WRONG = """
-from grasp_refine.config import Config
-from grasp_refine.hand import load_hand
-from grasp_refine.refine import refine
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.refine import refine
 
 refine(load_hand("allegro"))
 Config(margin="thin")
@@ -66,23 +66,13 @@ load_hand("allegro").joint_name
 """
 
 
-@pytest.fixture(scope="module")
-def laid_out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the package as the wheel holds it: in a checkout `grasp_refine_apps` is elsewhere."""
-    folder = tmp_path_factory.mktemp("laid_out")
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    for place, source in project["tool"]["scikit-build"]["wheel"]["packages"].items():
-        shutil.copytree(ROOT / source, folder / place, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
-    return folder
-
-
-def checked(laid_out: Path, folder: Path, *arguments: str | Path) -> list[str]:
-    """What mypy says, run in a folder."""
-    command = [sys.executable, "-m", "mypy", "--no-error-summary", "--no-pretty", "--hide-error-context"]
+def check(folder: Path, *arguments: str | Path, cache: Path, **variables: str) -> list[str]:
+    """Return what mypy prints, run in a folder with the given environment variables and no others of ours."""
     result = subprocess.run(
-        [*command, "--cache-dir", folder / ".mypy_cache", *arguments],
+        [sys.executable, "-m", "mypy", "--no-error-summary", "--no-pretty", "--hide-error-context"]
+        + ["--cache-dir", str(cache), *map(str, arguments)],
         cwd=folder,
-        env={"MYPYPATH": str(laid_out), "PATH": "/usr/bin:/bin"},
+        env={"PATH": "/usr/bin:/bin", **variables},
         capture_output=True,
         text=True,
     )
@@ -90,12 +80,13 @@ def checked(laid_out: Path, folder: Path, *arguments: str | Path) -> list[str]:
     return result.stdout.splitlines()
 
 
-def users(laid_out: Path, folder: Path, **modules: str) -> list[str]:
-    """What mypy says of some modules of a user."""
+def check_project(folder: Path, **modules: str) -> list[str]:
+    """Return what mypy prints of a user's modules, beside which both packages are on the search path."""
     (folder / "mypy.ini").write_text(STRICT)
     for name, text in modules.items():
         (folder / f"{name}.py").write_text(text)
-    return checked(laid_out, folder, *(f"{name}.py" for name in modules))
+    files = [f"{name}.py" for name in modules]
+    return check(folder, *files, cache=folder / ".mypy_cache", MYPYPATH=f"{ROOT}:{ROOT / 'apps'}")
 
 
 def undefined(code: str) -> set[str]:
@@ -115,16 +106,27 @@ def examples() -> list[str]:
 
 
 @pytest.mark.slow
-def test_nothing_is_wrong_in_the_program(laid_out: Path) -> None:
-    said = checked(laid_out, laid_out, "--config-file", ROOT / "pyproject.toml")
-    assert said == []
+def test_nothing_is_wrong_in_the_program(tmp_path: Path) -> None:
+    """Run as a developer runs it: `mypy` in the checkout."""
+    assert check(ROOT, cache=tmp_path / "cache") == []
+
+
+def test_a_fault_in_either_package_is_found(tmp_path: Path) -> None:
+    """So that mypy finding nothing wrong means that it has read both."""
+    (tmp_path / "pyproject.toml").write_bytes((ROOT / "pyproject.toml").read_bytes())
+    for package in ("grasp_refine", "apps/grasp_refine_apps"):
+        (tmp_path / package).mkdir(parents=True)
+        (tmp_path / package / "__init__.py").write_text('length_m: float = "long"\n')
+    said = check(tmp_path, cache=tmp_path / "cache")
+    found = {line.partition(":")[0] for line in said if line.endswith("[assignment]")}
+    assert found == {"grasp_refine/__init__.py", "apps/grasp_refine_apps/__init__.py"}
 
 
 @pytest.mark.slow
-def test_a_users_project(laid_out: Path, tmp_path: Path) -> None:
+def test_a_users_project(tmp_path: Path) -> None:
     blocks = {f"example{number}": block for number, block in enumerate(examples())}
     assert len(blocks) >= 5
-    said = users(laid_out, tmp_path, **blocks, revealed=REVEALED, wrong=WRONG)
+    said = check_project(tmp_path, **blocks, revealed=REVEALED, wrong=WRONG)
     assert [line for line in said if line.startswith("example")] == []
 
     revealed = [line for line in said if line.startswith("revealed")]
