@@ -1,4 +1,4 @@
-"""Asking coal about two convex pieces, and making sure of its answer; `native/asking.h` is the same in C++.
+"""Asking coal about two convex pieces, and making sure of its answer; `native/certified_distance.h` is the same in C++.
 
 For every unit direction u the gap
 
@@ -37,7 +37,7 @@ _WILD = 1e300
 _NO_GUESS, _NO_HINT = np.array([1.0, 0.0, 0.0]), np.zeros(2, dtype=np.int32)
 """Where GJK begins without a guess, and at which two vertices it begins to look for support points."""
 
-# The same constants are in `native/asking.h`; all are in units of the pieces.
+# The same constants are in `native/certified_distance.h`; all are in units of the pieces.
 _SURE = 1e-10
 """How far a gap may lie below the distance that it proves."""
 _TOUCHING = 4e-9

@@ -1,14 +1,14 @@
 """The narrow phase: closest or deepest points of convex pieces, asked from coal (GJK and EPA).
 
-With `asking`, the only file that imports coal; `native/narrow_phase.h` is the same in C++. What both guard against
-(measured with coal 3.0.3):
+With `certified_distance`, the only file that imports coal; `native/narrow_phase.h` is the same in C++. What both guard
+against (measured with coal 3.0.3):
 
 - `ComputeDistance` does not keep its geometries alive, so this object does.
 - `DistanceResult.normal` is a view into the reused result; it is copied before the next query.
 - EPA at tight tolerances sometimes ends with a wild number: an answer that is not finite or lies below the
   signed bounding-sphere bound is asked again with a looser tolerance, and reported as failed if that fails too.
 - More than 255 neighbours at a vertex raise, and tolerances suit bodies of one size only (see `shapes`).
-- Answers that are not proven are mended (see `asking`).
+- Answers that are not proven are mended (see `certified_distance`).
 - A query object looks for support points where its last query found some, so that an answer depends on what was
   asked before, by millimetres where witness points are not unique. Only a request with cached guesses says where
   to begin, so every request has them; the query writes its own over them, so they are set before each one.

@@ -79,7 +79,7 @@ def load_object(
 ) -> Object:
     """The object, cut into convex pieces, that `source` names: embedded, a primitive, a mesh file, a folder of pieces.
 
-    The hulls of the meshes in a folder (see `object_folders`) are the convex pieces; nothing is decomposed. What is
+    The hulls of the meshes in a folder (see `folders`) are the convex pieces; nothing is decomposed. What is
     shown is the folder's surface if it has one, else all pieces. A mesh file of convex bodies is not decomposed either,
     and the pieces of the embedded objects come with the program.
 

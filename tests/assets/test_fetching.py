@@ -189,8 +189,8 @@ def test_a_connection_that_breaks_once_is_made_again(claw: Asset, server: Server
 KILLED = """
 import sys
 from pathlib import Path
-from grasp_refine.asset_library.locating import located
-from grasp_refine.asset_library.manifest import read_manifest
+from grasp_refine.assets.locating import located
+from grasp_refine.assets.manifest import read_manifest
 located(read_manifest("hands", Path(sys.argv[1]))["claw"])
 """
 
@@ -404,8 +404,8 @@ def test_a_mirror_is_a_folder_or_a_web_address(claw: Asset, monkeypatch: pytest.
 
 FETCH = """
 import sys
-from grasp_refine.asset_library.fetching import fetch_asset
-from grasp_refine.asset_library.names import choose_asset
+from grasp_refine.assets.fetching import fetch_asset
+from grasp_refine.assets.names import choose_asset
 for name in sys.argv[1:]:
     fetch_asset(choose_asset(name), accept_license=True)
 """

@@ -18,28 +18,28 @@ SETUP = """
 import json, sys
 from dataclasses import replace
 import numpy as np, torch
-from grasp_refine.chain import Chain
+from grasp_refine.hands.chain import Chain
 from grasp_refine.collision.query import Pairs, query
-from grasp_refine.config import Config
-from grasp_refine.errors import GraspRefineError
-from grasp_refine.formats.reading import read_grasps
+from grasp_refine.refinement.config import Config
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.grasps.formats.reading import read_grasps
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.mesh import load_mesh
-from grasp_refine.grasp_sampling import sample_grasps
-from grasp_refine.grasps import GraspSet, load_grasps, match_joints
-from grasp_refine.hand import load_hand
-from grasp_refine.kinematics import Kinematics
-from grasp_refine.losses import Scales, Weights
-from grasp_refine.max_move import MaxMove
-from grasp_refine.npz import save_npz
-from grasp_refine.objects import load_object
-from grasp_refine.plane import Plane
-from grasp_refine.refine import refine
-from grasp_refine.scene import Scene
-from grasp_refine.se3 import body_gradient, exp_se3, pose_from_transform, transform_from_pose
-from grasp_refine.solvers.descent import Descent
-from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
-from grasp_refine.targets import Touching
+from grasp_refine.sampling.sample import sample_grasps
+from grasp_refine.grasps.grasp_set import GraspSet, load_grasps, match_joints
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.hands.kinematics import Kinematics
+from grasp_refine.refinement.losses import Scales, Weights
+from grasp_refine.refinement.max_move import MaxMove
+from grasp_refine.core.npz_files import save_npz
+from grasp_refine.objects.object import load_object
+from grasp_refine.scene.plane import Plane
+from grasp_refine.refinement.refine import refine
+from grasp_refine.scene.scene import Scene
+from grasp_refine.core.se3 import body_gradient, exp_se3, pose_from_transform, transform_from_pose
+from grasp_refine.refinement.solvers.descent import Descent
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.scene.contact_selection import Touching
 from grasp_refine.validation.metrics import metrics
 from grasp_refine.validation.motion import Motion, closing
 from grasp_refine.validation.protocol import Protocol

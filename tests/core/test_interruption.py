@@ -138,7 +138,7 @@ def test_in_the_midst_of_a_simulation(start: Starter, number: signal.Signals):
 BENCH = """
 import sys, time
 from pathlib import Path
-from grasp_refine.apps.bench.jobs import run_jobs
+from grasp_refine_apps.bench.jobs import run_jobs
 from endless_job import EndlessJob
 
 if __name__ == "__main__":
@@ -160,7 +160,7 @@ def test_in_the_midst_of_the_jobs_of_a_benchmark(start: Starter, number: signal.
 
 NOHUP = """
 import os, signal
-from grasp_refine.interruption import SIGNALS, interruptible
+from grasp_refine.core.interruption import SIGNALS, interruptible
 signal.signal(signal.SIGHUP, signal.SIG_IGN)
 for number in SIGNALS:
     try:
@@ -182,7 +182,7 @@ def test_what_is_ignored_stays_ignored(start: Starter):
 
 IMPORTING = """
 import os, time
-from grasp_refine.interruption import interruptible
+from grasp_refine.core.interruption import interruptible
 
 def end():
     print("interrupted", flush=True)

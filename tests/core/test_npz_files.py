@@ -82,8 +82,8 @@ def grasp_file(path: Path, count: int, dtype: str, name: str = "ball", seed: int
 
 PEAK_OF_LOADING = """
 import resource, sys
-from grasp_refine.errors import GraspFileError
-from grasp_refine.grasps import load_grasps
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.grasps.grasp_set import load_grasps
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 try:
     print(len(load_grasps(sys.argv[1])), end=" ")

@@ -196,7 +196,7 @@ def test_it_counts_the_cpu_time_of_threads_and_of_children_that_ended():
 def test_without_one_a_stage_costs_next_to_nothing():
     code = """
 import time, timeit
-from grasp_refine.stopwatch import stage
+from grasp_refine.core.profiling import stage
 def alone(): pass
 def best(call): return min(timeit.repeat(call, number=20000, repeat=7, timer=time.process_time)) / 20000
 print(best(stage("solver")(alone)) - best(alone))

@@ -251,11 +251,11 @@ import sys
 import numpy as np, torch
 from pathlib import Path
 from claw import around, claw
-from grasp_refine.config import Config
-from grasp_refine.objects import load_object
-from grasp_refine.refine import refine
-from grasp_refine.solvers.adam import Adam
-from grasp_refine.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.config import Config
+from grasp_refine.objects.object import load_object
+from grasp_refine.refinement.refine import refine
+from grasp_refine.refinement.solvers.adam import Adam
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 
 folder, threads = Path(sys.argv[1]), int(sys.argv[2])
 torch.set_num_threads(threads)

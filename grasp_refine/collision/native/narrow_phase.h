@@ -10,7 +10,7 @@
 #include <utility>
 #include <vector>
 
-#include "asking.h"
+#include "certified_distance.h"
 
 namespace grasp_refine {
 

@@ -69,7 +69,7 @@ def program(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
 PROGRAM = """
 import sys
 from pathlib import Path
-from grasp_refine.apps.batch.pool import run_local
+from grasp_refine_apps.batch.pool import run_local
 from shard_works import some_shards, work
 
 if __name__ == "__main__":

@@ -28,15 +28,16 @@ import contextlib, io, json, pkgutil, sys, time
 everything, arguments = json.loads(sys.argv[1]), sys.argv[2:]
 if everything:
     from importlib import import_module
-    import grasp_refine
-    for module in pkgutil.walk_packages(grasp_refine.__path__, "grasp_refine."):
-        if not module.name.endswith("__main__"):
-            with contextlib.suppress(ImportError):
-                import_module(module.name)
+    import grasp_refine, grasp_refine_apps
+    for package in (grasp_refine, grasp_refine_apps):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if not module.name.endswith("__main__"):
+                with contextlib.suppress(ImportError):
+                    import_module(module.name)
     for name in ("coacd", "matplotlib.figure", "jinja2"):
         with contextlib.suppress(ImportError):
             import_module(name)
-from grasp_refine.cli import main
+from grasp_refine_apps.cli import main
 with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
     code = main(arguments)
 print(json.dumps([code, len(sys.modules)]))

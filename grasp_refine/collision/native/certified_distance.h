@@ -1,4 +1,5 @@
-// Asking coal about two convex pieces, and making sure of its answer: asking.py in C++, where it is explained.
+// Asking coal about two convex pieces, and making sure of its answer: certified_distance.py, where it is explained, in
+// C++.
 #pragma once
 
 #include <coal/distance_func_matrix.h>
@@ -19,7 +20,7 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr double kWild = 1e300;  // A distance beyond this, either way, is no answer.
 
-// As in asking.py, in units of the pieces.
+// As in certified_distance.py, in units of the pieces.
 constexpr double kSure = 1e-10, kTouching = 4e-9, kNothing = 1e-12, kUnit = 1e-6, kAside = 0.25, kFineEpa = 1e-10;
 constexpr double kApart[] = {0.25, 1.0 / 16384}, kSteps[] = {1, 8, 64, 512};
 constexpr int kRounds = 32, kEpaIterations = 256;
@@ -34,7 +35,7 @@ struct Core {
   double radius = 0;
   Vec3s center = Vec3s::Zero();  // Of the box around the vertices.
 
-  // u . x of the vertices; sums in the order of asking.py, so that both engines have the same bits.
+  // u . x of the vertices; sums in the order of certified_distance.py, so that both engines have the same bits.
   auto along(const Vec3s& u) const {
     return u[0] * vertices.col(0).array() + u[1] * vertices.col(1).array() + u[2] * vertices.col(2).array();
   }
