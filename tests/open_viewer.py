@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Problem
-from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.controller import Controller
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 def example(**options: object) -> Problem:
     """The embedded example grasps of Allegro on the mug, or what the options say."""
-    return Inputs(**options).load(0, lambda line: None)
+    return load_problem(ProblemSpec(**options))
 
 
 def controller(problem: Problem | None = None, settings: Settings | None = None) -> Controller:

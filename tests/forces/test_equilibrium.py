@@ -13,6 +13,7 @@ from grasp_refine.forces.wrench import EDGES, LENGTH, MOST, PLANNING_FRICTION, R
 from grasp_refine.hands.chain import Frames, moved
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
+from grasp_refine.pipeline.load import load_problem
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.goal import Goal, goal_of
 from grasp_refine.refinement.grasp_problem import GraspProblem, Known
@@ -401,7 +402,7 @@ def test_the_gradient_of_published_grasps(shared_assets: Path) -> None:
         urdf=shared_assets / "hands/shadow/shadow_right.urdf",
         objects=shared_assets / "grasps/bodex_shadow/example_object",
     )
-    groups = sources.load_from(shared_assets / "grasps/normalised/bodex_shadow.npz", 0, lambda line: None).groups
+    groups = load_problem(sources.of(shared_assets / "grasps/normalised/bodex_shadow.npz")).groups
     scene = groups[0].scene
     found = agreement(replace(scene, T_world_root=scene.T_world_root[:12], q=scene.q[:12]))
     assert len(scene.hand.coupled) == 4 and np.isfinite(found).sum() >= 9

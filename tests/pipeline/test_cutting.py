@@ -14,6 +14,8 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.geometry import pieces
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
 from grasp_refine.objects.object import load_object
+from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.job_list import read_jobs
@@ -108,7 +110,7 @@ def test_an_object_that_is_not_asked_for_is_not_even_read(
 def test_a_first_run_of_what_comes_with_the_program_cuts_nothing(
     hand: str, name: str, workplace: Path, decomposed: list[int]
 ):
-    problem = Inputs(hand=hand, object=name).load(0, lambda line: None)
+    problem = load_problem(ProblemSpec(hand=hand, object=name))
     assert problem.groups[0].scene.object.name == name
     assert decomposed == []
 

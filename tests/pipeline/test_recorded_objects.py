@@ -17,12 +17,12 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.npz_files import save_npz
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.objects.object import Object, load_object
+from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Group
 from grasp_refine.pipeline.recorded_objects import check_objects, object_entries, pieces_digest, surface_digest
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.results.result_files import read_provenance
 from grasp_refine_apps.cli import main
-from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.sources import Sources
 
 ALLEGRO = resource_dir("robots") / "allegro"
 QUICK = ("--geometry-only", "--index", "0")
@@ -77,11 +77,11 @@ def test_another_object_is_refused_by_name(result: Path, capfd: pytest.CaptureFi
 
 def test_another_size_is_another_object(result: Path):
     with refusals.refused(GraspFileError, "60 x 50 x 90 mm", "72 x 60 x 108 mm", "--other-object"):
-        Sources(object="mine.obj", scale=1.2).load_from(result, 0, print)
+        load_problem(ProblemSpec(object="mine.obj", scale=1.2, grasps=result))
 
 
 def test_another_object_is_taken_when_asked_for(result: Path):
-    mug = Sources(object="mug", scale=1000, other_object=True).load_from(result, 0, print)
+    mug = load_problem(ProblemSpec(object="mug", scale=1000, other_object=True, grasps=result))
     assert mug.groups[0].scene.object.name == "mug"
     assert any("60 x 50 x 90 mm" in note for note in mug.notes)
 
@@ -89,18 +89,18 @@ def test_another_object_is_taken_when_asked_for(result: Path):
 def test_the_same_mesh_is_the_same_object_wherever_it_lies(result: Path):
     Path("elsewhere").mkdir()
     Path("mine.obj").rename("elsewhere/other.obj")
-    assert Sources(object="elsewhere/other.obj").load_from(result, 0, print).notes == ()
+    assert load_problem(ProblemSpec(object="elsewhere/other.obj", grasps=result)).notes == ()
 
 
 def test_a_mesh_that_was_exported_anew_is_taken_with_a_note(result: Path):
     """In metres, with the eight digits of the exporter, which are fewer than those of millimetres."""
     load_object("mine.obj", scale=1e-3).mesh.export("metres.obj")
-    (note,) = Sources(object="metres.obj", scale=1e3).load_from(result, 0, print).notes
+    (note,) = load_problem(ProblemSpec(object="metres.obj", scale=1e3, grasps=result)).notes
     assert "rounded_box" in note
     shifted = load_object("mine.obj", scale=1e-3).mesh
     shifted.apply_translation([0.0, 0.0, 1e-4]).export("shifted.obj")
     with refusals.refused(GraspFileError, "--other-object"):
-        Sources(object="shifted.obj", scale=1e3).load_from(result, 0, print)
+        load_problem(ProblemSpec(object="shifted.obj", scale=1e3, grasps=result))
 
 
 def present(*groups: Group) -> dict[tuple[str, float], Object]:
@@ -108,8 +108,8 @@ def present(*groups: Group) -> dict[tuple[str, float], Object]:
 
 
 def test_other_pieces_of_the_same_mesh_are_noted(tmp_path: Path):
-    (group,) = Inputs(hand="allegro", index=(0,)).load(0, print).groups
-    coarse = Inputs(hand="allegro", index=(0,), threshold=0.5).load(0, print).groups
+    (group,) = load_problem(ProblemSpec(hand="allegro", index=(0,))).groups
+    coarse = load_problem(ProblemSpec(hand="allegro", index=(0,), threshold=0.5)).groups
     save_npz(tmp_path / "r.npz", {"provenance": np.array(json.dumps({"objects": _plain(object_entries([group]))}))})
     assert not check_objects([tmp_path / "r.npz"], present(group), other=False)
     (note,) = check_objects([tmp_path / "r.npz"], present(*coarse), other=False)
@@ -130,11 +130,11 @@ def test_each_object_and_size_of_a_folder_is_compared(tmp_path: Path, monkeypatc
     entries = read_provenance(Path("out/allegro_rounded_box.npz"))["objects"]
     assert [(entry["name"], entry["scale"]) for entry in entries] == [("rounded_box", 1.0), ("rounded_box", 1.1)]
     assert entries[0]["mesh"] != entries[1]["mesh"]
-    assert len(Sources().load_from(Path("out"), 0, print).groups) == 3
+    assert len(load_problem(ProblemSpec(grasps=Path("out"))).groups) == 3
     for bottle, named in (("bottle", ()), ("mug", ("allegro_bottle.npz", "'bottle'"))):
         Path("objects.toml").write_text(f'rounded_box = "rounded_box"\nbottle = "{bottle}"\n')
         with refusals.refused(GraspFileError, *named) if named else nullcontext():
-            Sources(objects=Path("objects.toml")).load_from(Path("out"), 0, print)
+            load_problem(ProblemSpec(objects=Path("objects.toml"), grasps=Path("out")))
 
 
 def test_a_batch_refuses_results_of_another_object(result: Path, capfd: pytest.CaptureFixture[str]):
@@ -152,6 +152,6 @@ def test_a_batch_refuses_results_of_another_object(result: Path, capfd: pytest.C
     ["mug", [1], [{"name": [], "scale": 1.0, "mesh": "", "pieces": "", "measures_m": [1]}], [{"name": "mug"}], None],
 )
 def test_results_without_hashes_are_read_as_before(tmp_path: Path, objects: object):
-    (group,) = Inputs(hand="allegro", index=(0,)).load(0, print).groups
+    (group,) = load_problem(ProblemSpec(hand="allegro", index=(0,))).groups
     save_npz(tmp_path / "old.npz", {"provenance": np.array(json.dumps({"objects": objects}))})
     assert check_objects([tmp_path / "old.npz", tmp_path / "foreign.npy"], present(group), other=False) == ()

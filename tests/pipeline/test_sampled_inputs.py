@@ -10,7 +10,9 @@ import pytest
 import refusals
 from command_line import refused
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
+from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Problem
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.sampling import sample
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
@@ -31,7 +33,7 @@ def gripper(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def load(hand: str, seed: int = 0, **options: object) -> Problem:
     inputs = Inputs(**{"hand": hand, "object": BOX, "scale": 0.1, "grasps": Path("sample:4")} | options)
-    return inputs.load(seed, lambda line: None)
+    return load_problem(inputs, seed=seed)
 
 
 def test_sampled_grasps_are_a_problem_like_any_other(gripper: str):
@@ -53,9 +55,17 @@ def test_sampled_grasps_are_a_problem_like_any_other(gripper: str):
 def test_what_takes_a_while_is_told_after_what_was_asked_is_known_to_be_sound(gripper: str):
     heard: list[str] = []
     with refusals.refused(GraspRefineError, "--scale", "0"):
-        Inputs(hand=gripper, object=BOX, scale=0.0, grasps=Path("sample:4")).load(0, heard.append, heard.append)
+        load_problem(
+            ProblemSpec(hand=gripper, object=BOX, scale=0.0, grasps=Path("sample:4")),
+            on_message=heard.append,
+            on_wait=heard.append,
+        )
     assert heard == []
-    Inputs(hand=gripper, object=BOX, scale=0.1, grasps=Path("sample:4")).load(0, heard.append, heard.append)
+    load_problem(
+        ProblemSpec(hand=gripper, object=BOX, scale=0.1, grasps=Path("sample:4")),
+        on_message=heard.append,
+        on_wait=heard.append,
+    )
     (line,) = heard
     assert_names(line, "gripper", BOX)
 

@@ -12,9 +12,10 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import Stage, load_grasps
+from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.results.result_files import fingerprint, recorded_urdf
 from grasp_refine_apps.cli import main
-from grasp_refine_apps.commands.sources import Sources
 from refusals import refused
 
 
@@ -56,9 +57,9 @@ def test_grasps_of_another_urdf_are_not_judged_with_ours_unasked(
     assert main(["run", "--hand", "./allegro", *quick, "--out", "mine"]) == 0
     results = Path("mine/allegro_rounded_box.npz")
     with refused(GraspFileError, results, "'allegro'", ours / "allegro.urdf", "--hand", "--urdf", "--hand allegro"):
-        Sources().load_from(results, 0, print)
-    assert any(str(results) in note for note in Sources(hand="allegro").load_from(results, 0, print).notes)
-    assert not any(str(results) in note for note in Sources(hand="./allegro").load_from(results, 0, print).notes)
+        load_problem(ProblemSpec(grasps=results))
+    assert any(str(results) in note for note in load_problem(ProblemSpec(hand="allegro", grasps=results)).notes)
+    assert not any(str(results) in note for note in load_problem(ProblemSpec(hand="./allegro", grasps=results)).notes)
 
 
 def test_results_say_where_grasps_were_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,13 +16,14 @@ from rich.console import Console
 from boxed_example import FILE, boxed_example
 from grasp_refine.core.se3 import exp_so3, inverse, pose_from_transform, transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
+from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.scene.convention_check import convention_notes, joint_notes, position_notes
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.batch.progress import Progress
 from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.batch_session import Session
-from grasp_refine_apps.commands.inputs import Inputs
 from refusals import assert_names
 
 XYZW = [0, 1, 2, 4, 5, 6, 3]
@@ -135,7 +136,7 @@ def file(workplace: Path) -> Path:
 
 def test_what_is_read_stays_as_it_is(file: Path):
     pose, q = written("millimetres", "degrees")
-    problem = Inputs(grasps=file).load(0, lambda line: None)
+    problem = load_problem(ProblemSpec(grasps=file))
     np.testing.assert_array_equal(problem.groups[0].scene.q, q)
     np.testing.assert_allclose(problem.groups[0].scene.T_world_root[:, :3, 3], pose[:, :3])
     assert len(problem.convention_notes) == 2

@@ -35,7 +35,9 @@ from grasp_refine_apps.report.screen import screen
 if TYPE_CHECKING:
     import viser
 
+    from grasp_refine.pipeline.problem import Problem
     from grasp_refine_apps.viewer.controller import Controller
+    from grasp_refine_apps.viewer.panels.app import Viewer
     from grasp_refine_apps.viewer.shown_motion import ShownMotion
     from grasp_refine_apps.viewer.validated import Proved
     from grasp_refine_apps.viewer.validations import Proofs

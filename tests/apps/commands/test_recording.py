@@ -9,13 +9,14 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.pipeline.load import Loader, load_problem
 from grasp_refine.pipeline.problem import Draft, Group
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.validation.protocol import FORCE_CLOSURE, TABLETOP
 from grasp_refine.validation.replay.replay import load_replay
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.commands.recording import Recording
-from grasp_refine_apps.commands.sources import Sources
 from gripper import around, ball, gripper
 from refusals import assert_names, refused
 
@@ -32,13 +33,13 @@ def world() -> World:
 @pytest.fixture(scope="module")
 def group() -> Group:
     """Two grasps on a ball, as far as names go."""
-    (found,) = Sources(index=(2, 3)).load_from(EXAMPLE, 0, lambda text: None).groups
+    (found,) = load_problem(ProblemSpec(index=(2, 3), grasps=EXAMPLE)).groups
     return replace(found, object="ball")
 
 
 @pytest.fixture(scope="module")
 def drafts(group: Group) -> list[Draft]:
-    draft = Sources(index=(2, 3)).draft_from(EXAMPLE, lambda text: None)
+    draft = Loader(ProblemSpec(index=(2, 3), grasps=EXAMPLE)).draft()
     groups = tuple(replace(group, object="ball") for group in draft.groups)
     return [replace(draft, hand=replace(draft.hand, name="gripper"), groups=groups)]
 

@@ -14,8 +14,9 @@ import pytest
 
 from browser import ViserPage, until
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine_apps.commands.settings import Settings
-from grasp_refine_apps.commands.sources import Sources
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import STATUS
 from grasp_refine_apps.viewer.controller import Controller
@@ -43,7 +44,7 @@ class Shown:
 
 
 def opened(path: Path) -> Collection:
-    return Collection.of(Sources().load_from(path, 0, lambda text: None))
+    return Collection.of(load_problem(ProblemSpec(grasps=path)))
 
 
 @pytest.fixture

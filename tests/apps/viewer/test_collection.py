@@ -14,8 +14,9 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.hand import load_hand
+from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.sources import Sources
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.listing import Listing
 from grasp_refine_apps.viewer.marks import marks_path
@@ -27,7 +28,7 @@ EXAMPLE = resource_dir("robots") / "allegro" / "example_mug.npz"
 
 
 def opened(path: Path, **options: object) -> Collection:
-    return Collection.of(Sources(**options).load_from(path, 0, lambda text: None))
+    return Collection.of(load_problem(ProblemSpec(**options, grasps=path)))
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +116,7 @@ def test_marks_are_there_again_and_survive_a_subset(results: Path, tmp_path: Pat
 
 def test_drawn_grasps_have_no_file_and_no_marks_to_save() -> None:
     inputs = Inputs(hand="allegro", object="box:0.06,0.06,0.06", grasps=Path("sample:2"))
-    collection = Collection.of(inputs.load(0, lambda text: None))
+    collection = Collection.of(load_problem(inputs))
     marked = collection.with_mark(0, "good")
     assert marked.mark(0) == "good"
     with refused(GraspFileError):
@@ -193,7 +194,7 @@ def test_five_hundred_grasps_open_in_seconds(shared_assets: Path, tmp_path: Path
 
 def test_files_that_are_no_grasp_files_record_nothing(results: Path, tmp_path: Path) -> None:
     """The grasp of a replay lies in no row of its file."""
-    problem = Sources(index=(3,)).load_from(results, 0, lambda text: None)
+    problem = load_problem(ProblemSpec(index=(3,), grasps=results))
     path = tmp_path / "replay.npz"
     for entries in ({"time": np.zeros(3)}, {"hand_pose": np.zeros((3, 7)), "provenance": np.array("{}")}):
         np.savez(path, **entries)

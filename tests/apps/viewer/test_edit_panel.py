@@ -12,6 +12,7 @@ import pytest
 
 from grasp_refine.core.se3 import exp_so3
 from grasp_refine.hands.hand import load_hand
+from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine_apps.commands.inputs import Inputs
 from open_viewer import controller, example, shown_panel
@@ -144,7 +145,7 @@ def test_another_hand_has_other_sliders(shown: Shown, tmp_path: Path):
     (tmp_path / "plates.urdf").write_text(URDF)
     inputs = Inputs(hand=str(tmp_path / "plates.urdf"), object="sphere:0.03", grasps=Path("sample:1"))
     first = shown.sliders[0]
-    shown.controller.change_collection(Collection.of(inputs.load(0, lambda line: None)))
+    shown.controller.change_collection(Collection.of(load_problem(inputs)))
     until(lambda: [slider.label for slider in shown.sliders] == ["l", "r"])
     assert first._impl.removed
     assert (shown.sliders[0].min, shown.sliders[0].max) == (0.0, 70.0)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.validation.metrics import metrics
-from grasp_refine_apps.commands.sources import Sources
 from grasp_refine_apps.viewer import measuring
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.measuring import MEASURED, measured, unmeasured
@@ -26,7 +27,7 @@ def ignore(*told: object) -> None:
 
 @pytest.fixture(scope="module")
 def collection() -> Collection:
-    return Collection.of(Sources(index=(3, 0, 2, 1)).load_from(EXAMPLE, 0, ignore))
+    return Collection.of(load_problem(ProblemSpec(index=(3, 0, 2, 1), grasps=EXAMPLE)))
 
 
 def test_measures_are_those_of_validate_each_in_its_place(
@@ -47,7 +48,7 @@ def test_measures_are_those_of_validate_each_in_its_place(
 
 def test_what_a_file_says_is_not_measured(tmp_path: Path) -> None:
     path = save_example_results(tmp_path / "results.npz", 4)
-    collection = Collection.of(Sources().load_from(path, 0, ignore))
+    collection = Collection.of(load_problem(ProblemSpec(grasps=path)))
     assert not unmeasured(collection).any()
     assert measured(collection, ignore, ignore) is collection
 

@@ -8,8 +8,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.results.verdict import HOLDS
-from grasp_refine_apps.commands.sources import Sources
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import Column
 from grasp_refine_apps.viewer.listing import Listing
@@ -46,7 +47,7 @@ class Parsed(HTMLParser):
 @pytest.fixture(scope="module")
 def collection(tmp_path_factory: pytest.TempPathFactory) -> Collection:
     path = save_example_results(tmp_path_factory.mktemp("table") / "results.npz", 100)
-    return Collection.of(Sources().load_from(path, 0, lambda text: None))
+    return Collection.of(load_problem(ProblemSpec(grasps=path)))
 
 
 def table(collection: Collection, listing: Listing, page: int = 0, number: int = 0) -> Parsed:

@@ -16,7 +16,9 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import distances, pose_from_transform
 from grasp_refine.grasps.grasp_set import Stage
+from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Group
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing
@@ -36,7 +38,7 @@ EXAMPLE = resource_dir("robots") / "allegro" / "example_mug.npz"
 @pytest.fixture(scope="module")
 def group() -> Group:
     """The second example grasp: it holds, but with little friction."""
-    (found,) = Sources(index=(1,)).load_from(EXAMPLE, 0, lambda text: None).groups
+    (found,) = load_problem(ProblemSpec(index=(1,), grasps=EXAMPLE)).groups
     return found
 
 
@@ -152,7 +154,7 @@ def test_a_grasp_of_others_is_closed_as_its_file_says(prover: Prover, shared_ass
         object_name=bottle,
         index=(0,),
     )
-    (group,) = sources.load_from(shared_assets / "grasps/normalised/bodex_shadow.npz", 0, lambda text: None).groups
+    (group,) = load_problem(sources.of(shared_assets / "grasps/normalised/bodex_shadow.npz")).groups
     pose = as_it_came(group.scene)
     proved = prove(prover, group.scene, pose, FORCE_CLOSURE, came=group.grasps)
     assert proved.held and proved.closing == {"pregrasp": "file", "squeeze": "file"}

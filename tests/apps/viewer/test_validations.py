@@ -13,9 +13,10 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspFileError
+from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.cli import main
-from grasp_refine_apps.commands.sources import Sources
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import HELD, REASON
 from grasp_refine_apps.viewer.pose import Pose
@@ -28,7 +29,7 @@ EXAMPLE = resource_dir("robots") / "allegro" / "example_mug.npz"
 
 
 def opened(path: Path, *index: int) -> Collection:
-    return Collection.of(Sources(index=index).load_from(path, 0, lambda text: None))
+    return Collection.of(load_problem(ProblemSpec(index=index, grasps=path)))
 
 
 @pytest.fixture(scope="module")

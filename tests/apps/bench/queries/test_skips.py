@@ -11,6 +11,8 @@ import pytest
 
 from grasp_refine.collision.query import query
 from grasp_refine.hands.self_collision import candidate_pairs, judged_pairs
+from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -26,13 +28,12 @@ from grasp_refine_apps.bench.queries.skips_starting import (
     import_skips,
     self_collision_skips,
 )
-from grasp_refine_apps.commands.inputs import Inputs
 
 
 @pytest.fixture(scope="module")
 def example() -> Example:
     """Four grasps whose contacts close; forces do not count."""
-    (group,) = Inputs(hand="allegro", object="rounded_box").load(0, lambda line: None).groups
+    (group,) = load_problem(ProblemSpec(hand="allegro", object="rounded_box")).groups
     config = Config(weights=Weights(wrench=0.0), solver=LevenbergMarquardt(iterations=12))
     return Example("allegro", "rounded_box", group.scene, config)
 

@@ -1,0 +1,130 @@
+"""`import grasp_refine as gr`: the names of the vocabulary refine, evaluate, simulate, save and show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+
+import grasp_refine as gr
+from grasp_refine.core.se3 import transform_from_pose
+from plate_gripper import URDF
+from refusals import refused
+
+FIVE_LINES = """
+import grasp_refine as gr
+hand, mug = gr.load_hand("allegro"), gr.load_object("mug")
+grasps = gr.sample_grasps(hand, mug, 2)
+refined = gr.refine(hand, mug, grasps)
+print(refined); refined.save("refined.npz"); trials = gr.simulate(refined)
+"""
+
+
+@pytest.fixture(scope="module")
+def gripper(tmp_path_factory: pytest.TempPathFactory) -> gr.Hand:
+    path = tmp_path_factory.mktemp("gripper") / "gripper.urdf"
+    path.write_text(URDF)
+    return gr.load_hand(path, candidates=64)
+
+
+@pytest.fixture(scope="module")
+def refined(gripper: gr.Hand) -> gr.RefinedGrasps:
+    box = gr.load_object("box:0.05,0.06,0.07")
+    return gr.refine(gripper, box, gr.sample_grasps(gripper, box, 3))
+
+
+def test_five_lines_refine_save_and_simulate(workplace: Path, capsys: pytest.CaptureFixture[str]):
+    names: dict = {}
+    exec(FIVE_LINES, names)
+    said = capsys.readouterr().out
+    assert "allegro on mug: 2 grasps" in said and "2 of 2 grasps converged" in said
+    after, saved = names["refined"].after, gr.load_grasps("refined.npz")
+    for name in ("hand_pose", "q"):
+        np.testing.assert_array_equal(getattr(saved, name), getattr(after, name))
+        np.testing.assert_array_equal(getattr(saved.pregrasp, name), getattr(names["refined"].pregrasp, name))
+        np.testing.assert_array_equal(getattr(saved.squeeze, name), getattr(names["refined"].squeeze, name))
+    assert names["trials"].held.shape == (2, 2) and names["trials"].after.success.all()
+
+
+def test_the_way_of_the_command_line_gives_the_same(workplace: Path):
+    """`load_problem` of names and files, and arrays in memory, refine to the same bits."""
+    config = gr.Config(starts=1)
+    spec = gr.ProblemSpec(hand="allegro", object="rounded_box", index=(0, 2))
+    from_files = gr.refine(gr.load_problem(spec), config=config)
+    (group,) = from_files.problem.groups
+    hand, obj = gr.load_hand("allegro"), gr.load_object("rounded_box")
+    grasps = gr.GraspSet.of(hand, group.scene.T_world_root, group.scene.q, object="rounded_box")
+    in_memory = gr.refine(hand, obj, replace(grasps, hand_pose=group.grasps.hand_pose), config)
+    for name in ("hand_pose", "q"):
+        np.testing.assert_array_equal(getattr(in_memory.after, name), getattr(from_files.after, name))
+        np.testing.assert_allclose(getattr(in_memory.before, name), getattr(grasps, name), atol=1e-12)
+    assert (in_memory.status == from_files.status).all() and (in_memory.quality == from_files.quality).all()
+
+
+def test_poses_may_be_matrices_or_seven_numbers(gripper: gr.Hand, refined: gr.RefinedGrasps):
+    pose, q = refined.after.hand_pose, refined.after.q
+    of_matrices = gr.GraspSet.of(gripper, transform_from_pose(pose), q)
+    np.testing.assert_allclose(of_matrices.hand_pose, gr.GraspSet.of(gripper, pose.tolist(), q).hand_pose, atol=1e-12)
+
+
+def test_what_is_refined_is_measured_and_simulated_as_one(gripper: gr.Hand, refined: gr.RefinedGrasps):
+    box = refined.problem.groups[0].scene.object
+    evaluation = gr.evaluate(gripper, box, refined.after, "force-closure")
+    np.testing.assert_allclose(evaluation.quality, refined.quality[:, 1], atol=1e-9)
+    trials = gr.simulate(refined)
+    np.testing.assert_array_equal(evaluation.held, trials.held[:, 1])
+    assert f"{trials.held[:, 1].sum()} of 3" in str(evaluation)
+    with refused(gr.GraspRefineError, "protocol"):
+        _ = gr.evaluate(gripper, box, refined.after).held
+    with refused(gr.GraspRefineError, "forceclosure", "force-closure", "strict", "tabletop"):
+        gr.simulate(refined, "forceclosure")
+
+
+def test_a_notebook_shows_the_same_table(refined: gr.RefinedGrasps):
+    plain, page = str(refined), refined._repr_html_()
+    assert page.startswith("<pre")
+    assert all(word in page for word in plain.split() if word.isalnum())
+
+
+def test_a_file_that_exists_is_kept(refined: gr.RefinedGrasps, workplace: Path):
+    (path,) = refined.save("mine.npz")
+    content = path.read_bytes()
+    with refused(gr.GraspRefineError, "mine.npz"):
+        refined.save("mine.npz")
+    assert path.read_bytes() == content
+    assert refined.save("mine.npz", overwrite=True) == (path,)
+    with refused(gr.GraspRefineError, "nowhere"):
+        refined.save("nowhere/mine.npz")
+
+
+def test_bad_arguments_are_refused_by_name(gripper: gr.Hand, refined: gr.RefinedGrasps):
+    box, grasps = refined.problem.groups[0].scene.object, refined.after
+    with refused(gr.GraspRefineError, "object", "grasps"):
+        gr.refine(gripper, box)
+    with refused(gr.GraspRefineError, "several", "box (2)", "mug (1)"):
+        gr.refine(gripper, box, replace(grasps, object=np.array(["box", "mug", "box"])))
+    with refused(gr.GraspRefineError, "elsewhere", gripper.base_link):
+        gr.refine(gripper, box, replace(grasps, base_link="elsewhere"))
+    with refused(gr.GraspRefineError, "alone"):
+        gr.refine(refined.problem, box, grasps)
+
+
+def test_the_viewer_shows_refined_grasps(refined: gr.RefinedGrasps):
+    viewer = gr.view(refined)
+    try:
+        assert urlopen(viewer.address).status == 200
+        state = viewer.controller.state
+        np.testing.assert_allclose(state.pose.q, refined.after.q[0], atol=1e-12)
+    finally:
+        viewer.close()
+
+
+def test_every_name_of_the_vocabulary_is_there_and_has_a_docstring():
+    for name in gr.__all__:
+        assert name == "__version__" or getattr(gr, name).__doc__, name
+    assert set(gr.__all__) <= set(dir(gr))
+    with pytest.raises(AttributeError, match="nonsense"):
+        gr.nonsense  # noqa: B018
