@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 
 from grasp_refine.core.errors import MeshError
-from grasp_refine_apps.batch.shard import Beat, Done, Shard
+from grasp_refine_apps.batch.shard import Done, Heartbeat, Shard
 from grasp_refine_apps.batch.worker_pool import ONE_THREAD
 
 
@@ -31,7 +31,7 @@ def done(shard: Shard) -> Done:
     return Done(shard.number, shard.size, shard.size, (0, 1), None, 0.0, 0.0, 0)
 
 
-def work(shard: Shard, beat: Beat) -> Done:
+def work(shard: Shard, beat: Heartbeat) -> Done:
     """Do what the task says, and write which process did."""
     first = not (started := shard.path.with_suffix(".started")).exists()
     started.touch()
@@ -52,7 +52,7 @@ class StubbornError(Exception):
         raise ValueError("not this, either")
 
 
-def _raise(how: str, first: bool, beat: Beat) -> None:
+def _raise(how: str, first: bool, beat: Heartbeat) -> None:
     raise {
         "mesh": MeshError("mug.obj: no such mesh;\ntry another"),
         "value": ValueError("no luck"),
@@ -63,7 +63,7 @@ def _raise(how: str, first: bool, beat: Beat) -> None:
     }[how]
 
 
-def _crash(how: str, first: bool, beat: Beat) -> None:
+def _crash(how: str, first: bool, beat: Heartbeat) -> None:
     if how.startswith("once") and not first:
         return
     print("about to crash", file=sys.stderr, flush=True)
@@ -73,36 +73,36 @@ def _crash(how: str, first: bool, beat: Beat) -> None:
     time.sleep(3600.0)
 
 
-def _worse(how: str, first: bool, beat: Beat) -> None:
+def _worse(how: str, first: bool, beat: Heartbeat) -> None:
     """Crashes first, then raises."""
     (_crash if first else _raise)("exit" if first else "value", first, beat)
 
 
-def _sleep(how: str, first: bool, beat: Beat) -> None:
+def _sleep(how: str, first: bool, beat: Heartbeat) -> None:
     time.sleep(float(how))
 
 
-def _beat(how: str, first: bool, beat: Beat) -> None:
+def _beat(how: str, first: bool, beat: Heartbeat) -> None:
     until = time.monotonic() + float(how)
     while time.monotonic() < until:
         beat("still there", 0.5, 3)
         time.sleep(0.01)
 
 
-def _child(how: str, first: bool, beat: Beat) -> None:
+def _child(how: str, first: bool, beat: Heartbeat) -> None:
     """A process of its own, whose number is written down."""
     child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(3600)"])
     Path(how).write_text(str(child.pid))
     time.sleep(3600.0)
 
 
-def _compute(how: str, first: bool, beat: Beat) -> None:
+def _compute(how: str, first: bool, beat: Heartbeat) -> None:
     """Compiled code that never ends, and lets no other thread of Python run."""
     Path(how).write_text(str(os.getpid()))
     re.match("(a+)+$", "a" * 60 + "b")
 
 
-def _tidy(how: str, first: bool, beat: Beat) -> None:
+def _tidy(how: str, first: bool, beat: Heartbeat) -> None:
     """Takes away what is half written."""
     partial = Path(how)
     partial.touch()
@@ -112,11 +112,11 @@ def _tidy(how: str, first: bool, beat: Beat) -> None:
         partial.unlink()
 
 
-def _threads(how: str, first: bool, beat: Beat) -> None:
+def _threads(how: str, first: bool, beat: Heartbeat) -> None:
     Path(how).write_text(" ".join(f"{name}={os.environ.get(name)}" for name in ONE_THREAD))
 
 
-def _print(how: str, first: bool, beat: Beat) -> None:
+def _print(how: str, first: bool, beat: Heartbeat) -> None:
     os.write(1, b"out\n")
     print("error", file=sys.stderr)
 
@@ -127,7 +127,7 @@ class Tally:
     def __init__(self) -> None:
         self.calls = 0
 
-    def __call__(self, shard: Shard, beat: Beat) -> Done:
+    def __call__(self, shard: Shard, beat: Heartbeat) -> Done:
         self.calls += 1
         shard.path.write_text(f"{os.getpid()} {self.calls}")
         return done(shard)
@@ -155,7 +155,7 @@ class Unknown:
     def __reduce__(self):
         return import_module, ("no_such_module",)
 
-    def __call__(self, shard: Shard, beat: Beat) -> Done:
+    def __call__(self, shard: Shard, beat: Heartbeat) -> Done:
         raise NotImplementedError
 
 

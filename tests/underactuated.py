@@ -41,19 +41,19 @@ def underactuated(folder: Path, *, left: bool = False, toml: bool = True) -> Han
     sign = -1.0 if left else 1.0
     scale = ' scale="-1 1 1"' if left else ""
     parts = [f'<link name="palm"><collision><geometry><mesh filename="palm.stl"{scale}/></geometry></collision></link>']
-    bones = [("thumb_yaw", "palm", "thumb_base", (0.028, 0.018, -0.03), (0, 0, 1), None)]
-    bones += [
+    skeleton = [("thumb_yaw", "palm", "thumb_base", (0.028, 0.018, -0.03), (0, 0, 1), None)]
+    skeleton += [
         ("thumb_1", "thumb_base", "thumb_a", (0, 0.008, 0), (1, 0, 0), ((0, 1, 0), 0.034)),
         ("thumb_2", "thumb_a", "thumb_b", (0, 0.034, 0), (1, 0, 0), ((0, 1, 0), 0.028)),
         ("thumb_3", "thumb_b", "thumb_c", (0, 0.028, 0), (1, 0, 0), ((0, 1, 0), 0.022)),
     ]
     for finger, x in FINGERS.items():
         turn = 1 if finger == "ring" else -1
-        bones += [
+        skeleton += [
             (f"{finger}_1", "palm", f"{finger}_a", (x, 0, 0.045), (-1, 0, 0), ((0, 0, 1), 0.045)),
             (f"{finger}_2", f"{finger}_a", f"{finger}_b", (0, 0, 0.045), (turn, 0, 0), ((0, 0, 1), 0.034)),
         ]
-    for name, parent, child, (x, y, z), (ax, ay, az), bone in bones:
+    for name, parent, child, (x, y, z), (ax, ay, az), bone in skeleton:
         last = name in ("thumb_3", *(f"{finger}_2" for finger in FINGERS))
         parts.append(f'<link name="{child}">{"" if bone is None else _bone(*bone, last)}</link>')
         follow = '<mimic joint="{}" multiplier="{}" offset="{}"/>'.format(*FOLLOWERS[name]) if name in FOLLOWERS else ""

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import AssetError, told
-from grasp_refine.core.names import is_sound
+from grasp_refine.core.names import is_valid
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 
 Kind = Literal["hands", "objects", "grasps"]
@@ -139,7 +139,7 @@ class _Entry:
         if not (isinstance(value, str) and value) or (form is not None and not form.fullmatch(value)):
             needed = "a text" if form is None else f"like {form.pattern}"
             raise self.wrong(key, needed)
-        if form is None and key not in PATHS and not is_sound(value):
+        if form is None and key not in PATHS and not is_valid(value):
             raise self.wrong(key, "a text of letters that a terminal only shows")
         return value
 

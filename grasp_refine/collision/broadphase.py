@@ -20,7 +20,7 @@ from grasp_refine.geometry.pieces import Piece
 
 
 @dataclass(frozen=True, eq=False)
-class Balls:
+class BoundingSpheres:
     """The bounding balls of K pieces of each of some bodies, in the frames of these."""
 
     center: np.ndarray
@@ -47,9 +47,9 @@ class Bounds:
         return Bounds(*(np.take(getattr(self, field.name), index, axis=-1) for field in fields(self)))
 
     @property
-    def balls(self) -> Balls:
+    def bounding_spheres(self) -> BoundingSpheres:
         """The balls alone."""
-        return Balls(np.moveaxis(self.center, 0, -1), self.radius)
+        return BoundingSpheres(np.moveaxis(self.center, 0, -1), self.radius)
 
 
 def bounds_of(pieces: Sequence[Piece]) -> Bounds:
@@ -68,7 +68,7 @@ def bounds_of(pieces: Sequence[Piece]) -> Bounds:
     return Bounds(*(np.stack(column, axis=-1) for column in (centers, radii, axes, halves)))
 
 
-def ball_bound(a: Balls, b: Balls, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def sphere_bound(a: BoundingSpheres, b: BoundingSpheres, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lower bounds (..., K_a, K_b) of the signed distance of all piece pairs from their balls, and the likeliest.
 
     The likeliest piece pair (...), an index into the K_a K_b of them, is the closest one with balls of half the

@@ -135,7 +135,7 @@ class PiecePair:
 
 
 @dataclass
-class _Climbed:
+class _Ascent:
     """Where following the normal ended."""
 
     gap: float
@@ -147,7 +147,7 @@ class _Climbed:
     """Whether GJK found anything."""
 
 
-class Asker:
+class CertifiedQuery:
     """What asks; of two questions the second does not see what the first one left."""
 
     def __init__(self, tolerances: Tolerances) -> None:
@@ -173,14 +173,14 @@ class Asker:
         # Without a bound, too, there is a limit to what an answer can be.
         floor = max(bound - self._tolerances.slack, -_WILD)
         self._T.setRotation(R)
-        d = self._ask(pair, t, self._tight, _NO_GUESS if guess is None else guess)
+        d = self._query_pieces(pair, t, self._tight, _NO_GUESS if guess is None else guess)
         if not (floor <= d < _WILD):
-            d = self._ask(pair, t, self._loose, _NO_GUESS)
+            d = self._query_pieces(pair, t, self._loose, _NO_GUESS)
             if not (floor <= d < _WILD):
                 d = np.nan
         if abs(d) > _TOUCHING and self._is_proven(pair, R, t, d):
             return d
-        d = self._settled(pair, R, t, d)
+        d = self._resolve(pair, R, t, d)
         return d if d >= floor else np.nan
 
     def _is_proven(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, d: float) -> bool:
@@ -191,7 +191,7 @@ class Asker:
         """Whether coal's normal has length 1; it is zero where the axes of capsules meet."""
         return bool(abs(_square(self.normal) - 1.0) <= _UNIT)
 
-    def _ask(self, pair: PiecePair, t: np.ndarray, request: coal.DistanceRequest, guess: np.ndarray) -> float:
+    def _query_pieces(self, pair: PiecePair, t: np.ndarray, request: coal.DistanceRequest, guess: np.ndarray) -> float:
         """Coal's answer for body b at t (3,), as it is."""
         T, result = self._T, self._result
         T.setTranslation(t)
@@ -201,25 +201,25 @@ class Asker:
         self.point, self.normal = result.getNearestPoint1(), result.normal.copy()
         return d
 
-    def _settled(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, d: float) -> float:
+    def _resolve(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, d: float) -> float:
         """The largest gap that is found, where that is not what coal says, d (NaN: nothing)."""
         close = 0.5 * self._tolerances.gjk * (1.0 + abs(d))
         starts = self._starts(pair, R, t)
-        best = self._climb(pair, R, t, starts[0])
+        best = self._ascend_separation(pair, R, t, starts[0])
 
         def sure() -> bool:
             # Elsewhere there may be a larger gap.
             return bool(best.closed and (abs(d - best.gap) <= close or (math.isnan(d) and best.gap > 0.0)))
 
         if d <= _TOUCHING and not sure():
-            self._ask(pair, t, self._fine, _NO_GUESS)
+            self._query_pieces(pair, t, self._fine, _NO_GUESS)
             if self._has_normal():
                 starts.insert(1, self.normal)
         for k in range(1, len(starts) + len(_AXES)):
             if sure():
                 break
             u = starts[k] if k < len(starts) else _normalized(best.normal + _ASIDE * _AXES[k - len(starts)])
-            found = self._climb(pair, R, t, u)
+            found = self._ascend_separation(pair, R, t, u)
             if found.gap > best.gap:
                 best = found
         if not best.answered or (math.isnan(d) and not best.closed):
@@ -234,13 +234,13 @@ class Asker:
         starts += [_normalized(u) for u in (across, m) if _square(u) > _NOTHING**2]
         return [*starts, *_AXES]
 
-    def _climb(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, u: np.ndarray) -> _Climbed:
+    def _ascend_separation(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, u: np.ndarray) -> _Ascent:
         """Follow the normal from the direction u to where the gap grows no more."""
-        found = _Climbed(pair.gap(R, t, u), u, np.zeros(3), closed=False, answered=False)
+        found = _Ascent(pair.gap(R, t, u), u, np.zeros(3), closed=False, answered=False)
         for apart in _APART:
             for _ in range(_ROUNDS):
                 u, move = found.normal, apart - found.gap
-                d = self._ask(pair, t + move * u, self._tight, -apart * u)
+                d = self._query_pieces(pair, t + move * u, self._tight, -apart * u)
                 if not (0.0 < d < _WILD):
                     break
                 found.point, found.answered = self.point, True

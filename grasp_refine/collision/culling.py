@@ -52,7 +52,7 @@ def nothing_near(bound: np.ndarray) -> Witness:
     return Witness(point_a, point_b, normal, bound.copy(), status, winner - 1, asked)
 
 
-def bounding_ball(body: Body) -> np.ndarray:
+def bounding_sphere(body: Body) -> np.ndarray:
     """Centre and radius (4,) of a ball around all pieces of a body, in its frame."""
     center = 0.5 * (body.centers.min(axis=0) + body.centers.max(axis=0))
     radius = (np.linalg.norm(body.centers - center, axis=1) + body.radii).max()

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import coal
 import numpy as np
 
-from grasp_refine.collision.certified_distance import Asker, Core, PiecePair, Tolerances
+from grasp_refine.collision.certified_distance import CertifiedQuery, Core, PiecePair, Tolerances
 from grasp_refine.collision.shapes import build_shape, unit_of
 from grasp_refine.core.profiling import stage
 from grasp_refine.geometry.pieces import Piece
@@ -43,7 +43,7 @@ class Closest:
     """Unit normal (M, 3), from body a to body b."""
     winner: np.ndarray
     """The piece pair (M,) that is closest; -1 where none was found."""
-    asked: np.ndarray
+    num_queries: np.ndarray
     """Number of queries (M,) that were asked."""
     failed: np.ndarray
     """Items (M,) for which at least one query could not be answered, so that the minimum is not certain."""
@@ -57,7 +57,7 @@ class NarrowPhase:
         # The pieces keep their shapes alive.
         self._keep_alive = (tuple(pieces_a), tuple(pieces_b))
         self._pairs = [_piece_pair(a, b) for a, b in zip(pieces_a, pieces_b, strict=True)]
-        self._asker = Asker(tolerances)
+        self._asker = CertifiedQuery(tolerances)
 
     @stage("narrow phase")
     def closest(

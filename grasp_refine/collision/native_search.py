@@ -87,7 +87,7 @@ class NativeNarrowPhase:
         found = Closest(np.empty(M), np.empty((M, 3)), np.empty((M, 3)), winner, asked, np.empty(M, bool))
         self.compiled.closest(
             R, t, starts, pair, bound, limit, guess, guess_valid,
-            found.distance, found.point, found.normal, found.winner, found.asked, found.failed,
+            found.distance, found.point, found.normal, found.winner, found.num_queries, found.failed,
         )  # fmt: skip
         return found
 

@@ -12,7 +12,7 @@ from grasp_refine.collision.certified_distance import Tolerances
 from grasp_refine.collision.engine import Engine, chosen
 from grasp_refine.collision.narrowphase import Closest, NarrowPhase
 from grasp_refine.collision.relative import in_frame, relative
-from grasp_refine.collision.search import Search, Warm
+from grasp_refine.collision.search import Search, WarmStart
 from grasp_refine.collision.table import PieceTable
 from grasp_refine.core.arguments import as_numbers, check_kind, shown
 from grasp_refine.core.errors import CollisionError, GraspRefineError
@@ -59,7 +59,7 @@ class Witness:
     """A `QueryStatus` for each pair (batch, pair)."""
     winner: Any
     """The piece pair that is closest (batch, pair), an index into the table of the pairs; -1 without points."""
-    asked: np.ndarray
+    num_queries: np.ndarray
     """Number of narrow-phase queries that each pair took (batch, pair)."""
 
     def __repr__(self) -> str:
@@ -280,7 +280,7 @@ def query_items(
         return _ask_native(pairs, pair, T_world_a, T_world_b, limit, previous)
     T_a, T_b = (np.asarray(T, dtype=np.float64) for T in (T_world_a, T_world_b))
     found = _ask(pairs, pair, T_a, T_b, limit, previous)
-    count_queries(found.asked)
+    count_queries(found.num_queries)
     return found
 
 
@@ -297,7 +297,7 @@ def _ask_native(
     T_a, T_b = (np.ascontiguousarray(T, dtype=np.float64) for T in (T_a, T_b))
     assert pairs.native is not None
     found = Witness(*pairs.native.ask(pair, T_a, T_b, limit, last))
-    count_queries(found.asked)
+    count_queries(found.num_queries)
     return found
 
 
@@ -318,7 +318,7 @@ def _ask(
         bound, column = np.full((len(pair), 1), -np.inf), np.zeros(len(pair), dtype=np.int64)
     else:
         with np.errstate(invalid="ignore", over="ignore"):
-            bound, column = table.ball_bound(pair, R, t)
+            bound, column = table.sphere_bound(pair, R, t)
         bound[single] = -np.inf
     bound[~finite] = np.inf
     search = Search(table, narrow_phase, pair, R, t, limit)
@@ -326,14 +326,14 @@ def _ask(
     return _witness(found, T_a, limit, finite)
 
 
-def _warm(previous: Witness | None, T_a: np.ndarray, table: PieceTable) -> Warm | None:
+def _warm(previous: Witness | None, T_a: np.ndarray, table: PieceTable) -> WarmStart | None:
     """What the last answer tells the search."""
     if previous is None:
         return None
     guess = in_frame(T_a, previous.point_a - previous.point_b)
     apart = (previous.status == QueryStatus.SEPARATED) & np.isfinite(guess).all(axis=1)
     column = np.where(previous.winner >= 0, table.column[previous.winner], -1)
-    return Warm(column, guess, apart)
+    return WarmStart(column, guess, apart)
 
 
 def _witness(found: Closest, T_a: np.ndarray, limit: np.ndarray, finite: np.ndarray) -> Witness:
@@ -352,4 +352,4 @@ def _witness(found: Closest, T_a: np.ndarray, limit: np.ndarray, finite: np.ndar
     world = np.stack([found.point, found.normal], axis=1) @ T_a[:, :3, :3].mT
     point_a, normal = world[:, 0] + T_a[:, :3, 3], world[:, 1]
     moved = np.where(valid, distance, 0.0)[:, None] * normal
-    return Witness(point_a, point_a + moved, normal, distance, status, found.winner, found.asked)
+    return Witness(point_a, point_a + moved, normal, distance, status, found.winner, found.num_queries)

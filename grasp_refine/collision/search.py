@@ -17,7 +17,7 @@ _BLOCK = 1024
 
 
 @dataclass(frozen=True, eq=False)
-class Warm:
+class WarmStart:
     """Where the last answer at nearby poses was."""
 
     column: np.ndarray
@@ -29,7 +29,7 @@ class Warm:
 
 
 @dataclass(frozen=True, eq=False)
-class Left:
+class Remaining:
     """N piece pairs that may still be the closest of their items."""
 
     item: np.ndarray
@@ -40,22 +40,22 @@ class Left:
     """Lower bound (N,) of its signed distance."""
 
     @staticmethod
-    def below(best: np.ndarray, bound: np.ndarray) -> "Left":
+    def below(best: np.ndarray, bound: np.ndarray) -> "Remaining":
         """All columns with a bound (M, K) below the best distance (M,) of their items."""
         place = np.flatnonzero(bound < best[:, None])
         item = place // bound.shape[1]
-        return Left(item, place - item * bound.shape[1], bound.take(place))
+        return Remaining(item, place - item * bound.shape[1], bound.take(place))
 
-    def raised(self, bound: np.ndarray, best: np.ndarray) -> "Left":
+    def raised(self, bound: np.ndarray, best: np.ndarray) -> "Remaining":
         """Those that another lower bound (N,), too, leaves below the best distance (M,) of their items."""
         higher = np.maximum(self.bound, bound)
         index = np.flatnonzero(higher < best.take(self.item))
-        return Left(self.item.take(index), self.column.take(index), higher.take(index))
+        return Remaining(self.item.take(index), self.column.take(index), higher.take(index))
 
-    def ascending(self) -> "Left":
+    def ascending(self) -> "Remaining":
         """The same, those of each item in ascending order of their bounds."""
         order = np.lexsort((self.bound, self.item))
-        return Left(self.item.take(order), self.column.take(order), self.bound.take(order))
+        return Remaining(self.item.take(order), self.column.take(order), self.bound.take(order))
 
     def runs(self, items: int) -> tuple[np.ndarray, np.ndarray]:
         """The A items of which any piece pairs are left, and where those of each begin, and end (A + 1,)."""
@@ -81,7 +81,7 @@ class Search:
     limit: np.ndarray
     """Signed distance (M,) that an answer has to beat."""
 
-    def minimum(self, bound: np.ndarray, column: np.ndarray, warm: Warm | None = None) -> Closest:
+    def minimum(self, bound: np.ndarray, column: np.ndarray, warm: WarmStart | None = None) -> Closest:
         """The closest piece pair of each item, none where none is below its limit.
 
         Args:
@@ -98,7 +98,7 @@ class Search:
             found.point[beyond], found.normal[beyond] = 0.0, 0.0
         return found
 
-    def _ask_first(self, bound: np.ndarray, column: np.ndarray, warm: Warm | None) -> Closest:
+    def _ask_first(self, bound: np.ndarray, column: np.ndarray, warm: WarmStart | None) -> Closest:
         """The answers for one column of each item, whose bounds turn infinite; none where they reach the limit."""
         items = np.arange(len(bound))
         guess = apart = None
@@ -117,21 +117,21 @@ class Search:
             guess,
             apart,
         )
-        bound[items, column] = np.where(found.asked > 0, np.inf, first)
+        bound[items, column] = np.where(found.num_queries > 0, np.inf, first)
         return found
 
     def _raised_by_boxes(self, first: np.ndarray, column: np.ndarray) -> np.ndarray:
         """Lower bounds (M,) of one column of each item, raised by boxes where that may save the query."""
         left = np.flatnonzero((first < self.limit) & np.isfinite(self.limit))
         if len(left):
-            raised = self._box_bound(Left(left, column[left], first[left]))
+            raised = self._box_bound(Remaining(left, column[left], first[left]))
             first[left] = np.maximum(first[left], raised)
         return first
 
     def _ask_rest(self, bound: np.ndarray, found: Closest) -> None:
         """Ask all that can still beat what was found first, and put what does in its place."""
         best = np.minimum(found.distance, self.limit)
-        left = Left.below(best, bound)
+        left = Remaining.below(best, bound)
         if len(left.item):
             left = left.raised(self._gap_bound(left, found.normal), best)
         if len(left.item):
@@ -152,10 +152,10 @@ class Search:
         index = active[better]
         for name in ("distance", "point", "normal", "winner"):
             getattr(found, name)[index] = getattr(more, name)[better]
-        found.asked[active] += more.asked
+        found.num_queries[active] += more.num_queries
         found.failed[active] |= more.failed
 
-    def _gap_bound(self, left: Left, normal: np.ndarray) -> np.ndarray:
+    def _gap_bound(self, left: Remaining, normal: np.ndarray) -> np.ndarray:
         """Lower bounds (N,) of what is left, along the normals (M, 3) of the items."""
         active, starts = left.runs(len(normal))
         u = normal[active]
@@ -164,7 +164,7 @@ class Search:
         run = np.repeat(np.arange(len(active)), np.diff(starts))
         return self.table.gap_bound(run, left.column, self.pair.take(active), u, self.R[active], self.t[active])
 
-    def _box_bound(self, left: Left) -> np.ndarray:
+    def _box_bound(self, left: Remaining) -> np.ndarray:
         """Lower bounds (N,) of what is left, from boxes."""
         R, t = np.ascontiguousarray(np.moveaxis(self.R, 0, -1)), np.ascontiguousarray(self.t.T)
         bound = np.empty(len(left.item))

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from grasp_refine.collision.broadphase import Balls, Bounds, ball_bound, bounds_of, box_bound
+from grasp_refine.collision.broadphase import BoundingSpheres, Bounds, bounds_of, box_bound, sphere_bound
 from grasp_refine.collision.supports import Supports
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
@@ -37,18 +37,20 @@ class Side:
         """Bounds of the pieces (N,) of the bodies in the pairs (N,)."""
         return self.piece_bounds.take(self.first.take(self.body.take(pair)) + piece)
 
-    def balls(self, pair: np.ndarray) -> Balls:
+    def bounding_spheres(self, pair: np.ndarray) -> BoundingSpheres:
         """The balls of all pieces (M, K) of the bodies in the pairs (M,); where one has fewer, radii are -inf."""
         body = self.body.take(pair)
-        return Balls(self._balls.center.take(body, axis=0), self._balls.radius.take(body, axis=0))
+        return BoundingSpheres(
+            self._bounding_spheres.center.take(body, axis=0), self._bounding_spheres.radius.take(body, axis=0)
+        )
 
     @cached_property
-    def _balls(self) -> Balls:
+    def _bounding_spheres(self) -> BoundingSpheres:
         """Of all bodies (B, K)."""
         piece = np.arange(self.width)
         present = piece < np.array([len(body.pieces) for body in self.bodies])[:, None]
-        balls = self.piece_bounds.take(self.first[:-1, None] + np.where(present, piece, 0)).balls
-        return Balls(np.ascontiguousarray(balls.center), np.where(present, balls.radius, -np.inf))
+        balls = self.piece_bounds.take(self.first[:-1, None] + np.where(present, piece, 0)).bounding_spheres
+        return BoundingSpheres(np.ascontiguousarray(balls.center), np.where(present, balls.radius, -np.inf))
 
     def reach(self, pair: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Upper bounds (M, K) of max u . x over the pieces of the bodies in the pairs (M,), for u (M, 3)."""
@@ -110,7 +112,7 @@ class PieceTable:
     def __len__(self) -> int:
         return len(self.id)
 
-    def ball_bound(self, pair: np.ndarray, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def sphere_bound(self, pair: np.ndarray, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Lower bounds (M, K_a K_b) from the balls, infinite in empty columns, and the likeliest columns (M,).
 
         Args:
@@ -118,7 +120,7 @@ class PieceTable:
             R: Rotations (M, 3, 3) of bodies b in the frames of bodies a.
             t: Their origins (M, 3).
         """
-        bound, likeliest = ball_bound(self.a.balls(pair), self.b.balls(pair), R, t)
+        bound, likeliest = sphere_bound(self.a.bounding_spheres(pair), self.b.bounding_spheres(pair), R, t)
         return bound.reshape(-1, self.id.shape[1]), likeliest
 
     def gap_bound(

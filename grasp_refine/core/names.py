@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-UNSOUND = ("Cc", "Cs", "Zl", "Zp")
+INVALID_CHARACTERS = ("Cc", "Cs", "Zl", "Zp")
 """Kinds of letters in Unicode: those that control a terminal, halves of letters, and ends of lines and paragraphs."""
 
 CODES_AT_ONCE = 2**20
@@ -20,12 +20,14 @@ FORMULA = tuple("=+-@\t\r\n\uff1d\uff0b\uff0d\uff20")
 """What spreadsheets take for the beginning of a formula, in its wide forms too."""
 
 
-def is_sound(text: str) -> bool:
+def is_valid(text: str) -> bool:
     """Whether a text holds no letters that control a terminal, end a line, turn the order, or that no text has."""
-    return text.isprintable() or not any(unicodedata.category(letter) in UNSOUND or letter in BIDI for letter in text)
+    return text.isprintable() or not any(
+        unicodedata.category(letter) in INVALID_CHARACTERS or letter in BIDI for letter in text
+    )
 
 
-def are_sound(texts: np.ndarray) -> bool:
+def are_valid(texts: np.ndarray) -> bool:
     """The same of an array of texts, whose codes need not be those of letters at all."""
     if not texts.itemsize or not texts.size:
         return True
@@ -35,7 +37,7 @@ def are_sound(texts: np.ndarray) -> bool:
 
 
 def _are_letters(codes: np.ndarray) -> bool:
-    """Whether all codes (N, length) are those of letters, as `is_sound` has them."""
+    """Whether all codes (N, length) are those of letters, as `is_valid` has them."""
     # Zeros fill a text up to its end; before another letter they are letters.
     padding = np.logical_and.accumulate((codes == 0)[:, ::-1], axis=1)[:, ::-1]
     control = (codes < 32) | ((codes >= 127) & (codes < 160)) | (codes == 0x2028) | (codes == 0x2029)
@@ -81,7 +83,7 @@ def exists(path: Path) -> bool:
         return False
 
 
-def at_home(path: Path) -> Path:
+def expand_user(path: Path) -> Path:
     """The path with a ~ at its beginning replaced, as it is where there is no such home."""
     try:
         return path.expanduser()

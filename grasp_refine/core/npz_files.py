@@ -21,7 +21,7 @@ import numpy as np
 from grasp_refine.core.arguments import check_kind, shown
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspFileError
-from grasp_refine.core.names import are_sound, is_file
+from grasp_refine.core.names import are_valid, is_file
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -65,7 +65,7 @@ class NpzFile:
         if value.dtype.kind != "U" and value.size:
             raise self.error(f"{key} must hold text; it holds {value.dtype}")
         value = value.astype(str, copy=False)
-        if not are_sound(value):
+        if not are_valid(value):
             raise self.error(f"{key} holds letters that no text has, or that control a terminal")
         return value
 

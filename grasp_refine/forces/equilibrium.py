@@ -28,7 +28,7 @@ from grasp_refine.forces.wrench import (
 )
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
-from grasp_refine.witness.contact_kinematics import slide
+from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
 
 LEVER = 0.06
 """A torque that the joints of one actuator cannot share counts like the force that makes it at this lever, metres."""
@@ -146,7 +146,11 @@ class Equilibrium:
         force = -hat(f) @ turn
         moment = hat(p - self.center)[:, None] @ force - hat(f) @ point
         covector = np.concatenate([force, moment / LENGTH], axis=-2).reshape(M, P * C * 6, 6)
-        J = self.chain.pull(frames, covector, np.tile(np.repeat(columns, 6), P)).reshape(M, P, C, 6, -1).sum(axis=2)
+        J = (
+            self.chain.to_joint_space(frames, covector, np.tile(np.repeat(columns, 6), P))
+            .reshape(M, P, C, 6, -1)
+            .sum(axis=2)
+        )
         if len(self.forms):
             changed = np.concatenate([force, hat(p)[:, None] @ force - hat(f) @ point], axis=-2)
             J = np.concatenate([J, self._torque_rows(frames, columns, p, f, changed)], axis=2)
@@ -197,8 +201,8 @@ class Equilibrium:
         turned = np.cross(linear, force) + np.cross(angular, moment)
         by_axis = np.concatenate([np.cross(angular, force), turned], axis=-1)
         carried = np.tile(len(chain.links) + np.arange(m), P)
-        by_axes = chain.pull(frames, by_axis.reshape(M, P * m, 6), carried).reshape(M, P, m, -1)
-        pulled = chain.pull(frames, changed.reshape(M, P * C * 6, 6), np.tile(np.repeat(columns, 6), P))
+        by_axes = chain.to_joint_space(frames, by_axis.reshape(M, P * m, 6), carried).reshape(M, P, m, -1)
+        pulled = chain.to_joint_space(frames, changed.reshape(M, P * C * 6, 6), np.tile(np.repeat(columns, 6), P))
         # sum over contacts c of forms S follows[c] . dW_c
         weight = np.einsum("ej,mjw,cj->mecw", self.forms, S, follows).reshape(M, 1, len(self.forms), C * 6)
         return self.forms @ by_axes + weight @ pulled.reshape(M, P, C * 6, -1)
@@ -212,7 +216,7 @@ def _sliding(
     The bases are those of `basis_tangents`; they turn by n x dn and about the normal.
     """
     distance = np.where(witness.valid, witness.distance, 0.0)
-    U_link, U_object = slide(witness.point_b, witness.normal, distance, E, K_link, K_object)
+    U_link, U_object = contact_slip_jacobian(witness.point_b, witness.normal, distance, E, K_link, K_object)
     eye = np.eye(3) + np.zeros_like(n[..., None])
     turned = np.concatenate([np.zeros_like(eye), cross(n[..., None, :] + np.zeros_like(eye), eye)], axis=-1)
     normal = turned - E @ (K_link @ U_link)

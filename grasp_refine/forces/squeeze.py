@@ -9,11 +9,11 @@ from grasp_refine.collision.query import Witness, query
 from grasp_refine.forces.wrench import RIDGE, ContactForces, center_of_mass, contact_forces
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
-CONTACTS = Touching(farthest=0.0)
+CONTACTS = ContactSelection(farthest=0.0)
 """Which links have a contact: those within reach, however few they are."""
 
 TOTAL = 30.0
@@ -50,7 +50,7 @@ def squeezed(scene: Scene, prepared: HandObject | None = None, *, total: float =
     force = total * grasp_forces(hand, scene.object, scene.links, witness, ridge=SQUEEZE_RIDGE).force
     # A force at the contact does work on the twist of the link: f . V(x) = f . v + (x x f) . w.
     covector = np.concatenate([force, np.cross(witness.point_a, force)], axis=-1)
-    torque = chain.pull(frames, covector, np.arange(len(scene.links)))[..., 6:].sum(axis=1)
+    torque = chain.to_joint_space(frames, covector, np.arange(len(scene.links)))[..., 6:].sum(axis=1)
     return np.where(posed[:, None], q + actuated(hand, torque), np.nan)
 
 

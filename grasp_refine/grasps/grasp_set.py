@@ -137,7 +137,15 @@ class GraspSet:
         pose = np.asarray(pose, dtype=np.float64)
         pose = pose_from_transform(pose) if pose.shape[-2:] == (4, 4) else pose
         count = len(pose)
-        return cls(hand.name, hand.base_link, hand.joint_names, np.full(count, object), np.full(count, scale), pose, q)
+        return cls(
+            hand.name,
+            hand.base_link,
+            hand.joint_names,
+            np.full(count, object),
+            np.full(count, scale),
+            pose,
+            np.asarray(q),
+        )
 
     def __repr__(self) -> str:
         names = np.unique(self.object)

@@ -92,11 +92,13 @@ class Chain:
         axes = xp.matrix_transpose(xp.concat([root_twists, twists], axis=1))
         return Frames(T_world_link, axes)
 
-    def pull(self, frames: Frames, covector: Array, link: np.ndarray, minus: np.ndarray | None = None) -> Array:
+    def to_joint_space(
+        self, frames: Frames, covector: Array, link: np.ndarray, minus: np.ndarray | None = None
+    ) -> Array:
         """Covectors on root twist and joint values (batch, R, 6 + n), from those (batch, R, 6) on the twists of links.
 
         Row r is the derivative of something that changes by covector[r] . (v, w) where (v, w) is the spatial twist
-        of link[r], less that of minus[r]: exact, by the geometric Jacobian. Root twists are those of `moved`. What
+        of link[r], less that of minus[r]: exact, by the geometric Jacobian. Root twists are those of `integrate`. What
         joint i of `joints` carries has the place len(links) + i among the links.
 
         Args:
@@ -115,7 +117,7 @@ class Chain:
         return pulled if numbers.gains is None else pulled @ numbers.gains
 
     def followed(self, link: np.ndarray) -> np.ndarray:
-        """Which of the root's six twists and of `joints` links follow (R, 6 + m), 1 or 0; places as for `pull`."""
+        """Which of the root's six twists and of `joints` links follow (R, 6 + m), 1 or 0; see `to_joint_space`."""
         return self._numbers.follows[link]
 
     def _on(self, xp: ModuleType, like: Array) -> _Numbers:
@@ -142,7 +144,7 @@ class Frames:
     __repr__ = brief
 
 
-def moved(T_world_root: Array, dx: Array) -> Array:
+def integrate(T_world_root: Array, dx: Array) -> Array:
     """Root poses (..., 4, 4) after steps dx = (v, w) (..., 6): R <- exp(w) R and p <- p + v.
 
     The root's origin moves by v (m) and the hand turns about it by the world-frame rotation vector w (rad). One

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.errors import HandError, MeshError
-from grasp_refine.core.names import at_home
+from grasp_refine.core.names import expand_user
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry.body import Body, build_body
@@ -180,7 +180,7 @@ def load_hand(
         raise HandError(f"hull_limit must be at least 0 m, got {hull_limit:g}")
     name, toml = hand_files(
         source,
-        None if urdf is None else at_home(Path(urdf)),
+        None if urdf is None else expand_user(Path(urdf)),
         None if mjcf is None else Path(mjcf),
         progress or (lambda line: None),
     )

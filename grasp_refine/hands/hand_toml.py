@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from grasp_refine.core.errors import HandError, told
-from grasp_refine.core.names import is_file, is_sound
+from grasp_refine.core.names import is_file, is_valid
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 
 T = TypeVar("T")
@@ -195,7 +195,7 @@ def _file(value: Any, path: Path, key: str) -> Path:
 def _typed(value: Any, kind: type[T], where: str) -> T:
     if not isinstance(value, kind) or value == "":
         raise HandError(f"{where} must be a {KINDS[kind]}, got {told(value)}")
-    if isinstance(value, str) and not is_sound(value):
+    if isinstance(value, str) and not is_valid(value):
         raise HandError(f"{where} holds letters that no name has: {value}")
     return value
 

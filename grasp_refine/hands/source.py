@@ -11,7 +11,7 @@ from grasp_refine.assets.locating import fetched
 from grasp_refine.assets.manifest import read_manifest
 from grasp_refine.assets.names import find_asset
 from grasp_refine.core.errors import AssetError, GraspFileError, HandError
-from grasp_refine.core.names import at_home, exists, is_file
+from grasp_refine.core.names import exists, expand_user, is_file
 from grasp_refine.hands.hand_toml import HandToml, only_urdf, read_hand_toml
 
 HAND_TOML = "hand.toml"
@@ -70,7 +70,7 @@ def hand_files(
         except AssetError as error:
             raise AssetError(f"hand '{name}' comes without a URDF: give yours with --urdf FILE, or: {error}") from None
     if mjcf is not None:
-        path = at_home(mjcf)
+        path = expand_user(mjcf)
         asset = None if is_file(path) or path.name != str(path) else find_asset(str(mjcf), "hands")
         path = path if asset is None else fetched(asset, say)
         if not is_file(path):
@@ -83,7 +83,7 @@ def _located(source: str | Path, urdf: Path | None, say: Callable[[str], None]) 
     """The same, but without a URDF where a hand of ours has none."""
     if isinstance(source, str) and source in list_hands():
         source = resource_dir("robots") / source
-    path = at_home(Path(source))
+    path = expand_user(Path(source))
     if not exists(path):
         asset = find_asset(source, "hands") if isinstance(source, str) else None
         if asset is not None:

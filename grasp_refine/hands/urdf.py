@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from grasp_refine.core.errors import HandError
-from grasp_refine.core.names import is_sound
+from grasp_refine.core.names import is_valid
 
 if TYPE_CHECKING:
     import yourdfpy
@@ -128,7 +128,7 @@ def _check(element: _Element, where: str) -> None:
     for name in ATTRIBUTES.get(tag, ()):
         if not element.get(name):
             raise HandError(f"{where}: <{tag}> has no '{name}'")
-        if not is_sound(element.get(name)):
+        if not is_valid(element.get(name)):
             raise HandError(f'{where}: <{tag} {name}="{element.get(name)}"> holds letters that no name has')
     for name, counts in NUMBERS.get(tag, {}).items():
         if name in element.attrib:

@@ -21,7 +21,7 @@ from grasp_refine.pipeline.refine import Listener, refine_problem, simulate_refi
 from grasp_refine.pipeline.refined import RefinedGrasps
 from grasp_refine.refinement.config import Config
 from grasp_refine.results.console import html_of, text_of
-from grasp_refine.results.simulated import Proof
+from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.validation_table import validation_table
 from grasp_refine.scene.convention_check import convention_notes
 from grasp_refine.scene.plane import Plane
@@ -101,7 +101,7 @@ def refine(
 
 def simulate(
     refined: RefinedGrasps, protocol: str | Protocol = "force-closure", *, listener: Listener | None = None
-) -> Proof:
+) -> SimulatedGrasps:
     """Simulate refined grasps in MuJoCo, before and after their refinement.
 
     Args:

@@ -11,11 +11,11 @@ from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.problem import Group, Problem
 from grasp_refine.pipeline.refined import RefinedGrasps
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.iteration_state import Watch
+from grasp_refine.refinement.iteration_state import IterationCallback
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.least_squares import Progress
 from grasp_refine.results.outcome import Outcome, compare
-from grasp_refine.results.simulated import Proof
+from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.validation.motion import Motion, closing
 from grasp_refine.validation.protocol import Protocol
@@ -79,7 +79,7 @@ def refine_group(
     *,
     prepared: HandObject | None = None,
     progress: Progress | None = None,
-    on_iteration: Watch | None = None,
+    on_iteration: IterationCallback | None = None,
     on_opening: Progress | None = None,
 ) -> Outcome:
     """Refine the grasps of one object, give them pregrasps and squeezes, and measure them before and after.
@@ -89,7 +89,7 @@ def refine_group(
         config: All settings of the refinement.
         prepared: Of their hand and object; None: built here.
         progress: As for `refine`.
-        on_iteration: As the `watch` of `refine`.
+        on_iteration: As the `on_iteration` of `refine`.
         on_opening: As the `progress` of `closing`.
 
     Raises:
@@ -117,7 +117,7 @@ def simulate_refined(
     listener: Listener | None = None,
     cache: InputCache | None = None,
     threads: int | None = None,
-) -> Proof:
+) -> SimulatedGrasps:
     """Simulate refined grasps as they were given and as they are now; arguments as of `refine_problem`.
 
     Raises:
@@ -134,7 +134,7 @@ def _simulate(
     listener: Listener,
     cache: InputCache,
     threads: int | None,
-) -> Proof:
+) -> SimulatedGrasps:
     """Simulate the grasps of each group before and after; `parts` are the outcomes of the groups."""
     from grasp_refine.validation.simulation import simulate
     from grasp_refine.validation.validate import model_of
@@ -144,7 +144,8 @@ def _simulate(
     model = cache.get("model", hand, partial(model_of, hand))
     for note in model.notes:
         listener.note(note)
-    before, after = [], []
+    before: list[Trials] = []
+    after: list[Trials] = []
     for group, part in zip(problem.groups, parts, strict=True):
         obj, table = group.scene.object, group.scene.table
         world = cache.get("world", (hand, obj, protocol, table), partial(build_world, model, obj, protocol, table))
@@ -154,4 +155,6 @@ def _simulate(
             progress = partial(tell, f"simulating, {when}")
             trials.append(simulate(world, motion, threads=threads, progress=progress))
     order = problem.order
-    return Proof(protocol, Trials.join(before).select(order), problem.closing(), Trials.join(after).select(order))
+    return SimulatedGrasps(
+        protocol, Trials.join(before).select(order), problem.closing(), Trials.join(after).select(order)
+    )

@@ -23,7 +23,7 @@ from grasp_refine.results.console import html_of, text_of
 from grasp_refine.results.document import settings
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.result_files import fingerprint, refined_set, result_paths, save_results
-from grasp_refine.results.simulated import Proof
+from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.table import grasp_table
 from grasp_refine.validation.motion import STAGES
 
@@ -38,7 +38,7 @@ class RefinedGrasps:
     """Settings of the refinement."""
     outcome: Outcome
     """Poses, joint values and measures, before and after."""
-    simulated: Proof | None = None
+    simulated: SimulatedGrasps | None = None
     """The same grasps in simulation, before and after; None: not simulated."""
 
     def __len__(self) -> int:

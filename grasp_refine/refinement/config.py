@@ -11,7 +11,7 @@ from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.derivative import Derivative
 
@@ -24,7 +24,7 @@ class Config:
     """How the hand moves."""
     derivative: Derivative = field(default_factory=ContactKinematics)
     """How witness points are differentiated by descent; Levenberg-Marquardt has contact kinematics of its own."""
-    touching: Touching = field(default_factory=Touching)
+    contact_selection: ContactSelection = field(default_factory=ContactSelection)
     """Which links should touch the object where there are no targets."""
     nearest: bool = False
     """Without targets, the links that should touch have their first witness points as targets."""

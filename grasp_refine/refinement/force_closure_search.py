@@ -1,6 +1,6 @@
 """Grasps that hold: contacts that touch and whose forces balance, found from one start or several.
 
-Each attempt goes through `STAGES`, which choose anew what touches. The best attempt by `quality.score` counts, without
+Each attempt goes through `PHASES`, which choose anew what touches. The best attempt by `quality.score` counts, without
 any simulation: first the grasp as it came with its contacts closed, then with forces that balance, and then, where it
 is still not good, from starts nearby.
 """
@@ -20,28 +20,28 @@ from grasp_refine.forces.squeeze import CONTACTS
 from grasp_refine.hands.chain import Frames
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.goal import Goal, goal_of
-from grasp_refine.refinement.grasp_problem import GraspProblem, drawn
-from grasp_refine.refinement.iteration_state import Watch, watched
+from grasp_refine.refinement.grasp_problem import GraspProblem, sample_noise
+from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
 from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.solvers.least_squares import Minimum, Point, Progress, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
-GOOD = 0.05
+GOOD_QUALITY = 0.05
 """A grasp with at most this score is not tried from another start."""
 
-TURN, SHIFT, JOINTS = 0.25, 0.008, 0.1
+START_ROTATION_RAD, START_TRANSLATION_M, START_JOINTS_RAD = 0.25, 0.008, 0.1
 """Standard deviations of other starts: about each axis through the contacts in radians, in metres, of joints."""
 
-TOGETHER = 16
+STARTS_AT_ONCE = 16
 """Several starts of few grasps are tried at once, for so many members in all."""
 
 
 @dataclass(frozen=True)
-class Stage:
+class Phase:
     """A part of the way to a grasp."""
 
     name: str
@@ -55,10 +55,10 @@ class Stage:
     balance: bool = True
     """Whether forces should balance."""
 
-    def touching(self, touching: Touching) -> Touching:
+    def touching(self, touching: ContactSelection) -> ContactSelection:
         """What touches, given what does in the end."""
         tips, others = self.farther
-        return replace(touching, reach=touching.reach + tips, reach_others=touching.reach_others + others)
+        return replace(touching, reach=touching.reach + tips, other_link_distance=touching.other_link_distance + others)
 
     def weights(self, weights: Weights) -> Weights:
         """The weights, given those of the end."""
@@ -70,15 +70,15 @@ class Stage:
         )
 
 
-SLIDE = Stage("contacts slide", 25, farther=(0.01, 0.005), soft=0.01)
-SETTLE = Stage("contacts settle", 15)
-CLOSE = Stage("gaps close", 40, balance=False)
-STAGES = (SLIDE, SETTLE, CLOSE)
+SLIDE = Phase("contacts slide", 25, farther=(0.01, 0.005), soft=0.01)
+SETTLE = Phase("contacts settle", 15)
+CLOSE = Phase("gaps close", 40, balance=False)
+PHASES = (SLIDE, SETTLE, CLOSE)
 """Contacts slide to where forces balance; they settle without penetration; last, by geometry alone, gaps close."""
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class SearchResult:
     """What came out for N grasps."""
 
     minimum: Minimum
@@ -101,18 +101,18 @@ class _Attempt:
 def most_iterations(config: Config) -> int:
     """Most iterations of a grasp, over all its starts."""
     most = config.solver.iterations
-    each = sum(min(stage.iterations, most) for stage in STAGES)
+    each = sum(min(stage.iterations, most) for stage in PHASES)
     return min(CLOSE.iterations, most) + config.starts * each
 
 
-def hold(
+def search(
     scene: Scene,
     prepared: HandObject,
     config: Config,
     status: np.ndarray,
     progress: Progress | None = None,
-    watch: Watch | None = None,
-) -> Held:
+    on_iteration: IterationCallback | None = None,
+) -> SearchResult:
     """Refine grasps so that they hold.
 
     Args:
@@ -121,26 +121,26 @@ def hold(
         config: Settings, for Levenberg-Marquardt.
         status: Grasps (N,) with another status than RUNNING are left out.
         progress: As for `minimise`.
-        watch: Sees all attempts.
+        on_iteration: Sees all attempts.
     """
-    search = _Search(scene, prepared, config, status, progress, watch)
+    search = _Search(scene, prepared, config, status, progress, on_iteration)
     rows = np.flatnonzero(status == Status.RUNNING)
     closed = search.attempt(rows, search.given(rows), (CLOSE,))
     search.touching[rows] = closed.goal.touching
     search.take(rows, closed)
     rows = search.unsatisfied(rows)
-    search.take(rows, search.attempt(rows, search.given(rows), STAGES))
+    search.take(rows, search.attempt(rows, search.given(rows), PHASES))
     search.starts[status == Status.RUNNING] = 1
     while len(rows := search.unsatisfied(rows[search.starts[rows] < config.starts])):
         # What one grasp comes to does not depend on how many starts are tried at once: the first good one counts.
         first = search.starts[rows]
-        each = np.minimum(config.starts - first, max(1, TOGETHER // len(rows)))
+        each = np.minimum(config.starts - first, max(1, STARTS_AT_ONCE // len(rows)))
         member = np.repeat(rows, each)
         place = np.arange(len(member)) - np.repeat(np.cumsum(each) - each, each)
-        found = search.attempt(member, search.disturbed(member, np.repeat(first, each) + place), STAGES)
+        found = search.attempt(member, search.disturbed(member, np.repeat(first, each) + place), PHASES)
         for k in range(int(each.max())):
             at = np.flatnonzero(place == k)
-            at = at[search.best.score[member[at]] > GOOD]
+            at = at[search.best.score[member[at]] > GOOD_QUALITY]
             search.take(member[at], take(found, at))
             search.starts[member[at]] += 1
     return search.held()
@@ -156,11 +156,11 @@ class _Search:
         config: Config,
         status: np.ndarray,
         progress: Progress | None,
-        watch: Watch | None,
+        on_iteration: IterationCallback | None,
     ) -> None:
         N, L = len(scene.q), len(scene.links)
         self.scene, self.prepared, self.config = scene, prepared, config
-        self.progress, self.watch = progress, watch
+        self.progress, self.on_iteration = progress, on_iteration
         self.q = np.clip(scene.q, scene.hand.lower, scene.hand.upper)
         self.iterations, self.queries, self.starts = np.zeros((3, N), dtype=np.int64)
         self.cpu, self.wall = np.zeros((2, N))
@@ -180,20 +180,20 @@ class _Search:
 
     def disturbed(self, member: np.ndarray, number: np.ndarray) -> Point:
         """Starts near the grasps: hands turned about the middle of their contacts, shifted, with other joint values."""
-        noise = drawn(self.scene, member, number, self.config.seed)
+        noise = sample_noise(self.scene, member, number, self.config.seed)
         given = self.given(member)
         T = self.prepared.chain(given.T, given.q).T_world_link
         touching = self.touching[member][..., None]
         middle = np.where(touching, T[..., :3, 3], 0.0).sum(axis=1) / np.maximum(touching.sum(axis=1), 1)
-        R = exp_so3(TURN * noise[:, 3:6])
+        R = exp_so3(START_ROTATION_RAD * noise[:, 3:6])
         T = given.T.copy()
         T[:, :3, :3] = R @ given.T[:, :3, :3]
-        T[:, :3, 3] = middle + matvec(R, given.T[:, :3, 3] - middle) + SHIFT * noise[:, :3]
-        return Point(T, given.q + JOINTS * noise[:, 6:])
+        T[:, :3, 3] = middle + matvec(R, given.T[:, :3, 3] - middle) + START_TRANSLATION_M * noise[:, :3]
+        return Point(T, given.q + START_JOINTS_RAD * noise[:, 6:])
 
     def unsatisfied(self, rows: np.ndarray) -> np.ndarray:
         """Those of the grasps that could be better, and may still cost something."""
-        return rows[(self.best.score[rows] > GOOD) & (self.cpu[rows] < self.config.seconds)]
+        return rows[(self.best.score[rows] > GOOD_QUALITY) & (self.cpu[rows] < self.config.seconds)]
 
     def take(self, rows: np.ndarray, found: _Attempt) -> None:
         """Account for attempts at different grasps, and keep what is better than what there was."""
@@ -204,12 +204,12 @@ class _Search:
         place[kept] = len(place) + np.flatnonzero(better | never)
         self.best = take(join(self.best, found), place)
 
-    def attempt(self, rows: np.ndarray, start: Point, stages: tuple[Stage, ...]) -> _Attempt:
+    def attempt(self, rows: np.ndarray, start: Point, stages: tuple[Phase, ...]) -> _Attempt:
         """The grasps `rows` from some starts, through some stages."""
         scene, prepared = self._scene(rows), self.prepared
         everyone = np.arange(len(rows))
         free = GraspProblem(scene, Goal.nothing(len(rows), len(scene.links)), self.config, prepared)
-        point = free.kept(everyone, start)
+        point = free.project(everyone, start)
         for stage in stages:
             found, goal = self._through(stage, scene, rows, point)
             point = found.point
@@ -223,13 +223,13 @@ class _Search:
         usable = ~np.isin(found.status, UNUSABLE)
         return _Attempt(found, goal, np.where(usable, score, np.inf))
 
-    def _through(self, stage: Stage, scene: Scene, rows: np.ndarray, start: Point) -> tuple[Minimum, Goal]:
+    def _through(self, stage: Phase, scene: Scene, rows: np.ndarray, start: Point) -> tuple[Minimum, Goal]:
         """The grasps `rows`, which are those of the scene, after a stage, and what should touch in it."""
         config, prepared = self.config, self.prepared
         assert isinstance(config.solver, LevenbergMarquardt)
         wall, cpu = time.perf_counter(), time.process_time()
         now = replace(scene, T_world_root=start.T, q=start.q)
-        goal = goal_of(now, stage.touching(config.touching), prepared)
+        goal = goal_of(now, stage.touching(config.contact_selection), prepared)
         problem = GraspProblem(scene, goal, replace(config, weights=stage.weights(config.weights)), prepared)
         solver = replace(config.solver, restarts=0, iterations=min(config.solver.iterations, stage.iterations))
         status = np.where(goal.touching.any(axis=1), Status.RUNNING, Status.NO_TARGET)
@@ -244,7 +244,7 @@ class _Search:
             width=config.width,
             seconds=left,
             progress=self._tell,
-            watch=watched(self.watch, goal, stage.name, rows),
+            on_iteration=with_callback(self.on_iteration, goal, stage.name, rows),
         )
         share = 1.0 / max(len(rows), 1)
         np.add.at(self.iterations, rows, found.iterations)
@@ -257,23 +257,23 @@ class _Search:
         """Which grasps are good is known after an attempt only."""
         self.ticks += 1
         if self.progress is not None:
-            self.progress(int((self.best.score <= GOOD).sum()), self.ticks, loss)
+            self.progress(int((self.best.score <= GOOD_QUALITY).sum()), self.ticks, loss)
 
     def _scene(self, rows: np.ndarray) -> Scene:
         scene = self.scene
         direction = None if scene.direction is None else scene.direction[rows]
         return replace(scene, T_world_root=scene.T_world_root[rows], q=self.q[rows], direction=direction)
 
-    def held(self) -> Held:
+    def held(self) -> SearchResult:
         """The best of all attempts, with the account of all; losses are those of the last stage."""
         found, goal = self.best.minimum, self.best.goal
         rows = np.flatnonzero(np.isfinite(self.best.score))
         loss = np.full((len(self.starts), 2), np.nan)
-        config = replace(self.config, weights=STAGES[-1].weights(self.config.weights))
+        config = replace(self.config, weights=PHASES[-1].weights(self.config.weights))
         problem = GraspProblem(self._scene(rows), take(goal, rows), config, self.prepared)
         for column, point in enumerate((self.given(rows), take(found.point, rows))):
             loss[rows, column] = problem.evaluate(np.arange(len(rows)), point, None).loss
         minimum = replace(
             found, loss=loss, iterations=self.iterations, queries=self.queries, cpu_s=self.cpu, wall_s=self.wall
         )
-        return Held(minimum, goal, self.starts)
+        return SearchResult(minimum, goal, self.starts)

@@ -8,7 +8,7 @@ import numpy as np
 
 from grasp_refine.collision.query import Witness, query, query_items
 from grasp_refine.core.short_repr import brief
-from grasp_refine.scene.contact_selection import Touching, nearest_points
+from grasp_refine.scene.contact_selection import ContactSelection, nearest_points
 from grasp_refine.scene.hand_object import POINT, HandObject
 from grasp_refine.scene.scene import Scene
 
@@ -45,7 +45,9 @@ class Goal:
         return ~np.isnan(self.target_link[..., 0])
 
 
-def goal_of(scene: Scene, touching: Touching, prepared: HandObject | None = None, *, nearest: bool = False) -> Goal:
+def goal_of(
+    scene: Scene, touching: ContactSelection, prepared: HandObject | None = None, *, nearest: bool = False
+) -> Goal:
     """The goal of a scene: its targets if it has any, else that the links which are near the object touch it.
 
     Args:
@@ -70,7 +72,7 @@ def goal_of(scene: Scene, touching: Touching, prepared: HandObject | None = None
         known = chosen & witness.valid
         target_link, target_object = nearest_points(witness, T, np.broadcast_to(np.eye(4), T.shape), known)
     on_surface = np.zeros(len(scene.q))
-    return Goal(chosen, target_link, target_object, witness.asked.sum(axis=1), on_surface, scene.direction)
+    return Goal(chosen, target_link, target_object, witness.num_queries.sum(axis=1), on_surface, scene.direction)
 
 
 def _with_directions(touching: np.ndarray, scene: Scene) -> np.ndarray:
@@ -91,7 +93,7 @@ def _off_surface(prepared: HandObject, target_link: np.ndarray, target_object: n
     return total
 
 
-def _at_start(scene: Scene, prepared: HandObject, touching: Touching) -> tuple[Witness, np.ndarray]:
+def _at_start(scene: Scene, prepared: HandObject, touching: ContactSelection) -> tuple[Witness, np.ndarray]:
     """Witness points of the links that may touch, and the poses (N, L, 4, 4) of all, at the initial grasps."""
     with np.errstate(invalid="ignore"):
         T = prepared.chain(scene.T_world_root, scene.q).T_world_link

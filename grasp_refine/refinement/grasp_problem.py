@@ -14,7 +14,7 @@ from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import matvec, tangents, transform_points
 from grasp_refine.forces.equilibrium import Balance, Equilibrium
 from grasp_refine.forces.wrench import center_of_mass
-from grasp_refine.hands.chain import Frames, moved
+from grasp_refine.hands.chain import Frames, integrate
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.goal import Goal
 from grasp_refine.refinement.losses import (
@@ -37,10 +37,10 @@ from grasp_refine.refinement.solvers.rows import NEAR, Rows
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
-ROOT_TURN, JOINT_TURN = 0.05, 0.04
+RESTART_ROTATION_RAD, RESTART_JOINTS_RAD = 0.05, 0.04
 """A radian of the root, and of a joint, is as much movement as so many metres of the root."""
 
-BOX = (0.05, 1.0, 0.5)
+RESTART_BOX_SCALE = (0.05, 1.0, 0.5)
 """Largest step: of the root, and of prismatic joints, in metres; of the root in radians; of joints in radians."""
 
 NOISE = (0.01, 0.2, 0.1)
@@ -59,7 +59,7 @@ class Known:
 
     loss: np.ndarray
     """Losses (M,) in m^2; NaN where a query could not be answered."""
-    asked: np.ndarray
+    num_queries: np.ndarray
     """Narrow-phase queries (M,) that this took."""
     T_link: np.ndarray
     """Poses of the links (M, L, 4, 4)."""
@@ -67,7 +67,7 @@ class Known:
     """Unit twists of root and joints (M, 6, 6 + m)."""
     witness: Witness
     """Links and object (M, L)."""
-    own: Witness
+    self_witness: Witness
     """Pairs of links (M, S)."""
     forces: Balance | None
     """The best contact forces, where they count."""
@@ -81,9 +81,16 @@ class GraspProblem:
         prepared = prepared or HandObject.of(scene)
         self.scene, self.goal, self.config = scene, goal, config
         hand, weights = scene.hand, config.weights
-        self.chain, self.pairs, self.balls, self.box = prepared.chain, prepared.pairs, prepared.balls, prepared.box
-        self.own_pairs = prepared.own_pairs if weights.self_penetration > 0 else None
-        self.own_first, self.own_second = prepared.own if self.own_pairs is not None else np.zeros((2, 0), dtype=int)
+        self.chain, self.pairs, self.bounding_spheres, self.box = (
+            prepared.chain,
+            prepared.pairs,
+            prepared.bounding_spheres,
+            prepared.box,
+        )
+        self.self_collision_pairs = prepared.self_collision_pairs if weights.self_penetration > 0 else None
+        self.own_first, self.own_second = (
+            prepared.self_collision_links if self.self_collision_pairs is not None else np.zeros((2, 0), dtype=int)
+        )
         plane = scene.table if weights.table > 0 else None
         self.table = None if plane is None else (np.asarray(plane.normal), plane.offset)
         self.aimed_columns = np.flatnonzero(goal.aimed.any(axis=0))
@@ -95,11 +102,11 @@ class GraspProblem:
         self.aims = len(self.aimed_columns) > 0 or goal.direction is not None
         self.curvatures = prepared.curvatures if self.aims or self.equilibrium is not None else None
         prismatic = np.array([hand.joints_by_name[name].kind == "prismatic" for name in hand.joint_names], dtype=bool)
-        joints = np.where(prismatic, 1.0, JOINT_TURN**2)
-        self.scales = np.concatenate([np.ones(3), np.full(3, ROOT_TURN**2), joints])
+        joints = np.where(prismatic, 1.0, RESTART_JOINTS_RAD**2)
+        self.scales = np.concatenate([np.ones(3), np.full(3, RESTART_ROTATION_RAD**2), joints])
         self.step, self.noise = (
             np.concatenate([np.full(3, metres), np.full(3, root), np.where(prismatic, metres, joint)])
-            for metres, root, joint in (BOX, NOISE)
+            for metres, root, joint in (RESTART_BOX_SCALE, NOISE)
         )
 
     # what a solver asks
@@ -118,9 +125,9 @@ class GraspProblem:
             loss = loss + weights.wrench * np.where(rejected, 0.0, forces.value)
             rejected = rejected if previous is None else loss >= previous.loss
         own = self._against_itself(T, previous, rejected)
-        if self.own_pairs is not None:
+        if self.self_collision_pairs is not None:
             loss = loss + weights.self_penetration * (penetration(own) ** 2).sum(axis=1)
-        asked = witness.asked.sum(axis=1) + own.asked.sum(axis=1)
+        asked = witness.num_queries.sum(axis=1) + own.num_queries.sum(axis=1)
         unknown = (witness.status > QueryStatus.FAR).any(axis=1) | (own.status > QueryStatus.FAR).any(axis=1)
         loss = np.where(unknown, np.nan, loss)
         return Known(loss, asked, T, frames.axes, witness, own, forces)
@@ -133,30 +140,30 @@ class GraspProblem:
         self._add_contacts(rows, member, known, width)
         if weights.penetration > 0:
             w = known.witness
-            rows.add_one_sided(np.where(w.valid, -w.distance, -np.inf), -gap_covectors(w), weights.penetration)
-        if self.own_pairs is not None:
-            w = known.own
-            rows.add_one_sided(
+            rows.add_unilateral(np.where(w.valid, -w.distance, -np.inf), -gap_covectors(w), weights.penetration)
+        if self.self_collision_pairs is not None:
+            w = known.self_witness
+            rows.add_unilateral(
                 np.where(w.valid, -w.distance, -np.inf), -gap_covectors(w), weights.self_penetration,
                 self.own_first, self.own_second,
             )  # fmt: skip
         if self.table is not None:
             normal, offset = self.table
             points = self._lowest(known.T_link)
-            rows.add_one_sided(plane_depth(points, normal, offset), plane_covectors(points, normal), weights.table)
-        linear = rows.pulled(self.chain, Frames(known.T_link, known.axes))
+            rows.add_unilateral(plane_depth(points, normal, offset), plane_covectors(points, normal), weights.table)
+        linear = rows.joint_covectors(self.chain, Frames(known.T_link, known.axes))
         if self.equilibrium is not None:
-            linear = linear.also(weights.wrench, *self._balance(member, known, width))
+            linear = linear.with_rows(weights.wrench, *self._balance(member, known, width))
         if weights.stay_near > 0:
             away = self._away(member, point)
-            linear = linear.also(weights.stay_near, away, stay_near_jacobian(away, self.config.scales))
+            linear = linear.with_rows(weights.stay_near, away, stay_near_jacobian(away, self.config.scales))
         return linear
 
     def metric(self, member: np.ndarray) -> np.ndarray:
-        """1 for translations, `ROOT_TURN`^2 and `JOINT_TURN`^2 for rotations."""
+        """1 for translations, `RESTART_ROTATION_RAD`^2 and `RESTART_JOINTS_RAD`^2 for rotations."""
         return np.broadcast_to(self.scales, (len(member), len(self.scales)))
 
-    def room(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
+    def step_bounds(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
         """How far a step may go: joints to their limits, nothing farther than the box."""
         hand = self.scene.hand
         lower, upper = np.tile(-self.step, (len(member), 1)), np.tile(self.step, (len(member), 1))
@@ -164,22 +171,22 @@ class GraspProblem:
         upper[:, 6:] = np.minimum(upper[:, 6:], hand.upper - point.q)
         return lower, upper
 
-    def moved(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
+    def integrate(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
         """The grasps after steps; joints never leave their limits, and nothing goes farther than it may."""
-        return self.kept(member, Point(moved(point.T, dx[:, :6]), point.q + dx[:, 6:]))
+        return self.project(member, Point(integrate(point.T, dx[:, :6]), point.q + dx[:, 6:]))
 
-    def kept(self, member: np.ndarray, point: Point) -> Point:
+    def project(self, member: np.ndarray, point: Point) -> Point:
         """The grasps nearest to some that are within the limits and no farther from the initial ones than they may."""
         scene = self.scene
-        T, q = self.config.max_move.kept(point.T, point.q, scene.T_world_root[member], scene.q[member])
+        T, q = self.config.max_move.project(point.T, point.q, scene.T_world_root[member], scene.q[member])
         return Point(T, np.minimum(np.maximum(q, scene.hand.lower), scene.hand.upper))
 
-    def restarted(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
+    def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
         """Noise on the best grasp and, every other time, on the present one; then inverse kinematics."""
-        noise = self.noise * drawn(self.scene, member, start, self.config.seed)
-        return self.reached(member, self.moved(member, choose(start % 2 == 1, best, now), noise))
+        noise = self.noise * sample_noise(self.scene, member, start, self.config.seed)
+        return self.solve_position_ik(member, self.integrate(member, choose(start % 2 == 1, best, now), noise))
 
-    def reached(self, member: np.ndarray, point: Point) -> Point:
+    def solve_position_ik(self, member: np.ndarray, point: Point) -> Point:
         """Grasps whose target points on links come near those on the object: no query, no collision."""
         if not (len(self.aimed_columns) and len(member)):
             return point
@@ -196,15 +203,15 @@ class GraspProblem:
             forces = np.broadcast_to(np.eye(3), (*p.shape, 3))
             covector = np.concatenate([forces, np.cross(p[..., None, :], forces)], axis=-1)
             covector = np.where(aimed[..., None, None], covector, 0.0).reshape(len(member), -1, 6)
-            lower, upper = self.room(member, point)
-            J = self.chain.pull(frames, covector, link)
+            lower, upper = self.step_bounds(member, point)
+            J = self.chain.to_joint_space(frames, covector, link)
             dx, _ = bounded_step(J, residual, damping, self.metric(member), lower, upper)
-            point = self.moved(member, point, dx)
+            point = self.integrate(member, point, dx)
         return point
 
     def other_depth(self, known: Known) -> np.ndarray:
         """How deep links are in each other, or below the table, at most (M,), in metres."""
-        depth = penetration(known.own).max(axis=1, initial=0.0)
+        depth = penetration(known.self_witness).max(axis=1, initial=0.0)
         if self.table is not None:
             depth = np.maximum(depth, below_plane(self._lowest(known.T_link), *self.table).max(axis=1))
         return depth
@@ -215,14 +222,14 @@ class GraspProblem:
     def _against_object(self, member: np.ndarray, T: np.ndarray, previous: Known | None) -> Witness:
         """Witness points of links and object; pairs that need no answer, or are surely apart, are FAR."""
         touching = self.goal.touching[member]
-        center = transform_points(T, self.balls[:, :3])
+        center = transform_points(T, self.bounding_spheres[:, :3])
         low, high = self.box
         outside = np.maximum(np.maximum(low - center, center - high), 0.0)
-        bound = np.sqrt((outside * outside).sum(axis=-1)) - self.balls[:, 3]
+        bound = np.sqrt((outside * outside).sum(axis=-1)) - self.bounding_spheres[:, 3]
         before = None
         if previous is not None:
             before = previous.witness
-            bound = np.fmax(bound, before.distance - motion(self.balls, previous.T_link, T))
+            bound = np.fmax(bound, before.distance - motion(self.bounding_spheres, previous.T_link, T))
         if self.config.weights.penetration == 0:
             bound = np.where(np.isfinite(bound), np.inf, bound)
         T_object = np.broadcast_to(np.eye(4), T.shape)
@@ -231,18 +238,20 @@ class GraspProblem:
     @stage("broad phase")
     def _against_itself(self, T: np.ndarray, previous: Known | None, rejected: np.ndarray) -> Witness:
         """Witness points of the pairs of links that are near, but for grasps that are rejected (M,)."""
-        if self.own_pairs is None:
+        if self.self_collision_pairs is None:
             return nothing_near(np.zeros((len(T), 0)))
         first, second = self.own_first, self.own_second
-        center = transform_points(T, self.balls[:, :3])
+        center = transform_points(T, self.bounding_spheres[:, :3])
         away = center[:, first] - center[:, second]
-        bound = np.sqrt((away * away).sum(axis=-1)) - self.balls[first, 3] - self.balls[second, 3]
+        bound = np.sqrt((away * away).sum(axis=-1)) - self.bounding_spheres[first, 3] - self.bounding_spheres[second, 3]
         before = None
         if previous is not None:
-            before, moves = previous.own, motion(self.balls, previous.T_link, T)
+            before, moves = previous.self_witness, motion(self.bounding_spheres, previous.T_link, T)
             bound = np.fmax(bound, before.distance - moves[:, first] - moves[:, second])
         bound = np.where(rejected[:, None], np.inf, bound)
-        return query_near(self.own_pairs, bound, T[:, first], T[:, second], np.full(bound.shape, NEAR), before)
+        return query_near(
+            self.self_collision_pairs, bound, T[:, first], T[:, second], np.full(bound.shape, NEAR), before
+        )
 
     # terms
 
@@ -365,7 +374,7 @@ class GraspProblem:
         return every[0].reshape(*shape, 2, 2), every[1].reshape(*shape, 2, 2)
 
 
-def drawn(scene: Scene, member: np.ndarray, number: np.ndarray, seed: int) -> np.ndarray:
+def sample_noise(scene: Scene, member: np.ndarray, number: np.ndarray, seed: int) -> np.ndarray:
     """Standard normal numbers (M, 6 + n), the `number`-th (M,) of each grasp.
 
     They depend on the initial grasp, not on its place among others.

@@ -13,7 +13,7 @@ from grasp_refine.refinement.solvers.least_squares import Point
 
 
 @dataclass(frozen=True, eq=False)
-class Glimpse:
+class IterationState:
     """Where the hands of M grasps are after an iteration."""
 
     row: np.ndarray
@@ -28,23 +28,27 @@ class Glimpse:
     """What is being done, for people."""
 
 
-Watch = Callable[[Glimpse], None]
+IterationCallback = Callable[[IterationState], None]
 """Sees a refinement; what it raises ends it."""
 
 
-def watched(watch: Watch | None, goal: Goal, stage: str, rows: np.ndarray | None = None) -> least_squares.Watch | None:
-    """What shows a solver's members to `watch`.
+def with_callback(
+    on_iteration: IterationCallback | None, goal: Goal, stage: str, rows: np.ndarray | None = None
+) -> least_squares.IterationCallback | None:
+    """What shows a solver's members to `on_iteration`.
 
     Args:
-        watch: Whom; None: nobody.
+        on_iteration: Whom; None: nobody.
         goal: What is wanted of the members.
         stage: What is being done.
         rows: Which grasp of the scene each member is; None: they are the same.
     """
-    if watch is None:
+    if on_iteration is None:
         return None
 
     def see(member: np.ndarray, point: Point, loss: np.ndarray) -> None:
-        watch(Glimpse(member if rows is None else rows[member], point, loss, goal.touching[member], stage))
+        on_iteration(
+            IterationState(member if rows is None else rows[member], point, loss, goal.touching[member], stage)
+        )
 
     return see

@@ -15,7 +15,7 @@ from grasp_refine.collision.query import Witness
 from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import Array, array_namespace, cross, log_so3, transform_points
-from grasp_refine.witness.contact_kinematics import slide
+from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def contact_targets_covectors(witness: Witness, E: Array, K_a: Array, K_b: Array
         K_b: Curvatures of the object.
     """
     xp = array_namespace(E)
-    U_a, U_b = slide(witness.point_b, witness.normal, witness.distance, E, K_a, K_b)
+    U_a, U_b = contact_slip_jacobian(witness.point_b, witness.normal, witness.distance, E, K_a, K_b)
     return xp.concat([gap_covectors(witness)[..., None, :], -U_a, -U_b], axis=-2)
 
 
@@ -232,7 +232,7 @@ def contact_direction(witness: Witness, wanted: Array) -> Array:
 def contact_direction_covectors(witness: Witness, E: Array, K_a: Array, K_b: Array) -> Array:
     """Covectors (..., 3, 6) of the contact normal: dn = w_a x n + E K_a u (see `contact_kinematics`)."""
     xp = array_namespace(E)
-    U_a, _ = slide(witness.point_b, witness.normal, witness.distance, E, K_a, K_b)
+    U_a, _ = contact_slip_jacobian(witness.point_b, witness.normal, witness.distance, E, K_a, K_b)
     n = witness.normal
     # Rows of w -> w x n: e_i . (w x n) = w . (n x e_i).
     eye = xp.eye(3, dtype=n.dtype, device=n.device) + xp.zeros_like(n[..., None])

@@ -35,7 +35,7 @@ class MaxMove:
             if not getattr(self, name) >= 0.0:
                 raise GraspRefineError(f"max move: {name} must be at least 0, got {getattr(self, name):g}")
 
-    def kept(
+    def project(
         self,
         T: Float[np.ndarray, "M 4 4"],
         q: Float[np.ndarray, "M n"],

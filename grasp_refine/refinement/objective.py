@@ -41,9 +41,9 @@ class Found:
 
     witness: Witness
     """Links and object (batch, L)."""
-    own: Witness | None
+    self_witness: Witness | None
     """Pairs of links (batch, S)."""
-    asked: np.ndarray
+    num_queries: np.ndarray
     """Narrow-phase queries (batch,)."""
 
 
@@ -58,9 +58,9 @@ class Objective:
         dtype = getattr(torch, config.dtype)
         self.kinematics = Kinematics(hand, self.links, dtype=dtype, device=config.device)
         self.layer = WitnessLayer(prepared.pairs, config.derivative)
-        own_pairs = prepared.own_pairs if config.weights.self_penetration > 0 else None
-        self.own_layer = None if own_pairs is None else WitnessLayer(own_pairs, config.derivative)
-        self._own = () if own_pairs is None else prepared.own
+        self_collision_pairs = prepared.self_collision_pairs if config.weights.self_penetration > 0 else None
+        self.own_layer = None if self_collision_pairs is None else WitnessLayer(self_collision_pairs, config.derivative)
+        self._own = () if self_collision_pairs is None else prepared.self_collision_links
         self.lower, self.upper = limits_within(hand.lower, hand.upper, dtype, config.device)
         steps = config.solver
         assert not isinstance(steps, LevenbergMarquardt)
@@ -85,7 +85,7 @@ class Objective:
         if self.own_layer is not None:
             first, second = (T_link[:, side] for side in self._own)
             own = self.own_layer(
-                first, second, cutoff=0.0, key=key, previous=None if previous is None else previous.own
+                first, second, cutoff=0.0, key=key, previous=None if previous is None else previous.self_witness
             )
             loss = loss + self.config.weights.self_penetration * penetration(own).square().sum(1)
         loss = loss + self._of_posture(member, T_world_root, q)
@@ -97,7 +97,7 @@ class Objective:
         asked = [one.detached() for one in (witness, own) if one is not None]
         unknown = np.logical_or.reduce([(one.status > QueryStatus.FAR).any(axis=1) for one in asked])
         loss = loss.detach().masked_fill(torch.as_tensor(unknown, device=loss.device), torch.nan)
-        queries = sum(one.asked.sum(axis=1) for one in asked)
+        queries = sum(one.num_queries.sum(axis=1) for one in asked)
         found = Found(asked[0], asked[1] if own is not None else None, queries)
         return loss, torch.cat([twist, q_gradient], dim=1), found
 

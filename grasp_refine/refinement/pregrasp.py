@@ -42,7 +42,7 @@ def opened(
     goal = Goal.nothing(len(scene.q), len(scene.links))
     scene = replace(scene, target_link=None, target_object=None, direction=None)
     config = Config(solver=SOLVER)
-    problem = GraspProblem(scene, goal, config, prepared.gloved)
+    problem = GraspProblem(scene, goal, config, prepared.padded)
     start = Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper))
     posed = scene.posed
     status = np.where(posed, Status.RUNNING, Status.INVALID)

@@ -13,10 +13,10 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.short_repr import labels, spread, tallied
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import hold
+from grasp_refine.refinement.force_closure_search import search
 from grasp_refine.refinement.goal import Goal, goal_of
 from grasp_refine.refinement.grasp_problem import GraspProblem
-from grasp_refine.refinement.iteration_state import Watch, watched
+from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
 from grasp_refine.refinement.solvers.least_squares import Minimum, Point, Progress, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
@@ -71,7 +71,7 @@ def refine(
     scene: Scene,
     config: Config | None = None,
     progress: Progress | None = None,
-    watch: Watch | None = None,
+    on_iteration: IterationCallback | None = None,
     *,
     prepared: HandObject | None = None,
 ) -> Refinement:
@@ -81,7 +81,7 @@ def refine(
         scene: Hand, object, initial grasps and, optionally, targets.
         config: All settings; the defaults when None.
         progress: Called after each iteration.
-        watch: Sees where the hands are after each iteration; what it raises ends the refinement.
+        on_iteration: Sees where the hands are after each iteration; what it raises ends the refinement.
         prepared: Of this hand and object; refining often, a few grasps at a time, build it once.
 
     Returns:
@@ -94,7 +94,7 @@ def refine(
     check_kind("scene", scene, Scene)
     check_kind("config", config, Config | None)
     check_kind("progress", progress, Progress | None)
-    check_kind("watch", watch, Watch | None)
+    check_kind("watch", on_iteration, IterationCallback | None)
     check_kind("prepared", prepared, HandObject | None)
     wall, cpu = time.perf_counter(), time.process_time()
     config = config or Config()
@@ -104,18 +104,18 @@ def refine(
             f"what is prepared for {prepared.hand.name} and {prepared.object.name} is not for the scene's "
             f"{scene.hand.name} and {scene.object.name}"
         )
-    sound, given = scene.sound, scene
+    sound, given = scene.valid, scene
     status = np.where(sound, Status.RUNNING, np.where(scene.finite, Status.INVALID, Status.NOT_FINITE))
     starts = sound.astype(np.int64)
     scene = scene.masked(sound)
     if config.holds and scene.target_link is None and not config.nearest:
-        held = hold(scene, prepared, config, status, progress, watch)
+        held = search(scene, prepared, config, status, progress, on_iteration)
         goal, found, starts = held.goal, held.minimum, held.starts
     else:
-        goal = goal_of(scene, config.touching, prepared, nearest=config.nearest)
+        goal = goal_of(scene, config.contact_selection, prepared, nearest=config.nearest)
         status[sound & ~goal.touching.any(axis=1)] = Status.NO_TARGET
         solve = _least_squares if isinstance(config.solver, LevenbergMarquardt) else _first_order
-        found = solve(scene, prepared, goal, config, status, progress, watch)
+        found = solve(scene, prepared, goal, config, status, progress, on_iteration)
     unreachable = np.isin(found.status, (Status.STALLED, Status.BUDGET))
     off_surface = config.weights.contact * goal.off_surface
     found.status[unreachable & (off_surface > max(config.tolerance, OFF_SURFACE))] = Status.UNREACHABLE
@@ -145,7 +145,7 @@ OFF_SURFACE = 1e-8
 
 
 WAY = "to the contacts"
-"""What `Glimpse.stage` says of refinements of one stage."""
+"""What `IterationState.stage` says of refinements of one stage."""
 
 
 def _least_squares(
@@ -155,7 +155,7 @@ def _least_squares(
     config: Config,
     status: np.ndarray,
     progress: Progress | None,
-    watch: Watch | None,
+    on_iteration: IterationCallback | None,
 ) -> Minimum:
     """By Levenberg-Marquardt; with targets, from where inverse kinematics alone comes nearest to them."""
     problem, solver = GraspProblem(scene, goal, config, prepared), config.solver
@@ -164,18 +164,18 @@ def _least_squares(
     hand = scene.hand
     given = Point(scene.T_world_root, np.clip(scene.q, hand.lower, hand.upper))
     limits: dict[str, Any] = {"width": config.width, "seconds": config.seconds, "progress": progress}
-    limits["watch"] = watched(watch, goal, WAY)
+    limits["watch"] = with_callback(on_iteration, goal, WAY)
     if not goal.aimed.any():
         solver = replace(solver, restarts=0)
         return minimise(problem, given, solver, config.tolerance, status=status, **limits)
     before, asked = np.full(len(status), np.nan), np.zeros(len(status), dtype=np.int64)
     for block in np.split(rows, range(config.width, len(rows), config.width)):
         known = problem.evaluate(block, take(given, block), None)
-        before[block], asked[block] = known.loss, known.asked
+        before[block], asked[block] = known.loss, known.num_queries
     status = np.where(before < config.tolerance, Status.CONVERGED, status)
     rows = np.flatnonzero(status == Status.RUNNING)
     start = Point(given.T.copy(), given.q.copy())
-    reached = problem.reached(rows, take(given, rows))
+    reached = problem.solve_position_ik(rows, take(given, rows))
     start.T[rows], start.q[rows] = reached.T, reached.q
     found = minimise(problem, start, solver, config.tolerance, status=status, **limits)
     # The grasp as it came may still be the best.
@@ -192,7 +192,7 @@ def _first_order(
     config: Config,
     status: np.ndarray,
     progress: Progress | None,
-    watch: Watch | None,
+    on_iteration: IterationCallback | None,
 ) -> Minimum:
     """By descent or Adam."""
     # With pytorch-kinematics, which takes a second to load.
@@ -207,5 +207,5 @@ def _first_order(
         config.tolerance,
         status=status,
         progress=progress,
-        watch=watched(watch, goal, WAY),
+        on_iteration=with_callback(on_iteration, goal, WAY),
     )

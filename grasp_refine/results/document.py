@@ -13,14 +13,14 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.profile import Profile, profile_entry
-from grasp_refine.results.simulated import Proof, simulation_entry
+from grasp_refine.results.simulated import SimulatedGrasps, simulation_entry
 from grasp_refine.results.verdict import advice, should_hold
 
 
 def run_document(
     outcome: Outcome,
     refined: Config,
-    proof: Proof | None = None,
+    simulated: SimulatedGrasps | None = None,
     *,
     config: Mapping[str, Any],
     wall_s: float,
@@ -32,7 +32,7 @@ def run_document(
     Args:
         outcome: All grasps.
         refined: How they were refined.
-        proof: What simulation says of them, where it was asked.
+        simulated: What simulation says of them, where it was asked.
         config: All settings of the command.
         wall_s: Wall time of the whole command, loading and decomposition included.
         cpu_s: Its CPU time.
@@ -50,17 +50,17 @@ def run_document(
             "converged": int((outcome.status == Status.CONVERGED).sum()),
             "good_before": int(should_hold(outcome.quality[:, 0]).sum()),
             "good_after": int(should_hold(outcome.quality[:, 1]).sum()),
-            "success_before": None if proof is None else int(proof.before.success.sum()),
-            "success_after": None if proof is None else int(proof.after.success.sum()),
+            "success_before": None if simulated is None else int(simulated.before.success.sum()),
+            "success_after": None if simulated is None else int(simulated.after.success.sum()),
             "wall_s": wall_s,
             "cpu_s": cpu_s,
         },
         "profile": profile_entry(profile),
-        "grasps": [_grasp(outcome, proof, i, said) for i, said in enumerate(advice(outcome, refined))],
+        "grasps": [_grasp(outcome, simulated, i, said) for i, said in enumerate(advice(outcome, refined))],
     }
 
 
-def _grasp(outcome: Outcome, proof: Proof | None, i: int, advice: str) -> dict[str, Any]:
+def _grasp(outcome: Outcome, simulated: SimulatedGrasps | None, i: int, advice: str) -> dict[str, Any]:
     worst, mean = outcome.worst_error[i], outcome.mean_error[i]
     return {
         "index": outcome.index[i],
@@ -88,8 +88,8 @@ def _grasp(outcome: Outcome, proof: Proof | None, i: int, advice: str) -> dict[s
             "joints_rad": outcome.joints_rad[i],
         },
         "simulation": {
-            "before": None if proof is None else simulation_entry(proof.before, i, proof.protocol),
-            "after": None if proof is None else simulation_entry(proof.after, i, proof.protocol),
+            "before": None if simulated is None else simulation_entry(simulated.before, i, simulated.protocol),
+            "after": None if simulated is None else simulation_entry(simulated.after, i, simulated.protocol),
         },
     }
 

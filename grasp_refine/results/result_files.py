@@ -68,7 +68,7 @@ def save_results(
     links: tuple[str, ...],
     outcome: Outcome,
     provenance: Mapping[str, Any],
-    proof: tuple[Trials, Trials] | None = None,
+    simulated: tuple[Trials, Trials] | None = None,
 ) -> None:
     """Write the grasps of one object, whole or not at all, as a grasp file that holds more.
 
@@ -110,7 +110,7 @@ def save_results(
         links: Its links with collision geometry, as in `Scene.links`.
         outcome: The grasps.
         provenance: Where they come from.
-        proof: What simulation said of them before and after, if it was asked.
+        simulated: What simulation said of them before and after, if it was asked.
 
     Raises:
         GraspFileError: the file cannot be written.
@@ -151,7 +151,7 @@ def save_results(
             "moved_joints_rad": outcome.joints_rad,
             "wall_s": outcome.wall_s,
             "cpu_s": outcome.cpu_s,
-            **(_simulated("before", proof[0]) | _simulated("after", proof[1]) if proof is not None else {}),
+            **(_simulated("before", simulated[0]) | _simulated("after", simulated[1]) if simulated is not None else {}),
             "loss": np.where(np.isfinite(outcome.loss[:, 1]), outcome.loss[:, 1], np.nan),
             "provenance": np.array(dumps({**provenance, "index": outcome.index, "row": outcome.row})),
         },

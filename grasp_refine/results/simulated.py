@@ -18,7 +18,7 @@ from grasp_refine.validation.trials import Reason, Trials
 
 
 @dataclass(frozen=True, eq=False)
-class Proof:
+class SimulatedGrasps:
     """The same N grasps in simulation, as they came and refined."""
 
     protocol: Protocol
@@ -72,19 +72,19 @@ def closing_line(owners: Mapping[str, str]) -> Text:
     return Text(f"pregrasps are {words[owners['pregrasp']]}, squeezes {words[owners['squeeze']]}")
 
 
-def proof_lines(proof: Proof, quality: np.ndarray) -> list[Text]:
+def simulation_lines(simulated: SimulatedGrasps, quality: np.ndarray) -> list[Text]:
     """How many grasps held before and after, why the others did not, and what their quality (N, 2) had said."""
-    before, after = proof.held.T
+    before, after = simulated.held.T
     return [
-        *proof.lines(),
+        *simulated.lines(),
         Agreement.of(should_hold(quality[:, 0]), before).line("before, "),
         Agreement.of(should_hold(quality[:, 1]), after).line("after, "),
     ]
 
 
-def closings_line(proof: Proof) -> Text:
+def closings_line(simulated: SimulatedGrasps) -> Text:
     """Whose pregrasps and squeezes were simulated before and after."""
-    return Text("before, ").append(closing_line(proof.closing)).append("; after, they are our own")
+    return Text("before, ").append(closing_line(simulated.closing)).append("; after, they are our own")
 
 
 def simulation_entry(trials: Trials, i: int, protocol: Protocol) -> dict[str, Any]:

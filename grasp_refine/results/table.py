@@ -16,7 +16,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
-from grasp_refine.results.simulated import Proof, closings_line, proof_lines
+from grasp_refine.results.simulated import SimulatedGrasps, closings_line, simulation_lines
 from grasp_refine.results.verdict import estimate_line, made_to_hold, should_hold, slip_advice, status_advice
 
 LONGEST = 40
@@ -46,7 +46,7 @@ NONE = "-"
 
 
 def grasp_table(
-    outcome: Outcome, hand: str, config: Config, proof: Proof | None = None, *, verbose: bool = False
+    outcome: Outcome, hand: str, config: Config, simulated: SimulatedGrasps | None = None, *, verbose: bool = False
 ) -> RenderableType:
     """Tables of all grasps by object, medians, and a verdict; of many grasps only the worst, unless `verbose`.
 
@@ -57,10 +57,10 @@ def grasp_table(
         outcome: The grasps before and after.
         hand: The hand's name.
         config: How they were refined.
-        proof: The same grasps in simulation; None: not simulated.
+        simulated: The same grasps in simulation; None: not simulated.
         verbose: Whether all are listed.
     """
-    holds, held = made_to_hold(outcome, config), None if proof is None else proof.held
+    holds, held = made_to_hold(outcome, config), None if simulated is None else simulated.held
     objects = list(dict.fromkeys(outcome.object.tolist()))
     parts: list[RenderableType] = []
     for name in objects:
@@ -76,10 +76,10 @@ def grasp_table(
         parts += [total, ""]
     lines = [_converged(outcome, config), _holding(outcome, config, held)]
     lines = lines[::-1] if holds else lines
-    if proof is not None:
-        lines = [proof_lines(proof, outcome.quality), *lines]
+    if simulated is not None:
+        lines = [simulation_lines(simulated, outcome.quality), *lines]
     parts += [line for part in lines for line in part]
-    return Group(*parts, *_account(outcome), *([] if proof is None else [closings_line(proof)]))
+    return Group(*parts, *_account(outcome), *([] if simulated is None else [closings_line(simulated)]))
 
 
 def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | None, verbose: bool) -> Table:

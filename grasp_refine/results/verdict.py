@@ -11,13 +11,13 @@ from rich.text import Text
 
 from grasp_refine.core.plurals import whole
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import CLOSE, GOOD
+from grasp_refine.refinement.force_closure_search import CLOSE, GOOD_QUALITY
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 
-HOLDS = 1.0 / (1.0 + GOOD)
+HOLDS = 1.0 / (1.0 + GOOD_QUALITY)
 """A grasp of this quality or better should hold."""
 
 BAR = f"{HOLDS:.3f} or more"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from grasp_refine.collision.culling import bounding_ball
+from grasp_refine.collision.culling import bounding_sphere
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import tangents, transform_points
 from grasp_refine.hands.chain import Chain
@@ -28,7 +28,7 @@ ALL_AROUND = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Grip:
+class ClosureFrame:
     """Where a hand holds things, in the frame of its base link, and how its n independent joints close it."""
 
     center: Float[np.ndarray, " 3"]
@@ -53,7 +53,7 @@ class Grip:
     """Diameter of the smallest ball around the fingertips then, in metres."""
 
 
-def grip_of(hand: Hand) -> Grip:
+def closure_frame(hand: Hand) -> ClosureFrame:
     """The grip of a hand, as it is around its rest pose.
 
     The last joint of a finger bends it, and so do those above that are parallel to it. They close it the way in which
@@ -77,7 +77,7 @@ def grip_of(hand: Hand) -> Grip:
     def ball(q: np.ndarray) -> tuple[np.ndarray, float]:
         points = tips(q[None])[0]
         # A single finger closes against the rest of the hand.
-        return _smallest_ball(points if len(points) > 1 else np.append(points, [palm.mean(axis=0)], axis=0))
+        return _smallest_sphere(points if len(points) > 1 else np.append(points, [palm.mean(axis=0)], axis=0))
 
     center, radius = ball(hand.rest)
     lower = np.where(np.isfinite(hand.lower), hand.lower, hand.rest - 0.5 * np.pi)
@@ -100,7 +100,7 @@ def grip_of(hand: Hand) -> Grip:
     step = 1e-3 * closing
     moved = tips((hand.rest + step)[None])[0] - tips((hand.rest - step)[None])[0]
     opened = np.where(closing == 0, hand.rest, np.where(closing > 0, lower, upper))
-    return Grip(
+    return ClosureFrame(
         center=center,
         radius=radius,
         approach=approach,
@@ -138,7 +138,7 @@ def _pad(hand: Hand, index: int) -> np.ndarray:
     contact = hand.contacts[index]
     if contact.point is not None:
         return np.array(contact.point)
-    return bounding_ball(hand.links_by_name[contact.link].solid)[:3]
+    return bounding_sphere(hand.links_by_name[contact.link].solid)[:3]
 
 
 def _bending(hand: Hand, path: list[Joint]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -184,7 +184,7 @@ def _most(moved: np.ndarray, basis: np.ndarray) -> np.ndarray:
     return basis @ np.linalg.svd(moved @ basis)[2][0]
 
 
-def _smallest_ball(points: np.ndarray) -> tuple[np.ndarray, float]:
+def _smallest_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
     """Centre (3,) and radius of the smallest ball around points, nearly: ever smaller steps towards the farthest."""
     center = points.mean(axis=0)
     for step in range(2, 200):

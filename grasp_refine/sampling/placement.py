@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from grasp_refine.core.se3 import matvec, tangents, transform
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
-from grasp_refine.sampling.closure_frame import Grip
+from grasp_refine.sampling.closure_frame import ClosureFrame
 from grasp_refine.scene.plane import Plane
 
 CONE = np.radians(30.0)
@@ -78,7 +78,7 @@ def places_on(obj: Object, pairs: Int[np.ndarray, "P 2"], count: int, rng: np.ra
     )
 
 
-def placed(hand: Hand, grip: Grip, places: Places, table: Plane | None, rng: np.random.Generator) -> Placed:
+def placed(hand: Hand, closure: ClosureFrame, places: Places, table: Plane | None, rng: np.random.Generator) -> Placed:
     """Hands, one per place, more or less open, with the grip around it; they may penetrate the object.
 
     What would come from below a table comes from above, mirrored.
@@ -89,14 +89,14 @@ def placed(hand: Hand, grip: Grip, places: Places, table: Plane | None, rng: np.
         way = way - 2.0 * np.maximum(way @ normal, 0.0)[:, None] * normal
     side = np.cross(way, places.across)
     side /= np.linalg.norm(side, axis=1, keepdims=True)
-    frame = np.column_stack([grip.across, np.cross(grip.approach, grip.across), grip.approach])
+    frame = np.column_stack([closure.across, np.cross(closure.approach, closure.across), closure.approach])
     R = np.stack([np.cross(side, way), side, way], axis=-1) @ frame.T
-    middle = places.point + grip.radius * rng.uniform(0.0, DEPTH, (count, 1)) * way
-    q = hand.rest + rng.uniform(SHUT, 1.0, (count, 1)) * (grip.opened - hand.rest)
+    middle = places.point + closure.radius * rng.uniform(0.0, DEPTH, (count, 1)) * way
+    q = hand.rest + rng.uniform(SHUT, 1.0, (count, 1)) * (closure.opened - hand.rest)
     # Hands of which no finger is spread far are as likely as others: those that are often run into each other.
-    spread = rng.uniform(0.0, SPREAD, (count, 1)) * rng.uniform(-1.0, 1.0, q.shape) * grip.spreading
-    q += np.where(spread > 0, grip.upper - hand.rest, hand.rest - grip.lower) * spread
-    return Placed(transform(R, middle - R @ grip.center), q, way)
+    spread = rng.uniform(0.0, SPREAD, (count, 1)) * rng.uniform(-1.0, 1.0, q.shape) * closure.spreading
+    q += np.where(spread > 0, closure.upper - hand.rest, hand.rest - closure.lower) * spread
+    return Placed(transform(R, middle - R @ closure.center), q, way)
 
 
 def _beside(axis: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -19,7 +19,7 @@ from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.chain import Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
-from grasp_refine.sampling.closure_frame import Grip, grip_of
+from grasp_refine.sampling.closure_frame import ClosureFrame, closure_frame
 from grasp_refine.sampling.placement import Placed, opposed, placed, places_on
 from grasp_refine.scene.contact_selection import link_groups
 from grasp_refine.scene.hand_object import HandObject
@@ -96,13 +96,13 @@ def sample_grasps(
         raise GraspRefineError(f"seeds must be at least 0, got {seed}")
     if not 1 <= count <= MOST:
         raise GraspRefineError(f"1 to {MOST} grasps can be sampled, got {count}")
-    grip, rng = grip_of(hand), np.random.default_rng(seed)
-    closing = _Closing(prepared or HandObject(hand, obj), grip, table)
-    pairs = opposed(obj, grip.opening)
+    closure, rng = closure_frame(hand), np.random.default_rng(seed)
+    closing = _Closing(prepared or HandObject(hand, obj), closure, table)
+    pairs = opposed(obj, closure.opening)
     found, total, tried = [], 0, 0
     while total < SPARE * count and tried < max(AT_LEAST, TRIES * count):
         places = places_on(obj, pairs, BATCH, rng)
-        found.append(_good(closing, closing.closed(closing.clear(placed(hand, grip, places, table, rng)), rng)))
+        found.append(_good(closing, closing.closed(closing.clear(placed(hand, closure, places, table, rng)), rng)))
         total, tried = total + len(found[-1].q), tried + BATCH
         if progress is not None:
             progress(total, tried)
@@ -110,9 +110,9 @@ def sample_grasps(
         low, high = closing.prepared.box
         raise GraspRefineError(
             f"no grasp of hand '{hand.name}' on object '{obj.name}' was found in {tried} tries: the object is "
-            f"{' x '.join(f'{side:.2g}' for side in high - low)} m large, the hand opens {grip.opening:.2g} m wide"
+            f"{' x '.join(f'{side:.2g}' for side in high - low)} m large, the hand opens {closure.opening:.2g} m wide"
         )
-    best = _different(join(*found), grip, count)
+    best = _different(join(*found), closure, count)
     return GraspSet(
         hand=hand.name,
         base_link=hand.base_link,
@@ -137,9 +137,9 @@ def _good(closing: _Closing, hands: Placed) -> _Scored:
     prepared, links = closing.prepared, links_of(closing.prepared.hand)
     look = closing.look(hands, NEAR)
     deepest = look.gap.min(axis=1)
-    if prepared.own_pairs is not None:
-        T, (first, second) = look.frames.T_world_link, prepared.own
-        own = query(prepared.own_pairs, T[:, first], T[:, second], cutoff=0.0)
+    if prepared.self_collision_pairs is not None:
+        T, (first, second) = look.frames.T_world_link, prepared.self_collision_links
+        own = query(prepared.self_collision_pairs, T[:, first], T[:, second], cutoff=0.0)
         deepest = np.minimum(deepest, own.distance.min(axis=1))
     group = np.array(link_groups(prepared.hand, links))
     touching = look.witness.distance <= HOLDS
@@ -150,11 +150,11 @@ def _good(closing: _Closing, hands: Placed) -> _Scored:
     return take(hands, forces.solved)
 
 
-def _different(hands: _Scored, grip: Grip, count: int) -> _Scored:
+def _different(hands: _Scored, closure: ClosureFrame, count: int) -> _Scored:
     """The best `count` hands that are not alike, of the better ones, best first."""
     hands = take(hands, np.argsort(hands.score, kind="stable")[: 2 * count])
     # Where the centre of the grip is, and three points around it: their distances count moves and turns together.
-    points = grip.center + grip.radius * np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    points = closure.center + closure.radius * np.concatenate([np.zeros((1, 3)), np.eye(3)])
     place = transform_points(hands.T[:, None], points).reshape(-1, 12) / 2.0
     chosen: list[int] = []
     for apart in ALIKE * 0.5 ** np.arange(HALVINGS + 1):
@@ -186,7 +186,7 @@ class _Closing:
     """How hands close on an object."""
 
     prepared: HandObject
-    grip: Grip
+    closure: ClosureFrame
     table: Plane | None
 
     def clear(self, hands: Placed) -> Placed:
@@ -202,16 +202,16 @@ class _Closing:
             back = np.where(back > 0, np.maximum(back, 1e-3), 0.0)
             hands.T[busy, :3, 3] -= back[:, None] * way
             gone[busy] += back
-            busy = busy[(back > 0) & (gone[busy] < self.grip.opening)]
-        return take(hands, (gone < self.grip.opening) & (above > CLEAR))
+            busy = busy[(back > 0) & (gone[busy] < self.closure.opening)]
+        return take(hands, (gone < self.closure.opening) & (above > CLEAR))
 
     def closed(self, hands: Placed, rng: np.random.Generator) -> Placed:
         """The same with their fingers closed, all of them at once."""
-        grip, hand = self.grip, self.prepared.hand
+        closure, hand = self.closure, self.prepared.hand
         slides = np.array([hand.joints_by_name[name].kind == "prismatic" for name in hand.joint_names], dtype=bool)
         unit = np.where(slides, SLIDE, 1.0)
-        speed = rng.uniform(*SPEED, hands.q.shape) * unit * np.abs(grip.closing)
-        end = np.where(grip.closing > 0, grip.upper, grip.lower)
+        speed = rng.uniform(*SPEED, hands.q.shape) * unit * np.abs(closure.closing)
+        end = np.where(closure.closing > 0, closure.upper, closure.lower)
         hands, nearest = replace(hands, q=hands.q.copy()), hands.q.copy()
         least = np.full((len(nearest), len(self._fingers)), np.inf)
         busy, witness = np.arange(len(nearest)), None
@@ -231,7 +231,7 @@ class _Closing:
             fastest = matvec(self._speeds(look.frames), rate)
             time = (gap - 0.5 * STOP) / np.maximum(fastest, 1e-9)
             step = rate * np.where(self._moves, time[..., None], LARGEST).min(axis=1).clip(0.0, LARGEST)
-            hands.q[busy] = np.clip(q + grip.closing * step, grip.lower, grip.upper)
+            hands.q[busy] = np.clip(q + closure.closing * step, closure.lower, closure.upper)
             more = (step > LEAST * unit).any(axis=1)
             busy, witness = busy[more], look.witness.rows(more)
         for k, (_, joints) in enumerate(self._fingers):
@@ -253,14 +253,14 @@ class _Closing:
     def _speeds(self, frames: Frames) -> np.ndarray:
         """How fast (M, L, n) each joint moves any point of each link at most, in m/rad, or m/m."""
         prepared, (M, L) = self.prepared, frames.T_world_link.shape[:2]
-        center = transform_points(frames.T_world_link, prepared.balls[:, :3])
+        center = transform_points(frames.T_world_link, prepared.bounding_spheres[:, :3])
         axes = np.broadcast_to(np.eye(3), (M, L, 3, 3))
         velocity = np.concatenate([axes, np.cross(center[..., None, :], axes)], axis=-1)
         turning = np.concatenate([np.zeros_like(axes), axes], axis=-1)
         covectors = np.concatenate([velocity, turning], axis=2).reshape(M, 6 * L, 6)
-        pulled = prepared.chain.pull(frames, covectors, np.repeat(np.arange(L), 6))[..., 6:]
+        pulled = prepared.chain.to_joint_space(frames, covectors, np.repeat(np.arange(L), 6))[..., 6:]
         linear, angular = np.moveaxis(np.linalg.norm(pulled.reshape(M, L, 2, 3, -1), axis=-2), 2, 0)
-        return linear + prepared.balls[:, 3, None] * angular
+        return linear + prepared.bounding_spheres[:, 3, None] * angular
 
     @cached_property
     def _moves(self) -> Bool[np.ndarray, "L n"]:
@@ -270,7 +270,7 @@ class _Closing:
     @cached_property
     def _fingers(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Links and closing joints, as numbers, of each finger: joints that move a link in common are of the same."""
-        moves = self._moves & (self.grip.closing != 0)
+        moves = self._moves & (self.closure.closing != 0)
         together = moves.T @ moves
         for _ in together:
             together = together @ together

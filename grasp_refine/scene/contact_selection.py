@@ -16,12 +16,12 @@ PALM = "palm"
 
 
 @dataclass(frozen=True)
-class Touching:
+class ContactSelection:
     """The links that are part of a grasp: those that are near the object at its start."""
 
     reach: float = 0.01
     """Contact links (fingertips) within this signed distance of the object touch it, in metres."""
-    reach_others: float = 0.003
+    other_link_distance: float = 0.003
     """The same of all other links."""
     farthest: float = 0.03
     """If links of fewer than two groups (fingers, palm) are in reach, the nearest contact links up to here count."""
@@ -35,7 +35,7 @@ class Touching:
             GraspRefineError: a distance below zero, or links that are no tuple of names.
         """
         check_fields(self)
-        for name in ("reach", "reach_others", "farthest"):
+        for name in ("reach", "other_link_distance", "farthest"):
             if not getattr(self, name) >= 0:
                 raise GraspRefineError(f"{name} must be a distance of at least 0 m, got {getattr(self, name):g}")
 
@@ -74,7 +74,7 @@ class Touching:
             return np.where(np.isin(links, self.named(hand, links)), np.inf, -np.inf)
         tips = np.isin(links, [contact.link for contact in hand.contacts])
         # What is exactly at the limit is asked.
-        return np.nextafter(np.where(tips, max(self.reach, self.farthest), self.reach_others), np.inf)
+        return np.nextafter(np.where(tips, max(self.reach, self.farthest), self.other_link_distance), np.inf)
 
     def choose(self, hand: Hand, links: tuple[str, ...], witness: Witness) -> np.ndarray:
         """Links (N, L) that should touch, none of them twice.
@@ -89,7 +89,7 @@ class Touching:
         if self.links:
             return np.isfinite(distance) & np.isin(links, self.named(hand, links))
         tips = np.isin(links, [contact.link for contact in hand.contacts])
-        touching = distance <= np.where(tips, self.reach, self.reach_others)
+        touching = distance <= np.where(tips, self.reach, self.other_link_distance)
         group = np.unique(link_groups(hand, links), return_inverse=True)[1]
         for row in np.flatnonzero(touching.any(axis=1) | (distance <= self.farthest).any(axis=1)):
             for column in np.argsort(distance[row], kind="stable"):

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.collision.culling import bounding_ball
+from grasp_refine.collision.culling import bounding_sphere
 from grasp_refine.collision.query import Pairs
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import sphere
@@ -64,7 +64,7 @@ class HandObject:
         return PairCurvatures.of(self.pairs, SMALLEST_CURVATURE)
 
     @cached_property
-    def own(self) -> tuple[np.ndarray, np.ndarray]:
+    def self_collision_links(self) -> tuple[np.ndarray, np.ndarray]:
         """The links of the S pairs that can touch each other, first and second (S,)."""
         links = links_of(self.hand)
         pairs = touching_pairs(self.hand)
@@ -72,17 +72,17 @@ class HandObject:
         return first, second
 
     @cached_property
-    def own_pairs(self) -> Pairs | None:
+    def self_collision_pairs(self) -> Pairs | None:
         """Those pairs; None if there are none."""
-        first, second = self.own
+        first, second = self.self_collision_links
         if not len(first):
             return None
         return Pairs(tuple(self.bodies[i] for i in first), tuple(self.bodies[j] for j in second))
 
     @cached_property
-    def balls(self) -> np.ndarray:
+    def bounding_spheres(self) -> np.ndarray:
         """Centre and radius (L, 4) of a ball around each link, link frames, metres."""
-        return np.array([bounding_ball(body) for body in self.bodies])
+        return np.array([bounding_sphere(body) for body in self.bodies])
 
     @cached_property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
@@ -97,13 +97,13 @@ class HandObject:
         return Pairs.against(self.bodies, point), Pairs.against((self.object.body,) * len(self.bodies), point)
 
     @cached_property
-    def gloved(self) -> Gloved:
+    def padded(self) -> PaddedHand:
         """The same in gloves, for opening the hand."""
-        return Gloved(self.hand, self.object, self)
+        return PaddedHand(self.hand, self.object, self)
 
 
 @dataclass(frozen=True, eq=False)
-class Gloved(HandObject):
+class PaddedHand(HandObject):
     """A hand in thick gloves: where these do not penetrate the object, the links keep their clearances.
 
     A piece is a core and a ball around it, so that a thicker glove is a larger ball, and distances stay exact. Links
@@ -116,22 +116,22 @@ class Gloved(HandObject):
     @cached_property
     def pairs(self) -> Pairs:
         """Each gloved link and the object."""
-        return Pairs.against(self._gloved, self.object.body)
+        return Pairs.against(self._padded, self.object.body)
 
     @cached_property
-    def balls(self) -> np.ndarray:
+    def bounding_spheres(self) -> np.ndarray:
         """Centre and radius (L, 4) of a ball around each gloved link."""
-        return np.array([bounding_ball(body) for body in self._gloved])
+        return np.array([bounding_sphere(body) for body in self._padded])
 
     @cached_property
-    def own_pairs(self) -> Pairs | None:
+    def self_collision_pairs(self) -> Pairs | None:
         """Pairs of bare links."""
-        return self.bare.own_pairs
+        return self.bare.self_collision_pairs
 
     @cached_property
-    def _gloved(self) -> tuple[Body, ...]:
+    def _padded(self) -> tuple[Body, ...]:
         links = links_of(self.hand)
-        return tuple(_thicker(body, by) for body, by in zip(self.bodies, clearances(self.hand, links), strict=True))
+        return tuple(_inflate(body, by) for body, by in zip(self.bodies, clearances(self.hand, links), strict=True))
 
 
 def clearances(hand: Hand, links: tuple[str, ...]) -> Float[np.ndarray, " L"]:
@@ -139,5 +139,5 @@ def clearances(hand: Hand, links: tuple[str, ...]) -> Float[np.ndarray, " L"]:
     return np.where(np.isin(links, [contact.link for contact in hand.contacts]), CLEARANCE, CLEARANCE_OTHERS)
 
 
-def _thicker(body: Body, by: float) -> Body:
+def _inflate(body: Body, by: float) -> Body:
     return replace(body, pieces=tuple(replace(piece, radius=piece.radius + by) for piece in body.pieces))

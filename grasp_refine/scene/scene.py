@@ -97,7 +97,7 @@ class Scene:
         return near & is_rigid(self.T_world_root) & (np.abs(self.q) <= FARTHEST).all(axis=1)
 
     @property
-    def sound(self) -> Bool[np.ndarray, " N"]:
+    def valid(self) -> Bool[np.ndarray, " N"]:
         """Which grasps (N,) can be refined: those whose targets are within `FARTHEST` too, and wanted normals units."""
         sound = self.posed
         for target in (self.target_link, self.target_object):

@@ -91,7 +91,7 @@ class WitnessLayer:
         if self.patch is not None:
             found = self.patch.refine(self.pairs, T_a, T_b, found, *targets)
         x_a, x_b, n, d = _WitnessFunction.apply(T_world_a, T_world_b, self, found, *targets, key)
-        return Witness(x_a, x_b, n, d, found.status, found.winner, found.asked)
+        return Witness(x_a, x_b, n, d, found.status, found.winner, found.num_queries)
 
     def columns(self, columns: np.ndarray) -> tuple[Pairs, Surfaces]:
         """The pairs `columns`, and the candidates of their first and then their second bodies; built once."""

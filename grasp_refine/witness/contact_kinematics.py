@@ -56,7 +56,7 @@ class ContactKinematics:
         E = tangents(w.normal)
         K_a, K_b = self.curvatures(scene, E)
         d = counted_distance(K_a, K_b, w.distance)[..., None, None]
-        # The equations of the class transposed; `slide` is the covector on u.
+        # The equations of the class transposed; `contact_slip_jacobian` is the covector on u.
         in_plane = matvec(E.mT, force_a) + matvec(_EYE + d * K_a, matvec(E.mT, force_b))
         if force_n is not None:
             in_plane = in_plane + matvec(K_a, matvec(E.mT, force_n))
@@ -81,7 +81,9 @@ class ContactKinematics:
         return raised(K[:, :count], K[:, count:], floor)
 
 
-def slide(point_b: Array, normal: Array, distance: Array, E: Array, K_a: Array, K_b: Array) -> tuple[Array, Array]:
+def contact_slip_jacobian(
+    point_b: Array, normal: Array, distance: Array, E: Array, K_a: Array, K_b: Array
+) -> tuple[Array, Array]:
     """How the witness points slide on their bodies, U_a and U_b (..., 2, 6), along the tangents E.
 
     dx_a = V_a(x_a) + E U_a xi and dx_b = V_b(x_b) + E U_b xi, with xi the spatial twist (v, w) of body b relative

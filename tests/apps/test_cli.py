@@ -273,9 +273,9 @@ def test_targets_of_a_file_are_aimed_at(grasp_file: Callable[..., Path], capfd: 
     used = load_grasps("grasp-refine-results/allegro_rounded_box.npz").targets
     assert used.links == tuple(links)
     np.testing.assert_array_equal(used.point_object, point_object)
-    for options in ("--contacts link_7.0_tip", "--reach 0.02", "--reach-others 0.001"):
+    for options in ("--contacts link_7.0_tip", "--reach 0.02", "--other-link-distance 0.001"):
         answer = refused(capfd, *QUICK, "--targets", aimed, *options.split())
-        assert_names(answer, "--contacts", "--reach", "--reach-others", "targets")
+        assert_names(answer, "--contacts", "--reach", "--other-link-distance", "targets")
     for options in ("--starts 3", "--geometry-only", "--weights.wrench 1"):
         answer = refused(capfd, *QUICK, "--targets", aimed, *options.split())
         assert_names(answer, options.split()[0], "targets")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from grasp_refine.collision.broadphase import Bounds, ball_bound, bounds_of, box_bound
+from grasp_refine.collision.broadphase import Bounds, bounds_of, box_bound, sphere_bound
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.se3 import exp_so3, inverse
 from grasp_refine.geometry.body import build_body
@@ -67,7 +67,7 @@ def test_bounds_never_exceed_the_signed_distance(a: str, b: str) -> None:
     first = np.zeros(150, dtype=int)
     bounds_a, bounds_b = bounds_of([PIECES[a]]), bounds_of([PIECES[b]])
     boxes = box_bound(bounds_a.take(first), bounds_b.take(first), np.moveaxis(R, 0, -1), t.T)
-    balls = ball_bound(bounds_a.balls, bounds_b.balls, R, t)[0][:, 0, 0]
+    balls = sphere_bound(bounds_a.bounding_spheres, bounds_b.bounding_spheres, R, t)[0][:, 0, 0]
     # 1e-8 is the tolerance of EPA.
     assert (boxes <= distance + 1e-8).all() and (balls <= distance + 1e-8).all()
     # Not idle: apart, the better of the two is within the bodies' size of the truth.
@@ -82,7 +82,7 @@ def test_the_ball_bound_of_spheres_is_their_distance() -> None:
     centers = [T[:, 0, :3, :3] @ p.vertices[0] + T[:, 0, :3, 3] for T, p in ((T_a, a), (T_b, b))]
     expected = np.linalg.norm(centers[1] - centers[0], axis=1) - 0.05
     assert (expected < 0).any() and (expected > 0).any()
-    found, _ = ball_bound(bounds_of([a]).balls, bounds_of([b]).balls, R, t)
+    found, _ = sphere_bound(bounds_of([a]).bounding_spheres, bounds_of([b]).bounding_spheres, R, t)
     np.testing.assert_allclose(found[:, 0, 0], expected, atol=1e-15)
 
 
@@ -93,7 +93,7 @@ def test_ball_bounds_of_many_pieces_are_those_of_each_pair_and_padding_is_infini
     a = replace(padded.take(np.array([[0, 1, 2], [3, 4, 4]])), radius=np.array([[1, 2, 3], [4, 5, -np.inf]]) * 1e-2)
     b = replace(padded.take(np.array([[4, 3], [2, 1]])), radius=np.array([[1, 2], [-np.inf, 3]]) * 1e-2)
     R, t = exp_so3(rng.normal(size=(7, 2, 3))), rng.normal(size=(7, 2, 3)) * 0.1
-    found, likeliest = ball_bound(a.balls, b.balls, R, t)
+    found, likeliest = sphere_bound(a.bounding_spheres, b.bounding_spheres, R, t)
     assert found.shape == (7, 2, 3, 2) and likeliest.shape == (7, 2)
     for p, i, j in np.ndindex(2, 3, 2):
         between = np.linalg.norm(R[:, p] @ b.center[:, p, j] + t[:, p] - a.center[:, p, i], axis=1)
@@ -108,8 +108,11 @@ def test_ball_bounds_far_from_the_origin_are_never_too_high(away: float) -> None
     at = np.array([70.0, -50.0, 90.0])
     directions = np.random.default_rng(9).normal(size=(200, 3))
     shift = away * directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    found, _ = ball_bound(
-        bounds_of([sphere(1e-3, at)]).balls, bounds_of([sphere(1e-3, at)]).balls, np.eye(3)[None], shift
+    found, _ = sphere_bound(
+        bounds_of([sphere(1e-3, at)]).bounding_spheres,
+        bounds_of([sphere(1e-3, at)]).bounding_spheres,
+        np.eye(3)[None],
+        shift,
     )
     true = np.linalg.norm((at + shift) - at, axis=1) - 2e-3
     assert (found[:, 0, 0] <= true + 1e-15).all()
@@ -130,7 +133,7 @@ def test_the_box_bound_of_boxes_face_to_face_is_their_distance(gap: float) -> No
 def test_coincident_centres_give_finite_bounds() -> None:
     piece = PIECES["hull"]
     bounds = bounds_of([piece])
-    balls, _ = ball_bound(bounds.balls, bounds.balls, np.eye(3)[None], np.zeros((1, 3)))
+    balls, _ = sphere_bound(bounds.bounding_spheres, bounds.bounding_spheres, np.eye(3)[None], np.zeros((1, 3)))
     assert balls[0, 0, 0] == pytest.approx(-2 * bounds.radius[0])
     found = box_bound(bounds, bounds, np.eye(3)[..., None], np.zeros((3, 1)))
     # No translation shorter than the smallest width separates a set from itself, and none longer is needed.

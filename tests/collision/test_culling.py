@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from grasp_refine.collision.culling import bounding_ball, motion, nothing_near, query_near
+from grasp_refine.collision.culling import bounding_sphere, motion, nothing_near, query_near
 from grasp_refine.collision.query import Pairs, QueryStatus, query
 from grasp_refine.core.se3 import exp_se3, transform_points
 from grasp_refine.geometry.body import build_body
@@ -22,7 +22,7 @@ BODIES = {
 @pytest.mark.parametrize("name", BODIES)
 def test_balls_hold_their_bodies(name: str) -> None:
     body = BODIES[name]
-    ball = bounding_ball(body)
+    ball = bounding_sphere(body)
     for piece in body.pieces:
         assert (np.linalg.norm(piece.vertices - ball[:3], axis=1) + piece.radius <= ball[3] + 1e-12).all()
     assert (np.linalg.norm(body.candidates.points - ball[:3], axis=1) <= ball[3] + 1e-12).all()
@@ -30,9 +30,9 @@ def test_balls_hold_their_bodies(name: str) -> None:
 
 def test_one_ball_is_its_own_ball() -> None:
     body = build_body("ball", [sphere(0.02, (0.1, 0.2, 0.3))])
-    np.testing.assert_allclose(bounding_ball(body)[:3], [0.1, 0.2, 0.3], atol=1e-15)
+    np.testing.assert_allclose(bounding_sphere(body)[:3], [0.1, 0.2, 0.3], atol=1e-15)
     # That of the bounding box may be a little wide, never too narrow.
-    assert bounding_ball(body)[3] >= 0.02 - 1e-15
+    assert bounding_sphere(body)[3] >= 0.02 - 1e-15
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e-2, 1.0, 3.0])
@@ -40,7 +40,7 @@ def test_no_point_moves_farther_than_the_bound(size: float) -> None:
     rng = np.random.default_rng(2)
     before = np.tile(random_poses(20, 3), (1, 4, 1, 1))
     now = exp_se3(size * rng.normal(size=(20, 4, 6)) * [0.05, 0.05, 0.05, 1, 1, 1]) @ before
-    balls = np.array([bounding_ball(body) for body in BODIES.values()])
+    balls = np.array([bounding_sphere(body) for body in BODIES.values()])
     bound = motion(balls, before, now)
     for column, body in enumerate(BODIES.values()):
         points = body.candidates.points
@@ -76,7 +76,7 @@ def test_what_is_surely_apart_is_not_asked_and_the_rest_is_that_of_a_query() -> 
     assert skipped.any() and (~skipped & (plain.distance < 0)).any()
     np.testing.assert_array_equal(found.status[skipped], QueryStatus.FAR)
     np.testing.assert_array_equal(found.distance[skipped], bound[skipped])
-    assert not found.asked[skipped].any() and (found.winner[skipped] == -1).all()
+    assert not found.num_queries[skipped].any() and (found.winner[skipped] == -1).all()
     answered = found.valid
     np.testing.assert_allclose(found.distance[answered], plain.distance[answered], atol=1e-9)
     # Everything that penetrates was answered, and so was all without a cutoff.
@@ -96,7 +96,7 @@ def test_poses_that_are_not_finite_are_asked_and_said_to_be_so() -> None:
 def test_nothing_near_has_no_points_and_keeps_its_bounds() -> None:
     bound = np.array([[0.1, 0.2]])
     found = nothing_near(bound)
-    assert not found.valid.any() and not found.asked.any() and not found.point_a.any()
+    assert not found.valid.any() and not found.num_queries.any() and not found.point_a.any()
     np.testing.assert_array_equal(found.distance, bound)
     found.distance[0, 0] = 9.0
     assert bound[0, 0] == 0.1

@@ -116,7 +116,7 @@ def ask_both(both: tuple[Pairs, Pairs], ask: Callable[[Pairs], Witness]) -> tupl
     if not same.all():
         rounded = (ask_with_other_rounding(both[1], ask, sign) for sign in (1.0, -1.0))
         tied = np.logical_or.reduce(
-            [(again.asked != other.asked) | (again.winner != other.winner) for again in rounded]
+            [(again.num_queries != other.num_queries) | (again.winner != other.winner) for again in rounded]
         )
         assert (same | tied).all() and tied.mean() < 0.2
     return found, other

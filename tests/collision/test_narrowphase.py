@@ -449,7 +449,7 @@ def test_a_wild_answer_is_asked_again_with_the_looser_tolerance(wild: float) -> 
     found = closest(narrow, placed((0.035, 0, 0)), bound=-0.05)
     assert asked_with == [Tolerances().epa, Tolerances().retry]
     assert found.distance[0] == pytest.approx(-0.005, abs=1e-6)
-    assert not found.failed[0] and found.winner[0] == 0 and found.asked[0] == 1
+    assert not found.failed[0] and found.winner[0] == 0 and found.num_queries[0] == 1
 
 
 @only_python
@@ -478,11 +478,11 @@ def test_what_cannot_beat_the_limit_is_not_asked() -> None:
     bounds = np.array([0.06, 0.07, 0.08])  # ascending; the third sphere, listed first, is at 0.06
     arguments = np.eye(3)[None], T[:, :3, 3], np.array([0, 3]), np.array([2, 1, 0]), bounds
     found = narrow.closest(*arguments, np.array([np.inf]))
-    assert (found.asked[0], found.winner[0], found.distance[0]) == (1, 2, pytest.approx(0.06))
+    assert (found.num_queries[0], found.winner[0], found.distance[0]) == (1, 2, pytest.approx(0.06))
     none = narrow.closest(*arguments, np.array([0.06]))
-    assert (none.asked[0], none.winner[0], none.distance[0]) == (0, -1, np.inf)
+    assert (none.num_queries[0], none.winner[0], none.distance[0]) == (0, -1, np.inf)
     beaten = narrow.closest(*arguments, np.array([0.0600001]))
-    assert (beaten.asked[0], beaten.winner[0]) == (1, 2)
+    assert (beaten.num_queries[0], beaten.winner[0]) == (1, 2)
 
 
 def test_a_warm_start_changes_rounding_only() -> None:
@@ -545,4 +545,4 @@ def test_an_answer_below_its_bound_is_a_failure() -> None:
     narrow = narrow_phase([a], [b], Tolerances(slack=0.0))
     assert closest(narrow, T, bound=true - 1e-9).distance[0] == true
     failed = closest(narrow, T, bound=true + 1e-6)
-    assert failed.failed[0] and (failed.winner[0], failed.asked[0]) == (-1, 1) and np.isinf(failed.distance[0])
+    assert failed.failed[0] and (failed.winner[0], failed.num_queries[0]) == (-1, 1) and np.isinf(failed.distance[0])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from grasp_refine.collision.broadphase import ball_bound, bounds_of, box_bound
+from grasp_refine.collision.broadphase import bounds_of, box_bound, sphere_bound
 from grasp_refine.collision.certified_distance import Tolerances
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.core.errors import CollisionError
@@ -55,7 +55,7 @@ def test_the_minimum_over_pieces_is_that_of_brute_force(spread: float, penetrati
     for p, q in product(a.pieces, b.pieces):
         brute = np.minimum(brute, query(Pairs((single(p),), (single(q),)), T_a, T_b).distance[:, 0])
     np.testing.assert_allclose(found.distance[:, 0], brute, atol=1e-8)
-    assert found.asked.mean() < 0.5 * len(a.pieces) * len(b.pieces)
+    assert found.num_queries.mean() < 0.5 * len(a.pieces) * len(b.pieces)
 
 
 def brute_force(a: Body, b: Body, T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray:
@@ -89,7 +89,7 @@ def test_bodies_of_many_pieces_get_the_minimum_of_brute_force(many_pieces: tuple
         found = query(pairs, T_a, T_b, previous=previous)
         np.testing.assert_allclose(found.distance[:, 0], least, atol=1e-8)
         np.testing.assert_allclose(every[np.arange(12), found.winner[:, 0]], least, atol=1e-8)
-        assert found.asked.max() < 0.1 * every.shape[1]
+        assert found.num_queries.max() < 0.1 * every.shape[1]
         for cutoff in (gap + 1e-3, gap - 1e-3):
             cut = query(pairs, T_a, T_b, cutoff=cutoff, previous=previous)
             near = least < cutoff
@@ -114,7 +114,7 @@ def test_signed_bounds_never_exceed_the_signed_distance() -> None:
         index = np.zeros(60, dtype=int)
         a, b = bounds_of([p]).take(index), bounds_of([q]).take(index)
         boxes = box_bound(a, b, np.moveaxis(R, 0, -1), t.T)
-        balls = ball_bound(bounds_of([p]).balls, bounds_of([q]).balls, R, t)[0][:, 0, 0]
+        balls = sphere_bound(bounds_of([p]).bounding_spheres, bounds_of([q]).bounding_spheres, R, t)[0][:, 0, 0]
         assert (boxes <= distance + 1e-8).all()
         assert (balls <= distance + 1e-8).all()
 
@@ -130,7 +130,7 @@ def test_the_cutoff_hides_only_what_is_farther() -> None:
     np.testing.assert_allclose(cut.distance[near], full.distance[near], atol=1e-12)
     assert (cut.status[~near] == QueryStatus.FAR).all()
     assert not cut.valid[~near].any() and not cut.point_a[~near].any()
-    assert cut.asked.sum() < full.asked.sum()
+    assert cut.num_queries.sum() < full.num_queries.sum()
 
 
 def test_nothing_is_below_a_cutoff_that_is_no_number() -> None:
@@ -141,7 +141,9 @@ def test_nothing_is_below_a_cutoff_that_is_no_number() -> None:
     T_a, T_b = (np.tile(T, (1, 2, 1, 1)) for T in (T_a, T_b))
     found, hidden = query(pairs, T_a, T_b, cutoff=cutoff), np.isnan(cutoff)
     assert (found.status[hidden] == QueryStatus.FAR).all() and np.isnan(found.distance[hidden]).all()
-    assert not found.asked[hidden].any() and (found.winner[hidden] == -1).all() and not found.point_a[hidden].any()
+    assert (
+        not found.num_queries[hidden].any() and (found.winner[hidden] == -1).all() and not found.point_a[hidden].any()
+    )
     np.testing.assert_array_equal(found.distance[~hidden], query(pairs, T_a, T_b).distance[~hidden])
 
 
@@ -160,7 +162,7 @@ def test_the_last_answer_changes_the_work_and_not_the_result() -> None:
     T_b[..., :3, 3] += 1e-3
     cold, warm = query(pairs, T_a, T_b), query(pairs, T_a, T_b, previous=last)
     np.testing.assert_allclose(warm.distance, cold.distance, atol=1e-8)
-    assert warm.asked.sum() <= cold.asked.sum()
+    assert warm.num_queries.sum() <= cold.num_queries.sum()
 
 
 def test_an_item_does_not_depend_on_its_batch() -> None:
@@ -325,7 +327,7 @@ def test_without_a_first_answer_the_other_pieces_are_asked_all_the_same(many_pie
     narrow._pairs[:] = [replace(pair, compute=wild_if_first(pair.compute)) for pair in narrow._pairs]
     found = query(pairs, T_a, T_b)
     assert found.status.item() == QueryStatus.FAILED and np.isnan(found.distance).all()
-    assert whole.asked.item() <= found.asked.item() < len(first) == len(second)
+    assert whole.num_queries.item() <= found.num_queries.item() < len(first) == len(second)
     assert 0.125 * min(answers) == pytest.approx(whole.distance.item(), abs=1e-8)  # in units of 1/8 m
 
 
@@ -370,7 +372,7 @@ def test_pieces_with_one_centre_are_not_forgotten() -> None:
     here = np.eye(4)[None, None]
     found = query(Pairs((a,), (b,)), here, here)
     assert found.distance.item() == pytest.approx(-0.035, abs=1e-8)
-    assert found.asked.item() == 2
+    assert found.num_queries.item() == 2
 
 
 def test_an_empty_batch_has_an_empty_answer() -> None:
@@ -409,7 +411,7 @@ def test_every_pair_and_item_may_have_a_cutoff_of_its_own() -> None:
         np.testing.assert_allclose(found.distance[near], full.distance[near], atol=1e-8)
         np.testing.assert_array_equal(found.distance[~near], limit[~near])
         assert (found.status[~near] == QueryStatus.FAR).all()
-        assert (found.asked[:, 1] == 0).all() == np.isinf(limit).any()
+        assert (found.num_queries[:, 1] == 0).all() == np.isinf(limit).any()
 
 
 def test_an_answer_from_elsewhere_as_the_last_one_does_no_harm() -> None:

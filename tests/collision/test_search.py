@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.collision.query import Pairs
-from grasp_refine.collision.search import Left, Search
+from grasp_refine.collision.search import Remaining, Search
 from grasp_refine.core.se3 import inverse
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import hull
@@ -15,7 +15,7 @@ def test_what_is_left_is_below_the_best_of_its_item_sorted_and_in_runs() -> None
     rng = np.random.default_rng(0)
     bound, best = rng.normal(size=(9, 14)), rng.normal(size=9)
     best[[2, 8]] = -10.0
-    left = Left.below(best, bound)
+    left = Remaining.below(best, bound)
     assert set(zip(left.item, left.column, strict=True)) == set(zip(*np.nonzero(bound < best[:, None]), strict=True))
     np.testing.assert_array_equal(left.bound, bound[left.item, left.column])
 
@@ -47,7 +47,7 @@ def test_whichever_piece_pair_is_asked_first_the_minimum_is_the_same(first: str)
     T = (inverse(random_poses(50, 1, 0.02)) @ random_poses(50, 2, 0.06))[:, 0]
     R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
     pair = np.zeros(50, dtype=np.int64)
-    bound, likeliest = pairs._table.ball_bound(pair, R, t)
+    bound, likeliest = pairs._table.sphere_bound(pair, R, t)
     column = {"likeliest": likeliest, "unlikeliest": bound.argmax(axis=1), "any": rng.integers(81, size=50)}[first]
     every = pairs.narrow_phase.closest(
         np.repeat(R, 81, axis=0), np.repeat(t, 81, axis=0), np.arange(50 * 81 + 1), np.tile(pairs._table.id[0], 50),

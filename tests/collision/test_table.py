@@ -91,7 +91,7 @@ def test_a_side_has_each_body_once(setting: Setting) -> None:
     side = Side.of(setting.bodies_a)
     assert len(side.bodies) == 3 and side.width == 7
     assert [side.bodies[k] for k in side.body] == list(setting.bodies_a)
-    assert np.isneginf(side.balls(np.arange(4)).radius).sum(axis=1).tolist() == [0, 6, 2, 0]
+    assert np.isneginf(side.bounding_spheres(np.arange(4)).radius).sum(axis=1).tolist() == [0, 6, 2, 0]
 
 
 @pytest.mark.parametrize("kind", ["ball", "box", "gap", "gap along the normal"])
@@ -104,7 +104,7 @@ def test_bounds_never_exceed_the_signed_distance(setting: Setting, kind: str) ->
     R, t = setting.R.reshape(-1, 3, 3), setting.t.reshape(-1, 3)
     item = batch * 4 + pair
     if kind == "ball":
-        every, likeliest = table.ball_bound(np.arange(len(R)) % 4, R, t)
+        every, likeliest = table.sphere_bound(np.arange(len(R)) % 4, R, t)
         assert np.isinf(every[np.isinf(true.reshape(every.shape))]).all()
         assert (table.id[np.arange(len(likeliest)) % 4, likeliest] >= 0).all()
         bound = every[item, column]

@@ -28,7 +28,7 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.results.profile import profile_entry, profile_table
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.cli import main
 from shapes_for_tests import cluster_body, ring_body
@@ -217,7 +217,7 @@ def test_queries_are_counted_and_the_narrow_phase_has_its_own_time(engine: str):
     T_a, T_b = exp_se3(np.random.default_rng(0).normal(size=(2, 6, 2, 6)) * ([0.05] * 3 + [1.0] * 3))
     with Stopwatch() as watch:
         found = query(pairs, T_a, T_b)
-    assert watch.queries == found.asked.sum() > 0
+    assert watch.queries == found.num_queries.sum() > 0
     used = {name for name, one in watch.spent.items() if one.calls}
     # The compiled engine does both in one call.
     assert used == {"loading", "narrow phase"} | ({"broad phase"} if engine == "python" else set())
@@ -235,8 +235,8 @@ def allegro(count: int = 3) -> Scene:
 @pytest.mark.parametrize(
     ("config", "without"),
     [
-        (Config(starts=1, touching=Touching(reach=0.1)), set()),
-        (Config(solver=Adam(iterations=5), touching=Touching(reach=0.1)), {"forces"}),
+        (Config(starts=1, contact_selection=ContactSelection(reach=0.1)), set()),
+        (Config(solver=Adam(iterations=5), contact_selection=ContactSelection(reach=0.1)), {"forces"}),
     ],
     ids=["levenberg-marquardt", "adam"],
 )

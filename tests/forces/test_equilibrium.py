@@ -10,7 +10,7 @@ from claw import TIPS, around, claw, objects
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.forces.equilibrium import HOPELESS, LEVER
 from grasp_refine.forces.wrench import EDGES, LENGTH, MOST, PLANNING_FRICTION, RIDGE, contact_forces, grasp_map
-from grasp_refine.hands.chain import Frames, moved
+from grasp_refine.hands.chain import Frames, integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.pipeline.load import load_problem
@@ -19,7 +19,7 @@ from grasp_refine.refinement.goal import Goal, goal_of
 from grasp_refine.refinement.grasp_problem import GraspProblem, Known
 from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.solvers.least_squares import Point
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.commands.sources import Sources
@@ -55,18 +55,18 @@ def every(scene: Scene) -> np.ndarray:
     return np.arange(len(scene.q))
 
 
-ALL_TIPS = Touching(links=TIPS)
-NEAR = Touching()
+ALL_TIPS = ContactSelection(links=TIPS)
+NEAR = ContactSelection()
 
 
-def problem_of(scene: Scene, touching: Touching | Goal = ALL_TIPS, weights: Weights = ONLY) -> GraspProblem:
+def problem_of(scene: Scene, touching: ContactSelection | Goal = ALL_TIPS, weights: Weights = ONLY) -> GraspProblem:
     goal = touching if isinstance(touching, Goal) else goal_of(scene, touching)
     return GraspProblem(scene, goal, Config(weights=weights))
 
 
 def stepped(point: Point, dx: np.ndarray) -> Point:
     """Points after steps (M, 6 + n)."""
-    return Point(moved(point.T, dx[:, :6]), point.q + dx[:, 6:])
+    return Point(integrate(point.T, dx[:, :6]), point.q + dx[:, 6:])
 
 
 def loss_at(problem: GraspProblem, point: Point) -> np.ndarray:
@@ -114,7 +114,9 @@ def test_the_value_is_what_the_forces_leave_unbalanced(hand: Hand, bodies: dict[
         f = known.forces.force[:, p]
         x = np.where(f.any(axis=-1, keepdims=True), w.point_b, 0.0)
         total = np.concatenate([f.sum(axis=1), np.cross(x, f).sum(axis=1) / LENGTH], axis=1) + load
-        torque = problem.chain.pull(frames, np.concatenate([f, np.cross(x, f)], axis=-1), np.arange(f.shape[1]))
+        torque = problem.chain.to_joint_space(
+            frames, np.concatenate([f, np.cross(x, f)], axis=-1), np.arange(f.shape[1])
+        )
         torque = torque[..., 6:].sum(axis=1)
         for group in hand.coupled:
             own = torque[:, [hand.joint_names.index(name) for name in group.joints]]
@@ -191,7 +193,7 @@ def test_the_gradient_is_that_of_the_loss(hand: Hand, bodies: dict[str, Object],
 def test_contacts_that_are_switched_off_have_no_part_in_the_gradient(coupled: Hand, bodies: dict[str, Object]) -> None:
     """Each grasp has other links that touch."""
     scene = around(coupled, bodies["sphere"], 6, 6)
-    goal = goal_of(scene, Touching(links=TIPS))
+    goal = goal_of(scene, ContactSelection(links=TIPS))
     touching = goal.touching.copy()
     touching[[0, 1, 2, 3], [0, 1, 2, 3]] = False
     problem = problem_of(scene, replace(goal, touching=touching), replace(ONLY, penetration=1e-12))
@@ -329,7 +331,7 @@ def test_the_row_of_one_grasp_does_not_depend_on_the_others(coupled: Hand, bodie
 def test_without_contacts_nothing_is_to_be_gained(coupled: Hand, bodies: dict[str, Object]) -> None:
     """The value is that of a single contact, and has no derivative; other grasps are as ever."""
     scene = around(coupled, bodies["sphere"], 4, 11)
-    goal = goal_of(scene, Touching(links=TIPS))
+    goal = goal_of(scene, ContactSelection(links=TIPS))
     touching = goal.touching.copy()
     touching[1] = False
     weights = replace(ONLY, penetration=1e-12)
@@ -345,7 +347,7 @@ def test_without_contacts_nothing_is_to_be_gained(coupled: Hand, bodies: dict[st
 def test_a_single_contact_pushes_for_nothing(coupled: Hand, bodies: dict[str, Object]) -> None:
     """All of its pressure is left, and the mean of the loads, which push in all directions, does not help."""
     scene = replace(around(coupled, bodies["sphere"], 3, 12), hand=replace(coupled, coupled=()))
-    problem = problem_of(scene, Touching(links=("thumb",)))
+    problem = problem_of(scene, ContactSelection(links=("thumb",)))
     known = problem.evaluate(every(scene), at(scene), None)
     loads = problem.equilibrium.loads
     np.testing.assert_allclose(loads.mean(axis=0), 0.0, atol=1e-12)
@@ -373,7 +375,7 @@ def test_a_pose_that_is_not_finite_spoils_no_other(coupled: Hand, bodies: dict[s
 # real hands
 
 
-def agreement(scene: Scene, touching: Touching = NEAR) -> np.ndarray:
+def agreement(scene: Scene, touching: ContactSelection = NEAR) -> np.ndarray:
     """Cosines of the gradient, with the curvatures of the exact features, and differences; NaN where these jump."""
     problem = problem_of(scene, touching, replace(ONLY, penetration=1e-12))
     known = problem.evaluate(every(scene), at(scene), None)
@@ -390,7 +392,7 @@ def test_the_gradient_of_a_real_hand() -> None:
     tips = HandObject(allegro, ball).chain(np.tile(np.eye(4), (16, 1, 1)), q).T_world_link[:, :4, :3, 3]
     T = exp_se3(rng.normal(size=(16, 6)) * [0.0, 0.0, 0.0, 0.2, 0.2, 0.2])
     T[:, :3, 3] -= (T[:, None, :3, :3] @ tips[..., None])[..., 0].mean(axis=1)
-    found = agreement(Scene(allegro, ball, T, q), Touching(reach=0.03, reach_others=0.0))
+    found = agreement(Scene(allegro, ball, T, q), ContactSelection(reach=0.03, other_link_distance=0.0))
     assert np.isfinite(found).sum() >= 12
     assert (found[np.isfinite(found)] >= 0.999).mean() >= 0.75
 

@@ -198,7 +198,7 @@ def test_torques_are_about_the_centre_of_mass(tmp_path: Path) -> None:
     away = Object("away", mesh, obj.body, True, ())
     moved = Witness(
         witness.point_a + shift, witness.point_b + shift, witness.normal, witness.distance, witness.status,
-        witness.winner, witness.asked,
+        witness.winner, witness.num_queries,
     )  # fmt: skip
     there = quality(hand, away, prepared.chain, frames, moved)
     assert np.isfinite(here.score).sum() >= 4

@@ -12,7 +12,7 @@ from fuzz import (
     npz_files,
     object_lists,
     object_names,
-    proofs,
+    trials_by_grasp,
     uploads,
     urdfs,
 )
@@ -30,7 +30,7 @@ READERS = {
         job_lists.READER,
         manifests.READER,
         cache_files.READER,
-        proofs.READER,
+        trials_by_grasp.READER,
         uploads.READER,
     )
 }

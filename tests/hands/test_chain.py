@@ -1,4 +1,4 @@
-"""Poses of the chain against `Kinematics`, and its Jacobian against finite differences over `moved` and the joints."""
+"""Poses of the chain against `Kinematics`, and its Jacobian against finite differences over `integrate` and joints."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import torch
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import exp_se3, exp_so3, inverse, transform_points
-from grasp_refine.hands.chain import Chain, moved
+from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
 from refusals import refused
@@ -104,7 +104,7 @@ def test_links_that_only_the_root_moves(allegro: Hand) -> None:
     chain = Chain(allegro, [allegro.base_link])
     frames = chain(T, q)
     np.testing.assert_array_equal(frames.T_world_link[:, 0], T)
-    pulled = chain.pull(frames, np.ones((2, 3, 6)), np.zeros(3, dtype=int))
+    pulled = chain.to_joint_space(frames, np.ones((2, 3, 6)), np.zeros(3, dtype=int))
     assert frames.axes.shape == (2, 6, 6) and pulled.shape == (2, 3, 6 + len(allegro.joint_names))
     assert not pulled[..., 6:].any() and np.all(pulled[..., :3] == 1.0)
 
@@ -120,7 +120,7 @@ def test_unknown_links_are_refused_with_the_ones_that_exist(allegro: Hand) -> No
 def test_the_root_moves_by_v_and_turns_by_w_about_its_origin() -> None:
     rng = np.random.default_rng(3)
     T, dx = exp_se3(rng.normal(size=(4, 6))), rng.normal(size=(4, 6))
-    after = moved(T, dx)
+    after = integrate(T, dx)
     np.testing.assert_allclose(after[:, :3, 3], T[:, :3, 3] + dx[:, :3], atol=1e-15)
     np.testing.assert_allclose(after[:, :3, :3], exp_so3(dx[:, 3:]) @ T[:, :3, :3], atol=1e-14)
     np.testing.assert_array_equal(after[:, 3], np.tile([0.0, 0.0, 0.0, 1.0], (4, 1)))
@@ -128,7 +128,7 @@ def test_the_root_moves_by_v_and_turns_by_w_about_its_origin() -> None:
 
 def test_rounding_of_the_rotation_does_not_accumulate() -> None:
     rounded = exp_se3(np.random.default_rng(4).normal(size=(4, 6))).astype(np.float32).astype(float)
-    R = moved(rounded, np.zeros((4, 6)))[:, :3, :3]
+    R = integrate(rounded, np.zeros((4, 6)))[:, :3, :3]
     error = np.abs(R.swapaxes(-1, -2) @ R - np.eye(3)).max()
     assert error < 1e-12 < np.abs(rounded[:, :3, :3].swapaxes(-1, -2) @ rounded[:, :3, :3] - np.eye(3)).max()
 
@@ -159,11 +159,11 @@ def test_pulled_wrenches_are_the_slopes_of_their_work(hand: Hand, relative: bool
     h = 1e-6
     root, joints = np.split(h * np.eye(6 + chain.dof), [6], axis=1)
     slopes = [
-        (work(moved(T, np.tile(r, (3, 1))), q + j) - work(moved(T, np.tile(-r, (3, 1))), q - j)) / (2 * h)
+        (work(integrate(T, np.tile(r, (3, 1))), q + j) - work(integrate(T, np.tile(-r, (3, 1))), q - j)) / (2 * h)
         for r, j in zip(root, joints, strict=True)
     ]
     wrench = np.concatenate([force, np.cross(point, force)], axis=-1)
-    pulled = chain.pull(frames, wrench, link, minus if relative else None)
+    pulled = chain.to_joint_space(frames, wrench, link, minus if relative else None)
     np.testing.assert_allclose(pulled, np.moveaxis(slopes, 0, -1), atol=2e-9)
 
 
@@ -187,10 +187,10 @@ def test_joints_are_pulled_as_what_they_carry(hand: Hand) -> None:
     frames, links = chain(T, q), len(chain.links)
     child = [chain.links.index(hand.joints_by_name[name].child) for name in chain.joints]
     covector = np.random.default_rng(11).normal(size=(2, len(child), 6))
-    by_joints = chain.pull(frames, covector, links + np.arange(len(child)))
-    np.testing.assert_array_equal(by_joints, chain.pull(frames, covector, np.array(child)))
+    by_joints = chain.to_joint_space(frames, covector, links + np.arange(len(child)))
+    np.testing.assert_array_equal(by_joints, chain.to_joint_space(frames, covector, np.array(child)))
     # The twist of one relative to the other is none.
-    relative = chain.pull(frames, covector, links + np.arange(len(child)), np.array(child))
+    relative = chain.to_joint_space(frames, covector, links + np.arange(len(child)), np.array(child))
     assert not relative.any()
 
 
@@ -200,7 +200,7 @@ def test_axes_move_as_what_their_joints_carry(hand: Hand) -> None:
     T, q = configurations(hand, 1, seed=12)
     frames, links, m = chain(T, q), len(chain.links), len(chain.joints)
     eye = np.tile(np.eye(6), (m, 1))[None]
-    twist = chain.pull(frames, eye, links + np.repeat(np.arange(m), 6)).reshape(m, 6, -1)
+    twist = chain.to_joint_space(frames, eye, links + np.repeat(np.arange(m), 6)).reshape(m, 6, -1)
     v, w = frames.axes[0, :3, 6:].T, frames.axes[0, 3:, 6:].T
     V, W = twist[:, :3], twist[:, 3:]
     bracket = [
@@ -210,7 +210,7 @@ def test_axes_move_as_what_their_joints_carry(hand: Hand) -> None:
     expected, h = np.concatenate(bracket, axis=1), 1e-6
     for k in range(6 + chain.dof):
         dx = h * np.eye(6 + chain.dof)[k]
-        ahead, behind = (chain(moved(T, s * dx[None, :6]), q + s * dx[6:]).axes[0, :, 6:].T for s in (1, -1))
+        ahead, behind = (chain(integrate(T, s * dx[None, :6]), q + s * dx[6:]).axes[0, :, 6:].T for s in (1, -1))
         np.testing.assert_allclose((ahead - behind) / (2 * h), expected[..., k], atol=1e-8)
 
 
@@ -239,16 +239,19 @@ def test_torch_and_numpy_agree(hand: Hand) -> None:
     rng = np.random.default_rng(8)
     link, minus = rng.integers(len(chain.links), size=(2, 9))
     covector, dx = rng.normal(size=(4, 9, 6)), rng.normal(size=(4, 6))
-    expected, at = chain(T, q), moved(T, dx)
+    expected, at = chain(T, q), integrate(T, dx)
     for dtype, tolerance in ((torch.float64, 1e-13), (torch.float32, 1e-5)):
         T_t, q_t, covector_t, dx_t = (torch.from_numpy(a).to(dtype) for a in (T, q, covector, dx))
         frames = chain(T_t, q_t)
         for found, wanted in (
             (frames.T_world_link, expected.T_world_link),
             (frames.axes, expected.axes),
-            (chain.pull(frames, covector_t, link), chain.pull(expected, covector, link)),
-            (chain.pull(frames, covector_t, link, minus), chain.pull(expected, covector, link, minus)),
-            (moved(T_t, dx_t), at),
+            (chain.to_joint_space(frames, covector_t, link), chain.to_joint_space(expected, covector, link)),
+            (
+                chain.to_joint_space(frames, covector_t, link, minus),
+                chain.to_joint_space(expected, covector, link, minus),
+            ),
+            (integrate(T_t, dx_t), at),
         ):
             assert found.dtype == dtype
             np.testing.assert_allclose(found.numpy(), wanted, atol=tolerance)
@@ -259,8 +262,8 @@ def test_number_type_and_batch_size_follow_the_arguments(gripper: Hand, count: i
     chain = Chain(gripper, all_links(gripper))
     T, q = (a.astype(np.float32) for a in configurations(gripper, count, seed=9))
     frames = chain(T, q)
-    pulled = chain.pull(frames, np.ones((count, 2, 6), np.float32), np.array([0, 3]), np.array([1, 2]))
-    assert {a.dtype for a in (frames.T_world_link, frames.axes, pulled, moved(T, T[:, :2, :3].reshape(-1, 6)))} == {
+    pulled = chain.to_joint_space(frames, np.ones((count, 2, 6), np.float32), np.array([0, 3]), np.array([1, 2]))
+    assert {a.dtype for a in (frames.T_world_link, frames.axes, pulled, integrate(T, T[:, :2, :3].reshape(-1, 6)))} == {
         np.dtype(np.float32)
     }
     assert frames.T_world_link.shape == (count, 8, 4, 4) and frames.axes.shape == (count, 6, 6 + 6)

@@ -13,7 +13,7 @@ import torch
 import spread_gripper as gripper_of_three
 import underactuated as hand_of_five
 from grasp_refine.core.se3 import exp_se3, inverse, pose_from_transform, transform_from_pose, transform_points
-from grasp_refine.hands.chain import Chain, moved
+from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.hands.mimics import followed
@@ -159,12 +159,12 @@ def test_forces_at_the_fingertips_do_the_work_of_the_independent_joints(hand: Ha
     h = 1e-6
     steps = h * np.eye(6 + len(hand.joint_names))
     slopes = [
-        (work(moved(T, np.tile(s[:6], (4, 1))), q + s[6:]) - work(moved(T, np.tile(-s[:6], (4, 1))), q - s[6:]))
+        (work(integrate(T, np.tile(s[:6], (4, 1))), q + s[6:]) - work(integrate(T, np.tile(-s[:6], (4, 1))), q - s[6:]))
         / (2 * h)
         for s in steps
     ]
     covector = np.concatenate([force, np.cross(point, force)], axis=-1)
-    pulled = chain.pull(frames, covector, np.arange(len(tips))).sum(axis=1)
+    pulled = chain.to_joint_space(frames, covector, np.arange(len(tips))).sum(axis=1)
     np.testing.assert_allclose(pulled, np.stack(slopes, axis=-1), atol=1e-8)
 
 
@@ -285,6 +285,6 @@ def test_what_a_left_hand_comes_to_mirrors_what_the_right_one_comes_to(hands: di
     other = refine(Scene(left, obj, MIRROR @ T @ MIRROR, drawn.q), config)
     assert (one.status == Status.CONVERGED).all() and (other.status == Status.CONVERGED).all()
     back = MIRROR @ other.T_world_root @ MIRROR
-    assert np.abs(one.T_world_root - T).max() > 1e-4 and np.abs(one.q - drawn.q).max() > 1e-3, "both moved"
+    assert np.abs(one.T_world_root - T).max() > 1e-4 and np.abs(one.q - drawn.q).max() > 1e-3, "both integrate"
     np.testing.assert_allclose(back, one.T_world_root, atol=1e-6)
     np.testing.assert_allclose(other.q, one.q, atol=1e-6)

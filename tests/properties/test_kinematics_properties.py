@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exact_twists import DTYPES, Long, angles, axes, exact_exp
-from grasp_refine.hands.chain import Chain, moved
+from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
 
@@ -175,7 +175,7 @@ def test_the_jacobian_is_the_derivative_of_the_product(made: Made, T: np.ndarray
     point, force = rng.uniform(-0.1, 0.1, (count, 3)), rng.normal(size=(count, 3))
     world = np.einsum("lij,lj->li", frames.T_world_link[0, :, :3, :3], point) + frames.T_world_link[0, :, :3, 3]
     covector = np.concatenate([force, np.cross(world, force)], axis=1)[None]
-    found = chain.pull(frames, covector, np.arange(count))[0]
+    found = chain.to_joint_space(frames, covector, np.arange(count))[0]
     h = Long(1e-6)
 
     def value(step: np.ndarray) -> np.ndarray:
@@ -206,7 +206,7 @@ def test_gradients_of_poses_are_those_of_the_jacobian(made: Made, T: np.ndarray,
     (gradient,) = torch.autograd.grad((world * torch.from_numpy(force)).sum(), tensor)
     world = world.detach().numpy()
     covector = np.concatenate([force, np.cross(world, force)], axis=1)[None]
-    pulled = chain.pull(frames, covector, np.arange(len(links)))[0, :, 6:].sum(axis=0)
+    pulled = chain.to_joint_space(frames, covector, np.arange(len(links)))[0, :, 6:].sum(axis=0)
     np.testing.assert_allclose(gradient[0].numpy(), pulled, rtol=0, atol=1e-12 * reach(made, T))
 
 
@@ -238,11 +238,11 @@ def test_steps_of_the_root_turn_it_about_its_own_origin(
     """R <- exp(w) R and p <- p + v: rotations stay rotations to the last digits, however many steps."""
     dx = np.concatenate([0.1 * axis[::-1], angle * axis]).astype(dtype)
     T = T.astype(dtype)
-    found, eps = moved(T, dx), float(np.finfo(dtype).eps)
+    found, eps = integrate(T, dx), float(np.finfo(dtype).eps)
     exact = exact_exp(np.concatenate([np.zeros(3), dx[3:]]))[:3, :3] @ T[:3, :3].astype(Long)
     assert found.dtype == dtype and np.abs(found[:3, :3] - exact).max() < 12 * eps
     np.testing.assert_array_equal(found[:3, 3], T[:3, 3] + dx[:3])
     for _ in range(30):
-        found = moved(found, dx)
+        found = integrate(found, dx)
     R = found[:3, :3].astype(Long)
     assert np.abs(R.T @ R - np.eye(3)).max() < 6 * eps

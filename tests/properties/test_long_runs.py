@@ -12,7 +12,7 @@ import torch
 
 from claw import around, claw, objects
 from grasp_refine.core.se3 import exp_se3, retract
-from grasp_refine.hands.chain import moved
+from grasp_refine.hands.chain import integrate
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.refine import refine
@@ -56,7 +56,7 @@ def test_steps_of_levenberg_marquardt_keep_rotations_orthonormal(dtype: str) -> 
     steps = random_steps(8).astype(dtype)
     T = np.tile(np.eye(4, dtype=dtype), (8, 1, 1))
     for i in range(LONG):
-        T = moved(T, steps[i % 100])
+        T = integrate(T, steps[i % 100])
     assert T.dtype == dtype and crooked(T[:, :3, :3]) < PRECISIONS[dtype][0]
 
 
@@ -117,7 +117,7 @@ def test_refinement_in_single_precision_goes_on_to_the_end(scene: Scene, solver:
         worst.append(crooked(glimpse.point.T[..., :3, :3]))
         assert (glimpse.point.q >= scene.hand.lower - 1e-6).all() and (glimpse.point.q <= scene.hand.upper + 1e-6).all()
 
-    found = refine(scene, config, watch=watch)
+    found = refine(scene, config, on_iteration=watch)
     assert len(worst) == iterations and max(worst) < 1e-6
     assert (found.status == Status.BUDGET).all() and (found.loss[:, 1] < 3e-3 * found.loss[:, 0]).all()
     # Fixed steps dither about the minimum: around the capsule the hand may walk, but not away.

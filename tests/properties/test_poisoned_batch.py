@@ -26,7 +26,7 @@ from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquar
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
 from grasp_refine.results.document import run_document
 from grasp_refine.results.outcome import compare
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing
 from grasp_refine_apps.cli import main
@@ -99,7 +99,7 @@ def scene() -> Scene:
 @pytest.fixture(scope="module")
 def aimed(scene: Scene) -> Scene:
     """The same with targets where links are nearest."""
-    goal = goal_of(scene, Touching(), nearest=True)
+    goal = goal_of(scene, ContactSelection(), nearest=True)
     return replace(scene, target_link=goal.target_link, target_object=goal.target_object)
 
 
@@ -233,7 +233,7 @@ def test_poses_that_rounding_made_crooked_are_poses(scene: Scene) -> None:
     T = scene.T_world_root.astype(np.float32).astype(np.float64)
     T[1, :3, :3] *= 1.0 + 1e-4
     T[2, :3, :3] *= 1.01
-    np.testing.assert_array_equal(replace(scene, T_world_root=T).sound, [True, True, False, True])
+    np.testing.assert_array_equal(replace(scene, T_world_root=T).valid, [True, True, False, True])
 
 
 def test_a_singular_matrix_is_no_step_and_no_error() -> None:

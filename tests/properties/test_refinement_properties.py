@@ -22,7 +22,7 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.iteration_state import Glimpse
+from grasp_refine.refinement.iteration_state import IterationState
 from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.refine import Refinement, refine
@@ -30,7 +30,7 @@ from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
@@ -86,7 +86,8 @@ def true_loss(prepared: HandObject, config: Config, touching: np.ndarray, T: np.
         [apart(core, center) - piece.radius - RADIUS for core, piece in zip(cores, pieces, strict=True)], axis=1
     )
     own = [
-        apart(cores[i], cores[j]) - pieces[i].radius - pieces[j].radius for i, j in zip(*prepared.own, strict=True)
+        apart(cores[i], cores[j]) - pieces[i].radius - pieces[j].radius
+        for i, j in zip(*prepared.self_collision_links, strict=True)
     ]  # fmt: skip
     weights = config.weights
     return (
@@ -105,7 +106,7 @@ class Seen:
         self.wrong = 0.0
         self.beyond = -np.inf
 
-    def __call__(self, glimpse: Glimpse) -> None:
+    def __call__(self, glimpse: IterationState) -> None:
         T, q, hand = glimpse.point.T, glimpse.point.q, self.prepared.hand
         self.beyond = max(self.beyond, (q - hand.upper).max(), (hand.lower - q).max())
         true = true_loss(self.prepared, self.config, glimpse.touching, T, q)
@@ -116,8 +117,8 @@ class Seen:
 
 def config_of(solver: Any, **changes: Any) -> Config:
     weights = Weights(wrench=0.0, penetration=50.0, self_penetration=30.0)
-    touching = Touching(links=("index", "ring", "thumb"))
-    return Config(solver=solver, weights=weights, touching=touching, **changes)
+    touching = ContactSelection(links=("index", "ring", "thumb"))
+    return Config(solver=solver, weights=weights, contact_selection=touching, **changes)
 
 
 @FEWER
@@ -131,7 +132,7 @@ def test_levenberg_marquardt_only_lowers_the_true_loss(
     reach = MaxMove(0.004, 0.05, 0.1) if limited else MaxMove()
     config = config_of(LevenbergMarquardt(iterations=60), margin=margin, max_move=reach)
     seen = Seen(prepared, config)
-    found = refine(scene, config, watch=seen, prepared=prepared)
+    found = refine(scene, config, on_iteration=seen, prepared=prepared)
     assert seen.wrong < 1e-6 and seen.beyond <= 0.0
     for row, losses in seen.losses.items():
         assert (np.diff(losses) <= 1e-9 * np.array(losses[:-1]) + 1e-18).all()
@@ -160,7 +161,7 @@ def test_descent_tells_true_losses_and_keeps_to_the_limits(
         scene = replace(scene, q=np.where(rng.random(scene.q.shape) < 0.5, prepared.hand.lower, prepared.hand.upper))
     config = config_of(kind(iterations=12, step_joints=0.2), dtype=dtype)
     seen = Seen(prepared, config)
-    found = refine(scene, config, watch=seen, prepared=prepared)
+    found = refine(scene, config, on_iteration=seen, prepared=prepared)
     assert seen.beyond <= 0.0 and seen.wrong < (1e-6 if dtype == "float64" else 2e-2)
     for row, losses in seen.losses.items():
         assert found.loss[row, 1] == pytest.approx(min(losses), rel=1e-6 if dtype == "float64" else 2e-2, abs=1e-12)

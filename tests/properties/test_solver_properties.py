@@ -37,17 +37,17 @@ class Steps:
     metric: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
-    one_sided: np.ndarray | None
+    unilateral: np.ndarray | None
 
     def rows(self, index: object) -> tuple[np.ndarray | None, ...]:
-        one_sided = None if self.one_sided is None else self.one_sided[index]
-        return (*(getattr(self, name)[index] for name in ("J", "r", "damping", "metric", "lower", "upper")), one_sided)
+        unilateral = None if self.unilateral is None else self.unilateral[index]
+        return (*(getattr(self, name)[index] for name in ("J", "r", "damping", "metric", "lower", "upper")), unilateral)
 
     def merit(self, dx: np.ndarray) -> np.ndarray:
         """What a step minimises (batch,): |J dx + r|^2 of the rows that count there, and lambda dx . W dx."""
         after = np.einsum("bij,bj->bi", self.J, dx) + self.r
-        if self.one_sided is not None:
-            after = np.where(self.one_sided, np.maximum(after, 0.0), after)
+        if self.unilateral is not None:
+            after = np.where(self.unilateral, np.maximum(after, 0.0), after)
         return (after**2).sum(axis=1) + self.damping * (self.metric * dx * dx).sum(axis=1)
 
 
@@ -138,7 +138,7 @@ def test_a_step_does_not_depend_on_the_batch(problem: Steps, seed: int) -> None:
 @dataclass(frozen=True, eq=False)
 class Known:
     loss: np.ndarray
-    asked: np.ndarray
+    num_queries: np.ndarray
 
 
 @dataclass
@@ -188,7 +188,7 @@ class Hills:
     def room(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
         return np.maximum(-0.4, self.lower - point.q), np.minimum(0.4, self.upper - point.q)
 
-    def moved(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
+    def integrate(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
         return Point(point.T, np.clip(point.q + dx, self.lower, self.upper))
 
     def restarted(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
@@ -227,7 +227,7 @@ def test_losses_only_fall_within_a_start_and_the_best_of_all_is_kept(
         for m, value in zip(member.tolist(), loss.tolist(), strict=True):
             told[m].append(value)
 
-    found = minimise(problem, problem.start, solver, 1e-8, width=width, watch=watch)
+    found = minimise(problem, problem.start, solver, 1e-8, width=width, on_iteration=watch)
     for m in range(problem.count):
         asked = np.array(problem.seen[m])
         assert (asked >= problem.lower).all() and (asked <= problem.upper).all()
@@ -325,7 +325,7 @@ def test_first_order_steps_have_their_lengths_and_keep_to_the_limits(
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    asked: np.ndarray
+    num_queries: np.ndarray
 
 
 class Slopes:

@@ -227,7 +227,7 @@ def test_nothing_is_remembered_between_calls(first: Meeting, second: Meeting, se
         first.ask([3]), first.ask([1, 1, 0, 2, 3, 0])
         again = first.ask()
         new = query(Pairs(first.pairs.a, first.pairs.b, engine=first.engine), first.T_a, first.T_b)
-        for name in ("distance", "point_a", "point_b", "normal", "status", "winner", "asked"):
+        for name in ("distance", "point_a", "point_b", "normal", "status", "winner", "num_queries"):
             np.testing.assert_array_equal(getattr(again, name), getattr(one, name), err_msg=name)
             np.testing.assert_array_equal(getattr(new, name), getattr(one, name), err_msg=name)
 

@@ -58,7 +58,7 @@ def elsewhere() -> Iterator[None]:
 
 
 def objective(scene: Scene, config: Config) -> Objective:
-    return Objective(scene, goal_of(scene, config.touching, nearest=config.nearest), config)
+    return Objective(scene, goal_of(scene, config.contact_selection, nearest=config.nearest), config)
 
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: type(method).__name__)

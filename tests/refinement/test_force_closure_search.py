@@ -11,7 +11,7 @@ from grasp_refine.forces.quality import Quality, quality
 from grasp_refine.forces.squeeze import CONTACTS
 from grasp_refine.refinement import force_closure_search
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import GOOD
+from grasp_refine.refinement.force_closure_search import GOOD_QUALITY
 from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -110,14 +110,14 @@ def test_the_loss_is_that_of_all_terms(hard: Scene, held: Refinement) -> None:
 def test_good_grasps_are_not_tried_again(hard: Scene, held: Refinement, prepared: HandObject) -> None:
     score = judged(hard, prepared, held.T_world_root, held.q).score
     assert (held.starts >= 1).all() and (held.starts <= CONFIG.starts + 1).all()
-    assert (held.starts[score > GOOD] >= CONFIG.starts).all()
+    assert (held.starts[score > GOOD_QUALITY] >= CONFIG.starts).all()
 
 
 def test_more_starts_are_never_worse(
     hard: Scene, held: Refinement, prepared: HandObject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """None is good enough here, so that all are tried; the first starts are the same ones."""
-    monkeypatch.setattr(force_closure_search, "GOOD", -1.0)
+    monkeypatch.setattr(force_closure_search, "GOOD_QUALITY", -1.0)
     scores, starts = [], []
     two = rows(hard, [0, 2])
     for count in (1, 3):
@@ -131,7 +131,7 @@ def test_more_starts_are_never_worse(
 def test_a_grasp_that_is_good_at_once_takes_one_start(
     hard: Scene, prepared: HandObject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(force_closure_search, "GOOD", np.inf)
+    monkeypatch.setattr(force_closure_search, "GOOD_QUALITY", np.inf)
     found = refine(hard, CONFIG, prepared=prepared)
     np.testing.assert_array_equal(found.starts, 1)
     plain = refine(hard, replace(CONFIG, weights=replace(CONFIG.weights, wrench=0.0)), prepared=prepared)
@@ -143,7 +143,7 @@ def test_a_grasp_alone_is_the_same_grasp(
 ) -> None:
     """Alone, several of its starts are tried at once; together, one after the other. Half of them are good enough."""
     score = judged(hard, prepared, held.T_world_root, held.q).score
-    monkeypatch.setattr(force_closure_search, "GOOD", float(np.median(score)))
+    monkeypatch.setattr(force_closure_search, "GOOD_QUALITY", float(np.median(score)))
     together = refine(hard, CONFIG, prepared=prepared)
     tried = int(np.argmax(together.starts))
     assert together.starts[tried] > 1 and together.starts.min() < together.starts.max()
@@ -155,7 +155,7 @@ def test_a_grasp_alone_is_the_same_grasp(
 def test_same_seed_same_result_and_another_seed_another(
     hard: Scene, prepared: HandObject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(force_closure_search, "GOOD", -1.0)
+    monkeypatch.setattr(force_closure_search, "GOOD_QUALITY", -1.0)
     config = Config(starts=2, solver=LevenbergMarquardt(iterations=5))
     two = rows(hard, [0, 2])
     one, again, other = (refine(two, replace(config, seed=seed), prepared=prepared) for seed in (3, 3, 4))

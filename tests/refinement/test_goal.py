@@ -8,7 +8,7 @@ import pytest
 from boxed_example import boxed_example
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.refinement.goal import goal_of
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.geometry import measure
 
@@ -33,17 +33,17 @@ def given(scene: Scene, seed: int = 0) -> Scene:
 
 
 def test_links_that_are_near_should_touch_anywhere(scene: Scene) -> None:
-    goal = goal_of(scene, Touching())
+    goal = goal_of(scene, ContactSelection())
     none = np.full((*goal.touching.shape, 3), np.nan)
     found = measure(scene.hand, scene.object, scene.links, scene.T_world_root, scene.q, none, none)
-    np.testing.assert_array_equal(goal.touching, Touching().choose(scene.hand, scene.links, found.witness))
+    np.testing.assert_array_equal(goal.touching, ContactSelection().choose(scene.hand, scene.links, found.witness))
     assert (goal.touching.sum(axis=1) >= 2).all() and not goal.aimed.any()
     assert np.isnan(goal.target_link).all() and np.isnan(goal.target_object).all()
     assert (goal.queries > 0).all() and not goal.off_surface.any() and goal.direction is None
 
 
 def test_nearest_points_are_targets_of_the_same_links_on_both_surfaces(scene: Scene) -> None:
-    goal, free = goal_of(scene, Touching(), nearest=True), goal_of(scene, Touching())
+    goal, free = goal_of(scene, ContactSelection(), nearest=True), goal_of(scene, ContactSelection())
     np.testing.assert_array_equal(goal.touching, free.touching)
     np.testing.assert_array_equal(goal.aimed, goal.touching)
     found = measure(
@@ -61,23 +61,23 @@ def test_grasps_far_away_or_not_finite_have_no_goal(scene: Scene, nearest: bool)
     T[0, 0, 3] += 1.0
     T[1, 1, 1] = np.nan
     q[2, 3] = np.inf
-    goal = goal_of(replace(scene, T_world_root=T, q=q), Touching(), nearest=nearest)
+    goal = goal_of(replace(scene, T_world_root=T, q=q), ContactSelection(), nearest=nearest)
     assert not goal.touching[:3].any() and goal.touching[3].any()
     assert not goal.aimed[:3].any()
-    np.testing.assert_array_equal(goal.touching[3], goal_of(scene, Touching()).touching[3])
+    np.testing.assert_array_equal(goal.touching[3], goal_of(scene, ContactSelection()).touching[3])
 
 
 def test_links_given_by_name_are_the_goal_even_of_a_grasp_far_away(scene: Scene) -> None:
     T = scene.T_world_root.copy()
     T[0, 0, 3] += 1.0
-    goal = goal_of(replace(scene, T_world_root=T), Touching(links=("base_link", scene.links[0])), nearest=True)
+    goal = goal_of(replace(scene, T_world_root=T), ContactSelection(links=("base_link", scene.links[0])), nearest=True)
     np.testing.assert_array_equal(goal.touching, np.tile(np.isin(scene.links, ["base_link", scene.links[0]]), (4, 1)))
     assert np.isfinite(goal.target_link[goal.touching]).all()
 
 
 def test_given_targets_are_the_goal_and_nothing_is_asked_for_it(scene: Scene) -> None:
     aimed = given(scene)
-    for touching, nearest in ((Touching(), True), (Touching(links=(scene.links[5],)), False)):
+    for touching, nearest in ((ContactSelection(), True), (ContactSelection(links=(scene.links[5],)), False)):
         goal = goal_of(aimed, touching, nearest=nearest)
         np.testing.assert_array_equal(goal.target_link, aimed.target_link)
         np.testing.assert_array_equal(goal.target_object, aimed.target_object)
@@ -90,7 +90,7 @@ def test_a_point_on_one_side_only_is_no_target(scene: Scene, side: str) -> None:
     aimed = given(scene)
     points = getattr(aimed, side).copy()
     points[0], points[1, 1, 2] = np.nan, np.nan
-    goal = goal_of(replace(aimed, **{side: points}), Touching())
+    goal = goal_of(replace(aimed, **{side: points}), ContactSelection())
     np.testing.assert_array_equal(goal.touching.sum(axis=1), [0, 2, 3, 0])
     for target in (goal.target_link, goal.target_object):
         np.testing.assert_array_equal(np.isnan(target).any(axis=-1), ~goal.touching)
@@ -98,7 +98,7 @@ def test_a_point_on_one_side_only_is_no_target(scene: Scene, side: str) -> None:
 
 def test_targets_on_the_surfaces_are_on_them_and_others_as_far_off_as_they_are(scene: Scene) -> None:
     aimed = given(scene)
-    np.testing.assert_allclose(goal_of(aimed, Touching()).off_surface, 0.0, atol=1e-12)
+    np.testing.assert_allclose(goal_of(aimed, ContactSelection()).off_surface, 0.0, atol=1e-12)
     body = scene.object.body.candidates
     where = aimed.target_object.copy()
     # Above the top of the box, and as far below it; the sum of the squares of all that are off.
@@ -106,13 +106,13 @@ def test_targets_on_the_surfaces_are_on_them_and_others_as_far_off_as_they_are(s
     middle = top[np.linalg.norm(top[:, :2], axis=1).argmin()]
     where[0, 0], where[1, 0] = middle + [0, 0, 0.005], middle - [0, 0, 0.004]
     where[2, :2] = middle + [0, 0, 0.003]
-    goal = goal_of(replace(aimed, target_object=where), Touching())
+    goal = goal_of(replace(aimed, target_object=where), ContactSelection())
     np.testing.assert_allclose(np.sqrt(goal.off_surface), [0.005, 0.004, 0.003 * np.sqrt(2), 0.0], atol=1e-6)
     # On the links' side, too, each in the frame of its own link.
     on_link = aimed.target_link.copy()
     tip = scene.hand.links_by_name[scene.links[2]].body.candidates
     on_link[0, 2] = tip.points[0] + 0.002 * tip.normals[0]
-    off = goal_of(replace(aimed, target_link=on_link), Touching()).off_surface
+    off = goal_of(replace(aimed, target_link=on_link), ContactSelection()).off_surface
     assert 0.0005 < np.sqrt(off[0]) < 0.002 * 1.001 and off[1] < 1e-12
 
 
@@ -120,18 +120,18 @@ def test_wanted_directions_are_handed_on(scene: Scene) -> None:
     wanted = np.full((4, len(scene.links), 3), np.nan)
     wanted[:, 0] = [0.0, 0.0, 1.0]
     for one in (scene, given(scene)):
-        np.testing.assert_array_equal(goal_of(replace(one, direction=wanted), Touching()).direction, wanted)
+        np.testing.assert_array_equal(goal_of(replace(one, direction=wanted), ContactSelection()).direction, wanted)
 
 
 @pytest.mark.parametrize("kind", ["near", "nearest", "targets"])
 def test_a_link_with_a_direction_should_touch_though_it_is_not_near(scene: Scene, kind: str) -> None:
     """With nearest points as targets, it once had one that no query had found: the origin of its own frame."""
     one, nearest = given(scene) if kind == "targets" else scene, kind == "nearest"
-    plain = goal_of(one, Touching(), nearest=nearest)
+    plain = goal_of(one, ContactSelection(), nearest=nearest)
     column = int(np.flatnonzero(~plain.touching.any(axis=0))[-1])
     wanted = np.full((4, len(scene.links), 3), np.nan)
     wanted[:3, column] = [0.0, 0.6, 0.8]
-    goal = goal_of(replace(one, direction=wanted), Touching(), nearest=nearest)
+    goal = goal_of(replace(one, direction=wanted), ContactSelection(), nearest=nearest)
     assert goal.touching[:3, column].all() and not goal.touching[3, column]
     others = np.arange(len(scene.links)) != column
     np.testing.assert_array_equal(goal.touching[:, others], plain.touching[:, others])
@@ -141,7 +141,7 @@ def test_a_link_with_a_direction_should_touch_though_it_is_not_near(scene: Scene
 
 def test_nearest_points_move_with_the_grasp(scene: Scene) -> None:
     """Points on links are in their frames: a grasp and its goal, moved by hand, agree with the kinematics."""
-    goal = goal_of(scene, Touching(), nearest=True)
+    goal = goal_of(scene, ContactSelection(), nearest=True)
     found = measure(
         scene.hand, scene.object, scene.links, scene.T_world_root, scene.q, goal.target_link, goal.target_object
     )

@@ -11,19 +11,19 @@ from grasp_refine.collision.query import QueryStatus
 from grasp_refine.core.array_records import take
 from grasp_refine.core.se3 import exp_se3, matvec, tangents, transform_from_pose, transform_points
 from grasp_refine.grasps.grasp_set import load_grasps
-from grasp_refine.hands.chain import moved
+from grasp_refine.hands.chain import integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.goal import Goal, goal_of
-from grasp_refine.refinement.grasp_problem import BOX, NOISE, GraspProblem, Known
+from grasp_refine.refinement.grasp_problem import NOISE, RESTART_BOX_SCALE, GraspProblem, Known
 from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.least_squares import Point, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.rows import NEAR
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 
@@ -127,7 +127,7 @@ def point_of(scene: Scene) -> Point:
 
 def stepped(point: Point, dx: np.ndarray) -> Point:
     """Points after the same step (6 + n,) without any limits."""
-    return Point(moved(point.T, np.tile(dx[:6], (len(point.q), 1))), point.q + dx[6:])
+    return Point(integrate(point.T, np.tile(dx[:6], (len(point.q), 1))), point.q + dx[6:])
 
 
 def slopes(value: object, point: Point, h: float) -> np.ndarray:
@@ -144,8 +144,8 @@ def linearized(problem: GraspProblem, at: Point, known: Known, width: float) -> 
     count = len(at.q)
     linear = problem.linearize(np.arange(count), at, known, np.full(count, width))
     counts = np.ones(linear.residual.shape, dtype=bool)
-    if linear.one_sided is not None:
-        counts = ~linear.one_sided | (linear.residual > 0)
+    if linear.unilateral is not None:
+        counts = ~linear.unilateral | (linear.residual > 0)
     return np.where(counts, linear.residual, 0.0), np.where(counts[..., None], linear.jacobian, 0.0)
 
 
@@ -171,7 +171,7 @@ def test_the_gradient_of_exact_terms_is_that_of_the_loss(
     """2 J^T r against finite differences of the true loss: gaps and depths need no curvature."""
     hand = request.getfixturevalue(which)
     scene = replace(around_ball(hand, 6, 1), table=Plane((0.0, 0.6, 0.8), -0.01))
-    goal = goal_of(scene, Touching(links=scene.links[:2]))
+    goal = goal_of(scene, ContactSelection(links=scene.links[:2]))
     problem = GraspProblem(scene, goal, Config(weights=weights, margin=1e-3))
     at = point_of(scene)
     # Not where the hand began, so that there is something to stay near to.
@@ -211,7 +211,9 @@ def test_rows_of_targets_are_the_slopes_of_the_misses(gripper: Hand, width: floa
     """On balls: those of round features are exact, fitted ones as good as the curvatures."""
     scene = aimed_at(around_ball(gripper, 6, 2), 4, 3)
     problem = GraspProblem(
-        scene, goal_of(scene, Touching()), Config(weights=Weights(penetration=0.0, self_penetration=0.0, wrench=0.0))
+        scene,
+        goal_of(scene, ContactSelection()),
+        Config(weights=Weights(penetration=0.0, self_penetration=0.0, wrench=0.0)),
     )
     rows, at = every(scene), point_of(scene)
     known = problem.evaluate(rows, at, None)
@@ -239,7 +241,7 @@ def test_rows_of_targets_are_the_slopes_of_the_misses(gripper: Hand, width: floa
 def test_rows_of_directions_are_the_slopes_of_the_normals(gripper: Hand) -> None:
     scene = with_directions(around_ball(gripper, 6, 4), 3, 5)
     weights = Weights(contact=0.0, penetration=0.0, self_penetration=0.0, direction=4e-3, wrench=0.0)
-    goal = goal_of(scene, Touching(links=scene.links))
+    goal = goal_of(scene, ContactSelection(links=scene.links))
     problem = GraspProblem(scene, goal, Config(weights=weights))
     rows, at = every(scene), point_of(scene)
     known = problem.evaluate(rows, at, None)
@@ -258,7 +260,7 @@ def test_the_squares_of_the_rows_are_the_loss_less_the_misses_along_the_normals(
     """Those have no derivative: seen from its body, a witness point moves along its surface."""
     scene = with_directions(replace(aimed_at(examples, 3, 6), table=Plane(offset=-0.02)), 3, 7)
     config = Config(weights=ALL, margin=2e-3)
-    goal = partly(goal_of(scene, Touching()), 4)
+    goal = partly(goal_of(scene, ContactSelection()), 4)
     problem = GraspProblem(scene, goal, config)
     rows, at = every(scene), stepped(point_of(scene), np.concatenate([np.full(6, 0.01), np.zeros(16)]))
     known = problem.evaluate(rows, at, None)
@@ -276,7 +278,7 @@ def test_the_squares_of_the_rows_are_the_loss_less_the_misses_along_the_normals(
 
 def test_the_prediction_of_a_small_step_comes_true(examples: Scene) -> None:
     """Where derivatives are exact, the loss falls by what the linear problem says, to second order."""
-    goal = goal_of(examples, Touching(links=examples.links[:4]))
+    goal = goal_of(examples, ContactSelection(links=examples.links[:4]))
     problem = GraspProblem(examples, goal, Config(weights=Weights(self_penetration=0.0, wrench=0.0)))
     rows, at = every(examples), point_of(examples)
     known = problem.evaluate(rows, at, None)
@@ -285,7 +287,7 @@ def test_the_prediction_of_a_small_step_comes_true(examples: Scene) -> None:
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     for h in (1e-4, 1e-5):
         dx = h * direction
-        now = problem.evaluate(rows, Point(moved(at.T, dx[:, :6]), at.q + dx[:, 6:]), None).loss
+        now = problem.evaluate(rows, Point(integrate(at.T, dx[:, :6]), at.q + dx[:, 6:]), None).loss
         linear = ((residual + np.einsum("brk,bk->br", J, dx)) ** 2).sum(axis=1)
         assert (now < known.loss).all()
         np.testing.assert_allclose(now - known.loss, linear - known.loss, rtol=100 * h)
@@ -299,7 +301,7 @@ def with_forces(weight: float) -> Weights:
 def test_forces_that_balance_are_one_term_among_the_others(gripper: Hand) -> None:
     """The gradient of the whole sum is that of the loss, whatever the weight, and the rows are its square root long."""
     scene = replace(around_ball(gripper, 8, 23), table=Plane((0.0, 0.6, 0.8), -0.03))
-    goal = goal_of(scene, Touching(links=scene.links[:3]))
+    goal = goal_of(scene, ContactSelection(links=scene.links[:3]))
     rows, at, gradients = every(scene), point_of(scene), []
     for weight in (0.0, 1e-3, 4e-3):
         problem = GraspProblem(scene, goal, Config(weights=with_forces(weight)))
@@ -324,7 +326,7 @@ def test_curvatures_are_fitted_only_where_a_term_looks_and_nothing_else_changes(
         scene, weights = aimed_at(examples, 3, 6), ALL
         scene.target_link[2:, 0] = scene.target_object[2:, 0] = np.nan
         scene = with_directions(scene, 2, 7) if kind == "directions" else scene
-    goal = goal_of(scene, Touching(reach=0.02))
+    goal = goal_of(scene, ContactSelection(reach=0.02))
     # The last two grasps do without a link that the others touch with.
     without = 0 if kind != "forces" else int(np.flatnonzero(goal.touching.all(axis=0))[0])
     goal.touching[2:, without] = False
@@ -353,7 +355,7 @@ def test_with_given_targets_forces_need_not_balance(examples: Scene) -> None:
     """Targets say where contacts are."""
     scene = aimed_at(examples, 3, 24)
     found = [
-        GraspProblem(scene, goal_of(scene, Touching()), Config(weights=weights)).evaluate(
+        GraspProblem(scene, goal_of(scene, ContactSelection()), Config(weights=weights)).evaluate(
             every(scene), point_of(scene), None
         )
         for weights in (Weights(), NO_FORCES)
@@ -370,7 +372,7 @@ def test_the_loss_is_that_of_the_other_solvers(examples: Scene, kind: str) -> No
     if kind == "all":
         scene = with_directions(replace(scene, table=Plane(offset=-0.02)), 6, 9)
     weights = ALL if kind == "all" else NO_FORCES
-    goal = goal_of(scene, Touching(), nearest=kind == "nearest")
+    goal = goal_of(scene, ContactSelection(), nearest=kind == "nearest")
     if kind == "all":
         goal = partly(goal, 5)
     config = Config(weights=weights, margin=1e-3)
@@ -384,7 +386,7 @@ def test_the_loss_is_that_of_the_other_solvers(examples: Scene, kind: str) -> No
         expected = objective.evaluate(every(scene), torch.from_numpy(now.T), torch.from_numpy(now.q), 0, None)[0]
         found = problem.evaluate(every(scene), now, None)
         np.testing.assert_allclose(found.loss, expected.numpy(), rtol=1e-9, atol=1e-12)
-        assert (found.asked >= 0).all() and (found.loss > 0).all()
+        assert (found.num_queries >= 0).all() and (found.loss > 0).all()
 
 
 @pytest.mark.parametrize("size", [1e-4, 2e-3, 0.03], ids=["small", "middling", "large"])
@@ -393,21 +395,21 @@ def test_what_is_culled_by_what_was_known_changes_no_loss(examples: Scene, kind:
     """Walks of random steps, each told what was found at the last one, and that any loss will do."""
     scene = aimed_at(examples, 2, 11) if kind == "targets" else examples
     weights = Weights() if kind == "forces" else NO_FORCES
-    problem = GraspProblem(scene, goal_of(scene, Touching()), Config(weights=weights))
+    problem = GraspProblem(scene, goal_of(scene, ContactSelection()), Config(weights=weights))
     rng = np.random.default_rng(12)
     rows, at = every(scene), point_of(scene)
     known = problem.evaluate(rows, at, None)
     asked, deep, rejected = np.zeros(2, dtype=int), np.zeros(2, dtype=bool), 0
     for _ in range(25):
         dx = size * rng.normal(size=(4, 22)) * np.concatenate([np.ones(3), np.full(19, 8.0)])
-        at, before = problem.moved(rows, at, dx), known
+        at, before = problem.integrate(rows, at, dx), known
         plain = problem.evaluate(rows, at, None)
         known = problem.evaluate(rows, at, replace(before, loss=np.full(4, np.inf)))
         np.testing.assert_allclose(known.loss, plain.loss, rtol=1e-6, atol=1e-12)
-        asked += np.array([known.asked.sum(), plain.asked.sum()])
-        deep |= [(w.distance < 0).any() for w in (plain.witness, plain.own)]
+        asked += np.array([known.num_queries.sum(), plain.num_queries.sum()])
+        deep |= [(w.distance < 0).any() for w in (plain.witness, plain.self_witness)]
         # What was not asked is at least as far away as it says.
-        for told, truth in ((known.witness, plain.witness), (known.own, plain.own)):
+        for told, truth in ((known.witness, plain.witness), (known.self_witness, plain.self_witness)):
             both = (told.status == QueryStatus.FAR) & truth.valid
             assert (told.distance[both] <= truth.distance[both] + 1e-9).all()
         # A loss that is not below the last one need not be exact, but must not look as if it were below.
@@ -420,7 +422,7 @@ def test_what_is_culled_by_what_was_known_changes_no_loss(examples: Scene, kind:
 
 
 def test_a_pose_that_is_not_finite_has_no_loss_and_spoils_no_other(examples: Scene) -> None:
-    problem = GraspProblem(examples, goal_of(examples, Touching()), Config())
+    problem = GraspProblem(examples, goal_of(examples, ContactSelection()), Config())
     at = point_of(examples)
     clean = problem.evaluate(every(examples), at, None).loss
     T = at.T.copy()
@@ -439,10 +441,10 @@ def test_no_trial_leaves_the_joint_limits_or_the_box(allegro: Hand) -> None:
     rng = np.random.default_rng(16)
     q = np.where(rng.random(scene.q.shape) < 0.5, allegro.lower, allegro.upper)
     scene = replace(scene, q=q)
-    problem = GraspProblem(scene, goal_of(scene, Touching()), Config())
+    problem = GraspProblem(scene, goal_of(scene, ContactSelection()), Config())
     trials: list[np.ndarray] = []
     moves: list[np.ndarray] = []
-    plain = problem.moved
+    plain = problem.integrate
 
     def recorded(member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
         after = plain(member, point, dx)
@@ -450,7 +452,7 @@ def test_no_trial_leaves_the_joint_limits_or_the_box(allegro: Hand) -> None:
         moves.append(dx)
         return after
 
-    problem.moved = recorded
+    problem.integrate = recorded
     found = minimise(problem, point_of(scene), LevenbergMarquardt(iterations=60, restarts=2), 1e-10)
     seen, steps = np.concatenate(trials), np.concatenate(moves)
     assert (seen >= allegro.lower).all() and (seen <= allegro.upper).all()
@@ -458,14 +460,14 @@ def test_no_trial_leaves_the_joint_limits_or_the_box(allegro: Hand) -> None:
     assert (found.loss[:, 1] < found.loss[:, 0]).all()
     # Restarts are no steps, and have no box.
     largest = np.sort(np.abs(steps[:, :3]).max(axis=1))
-    assert (largest <= BOX[0] * (1 + 1e-12)).mean() > 0.9
+    assert (largest <= RESTART_BOX_SCALE[0] * (1 + 1e-12)).mean() > 0.9
 
 
 def test_room_is_what_the_limits_leave_of_the_box(gripper: Hand) -> None:
     scene = around_ball(gripper, 4, 17)
-    problem = GraspProblem(scene, goal_of(scene, Touching(links=scene.links)), Config())
+    problem = GraspProblem(scene, goal_of(scene, ContactSelection(links=scene.links)), Config())
     at = Point(scene.T_world_root, np.array([[0.0, 1.2], [0.05, -0.5], [0.02, 0.3], [0.049, 0.0]]))
-    lower, upper = problem.room(every(scene), at)
+    lower, upper = problem.step_bounds(every(scene), at)
     np.testing.assert_array_equal(upper[:, :6], np.tile([0.05, 0.05, 0.05, 1.0, 1.0, 1.0], (4, 1)))
     np.testing.assert_array_equal(lower[:, :6], -upper[:, :6])
     # The slide has room of the box of translations, the hinge of that of joints.
@@ -475,17 +477,17 @@ def test_room_is_what_the_limits_leave_of_the_box(gripper: Hand) -> None:
 
 def test_new_starts_are_those_of_the_member_and_the_number(examples: Scene) -> None:
     scene = aimed_at(examples, 3, 18)
-    problem = GraspProblem(scene, goal_of(scene, Touching()), Config(seed=3))
+    problem = GraspProblem(scene, goal_of(scene, ContactSelection()), Config(seed=3))
     now = point_of(scene)
     best = stepped(now, np.full(22, 0.01))
     best = Point(best.T, np.clip(best.q, scene.hand.lower, scene.hand.upper))
     number = np.array([1, 2, 1, 4])
-    found = problem.restarted(every(scene), number, best, now)
+    found = problem.restart(every(scene), number, best, now)
     for m in range(4):
-        alone = problem.restarted(np.array([m]), number[[m]], *(take(point, np.array([m])) for point in (best, now)))
+        alone = problem.restart(np.array([m]), number[[m]], *(take(point, np.array([m])) for point in (best, now)))
         np.testing.assert_allclose(alone.T[0], found.T[m], atol=1e-9)
         np.testing.assert_allclose(alone.q[0], found.q[m], atol=1e-9)
-    other = problem.restarted(every(scene), number + 2, best, now)
+    other = problem.restart(every(scene), number + 2, best, now)
     assert (np.abs(other.q - found.q).max(axis=1) > 1e-3).all()
     assert (found.q >= scene.hand.lower).all() and (found.q <= scene.hand.upper).all()
 
@@ -499,7 +501,9 @@ def test_new_starts_are_keyed_by_the_grasp_not_by_its_place(examples: Scene) -> 
     )  # fmt: skip
     number = np.array([1, 2, 3, 4])
     found, again = (
-        GraspProblem(one, goal_of(one, Touching()), Config()).restarted(every(one), k, point_of(one), point_of(one))
+        GraspProblem(one, goal_of(one, ContactSelection()), Config()).restart(
+            every(one), k, point_of(one), point_of(one)
+        )
         for one, k in ((scene, number), (other, number[order]))
     )
     np.testing.assert_allclose(again.q, found.q[order], atol=1e-12)
@@ -507,8 +511,8 @@ def test_new_starts_are_keyed_by_the_grasp_not_by_its_place(examples: Scene) -> 
     # Grasps that differ, however little, start elsewhere; so does another seed.
     nudged = replace(scene, q=scene.q + 1e-9)
     for one, seed in ((nudged, 0), (scene, 1)):
-        problem = GraspProblem(one, goal_of(one, Touching()), Config(seed=seed))
-        elsewhere = problem.restarted(every(one), number, point_of(one), point_of(one))
+        problem = GraspProblem(one, goal_of(one, ContactSelection()), Config(seed=seed))
+        elsewhere = problem.restart(every(one), number, point_of(one), point_of(one))
         assert (np.abs(elsewhere.q - found.q).max(axis=1) > 1e-3).all()
 
 
@@ -516,9 +520,9 @@ def test_new_starts_are_as_far_away_as_their_noise_each_in_its_unit(gripper: Han
     """A slide once moved by 0.1 m, which was meant for radians: from one limit to the other."""
     scene = around_ball(gripper, 400, 22)
     scene = replace(scene, q=np.tile([0.025, 0.35], (400, 1)))
-    problem = GraspProblem(scene, goal_of(scene, Touching(links=scene.links)), Config())
+    problem = GraspProblem(scene, goal_of(scene, ContactSelection(links=scene.links)), Config())
     at = point_of(scene)
-    found = problem.restarted(every(scene), np.ones(400, dtype=int), at, at)
+    found = problem.restart(every(scene), np.ones(400, dtype=int), at, at)
     translation, rotation, joint = NOISE
     slide, turn = (found.q - at.q).std(axis=0)
     # Limits at 2.5 standard deviations cut off a little.
@@ -529,7 +533,7 @@ def test_new_starts_are_as_far_away_as_their_noise_each_in_its_unit(gripper: Han
 
 def test_inverse_kinematics_brings_target_points_together_without_a_query(examples: Scene) -> None:
     """Targets of hands that exist, from hands 2 cm and 15 degrees away: 8 steps bring them to a tenth of that."""
-    problem = GraspProblem(examples, goal_of(examples, Touching(), nearest=True), Config())
+    problem = GraspProblem(examples, goal_of(examples, ContactSelection(), nearest=True), Config())
     goal, rng = problem.goal, np.random.default_rng(19)
     there = problem.evaluate(every(examples), point_of(examples), None)
     # Points on the object where those of the links are now.
@@ -537,28 +541,28 @@ def test_inverse_kinematics_brings_target_points_together_without_a_query(exampl
     reachable = np.where(goal.aimed[..., None], on_object, np.nan)
     problem = GraspProblem(examples, replace(goal, target_object=reachable), Config())
     dx = rng.normal(size=(4, 22)) * np.concatenate([np.full(3, 0.012), np.full(3, 0.15), np.full(16, 0.2)])
-    start = problem.moved(every(examples), point_of(examples), dx)
+    start = problem.integrate(every(examples), point_of(examples), dx)
 
     def miss(point: Point) -> np.ndarray:
         T = problem.chain(point.T, point.q).T_world_link
         gap = np.linalg.norm(transform_points(T, np.nan_to_num(goal.target_link)) - on_object, axis=-1)
         return np.where(goal.aimed, gap, 0.0).max(axis=1)
 
-    reached = problem.reached(every(examples), start)
+    reached = problem.solve_position_ik(every(examples), start)
     assert (miss(start) > 0.01).all() and (miss(reached) < 1e-3).all()
     assert (reached.q >= examples.hand.lower).all() and (reached.q <= examples.hand.upper).all()
 
 
 def test_without_targets_there_is_nothing_to_reach(examples: Scene) -> None:
-    problem = GraspProblem(examples, goal_of(examples, Touching()), Config())
+    problem = GraspProblem(examples, goal_of(examples, ContactSelection()), Config())
     at = point_of(examples)
-    assert problem.reached(every(examples), at) is at
+    assert problem.solve_position_ik(every(examples), at) is at
 
 
 @pytest.mark.parametrize("kind", ["gaps", "targets"])
 def test_a_gripper_of_slides_and_a_mimic_joint_comes_to_a_ball(gripper: Hand, kind: str) -> None:
     scene = around_ball(gripper, 6, 20)
-    goal = goal_of(scene, Touching(links=("left", "right", "thumb")), nearest=kind == "targets")
+    goal = goal_of(scene, ContactSelection(links=("left", "right", "thumb")), nearest=kind == "targets")
     problem = GraspProblem(scene, goal, Config(weights=NO_FORCES))
     found = minimise(problem, point_of(scene), LevenbergMarquardt(restarts=0), 1e-10)
     assert (found.loss[:, 1] < 0.5 * found.loss[:, 0]).all()
@@ -572,13 +576,17 @@ def test_a_gripper_of_slides_and_a_mimic_joint_comes_to_a_ball(gripper: Hand, ki
 def test_grasps_do_not_depend_on_their_batch(examples: Scene) -> None:
     """Loss and Jacobian of a grasp alone are those among others, though rows are added where others have more."""
     scene = aimed_at(examples, 3, 21)
-    problem = GraspProblem(scene, partly(goal_of(scene, Touching()), 4), Config(weights=replace(ALL, table=0.0)))
+    problem = GraspProblem(
+        scene, partly(goal_of(scene, ContactSelection()), 4), Config(weights=replace(ALL, table=0.0))
+    )
     rows, at = every(scene), stepped(point_of(scene), np.full(22, 0.01))
     known = problem.evaluate(rows, at, None)
     residual, J = linearized(problem, at, known, 1.0)
     normal = np.einsum("brk,brl->bkl", J, J), np.einsum("brk,br->bk", J, residual)
     for m in range(4):
-        single = GraspProblem(rows_of(scene, m), partly(goal_of(rows_of(scene, m), Touching()), 4), problem.config)
+        single = GraspProblem(
+            rows_of(scene, m), partly(goal_of(rows_of(scene, m), ContactSelection()), 4), problem.config
+        )
         own = take(at, np.array([m]))
         alone = single.evaluate(np.array([0]), own, None)
         np.testing.assert_allclose(alone.loss[0], known.loss[m], rtol=1e-12)
@@ -590,15 +598,15 @@ def test_grasps_do_not_depend_on_their_batch(examples: Scene) -> None:
 def test_depths_that_are_not_yet_there_come_as_one_sided_rows(examples: Scene) -> None:
     """Pairs less than 3 mm apart: minus their distance, with its slope, so that a step does not run into them."""
     weights = Weights(contact=0.0, penetration=1.0, self_penetration=0.0)
-    problem = GraspProblem(examples, goal_of(examples, Touching()), Config(weights=weights))
+    problem = GraspProblem(examples, goal_of(examples, ContactSelection()), Config(weights=weights))
     rows, at = every(examples), point_of(examples)
     known = problem.evaluate(rows, at, None)
     linear = problem.linearize(rows, at, known, np.ones(4))
     w = known.witness
     near = w.valid & (w.distance < NEAR)
-    assert linear.one_sided is not None and (near & (w.distance > 0)).any()
+    assert linear.unilateral is not None and (near & (w.distance > 0)).any()
     for m in range(4):
-        found = linear.residual[m][linear.one_sided[m] & linear.jacobian[m].any(axis=-1)]
+        found = linear.residual[m][linear.unilateral[m] & linear.jacobian[m].any(axis=-1)]
         np.testing.assert_allclose(np.sort(found), np.sort(-w.distance[m][near[m]]), rtol=1e-12)
     # A step along which they come nearer: what they will be is foretold, also beyond zero.
     dx = 0.002 * np.eye(22)[1]
@@ -606,7 +614,7 @@ def test_depths_that_are_not_yet_there_come_as_one_sided_rows(examples: Scene) -
     place = np.argsort(~near, axis=1, kind="stable")
     told = linear.residual + linear.jacobian @ dx
     for m in range(4):
-        first = int(np.flatnonzero(linear.one_sided[m])[0])
+        first = int(np.flatnonzero(linear.unilateral[m])[0])
         for row, column in enumerate(place[m][: near[m].sum()]):
             if later.valid[m, column]:
                 assert told[m, first + row] == pytest.approx(-later.distance[m, column], abs=3e-4)

@@ -66,7 +66,9 @@ def random_witness(seed: int, shape: tuple[int, ...] = (4, 3)) -> Witness:
 
 def as_tensors(witness: Witness) -> Witness:
     fields = (witness.point_a, witness.point_b, witness.normal, witness.distance)
-    return Witness(*map(torch.from_numpy, fields), torch.from_numpy(witness.status), witness.winner, witness.asked)
+    return Witness(
+        *map(torch.from_numpy, fields), torch.from_numpy(witness.status), witness.winner, witness.num_queries
+    )
 
 
 def in_both(function: Callable, *arguments: object) -> np.ndarray:

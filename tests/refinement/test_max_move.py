@@ -10,7 +10,7 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_se3, exp_so3, log_so3, transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps
-from grasp_refine.hands.chain import moved
+from grasp_refine.hands.chain import integrate
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
@@ -32,7 +32,7 @@ def scene() -> Scene:
 
 
 def away(T: np.ndarray, q: np.ndarray, T_first: np.ndarray, q_first: np.ndarray) -> tuple[np.ndarray, ...]:
-    """How far roots have moved and turned, and joints at most (M,)."""
+    """How far roots have integrate and turned, and joints at most (M,)."""
     turned = log_so3(T[:, :3, :3] @ T_first[:, :3, :3].mT)
     return (
         np.linalg.norm(T[:, :3, 3] - T_first[:, :3, 3], axis=1),
@@ -46,13 +46,13 @@ def poses(count: int, seed: int) -> tuple[np.ndarray, ...]:
     rng = np.random.default_rng(seed)
     T, q = exp_se3(rng.normal(size=(count, 6))), rng.normal(size=(count, 5))
     size = 10.0 ** rng.uniform(-4, 0, (count, 1))
-    return T, q, moved(T, size * rng.normal(size=(count, 6))), q + size * rng.normal(size=q.shape)
+    return T, q, integrate(T, size * rng.normal(size=(count, 6))), q + size * rng.normal(size=q.shape)
 
 
 def test_what_is_too_far_comes_back_as_far_as_it_may() -> None:
     """On the straight way back: same direction of movement, same axis, each joint by itself."""
     T_first, q_first, T, q = poses(60, 0)
-    kept_T, kept_q = NEAR.kept(T, q, T_first, q_first)
+    kept_T, kept_q = NEAR.project(T, q, T_first, q_first)
     before, after = away(T, q, T_first, q_first), away(kept_T, kept_q, T_first, q_first)
     for limit, far, near in zip((0.002, 0.03, 0.04), before, after, strict=True):
         assert (far > limit).any() and (far < limit).any()
@@ -69,20 +69,20 @@ def test_what_is_too_far_comes_back_as_far_as_it_may() -> None:
 
 def test_what_is_within_the_bounds_stays_as_it_is() -> None:
     T_first, q_first, T, q = poses(60, 1)
-    kept_T, kept_q = NEAR.kept(T, q, T_first, q_first)
+    kept_T, kept_q = NEAR.project(T, q, T_first, q_first)
     near, turned, joints = away(T, q, T_first, q_first)
     within = (near <= 0.002) & (turned <= 0.03)
     assert within.any() and not within.all()
     np.testing.assert_array_equal(kept_T[within], T[within])
     np.testing.assert_array_equal(kept_q[joints <= 0.04], q[joints <= 0.04])
-    again_T, again_q = NEAR.kept(kept_T, kept_q, T_first, q_first)
+    again_T, again_q = NEAR.project(kept_T, kept_q, T_first, q_first)
     np.testing.assert_allclose(again_T, kept_T, atol=1e-12)
     np.testing.assert_array_equal(again_q, kept_q)
 
 
 def test_without_bounds_nothing_is_changed() -> None:
     T_first, q_first, T, q = poses(10, 2)
-    kept_T, kept_q = MaxMove().kept(T, q, T_first, q_first)
+    kept_T, kept_q = MaxMove().project(T, q, T_first, q_first)
     np.testing.assert_array_equal(kept_T, T)
     np.testing.assert_array_equal(kept_q, q)
 
@@ -90,7 +90,7 @@ def test_without_bounds_nothing_is_changed() -> None:
 @pytest.mark.parametrize("name", ["translation", "rotation", "joints"])
 def test_each_bound_is_one_of_its_own(name: str) -> None:
     T_first, q_first, T, q = poses(10, 3)
-    kept = away(*MaxMove(**{name: 0.0}).kept(T, q, T_first, q_first), T_first, q_first)
+    kept = away(*MaxMove(**{name: 0.0}).project(T, q, T_first, q_first), T_first, q_first)
     free = away(T, q, T_first, q_first)
     for bound, found, before in zip(("translation", "rotation", "joints"), kept, free, strict=True):
         np.testing.assert_allclose(found, 0.0 if bound == name else before, atol=1e-12)
@@ -101,7 +101,7 @@ def test_turns_of_any_angle_are_bounded(angle: float) -> None:
     """Half a turn has two axes, and either will do."""
     T = np.eye(4)[None].copy()
     T[0, :3, :3] = exp_so3(angle * np.array([0.6, 0.0, 0.8]))
-    kept, _ = MaxMove(rotation=0.5).kept(T, np.zeros((1, 0)), np.eye(4)[None], np.zeros((1, 0)))
+    kept, _ = MaxMove(rotation=0.5).project(T, np.zeros((1, 0)), np.eye(4)[None], np.zeros((1, 0)))
     assert np.linalg.norm(log_so3(kept[0, :3, :3])) == pytest.approx(min(angle, 0.5), abs=1e-9)
     np.testing.assert_allclose(kept[0, :3, :3] @ kept[0, :3, :3].T, np.eye(3), atol=1e-12)
 

@@ -70,13 +70,13 @@ def test_contact_links_open_wider_than_the_others(clamp: Hand) -> None:
 def test_gloves_are_as_thick_as_the_clearances(mugs: Scene) -> None:
     """The distance of a gloved link is that of the bare one less its clearance, and links meet bare."""
     bare = HandObject.of(mugs)
-    gloved = bare.gloved
+    padded = bare.padded
     T = bare.chain(mugs.T_world_root, mugs.q).T_world_link
     T_object = np.broadcast_to(np.eye(4), T.shape)
-    without, within = (query(pairs, T, T_object).distance for pairs in (bare.pairs, gloved.pairs))
+    without, within = (query(pairs, T, T_object).distance for pairs in (bare.pairs, padded.pairs))
     apart = without > 0
     np.testing.assert_allclose((without - within)[apart], np.tile(clearances(mugs.hand, mugs.links), (4, 1))[apart])
-    assert gloved.own_pairs is bare.own_pairs
+    assert padded.self_collision_pairs is bare.self_collision_pairs
 
 
 def test_hands_open_around_a_mug(mugs: Scene) -> None:

@@ -11,7 +11,7 @@ from boxed_example import boxed_example
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_se3, transform_points
-from grasp_refine.hands.chain import moved
+from grasp_refine.hands.chain import integrate
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.hands.self_collision import touching_pairs
@@ -27,7 +27,7 @@ from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.least_squares import Point
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.geometry import measure, movement
@@ -60,7 +60,7 @@ def touched(scene: Scene) -> Refinement:
 
 @pytest.fixture(scope="module")
 def aimed(scene: Scene, touched: Refinement) -> Scene:
-    """Hands that once touched, moved away by 1 cm, 9 degrees and 0.1 rad, that should touch there again."""
+    """Hands that once touched, integrate away by 1 cm, 9 degrees and 0.1 rad, that should touch there again."""
     return disturbed(scene, touched, 4, 0)
 
 
@@ -68,10 +68,10 @@ def disturbed(scene: Scene, touched: Refinement, count: int, seed: int) -> Scene
     """The same of `count` hands, the examples over and over."""
     again = np.arange(count) % 4
     there = replace(scene, T_world_root=touched.T_world_root[again], q=touched.q[again])
-    goal, rng = goal_of(there, Touching(), nearest=True), np.random.default_rng(seed)
+    goal, rng = goal_of(there, ContactSelection(), nearest=True), np.random.default_rng(seed)
     dx = rng.normal(size=(count, 6)) * [0.006, 0.006, 0.006, 0.1, 0.1, 0.1]
     q = np.clip(there.q + 0.1 * rng.normal(size=there.q.shape), scene.hand.lower, scene.hand.upper)
-    return Scene(scene.hand, scene.object, moved(there.T_world_root, dx), q, goal.target_link, goal.target_object)
+    return Scene(scene.hand, scene.object, integrate(there.T_world_root, dx), q, goal.target_link, goal.target_object)
 
 
 def rows(scene: Scene, index: list[int]) -> Scene:
@@ -149,7 +149,7 @@ def test_a_margin_is_kept(scene: Scene) -> None:
 
 def test_links_given_by_name_touch_and_others_need_not(scene: Scene) -> None:
     names = scene.links[1], scene.links[3]
-    found = refine(scene, Config(touching=Touching(links=names)))
+    found = refine(scene, Config(contact_selection=ContactSelection(links=names)))
     np.testing.assert_array_equal(found.touching, np.tile(np.isin(scene.links, names), (4, 1)))
     assert (found.status == Status.CONVERGED).all()
     none = np.full((4, len(scene.links), 3), np.nan)
@@ -186,7 +186,7 @@ def test_a_link_that_should_touch_in_a_direction_comes_from_afar(scene: Scene, t
         measure(scene.hand, scene.object, scene.links, one.T_world_root, one.q, none, none).distance[row, column]
         for one in (scene, found)
     )
-    assert before > Touching().reach and abs(after) < 1e-3
+    assert before > ContactSelection().reach and abs(after) < 1e-3
 
 
 # every solver
@@ -243,7 +243,7 @@ def test_grasps_that_begin_beyond_their_limits_end_within_them(scene: Scene, nam
 
 
 def test_a_grasp_that_is_there_already_is_left_alone(aimed: Scene) -> None:
-    """Inverse kinematics once moved it before it was looked at."""
+    """Inverse kinematics once integrate it before it was looked at."""
     first = refine(aimed)
     there = np.flatnonzero(first.status == Status.CONVERGED)
     scene = replace(rows(aimed, list(there)), T_world_root=first.T_world_root[there], q=first.q[there])
@@ -399,13 +399,13 @@ def test_new_starts_are_those_of_the_grasp_whatever_its_company(
 ) -> None:
     """Alone, in another order, among more or fewer at once; they were once those of the place in the scene."""
     again: list[int] = []
-    plain = GraspProblem.restarted
+    plain = GraspProblem.restart
 
     def recorded(problem: GraspProblem, member: np.ndarray, *others: object) -> Point:
         again.extend(member.tolist())
         return plain(problem, member, *others)
 
-    monkeypatch.setattr(GraspProblem, "restarted", recorded)
+    monkeypatch.setattr(GraspProblem, "restart", recorded)
     eight, config = disturbed(scene, touched, 8, 2), Config(solver=LevenbergMarquardt(patience=3))
     together = refine(eight, config)
     assert len(set(again)) >= 2 and (together.iterations[again] > 15).all()
@@ -487,7 +487,7 @@ LONG = Descent(iterations=50, step_translation=2e-3, step_rotation=2e-2, step_jo
 BALL = Config(
     solver=LONG,
     nearest=True,
-    touching=Touching(reach=0.06, reach_others=0.0),
+    contact_selection=ContactSelection(reach=0.06, other_link_distance=0.0),
     weights=Weights(penetration=10.0, self_penetration=0.0),
     tolerance=8e-5,
 )
@@ -509,7 +509,7 @@ def test_the_loss_is_the_sum_of_its_terms(on_ball: Scene) -> None:
     scene, T, q = on_ball, on_ball.T_world_root.copy(), on_ball.q.copy()
     T[3:, :3, 3] += [0.0, 0.0, 0.05]
     q[5, 2] = scene.hand.upper[2] + 0.1
-    goal = goal_of(scene, BALL.touching, nearest=True)
+    goal = goal_of(scene, BALL.contact_selection, nearest=True)
     none = np.full_like(goal.target_link, np.nan)
     none[:, 0] = goal.target_link[:, 0]
     goal = replace(goal, target_link=none, target_object=np.where(np.isnan(none), np.nan, goal.target_object))

@@ -29,10 +29,10 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.document import run_document, settings
 from grasp_refine.results.outcome import Outcome, compare
 from grasp_refine.results.result_files import result_paths
-from grasp_refine.results.simulated import Proof
+from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.table import grasp_table
 from grasp_refine.results.verdict import BAR, HOLDS, Agreement, should_hold, status_advice
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.validation.metrics import metrics
 from grasp_refine.validation.motion import closing
 from grasp_refine.validation.protocol import Protocol
@@ -116,7 +116,7 @@ GEOMETRY = Config(weights=Weights(wrench=0.0))
 def text(
     outcome: Outcome,
     config: Config | None = None,
-    proof: Proof | None = None,
+    proof: SimulatedGrasps | None = None,
     *,
     width: int = 80,
     verbose: bool = False,
@@ -240,7 +240,7 @@ def test_quality_is_told_against_simulation():
     assert [counts(line) for line in both] == [[1, 2], [1, 2]] and len(set(both)) == 2
 
 
-def simulated(*pairs: tuple[bool, bool]) -> Proof:
+def simulated(*pairs: tuple[bool, bool]) -> SimulatedGrasps:
     """What simulation says of grasps that held or not, before and after."""
 
     def trials(held: list[bool]) -> Trials:
@@ -253,13 +253,13 @@ def simulated(*pairs: tuple[bool, bool]) -> Proof:
         )  # fmt: skip
 
     before, after = (trials(list(side)) for side in zip(*pairs, strict=True))
-    return Proof(Protocol(), before, {"pregrasp": "own", "squeeze": "own"}, after)
+    return SimulatedGrasps(Protocol(), before, {"pregrasp": "own", "squeeze": "own"}, after)
 
 
 def test_where_grasps_were_simulated_this_is_told_first_and_before_as_well_as_after():
     outcome = with_quality(made_up(4), g3=0.5)
     proof = simulated((True, True), (False, True), (True, False), (False, False))
-    lines = text(outcome, proof=proof, width=120)
+    lines = text(outcome, simulated=proof, width=120)
     rows = [line for line in lines if "→" in line and line.split()[0] in "0123"]
     assert [line.split()[-3:] for line in rows] == [
         ["yes", "→", "yes"], ["no", "→", "yes"], ["yes", "→", "no"], ["no", "→", "no"]
@@ -269,12 +269,12 @@ def test_where_grasps_were_simulated_this_is_told_first_and_before_as_well_as_af
     assert verdict[2].startswith("before") and counts(verdict[2]) == [0, 4, 2, 4]
     assert verdict[3].startswith("after") and counts(verdict[3]) == [3, 4, 1]
     assert_names(verdict[4], "1 ", "(3)", "--starts")
-    assert max(map(len, text(outcome, proof=proof))) <= 80
+    assert max(map(len, text(outcome, simulated=proof))) <= 80
 
 
 def test_the_worst_of_many_are_those_that_did_not_hold():
     outcome = with_quality(made_up(41), g5=0.5)
-    lines = text(outcome, proof=simulated(*((True, i != 30) for i in range(41))))
+    lines = text(outcome, simulated=simulated(*((True, i != 30) for i in range(41))))
     shown = [line.split()[0] for line in lines if "→" in line and line.split()[0].isdigit()]
     assert shown[:2] == ["30", "5"]
 
@@ -371,7 +371,7 @@ def test_the_outcome_measures_a_refinement():
     T = np.eye(4)
     T[:3, 3] = (-0.09, 0.0, -0.03)
     scene = Scene(hand, ball, T[None], hand.rest[None])
-    config = Config(solver=Descent(iterations=40), touching=Touching(reach=0.2), nearest=True)
+    config = Config(solver=Descent(iterations=40), contact_selection=ContactSelection(reach=0.2), nearest=True)
     refinement = refine(scene, config)
     motion = closing(replace(scene, T_world_root=refinement.T_world_root, q=refinement.q))
     outcome = compare(

@@ -7,7 +7,7 @@ import pytest
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.sampling.closure_frame import grip_of
+from grasp_refine.sampling.closure_frame import closure_frame
 from refusals import refused
 
 PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
@@ -62,24 +62,24 @@ def jaws(folder: Path, *, mimic: bool = False) -> Hand:
 
 
 def closing(hand: Hand) -> dict[str, float]:
-    return dict(zip(hand.joint_names, grip_of(hand).closing.tolist(), strict=True))
+    return dict(zip(hand.joint_names, closure_frame(hand).closing.tolist(), strict=True))
 
 
 def test_fingers_curl_towards_each_other_whatever_the_sign_of_their_axes(tmp_path: Path):
     hand = write(tmp_path, CLAW, "base")
     assert closing(hand) == {"wrist": 0, "spread": 0, "a_near": 1, "a_far": 1, "b_near": 1, "b_far": -1}
-    grip = grip_of(hand)
-    assert dict(zip(hand.joint_names, grip.spreading, strict=True))["spread"]
-    assert grip.spreading.sum() == 1, "the wrist is no finger's"
+    closure = closure_frame(hand)
+    assert dict(zip(hand.joint_names, closure.spreading, strict=True))["spread"]
+    assert closure.spreading.sum() == 1, "the wrist is no finger's"
 
 
 def test_the_hand_comes_palm_behind_and_closes_across(tmp_path: Path):
-    grip = grip_of(jaws(tmp_path))
-    np.testing.assert_allclose(grip.center, [0.0, 0.0, 0.08], atol=1e-6)
-    np.testing.assert_allclose(grip.approach, [0.0, 0.0, 1.0], atol=0.1)
-    np.testing.assert_allclose(np.abs(grip.across), [1.0, 0.0, 0.0], atol=0.1)
-    assert abs(grip.across @ grip.approach) < 1e-12
-    assert grip.opening == pytest.approx(0.14, abs=1e-3)
+    closure = closure_frame(jaws(tmp_path))
+    np.testing.assert_allclose(closure.center, [0.0, 0.0, 0.08], atol=1e-6)
+    np.testing.assert_allclose(closure.approach, [0.0, 0.0, 1.0], atol=0.1)
+    np.testing.assert_allclose(np.abs(closure.across), [1.0, 0.0, 0.0], atol=0.1)
+    assert abs(closure.across @ closure.approach) < 1e-12
+    assert closure.opening == pytest.approx(0.14, abs=1e-3)
 
 
 @pytest.mark.parametrize("mimic", [False, True])
@@ -96,15 +96,15 @@ def test_joints_without_limits_get_some(tmp_path: Path):
     body = link("palm", "left", "right") + "".join(
         joint(name, "palm", name, f"{x} 0 0.05", "0 1 0", "") for name, x in (("left", 0.05), ("right", -0.05))
     )
-    grip = grip_of(write(tmp_path, body))
-    for value in (grip.lower, grip.upper, grip.opened):
+    closure = closure_frame(write(tmp_path, body))
+    for value in (closure.lower, closure.upper, closure.opened):
         assert np.isfinite(value).all()
 
 
 def test_a_hand_that_cannot_move_cannot_grip(tmp_path: Path):
     hand = write(tmp_path, link("palm"))
     with refused(HandError, "'hand'"):
-        grip_of(hand)
+        closure_frame(hand)
 
 
 BENDS = {

@@ -11,7 +11,7 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.scene.contact_selection import PALM, Touching, link_groups, nearest_points
+from grasp_refine.scene.contact_selection import PALM, ContactSelection, link_groups, nearest_points
 from refusals import refused
 from twists import random_poses
 
@@ -39,7 +39,7 @@ def at(hand: Hand, distances: dict[str, float], links: tuple[str, ...] | None = 
     return Witness(*points, np.where(np.isnan(d), 0.0, d), status, zero, zero)
 
 
-def chosen(hand: Hand, touching: Touching, distances: dict[str, float]) -> set[str]:
+def chosen(hand: Hand, touching: ContactSelection, distances: dict[str, float]) -> set[str]:
     links = links_of(hand)
     found = touching.choose(hand, links, at(hand, distances))
     return {link for link, on in zip(links, found[0], strict=True) if on}
@@ -55,15 +55,15 @@ def test_groups_are_fingers_and_what_carries_several_of_them(hand: Hand) -> None
 
 
 def test_fingertips_reach_farther_than_other_links(hand: Hand) -> None:
-    touching = Touching(reach=0.01, reach_others=0.003)
+    touching = ContactSelection(reach=0.01, other_link_distance=0.003)
     near = {INDEX: 0.01, MIDDLE: 0.0100001, THUMB: -0.02, "link_1.0": 0.003, "link_5.0": 0.0030001, "base_link": -1e-3}
     assert chosen(hand, touching, near) == {INDEX, THUMB, "link_1.0", "base_link"}
     assert chosen(hand, replace(touching, reach=0.011), near) == {INDEX, MIDDLE, THUMB, "link_1.0", "base_link"}
-    assert chosen(hand, replace(touching, reach_others=0.0), near) == {INDEX, THUMB, "base_link"}
+    assert chosen(hand, replace(touching, other_link_distance=0.0), near) == {INDEX, THUMB, "base_link"}
 
 
 def test_there_are_two_groups_if_they_are_anywhere_near(hand: Hand) -> None:
-    touching = Touching()
+    touching = ContactSelection()
     # The second group is the nearest tip of another finger, and only that one.
     assert chosen(hand, touching, {INDEX: 0.005, MIDDLE: 0.02, THUMB: 0.025}) == {INDEX, MIDDLE}
     # Two links of one finger are one group; links other than tips do not count beyond their reach.
@@ -83,7 +83,7 @@ def test_without_an_answer_nothing_touches(hand: Hand) -> None:
     witness = at(hand, {INDEX: 0.001, MIDDLE: 0.001, RING: 0.001, THUMB: 0.001})
     status = witness.status.copy()
     status[0, :3] = QueryStatus.FAR, QueryStatus.FAILED, QueryStatus.NOT_FINITE
-    found = Touching().choose(hand, links, replace(witness, status=status))
+    found = ContactSelection().choose(hand, links, replace(witness, status=status))
     assert found.sum() == 1 and found[0, links.index(THUMB)]
 
 
@@ -91,14 +91,14 @@ def test_grasps_are_judged_one_by_one(hand: Hand) -> None:
     near = [{INDEX: 0.001, THUMB: 0.002}, {}, {RING: 0.02, MIDDLE: 0.021}]
     every = [at(hand, one) for one in near]
     together = Witness(*(np.concatenate([getattr(w, f) for w in every]) for f in every[0].__dataclass_fields__))
-    found = Touching().choose(hand, links_of(hand), together)
+    found = ContactSelection().choose(hand, links_of(hand), together)
     for row, one in zip(found, every, strict=True):
-        np.testing.assert_array_equal(row, Touching().choose(hand, links_of(hand), one)[0])
+        np.testing.assert_array_equal(row, ContactSelection().choose(hand, links_of(hand), one)[0])
     np.testing.assert_array_equal(found.sum(axis=1), [2, 0, 2])
 
 
 def test_links_given_by_name_touch_however_far_and_no_others(hand: Hand) -> None:
-    touching = Touching(links=("link_5.0", THUMB))
+    touching = ContactSelection(links=("link_5.0", THUMB))
     links = links_of(hand)
     assert chosen(hand, touching, {THUMB: 0.5, "link_5.0": 0.2, INDEX: 0.0}) == {THUMB, "link_5.0"}
     cutoff = touching.cutoff(hand, links)
@@ -110,7 +110,7 @@ def test_a_link_that_comes_twice_touches_once(hand: Hand) -> None:
     """As with a hand that has two contact points on a link."""
     links = (INDEX, INDEX, THUMB, THUMB, "base_link")
     near = dict.fromkeys(links, 0.001)
-    for touching in (Touching(), Touching(links=(THUMB, INDEX))):
+    for touching in (ContactSelection(), ContactSelection(links=(THUMB, INDEX))):
         found = touching.choose(hand, links, at(hand, near, links))
         np.testing.assert_array_equal(found[0, :4], [True, False, True, False])
 
@@ -118,31 +118,31 @@ def test_a_link_that_comes_twice_touches_once(hand: Hand) -> None:
 def test_what_could_matter_is_asked_and_what_cannot_is_not(hand: Hand) -> None:
     links = links_of(hand)
     tips = np.isin(links, [contact.link for contact in hand.contacts])
-    cutoff = Touching(reach=0.01, reach_others=0.004, farthest=0.02).cutoff(hand, links)
+    cutoff = ContactSelection(reach=0.01, other_link_distance=0.004, farthest=0.02).cutoff(hand, links)
     np.testing.assert_allclose(cutoff, np.where(tips, 0.02, 0.004), rtol=1e-12)
     assert (cutoff > np.where(tips, 0.02, 0.004)).all(), "what is exactly at the limit is asked"
-    assert Touching(reach=0.05).cutoff(hand, links).max() == pytest.approx(0.05)
+    assert ContactSelection(reach=0.05).cutoff(hand, links).max() == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize("name", ["reach", "reach_others", "farthest"])
+@pytest.mark.parametrize("name", ["reach", "other_link_distance", "farthest"])
 @pytest.mark.parametrize("value", [-0.001, float("nan")])
 def test_distances_below_zero_are_refused(name: str, value: float) -> None:
     with refused(GraspRefineError, name, f" {value:g}"):
-        Touching(**{name: value})
+        ContactSelection(**{name: value})
 
 
 def test_links_that_do_not_exist_are_refused_with_those_that_do(hand: Hand) -> None:
     links = links_of(hand)
     with refused(HandError, "allegro", "knee", "thumb", f"{INDEX}, ", "base_"):
-        Touching(links=(INDEX, "knee")).cutoff(hand, links)
+        ContactSelection(links=(INDEX, "knee")).cutoff(hand, links)
 
 
 def test_a_finger_stands_for_its_contact_links(hand: Hand) -> None:
     links = links_of(hand)
-    assert Touching(links=("thumb", "link_1.0", THUMB)).named(hand, links) == (THUMB, "link_1.0")
+    assert ContactSelection(links=("thumb", "link_1.0", THUMB)).named(hand, links) == (THUMB, "link_1.0")
     near = {INDEX: 0.5, THUMB: 0.5, "link_1.0": 0.5, "base_link": 0.001}
-    assert chosen(hand, Touching(links=("thumb", "link_1.0")), near) == {THUMB, "link_1.0"}
-    cutoff = dict(zip(links, Touching(links=("thumb",)).cutoff(hand, links), strict=True))
+    assert chosen(hand, ContactSelection(links=("thumb", "link_1.0")), near) == {THUMB, "link_1.0"}
+    cutoff = dict(zip(links, ContactSelection(links=("thumb",)).cutoff(hand, links), strict=True))
     assert cutoff[THUMB] == np.inf and cutoff[INDEX] == cutoff["base_link"] == -np.inf
 
 

@@ -314,7 +314,7 @@ def test_values_are_those_of_the_query() -> None:
     pairs = two_pairs()
     T_a, T_b = near_poses(pairs, 4, -0.002, 130)
     w, found = WitnessLayer(pairs, Distance())(T_a, T_b), query(pairs, T_a.numpy(), T_b.numpy())
-    for name in (*FIELDS, "status", "winner", "asked"):
+    for name in (*FIELDS, "status", "winner", "num_queries"):
         np.testing.assert_array_equal(np.asarray(getattr(w, name)), getattr(found, name))
     detached = w.detached()
     assert isinstance(detached.point_a, np.ndarray)

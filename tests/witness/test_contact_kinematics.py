@@ -12,7 +12,13 @@ from grasp_refine.core.se3 import exp_se3, tangents, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, capsule, sphere
 from grasp_refine.witness.autograd import WitnessLayer
-from grasp_refine.witness.contact_kinematics import ContactKinematics, _fit, counted_distance, relative_curvature, slide
+from grasp_refine.witness.contact_kinematics import (
+    ContactKinematics,
+    _fit,
+    contact_slip_jacobian,
+    counted_distance,
+    relative_curvature,
+)
 from grasp_refine.witness.curvature import raised
 from grasp_refine.witness.neighborhood import Adaptive, Neighbors
 from grasp_refine.witness.scene import WitnessScene
@@ -93,7 +99,7 @@ def balls_apart(
 def test_the_slide_on_balls_in_penetration_is_exact_up_to_half_a_radius(gap: float) -> None:
     _, x_b, n, d = balls_apart(gap, np.zeros(6))
     E = tangents(n)
-    U_a, U_b = slide(x_b, n, d, E, np.eye(2) / 0.03, np.eye(2) / 0.02)
+    U_a, U_b = contact_slip_jacobian(x_b, n, d, E, np.eye(2) / 0.03, np.eye(2) / 0.02)
     for k in range(6):
         twist = 1e-6 * np.eye(6)[k]
         ends = [balls_apart(gap, sign * twist) for sign in (1.0, -1.0)]
@@ -143,11 +149,11 @@ def test_the_slide_is_the_same_seen_from_the_other_body(depth: float) -> None:
     n, x_b = rng.normal(size=(2, 200, 3))
     n /= np.linalg.norm(n, axis=-1, keepdims=True)
     E, d = tangents(n), np.full(200, depth)
-    U_a, U_b = slide(x_b, n, d, E, K_a, K_b)
+    U_a, U_b = contact_slip_jacobian(x_b, n, d, E, K_a, K_b)
     # The tangents of -n, right-handed; the twist of a relative to b. Bounded, d is that between the points no more.
     turned, flip = E[..., ::-1], (slice(None), slice(None, None, -1), slice(None, None, -1))
     share = counted_distance(K_a, K_b, d)[:, None]
-    swapped_a, swapped_b = slide(x_b - share * n, -n, d, turned, K_b[flip], K_a[flip])
+    swapped_a, swapped_b = contact_slip_jacobian(x_b - share * n, -n, d, turned, K_b[flip], K_a[flip])
     np.testing.assert_allclose(turned @ swapped_a, -E @ U_b, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(turned @ swapped_b, -E @ U_a, rtol=1e-9, atol=1e-9)
 
@@ -158,7 +164,7 @@ def test_points_slide_with_the_movement_however_sharp_the_bodies(curvatures: tup
     """A translation of body b along the surface: on a the point goes with it, on b against it, twice as far at most."""
     n = np.array([0.0, 0.0, 1.0])
     E, (k_a, k_b) = tangents(n), curvatures
-    U_a, U_b = slide(np.zeros(3), n, np.asarray(depth), E, k_a * np.eye(2), k_b * np.eye(2))
+    U_a, U_b = contact_slip_jacobian(np.zeros(3), n, np.asarray(depth), E, k_a * np.eye(2), k_b * np.eye(2))
     for rows, sign in ((U_a, 1.0), (U_b, -1.0)):
         along = sign * rows[:, :3] @ E
         np.testing.assert_allclose(along, along[0, 0] * np.eye(2), atol=1e-12)

@@ -168,9 +168,9 @@ def test_only_the_coupled_slip_follows_a_common_motion() -> None:
     twist = rng.normal(size=6)
     rigid = np.stack([twist[:3] + np.cross(twist[3:], p) for p in (x, y)])
     coupled = np.stack(push_forward(Slip(A, B, x, y), x, y, twist, twist, "coupled"))
-    one_sided = np.stack(push_forward(Slip(A, B, x, y), x, y, twist, twist, "one-sided"))
+    unilateral = np.stack(push_forward(Slip(A, B, x, y), x, y, twist, twist, "one-sided"))
     np.testing.assert_allclose(coupled, rigid, atol=1e-9)
-    assert np.abs(one_sided - rigid).max() > 1e-3
+    assert np.abs(unilateral - rigid).max() > 1e-3
 
 
 # (b) distance smoothing against its own smoothed point

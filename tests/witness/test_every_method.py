@@ -148,7 +148,9 @@ def exchanged(pairs: Pairs, w: Witness) -> tuple[Pairs, Witness]:
     """The same pair of bodies, and the same witness points, in the other order."""
     count_a, count_b = len(pairs.a[0].pieces), len(pairs.b[0].pieces)
     winner = w.winner % count_b * count_a + w.winner // count_b
-    return Pairs(pairs.b, pairs.a), Witness(w.point_b, w.point_a, -w.normal, w.distance, w.status, winner, w.asked)
+    return Pairs(pairs.b, pairs.a), Witness(
+        w.point_b, w.point_a, -w.normal, w.distance, w.status, winner, w.num_queries
+    )
 
 
 def wrenches(

@@ -73,7 +73,7 @@ def test_the_sum_is_at_least_one_over_the_mean_diagonal() -> None:
     T_b[0, :3, 3] = 0.003, 0.004, 0.035
     w = query(pairs, T[:, None], T_b[:, None]).reshape(-1)
     w = Witness(
-        *(getattr(w, name) for name in ("point_a", "point_b", "normal", "distance", "status")), w.winner, w.asked
+        *(getattr(w, name) for name in ("point_a", "point_b", "normal", "distance", "status")), w.winner, w.num_queries
     )
     w.point_a[:], w.point_b[:] = [0.001, 0.002, 0.02], [0.001, 0.002, 0.025]
     _, K_a, K_b = fit(pairs, T, T_b, w, smallest=3.0)

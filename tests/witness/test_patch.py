@@ -26,7 +26,7 @@ def body(piece: Piece) -> Body:
     return build_body("body", [piece], candidates=32)
 
 
-def asked(a: Body, b: Body, T_a: np.ndarray, T_b: np.ndarray) -> tuple[Pairs, Witness]:
+def num_queries(a: Body, b: Body, T_a: np.ndarray, T_b: np.ndarray) -> tuple[Pairs, Witness]:
     """The plain witness of one pair at M poses, as M items."""
     pairs = Pairs((a,), (b,))
     w = query(pairs, T_a[:, None], T_b[:, None])
@@ -37,7 +37,7 @@ def refined(
     a: Body, b: Body, T_a: np.ndarray, T_b: np.ndarray, t_a: np.ndarray | None, t_b: np.ndarray | None
 ) -> tuple[Witness, Witness]:
     """Plain and patch witness of one pair at M poses."""
-    pairs, w = asked(a, b, T_a, T_b)
+    pairs, w = num_queries(a, b, T_a, T_b)
     return w, Patch().refine(pairs, T_a, T_b, w, t_a, t_b)
 
 
@@ -257,7 +257,7 @@ def test_spheres_capsules_and_items_without_targets_or_points_are_untouched():
     plain, patch = refined(body(BASE), body(BLOCK), T_a, T_b, target, target)
     assert (patch.point_a[0] == 0).all() and not patch.valid[0]
     assert (patch.point_a[1] != plain.point_a[1]).any()
-    pairs, w = asked(body(BASE), body(BLOCK), T_a, T_b)
+    pairs, w = num_queries(body(BASE), body(BLOCK), T_a, T_b)
     far = replace(w, status=np.full(2, 2, dtype=np.int8), winner=np.full(2, -1))
     assert same(far, Patch().refine(pairs, T_a, T_b, far, target, target))
 
@@ -296,7 +296,7 @@ def test_swapping_the_bodies_swaps_the_points():
     a, b = body(planted(rng)), body(planted(rng))
     T_a, T_b = face_to_face(rng, 40, 1e-4, 1e-3)
     t_a, t_b = rng.normal(size=(2, 40, 3)) * [0.015, 0.015, 0] + [0, 0, 0.02]
-    pairs, w = asked(a, b, T_a, T_b)
+    pairs, w = num_queries(a, b, T_a, T_b)
     one = Patch().refine(pairs, T_a, T_b, w, t_a, t_b)
     swapped = replace(w, point_a=w.point_b, point_b=w.point_a, normal=-w.normal)
     other = Patch().refine(Pairs((b,), (a,)), T_b, T_a, swapped, t_b, t_a)
@@ -311,7 +311,7 @@ def test_a_common_motion_moves_the_points_along():
     T_a, T_b = face_to_face(rng, 40, 1e-4, -1e-4)
     t_a, t_b = rng.normal(size=(2, 40, 3)) * [0.015, 0.015, 0] + [0, 0, 0.02]
     G = transform(exp_so3(rng.normal(size=(40, 3))), rng.normal(size=(40, 3)))
-    pairs, w = asked(a, b, T_a, T_b)
+    pairs, w = num_queries(a, b, T_a, T_b)
     one = Patch().refine(pairs, T_a, T_b, w, t_a, t_b)
     x_a, x_b = transform_points(G, w.point_a), transform_points(G, w.point_b)
     moved = replace(w, point_a=x_a, point_b=x_b, normal=matvec(G[:, :3, :3], w.normal))
@@ -325,7 +325,7 @@ def test_an_item_does_not_depend_on_its_company():
     a, b = body(planted(rng)), body(ellipsoid_hull(0))
     T_a, T_b = random_poses(rng, 700)
     t_a, t_b = rng.normal(size=(2, 700, 3)) * 0.02
-    pairs, w = asked(a, b, T_a, T_b)
+    pairs, w = num_queries(a, b, T_a, T_b)
     whole = Patch().refine(pairs, T_a, T_b, w, t_a, t_b)
     some = rng.choice(700, 23, replace=False)
     part = Patch().refine(pairs, T_a[some], T_b[some], w.rows(some), t_a[some], t_b[some])

@@ -6,15 +6,15 @@ import pickle
 from traceback import format_exception
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine_apps.batch.shard import Beat, Done, Failed, Shard, Work
+from grasp_refine_apps.batch.shard import Done, Failed, Heartbeat, Shard, Work
 
 _LONGEST_MESSAGE, _LONGEST_TRACEBACK = 500, 20_000
 
 
-def attempt(work: Work, shard: Shard, beat: Beat) -> Done | Failed:
+def attempt(work: Work, shard: Shard, heartbeat: Heartbeat) -> Done | Failed:
     """What comes of a shard; whatever the work raises is a Failed, which can be pickled whatever was raised."""
     try:
-        done = work(shard, beat)
+        done = work(shard, heartbeat)
         pickle.dumps(done)
         return done
     except Exception as error:

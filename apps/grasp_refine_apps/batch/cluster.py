@@ -17,7 +17,7 @@ def run_on_cluster(
     address: str,
     tries: int = 2,
     patience_s: float | None = None,
-    beat: Callable[[int, str, float, int], None],
+    heartbeat: Callable[[int, str, float, int], None],
 ) -> Generator[Done | Failed, None, None]:
     """What comes of each shard, in the order in which they end.
 
@@ -31,7 +31,7 @@ def run_on_cluster(
         address: Of the scheduler, such as tcp://host:8786, or the file that it writes with --scheduler-file.
         tries: How often a shard is tried whose worker is lost or hangs; one whose work raises is tried once.
         patience_s: A worker without a sign of life for so long (s) hangs, and is restarted; None: is waited for.
-        beat: Gets the number of a shard, and what a `Sign` of it holds.
+        heartbeat: Gets the number of a shard, and what a `Sign` of it holds.
 
     Raises:
         GraspRefineError: Dask is not installed, the scheduler does not answer or is lost, there are no workers, or one
@@ -49,4 +49,4 @@ def run_on_cluster(
         ) from error
     with connected(address) as client:
         workers = ClusterWorkers(client, address, work, shards[0].path.parent, patience_s)
-        yield from dispatch(Schedule(shards), workers, tries, beat)
+        yield from dispatch(Schedule(shards), workers, tries, heartbeat)

@@ -16,7 +16,7 @@ from distributed.scheduler import KilledWorker
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.batch.attempt import message_of, traceback_of
-from grasp_refine_apps.batch.dispatch import News
+from grasp_refine_apps.batch.dispatch import Event
 from grasp_refine_apps.batch.on_cluster import BEAT_S, Seen, attempt_there, seen
 from grasp_refine_apps.batch.schedule import Schedule
 from grasp_refine_apps.batch.shard import Done, Failed, Reason, Shard, Sign, Work
@@ -113,13 +113,13 @@ class ClusterWorkers:
             self._groups[worker] = shard.group
             future.add_done_callback(lambda future, number=shard.number: self._inbox.put((number, future)))
 
-    def listen(self) -> list[News]:
+    def listen(self) -> list[Event]:
         """What was heard about shards, after a short wait if need be; lost workers are forgotten.
 
         Raises:
             GraspRefineError: The scheduler, or all its workers, are lost.
         """
-        news: list[News] = []
+        news: list[Event] = []
         try:
             number, said = self._inbox.get(timeout=LOOK_S)
             while True:
@@ -135,9 +135,9 @@ class ClusterWorkers:
             news += self._losses()
         return news
 
-    def _losses(self) -> list[News]:
+    def _losses(self) -> list[Event]:
         """What was lost with workers that are gone or hang; the latter are restarted."""
-        news: list[News] = []
+        news: list[Event] = []
         hanging: list[str] = []
         for run in list(self._runs.values()):
             if run.worker not in self._faults:
@@ -162,7 +162,7 @@ class ClusterWorkers:
         _, (number, what, share, refined) = event
         self._inbox.put((number, (what, share, refined)))
 
-    def _understood(self, number: int, said: Future | Sign) -> list[News]:
+    def _understood(self, number: int, said: Future | Sign) -> list[Event]:
         """What a message means; nothing if it is about an earlier try."""
         run = self._runs.get(number)
         if run is None:
@@ -191,7 +191,7 @@ class ClusterWorkers:
             return Failed(number, "crashed", f"workers were lost: {message_of(error)}", "", tries=1)
         return Failed(number, "error", message_of(error), traceback_of(error), tries=1)
 
-    def _lost(self, run: _Run, reason: Reason, how: str) -> News:
+    def _lost(self, run: _Run, reason: Reason, how: str) -> Event:
         """The end of a run without an outcome."""
         del self._runs[run.shard.number]
         run.future.release()

@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 from grasp_refine_apps.batch.schedule import Schedule
 from grasp_refine_apps.batch.shard import Done, Failed, Shard, Sign
 
-News = tuple[Shard, Sign | Done | Failed]
+Event = tuple[Shard, Sign | Done | Failed]
 """What was heard about a shard: a sign of life, or what came of it."""
 
 
@@ -27,13 +27,13 @@ class Workers(Protocol):
         """Give shards to those who have none, as long as there are any."""
         ...
 
-    def listen(self) -> list[News]:
+    def listen(self) -> list[Event]:
         """What was heard since the last time, after a short wait if need be."""
         ...
 
 
 def dispatch(
-    schedule: Schedule, workers: Workers, tries: int, beat: Callable[[int, str, float, int], None]
+    schedule: Schedule, workers: Workers, tries: int, heartbeat: Callable[[int, str, float, int], None]
 ) -> Iterator[Done | Failed]:
     """What comes of each shard, in the order in which they end.
 
@@ -41,7 +41,7 @@ def dispatch(
         schedule: The shards.
         workers: Those who work on them.
         tries: How often a shard is tried whose worker crashes or hangs; one whose work raises is tried once.
-        beat: Gets the number of a shard, and what a `Sign` of it holds.
+        heartbeat: Gets the number of a shard, and what a `Sign` of it holds.
     """
     lost: Counter[int] = Counter()
     ended: list[Done | Failed] = []
@@ -54,7 +54,7 @@ def dispatch(
         ended = []
         for shard, said in workers.listen():
             if isinstance(said, tuple):
-                beat(shard.number, *said)
+                heartbeat(shard.number, *said)
                 continue
             if isinstance(said, Failed):
                 lost[shard.number] += 1

@@ -58,7 +58,7 @@ def attempt_there(work: bytes, shard: Shard, topic: str) -> Done | Failed:
     def tell(what: str, share: float, refined: int = 0) -> None:
         worker.log_event(topic, [shard.number, what, float(share), int(refined)])
 
-    def beat(what: str, share: float, refined: int = 0) -> None:
+    def heartbeat(what: str, share: float, refined: int = 0) -> None:
         nonlocal heard
         now = time.monotonic()
         if now - heard >= BEAT_S:
@@ -70,4 +70,4 @@ def attempt_there(work: bytes, shard: Shard, topic: str) -> Done | Failed:
     if kept[0] != topic:
         kept = (topic, pickle.loads(work))
         setattr(worker, _KEPT, kept)
-    return attempt(kept[1], shard, beat)
+    return attempt(kept[1], shard, heartbeat)

@@ -14,7 +14,7 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
-from grasp_refine_apps.batch.thumbnail import Bones, Pose, bones, portrait
+from grasp_refine_apps.batch.thumbnail import Pose, Skeleton, skeleton, thumbnail
 from grasp_refine_apps.batch.worst import Case
 
 PATIENCE = 60.0
@@ -55,7 +55,7 @@ def draw_cases(
         patience_s: CPU seconds after which no further picture is begun.
         tell: Gets what is being drawn, and the share that is done.
     """
-    begun, prepared, found = time.process_time(), cache(bones), []
+    begun, prepared, found = time.process_time(), cache(skeleton), []
     for number, case in enumerate(cases):
         if tell is not None:
             tell(f"drawing {case.hand} on {case.object}", number / len(cases))
@@ -70,7 +70,7 @@ def draw_cases(
     return tuple(found)
 
 
-def _drawn(case: Case, out: Path, load: Load, prepared: Callable[[Hand], Bones]) -> Picture:
+def _drawn(case: Case, out: Path, load: Load, prepared: Callable[[Hand], Skeleton]) -> Picture:
     """Both pictures of a case.
 
     Raises:
@@ -84,5 +84,5 @@ def _drawn(case: Case, out: Path, load: Load, prepared: Callable[[Hand], Bones])
     for grasp in (replace(after, hand_pose=initial_pose, q=initial_q), after):
         q, _ = match_joints(grasp, hand)
         poses.append(Pose(transform_from_pose(grasp.hand_pose)[0], q[0]))
-    before, refined = portrait(prepared(hand), obj, poses)
+    before, refined = thumbnail(prepared(hand), obj, poses)
     return Picture(case, before, refined)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterable
 from grasp_refine_apps.batch.dispatch import dispatch
 from grasp_refine_apps.batch.schedule import Schedule
 from grasp_refine_apps.batch.shard import Done, Failed, Shard, Work
-from grasp_refine_apps.batch.worker_pool import Crew
+from grasp_refine_apps.batch.worker_pool import WorkerPool
 
 
 def run_local(
@@ -17,7 +17,7 @@ def run_local(
     workers: int,
     patience_s: float,
     tries: int = 2,
-    beat: Callable[[int, str, float, int], None],
+    heartbeat: Callable[[int, str, float, int], None],
 ) -> Generator[Done | Failed, None, None]:
     """What comes of each shard, in the order in which they end.
 
@@ -32,13 +32,13 @@ def run_local(
         patience_s: A worker without a sign of life for so long (s) hangs, and is killed. Only time in which this
             process was there to hear one counts. Starting takes patience, too.
         tries: How often a shard is tried whose worker crashes or hangs; one whose work raises is tried once.
-        beat: Gets the number of a shard, and what a `Sign` of it holds.
+        heartbeat: Gets the number of a shard, and what a `Sign` of it holds.
 
     Raises:
         GraspRefineError: Workers cannot be started.
     """
-    crew = Crew(work, workers, patience_s)
+    pool = WorkerPool(work, workers, patience_s)
     try:
-        yield from dispatch(Schedule(shards), crew, tries, beat)
+        yield from dispatch(Schedule(shards), pool, tries, heartbeat)
     finally:
-        crew.end()
+        pool.end()

@@ -94,7 +94,7 @@ class Progress:
         self._active.clear()
         self._waiting = what
 
-    def beat(self, number: int, what: str, share: float, refined: int = 0) -> None:
+    def heartbeat(self, number: int, what: str, share: float, refined: int = 0) -> None:
         """Hear what is being done for a shard, how much of it is done, and how many of its grasps are refined."""
         # A sign of life may come later than the end.
         if number in self._open:

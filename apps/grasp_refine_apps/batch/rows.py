@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from grasp_refine.core.names import is_sound
+from grasp_refine.core.names import is_valid
 from grasp_refine.core.npz_files import NpzFile, load_npz
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.validation.trials import Reason
@@ -144,7 +144,7 @@ def read_rows(shard: Shard, out: Path) -> Rows:
     if not (isinstance(source, dict) and isinstance(place, list) and isinstance(look, list)):
         raise file.error(DAMAGED)
     said = (batch.get("job"), source.get("path"), source.get("sampled"), *look)
-    if not all(text is None or (isinstance(text, str) and is_sound(text)) for text in said):
+    if not all(text is None or (isinstance(text, str) and is_valid(text)) for text in said):
         raise file.error(DAMAGED)
     columns = {
         "job": each(str(batch.get("job") or ""), str),

@@ -13,7 +13,7 @@ many of its grasps are refined."""
 
 
 @runtime_checkable
-class Beat(Protocol):
+class Heartbeat(Protocol):
     """Takes a sign of life."""
 
     def __call__(self, what: str, share: float, refined: int = 0) -> None:
@@ -89,5 +89,5 @@ class Failed:
     """How often it was tried."""
 
 
-Work = Callable[[Shard, Beat], Done]
+Work = Callable[[Shard, Heartbeat], Done]
 """What makes a shard's result file; can be pickled."""

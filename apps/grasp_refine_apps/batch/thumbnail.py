@@ -68,7 +68,7 @@ class Pose:
 
 
 @dataclass(frozen=True, eq=False)
-class Bones:
+class Skeleton:
     """What is drawn of a hand, link by link, in link frames."""
 
     kinematics: Kinematics
@@ -105,7 +105,7 @@ class View:
         return Model(vertices, model.normals @ T[:3, :3].T, model.faces[seen], model.color)
 
 
-def bones(hand: Hand) -> Bones:
+def skeleton(hand: Hand) -> Skeleton:
     """What is drawn of a hand."""
     links = [link for link in hand.links if link.body is not None]
     kinematics = Kinematics(hand, [link.name for link in links])
@@ -118,10 +118,10 @@ def bones(hand: Hand) -> Bones:
         _pieces(link.solid, CONTACT_COLOR if touches else LINK_COLOR, grid)
         for link, touches in zip(links, touching, strict=True)
     )
-    return Bones(kinematics, tuple(models), points, touching)
+    return Skeleton(kinematics, tuple(models), points, touching)
 
 
-def portrait(bones: Bones, obj: Object, poses: Sequence[Pose]) -> list[bytes]:
+def thumbnail(skeleton: Skeleton, obj: Object, poses: Sequence[Pose]) -> list[bytes]:
     """A PNG of the hand at the object in each pose; the last one decides from which side.
 
     Raises:
@@ -129,11 +129,11 @@ def portrait(bones: Bones, obj: Object, poses: Sequence[Pose]) -> list[bytes]:
     """
     if not all(np.isfinite(pose.T_world_root).all() and np.isfinite(pose.q).all() for pose in poses):
         raise ValueError("its pose is not finite")
-    links = [bones.posed(pose) for pose in poses]
-    view = _view(bones, obj, links)
+    links = [skeleton.posed(pose) for pose in poses]
+    view = _view(skeleton, obj, links)
     solid = view.of(_surface(obj), np.eye(4))
     return [
-        _png(_photo([view.of(m, T) for m, T in zip(bones.models, its, strict=True)], solid, view.camera), view.scale)
+        _png(_photo([view.of(m, T) for m, T in zip(skeleton.models, its, strict=True)], solid, view.camera), view.scale)
         for its in links
     ]
 
@@ -165,19 +165,19 @@ def _simpler(piece: Piece, grid: float) -> Piece:
         return piece
 
 
-def _view(bones: Bones, obj: Object, links: Sequence[np.ndarray]) -> View:
+def _view(skeleton: Skeleton, obj: Object, links: Sequence[np.ndarray]) -> View:
     """From where the hand is seen best: most of the points of links that should touch, in the last pose."""
-    posed = [[transform_points(T, p) for T, p in zip(its, bones.points, strict=True)] for its in links]
+    posed = [[transform_points(T, p) for T, p in zip(its, skeleton.points, strict=True)] for its in links]
     hand = np.concatenate([points for its in posed for points in its])
     of_object = obj.body.candidates.points
-    touches = [p for its in posed for p, t in zip(its, bones.touching, strict=True) if t]
+    touches = [p for its in posed for p, t in zip(its, skeleton.touching, strict=True) if t]
     tips = np.concatenate(touches) if touches else hand
     middle = (tips.min(0) + tips.max(0)) / 2
     size = np.linalg.norm(tips - middle, axis=1).max()
     interest = np.concatenate([hand, of_object])
     interest = interest[np.linalg.norm(interest - middle, axis=1) < SEEN * size]
     points = np.concatenate([*posed[-1], of_object])
-    wanted = np.concatenate([np.full(len(p), t) for p, t in zip(posed[-1], bones.touching, strict=True)])
+    wanted = np.concatenate([np.full(len(p), t) for p, t in zip(posed[-1], skeleton.touching, strict=True)])
     wanted = np.concatenate([wanted, np.zeros(len(of_object), dtype=bool)])
     tilt, turn = (grid.ravel() for grid in np.meshgrid(TILTS, 2 * np.pi * np.arange(TURNS) / TURNS, indexing="ij"))
     directions = np.stack([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.sin(tilt)], axis=1)

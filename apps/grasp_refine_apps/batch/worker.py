@@ -52,15 +52,15 @@ def work_on_shards(connection: Connection, work: bytes, log: Connection, parent:
         inbox: SimpleQueue[bytes] = SimpleQueue()
         Thread(target=_receive, args=(connection, inbox), daemon=True).start()
         function: Work = pickle.loads(work)
-        voice = _Voice(connection)
-        voice.say(Ready())
+        channel = _Channel(connection)
+        channel.say(Ready())
         while True:
             received = inbox.get()
             # If this shard ends badly, only what was written since is of interest.
             os.ftruncate(2, 0)
             shard: Shard = pickle.loads(received)
-            voice.start()
-            voice.say(attempt(function, shard, voice.beat))
+            channel.start()
+            channel.say(attempt(function, shard, channel.heartbeat))
     except _ToldToEndError:
         os._exit(128 + signal.SIGTERM)
     except (BrokenPipeError, ConnectionResetError):
@@ -95,7 +95,7 @@ def _receive(connection: Connection, inbox: SimpleQueue[bytes]) -> None:
         os.killpg(0, signal.SIGKILL)
 
 
-class _Voice:
+class _Channel:
     """What the parent hears of this process."""
 
     def __init__(self, connection: Connection) -> None:
@@ -114,7 +114,7 @@ class _Voice:
         with self._lock:
             self._connection.send(message)
 
-    def beat(self, what: str, share: float, refined: int = 0) -> None:
+    def heartbeat(self, what: str, share: float, refined: int = 0) -> None:
         """Give a sign of life, unless the last one was just now or the parent has no time to hear any."""
         now = time.monotonic()
         if now - self._heard >= BEAT_S and self._writable.poll(0):

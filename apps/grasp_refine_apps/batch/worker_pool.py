@@ -14,7 +14,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine_apps.batch.dispatch import News
+from grasp_refine_apps.batch.dispatch import Event
 from grasp_refine_apps.batch.schedule import Schedule
 from grasp_refine_apps.batch.shard import Failed, Shard, Sign, Work
 from grasp_refine_apps.batch.worker import BEAT_S, WHERE, Ready, work_on_shards
@@ -38,7 +38,7 @@ _LOG_LINES, _LOG_BYTES, _LINE = 120, 16384, 300
 """What is kept of the log of a lost worker: lines, bytes, and characters of a line."""
 
 
-class Crew:
+class WorkerPool:
     """The worker processes of one batch."""
 
     def __init__(self, work: Work, most: int, patience_s: float) -> None:
@@ -86,13 +86,13 @@ class Crew:
                 self._bad_starts += 1
                 self._why = f"was refused by the system ({error.strerror or error}): try fewer"
 
-    def listen(self) -> list[News]:
+    def listen(self) -> list[Event]:
         """What was heard about shards, after a short wait if need be; lost workers are ended and forgotten."""
         wait([source for member in self._members for source in member.sources], LOOK_S)
         now = time.monotonic()
         self._clock_s += min(now - self._looked, 2 * LOOK_S)
         self._looked = now
-        news: list[News] = []
+        news: list[Event] = []
         for member in list(self._members):
             news += member.hear(self._clock_s)
             if member.ready:
@@ -174,9 +174,9 @@ class _Worker:
         with suppress(BrokenPipeError, ConnectionResetError):
             self._connection.send(shard)
 
-    def hear(self, clock_s: float) -> list[News]:
+    def hear(self, clock_s: float) -> list[Event]:
         """What it has said about its shard since."""
-        news: list[News] = []
+        news: list[Event] = []
         # Asked first: what a process said before it ended is all there to be heard.
         self._over = self.gone
         try:

@@ -13,7 +13,7 @@ Parts = Mapping[str, tuple[Stage, ...]]
 """Name of a part, a word -> its stages."""
 
 
-def told_apart(*apart: Stage) -> dict[str, tuple[Stage, ...]]:
+def disambiguate(*apart: Stage) -> dict[str, tuple[Stage, ...]]:
     """Each of some stages, and the rest."""
     rest = tuple(stage for stage in STAGES if stage not in apart)
     return {stage.replace(" ", ""): (stage,) for stage in apart} | {REST: rest}

@@ -43,7 +43,7 @@ from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.commands.shard_plan import Plan, Planner, part_of
 from grasp_refine_apps.commands.shard_work import ShardWork, unusable_objects
 from grasp_refine_apps.commands.sharding import Sharding
-from grasp_refine_apps.commands.validation_options import Proving
+from grasp_refine_apps.commands.validation_options import ValidationOptions
 from grasp_refine_apps.report.screen import screen
 
 MOST_NAMED = 10
@@ -95,7 +95,7 @@ class Batch:
     """What is refined."""
     inputs: Annotated[Defaults, arg(name="")] = field(default_factory=Defaults)
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
-    proof: Annotated[Proving, arg(name="")] = field(default_factory=Proving)
+    validation: Annotated[ValidationOptions, arg(name="")] = field(default_factory=ValidationOptions)
     sharding: Annotated[Sharding, arg(name="")] = field(default_factory=Sharding)
     output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
@@ -110,7 +110,7 @@ class Batch:
         outputs = self._outputs()
         described = {
             "refine": settings(config),
-            "proof": settings(self.proof),
+            "validation": settings(self.validation),
             "protocol": settings(protocol),
             # Both engines give the same to rounding, but not to the last bit.
             "engine": chosen("auto"),
@@ -181,7 +181,7 @@ class Batch:
             )
         part = self.sharding.part()
         config = self.settings.config(nearest=self.inputs.targets == NEAREST)
-        return config, self.proof.protocol(), part
+        return config, self.validation.protocol(), part
 
     def _plan(self, out: Path, described: dict[str, Any], seed: int, progress: Progress) -> Plan:
         """All shards of all jobs; those that cannot be done are told.
@@ -247,7 +247,7 @@ class Batch:
                         work,
                         patience_s=self.sharding.patience,
                         tries=self.sharding.tries,
-                        beat=progress.beat,
+                        heartbeat=progress.heartbeat,
                     )
                 ) as results:
                     for result in results:

@@ -14,9 +14,9 @@ from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from grasp_refine.core.errors import GraspRefineError, told, visible
-from grasp_refine.core.names import at_home, exists, is_folder, is_sound
+from grasp_refine.core.names import exists, expand_user, is_folder, is_valid
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
-from grasp_refine.grasps.formats.folders import natural, told_apart
+from grasp_refine.grasps.formats.folders import disambiguate, natural
 from grasp_refine.grasps.formats.reading import SUFFIXES
 from grasp_refine.pipeline.spec import SAMPLE
 from grasp_refine_apps.commands.inputs import Inputs
@@ -68,7 +68,7 @@ def read_jobs(sources: Sequence[str], defaults: Inputs, *, together: bool = Fals
     for job in jobs:
         if not job.name.strip("/"):
             raise GraspRefineError(f"'{job.name}' cannot be the name of a job: it is the folder of its results")
-    names = told_apart(job.name for job in jobs)
+    names = disambiguate(job.name for job in jobs)
     return [replace(job, name=name) for job, name in zip(jobs, names, strict=True)]
 
 
@@ -81,7 +81,7 @@ def _jobs(source: str, inputs: Inputs, name: str, together: bool) -> Iterator[Jo
     if source.startswith(SAMPLE):
         yield Job(name or source.replace(":", "_"), _anywhere(replace(inputs, grasps=Path(source))))
         return
-    path = at_home(Path(source))
+    path = expand_user(Path(source))
     if not glob.has_magic(source) or exists(path):
         # A file that is not there is told with its job, so that the others can go on.
         folder = is_folder(path)
@@ -132,7 +132,7 @@ def _listed(path: Path, defaults: Inputs, together: bool) -> Iterator[Job]:
         name = row.pop("name", "")
         if not isinstance(name, str):
             raise GraspRefineError(f"{where}: name must be text, got {told(name)}")
-        if not is_sound(name):
+        if not is_valid(name):
             raise GraspRefineError(
                 f"{where}: '{visible(name)}' cannot be the name of a job: it holds control characters"
             )
@@ -213,7 +213,7 @@ def _value(key: str, value: Any, hint: Any, folder: Path, where: str) -> Any:
         raise GraspRefineError(f"{where} must be one of {', '.join(choices)}, got '{value}'")
     if choices or value.startswith(SAMPLE) or not (Path in kinds or (key in NAMES_OR_PATHS and _is_path(value))):
         return value if Path not in kinds else Path(value)
-    near = folder / at_home(Path(value))
+    near = folder / expand_user(Path(value))
     there = exists(near) or (glob.has_magic(value) and bool(glob.glob(str(near), recursive=True)))
     value = str(near) if there else value
     return Path(value) if Path in kinds else value
@@ -239,7 +239,7 @@ def _anywhere(inputs: Inputs) -> Inputs:
     def absolute(value: Any) -> Any:
         if value is None or str(value).startswith(SAMPLE):
             return value
-        path = at_home(Path(value))
+        path = expand_user(Path(value))
         return type(value)(path.absolute()) if exists(path) else value
 
     given = {name: absolute(getattr(inputs, name)) for name in ("urdf", "mjcf", "objects", "grasps")}

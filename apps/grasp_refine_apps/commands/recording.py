@@ -13,7 +13,7 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_writable
-from grasp_refine.grasps.formats.folders import UNUSUAL, told_apart
+from grasp_refine.grasps.formats.folders import UNUSUAL, disambiguate
 from grasp_refine.pipeline.problem import Draft, Group, UncutGroup
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import Protocol
@@ -87,7 +87,7 @@ class Recording:
             return ()
         if len(files) == 1:
             return (self.replays,)
-        names = told_apart(UNUSUAL.sub("_", path.stem) for path in files)
+        names = disambiguate(UNUSUAL.sub("_", path.stem) for path in files)
         return tuple(self.replays / name for name in names)
 
     def record(

@@ -29,7 +29,7 @@ from grasp_refine.results.document import run_document, settings
 from grasp_refine.results.profile import profile_table
 from grasp_refine.results.result_files import is_same_refinement, result_paths
 from grasp_refine.results.verdict import should_hold
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import links_of
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine_apps.commands.digests import Digests
@@ -37,7 +37,7 @@ from grasp_refine_apps.commands.ending import NOTHING_USABLE
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import Overwrite
 from grasp_refine_apps.commands.settings import Settings
-from grasp_refine_apps.commands.validation_options import Proving
+from grasp_refine_apps.commands.validation_options import ValidationOptions
 from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
 
@@ -68,7 +68,7 @@ class Run:
 
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
-    proof: Annotated[Proving, arg(name="")] = field(default_factory=Proving)
+    validation: Annotated[ValidationOptions, arg(name="")] = field(default_factory=ValidationOptions)
     output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
     def execute(self) -> int:
@@ -79,13 +79,13 @@ class Run:
         """
         wall, cpu = time.perf_counter(), cpu_seconds()
         config = self.settings.config(nearest=self.inputs.targets == NEAREST)
-        protocol = self.proof.protocol()
+        protocol = self.validation.protocol()
         if self.inputs.table is None and config.weights.table != Weights.table:
             raise GraspRefineError("--weights.table needs a --table")
         described = {
             "inputs": settings(self.inputs),
             "refine": settings(config),
-            "proof": settings(self.proof),
+            "validation": settings(self.validation),
             "protocol": settings(protocol),
         }
         # The tensors of a batch of grasps are small.
@@ -152,11 +152,12 @@ class Run:
         Raises:
             GraspRefineError: names them.
         """
-        touching = config.touching
+        touching = config.contact_selection
         touching.named(draft.hand, links_of(draft.hand))
-        if touching != Touching() and draft.aimed:
+        if touching != ContactSelection() and draft.aimed:
             raise GraspRefineError(
-                "--contacts, --reach and --reach-others are for grasps without targets: the targets say what touches"
+                "--contacts, --reach and --other-link-distance are for grasps without targets: the targets say what "
+                "touches"
             )
         if _aimed(draft, config):
             self.settings.check_aimed()

@@ -16,7 +16,7 @@ from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.direction import Direction
@@ -170,9 +170,9 @@ class Settings:
     """Converged when the loss (m^2) is below this; 1e-10 is a hundredth of a millimetre, 1e-7 a third of one."""
     margin: float = Config.margin
     """Gap in metres that contact links should keep."""
-    reach: float = Touching.reach
+    reach: float = ContactSelection.reach
     """Without targets, contact links (fingertips) within this distance (metres) of the object should touch it."""
-    reach_others: float = Touching.reach_others
+    other_link_distance: float = ContactSelection.other_link_distance
     """The same of all other links."""
     contacts: Annotated[
         tuple[str, ...], arg(metavar="LINK|FINGER [...]", help_behavior_hint="(default: those within reach)")
@@ -253,7 +253,9 @@ class Settings:
         return Config(
             solver=_method(solver, iterations=iterations, transport=self.transport),
             derivative=_method(derivative, neighborhood=neighborhood, seed=self.seed),
-            touching=Touching(self.reach, self.reach_others, max(self.reach, Touching.farthest), self.contacts),
+            contact_selection=ContactSelection(
+                self.reach, self.other_link_distance, max(self.reach, ContactSelection.farthest), self.contacts
+            ),
             nearest=nearest,
             weights=_method(replace(self.weights, wrench=0.0) if self.geometry_only else self.weights),
             scales=self.scales,

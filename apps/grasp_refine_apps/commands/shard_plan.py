@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.errors import GraspRefineError, visible
-from grasp_refine.core.names import is_sound
+from grasp_refine.core.names import is_valid
 from grasp_refine.grasps.formats.folders import object_folder
 from grasp_refine.grasps.grasp_set import choose_rows
 from grasp_refine.hands.source import check_known
@@ -121,7 +121,7 @@ class Planner:
             progress(number, visible(job.name))
             loader = Loader(job.inputs, self.seed, say, cache=cache)
             try:
-                if not is_sound(job.name):
+                if not is_valid(job.name):
                     raise GraspRefineError("the name of its file holds control characters; rename it")
                 if not job.named and is_result(Path(str(job.inputs.grasps))):
                     results += 1

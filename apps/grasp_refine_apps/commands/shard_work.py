@@ -27,7 +27,7 @@ from grasp_refine.results.document import settings
 from grasp_refine.results.verdict import advice, should_hold
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine_apps.batch.attempt import message_of, traceback_of
-from grasp_refine_apps.batch.shard import Beat, Done, Failed, Shard
+from grasp_refine_apps.batch.shard import Done, Failed, Heartbeat, Shard
 from grasp_refine_apps.commands.digests import Digests
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.invocation import words
@@ -47,7 +47,7 @@ class ShardWork:
     profile: bool = False
     """Whether it is told where the time goes."""
 
-    def __call__(self, shard: Shard, beat: Beat) -> Done:
+    def __call__(self, shard: Shard, heartbeat: Heartbeat) -> Done:
         """Do it.
 
         Raises:
@@ -59,24 +59,24 @@ class ShardWork:
         # Each worker has a core of its own.
         torch.set_num_threads(1)
         if not self.profile:
-            return self._done(shard, beat)
+            return self._done(shard, heartbeat)
         with Stopwatch() as watch:
-            done = self._done(shard, beat)
+            done = self._done(shard, heartbeat)
         profile: dict[str, tuple[float, float, int]] = {}
         profile |= {name: (one.cpu_s, one.wall_s, one.calls) for name, one in watch.spent.items()}
         return replace(done, profile=profile)
 
-    def _done(self, shard: Shard, beat: Beat) -> Done:
+    def _done(self, shard: Shard, heartbeat: Heartbeat) -> Done:
         wall, cpu = time.perf_counter(), time.process_time()
         task, cache = shard.task, cache_of(shard.task.batch)
-        problem = problem_of(task, self.config.seed, cache, beat)
-        share = _Share(beat, len(problem), self._most(), simulates=self.protocol is not None)
+        problem = problem_of(task, self.config.seed, cache, heartbeat)
+        share = _Share(heartbeat, len(problem), self._most(), simulates=self.protocol is not None)
         refined = refine_problem(problem, self.config, self.protocol, listener=share, cache=cache, threads=1)
         outcome, simulated = refined.outcome, refined.simulated
         if task.sampled is None:
             # The rows of the whole file, of which the problem has only some.
             outcome = replace(outcome, row=task.rows[outcome.row], index=task.index[outcome.index])
-        beat("writing", 1.0, len(outcome))
+        heartbeat("writing", 1.0, len(outcome))
         self._save(shard, replace(refined, outcome=outcome))
         good = should_hold(outcome.quality[:, 0]), should_hold(outcome.quality[:, 1])
         return Done(
@@ -118,7 +118,7 @@ def cache_of(batch: str) -> InputCache:
 class _Share(Listener):
     """Tells the share of a shard that is done."""
 
-    beat: Beat
+    heartbeat: Heartbeat
     """Is called with it."""
     total: int
     """Grasps of the shard."""
@@ -157,18 +157,18 @@ class _Share(Listener):
         # Another start may take up grasps that were finished.
         self.share = max(self.share, done / max(self.total, 1))
         self.refined = max(self.refined, refined)
-        self.beat(what, self.share, self.refined)
+        self.heartbeat(what, self.share, self.refined)
 
 
-def problem_of(task: Task, seed: int, cache: InputCache, beat: Beat) -> Problem:
+def problem_of(task: Task, seed: int, cache: InputCache, heartbeat: Heartbeat) -> Problem:
     """The grasps of a shard with hand and objects; rows and numbers count within the shard."""
 
     def say(line: str) -> None:
-        beat(line, 0.0)
+        heartbeat(line, 0.0)
 
     inputs = task.inputs
     loader = Loader(inputs, seed, say, say, cache)
-    beat("loading", 0.0)
+    heartbeat("loading", 0.0)
     if task.sampled is not None:
         count, draw = task.sampled
         return loader.cut(loader.draft_sampled(count, draw))

@@ -13,7 +13,7 @@ from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
 
 
 @dataclass(frozen=True)
-class Proving:
+class ValidationOptions:
     """How it is proved that grasps hold; `refine-grasp validate` can do more."""
 
     validate: bool = False
@@ -29,7 +29,7 @@ class Proving:
         Raises:
             GraspRefineError: an option that cannot be, or means nothing.
         """
-        if not self.validate and self != Proving():
+        if not self.validate and self != ValidationOptions():
             raise GraspRefineError("--setting and --friction are for --validate: how grasps are simulated")
         if self.friction is not None and not 0 < self.friction < inf:
             raise GraspRefineError(f"--friction must be above 0, got {self.friction:g}")

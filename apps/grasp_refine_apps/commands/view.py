@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from grasp_refine_apps.viewer.controller import Controller
     from grasp_refine_apps.viewer.panels.app import Viewer
     from grasp_refine_apps.viewer.shown_motion import ShownMotion
-    from grasp_refine_apps.viewer.validated import Proved
-    from grasp_refine_apps.viewer.validations import Proofs
+    from grasp_refine_apps.viewer.validated import TrialResult
+    from grasp_refine_apps.viewer.validations import ValidationFile
 
 
 LOOK = 0.2
@@ -134,11 +134,11 @@ class View:
         from grasp_refine_apps.viewer.collection import Collection
         from grasp_refine_apps.viewer.controller import Controller
         from grasp_refine_apps.viewer.shown_motion import is_replay
-        from grasp_refine_apps.viewer.validation_file import read_proofs
-        from grasp_refine_apps.viewer.validations import with_proofs
+        from grasp_refine_apps.viewer.validation_file import read_validation
+        from grasp_refine_apps.viewer.validations import with_trials
 
         self.settings.config()
-        documents = [read_proofs(path) for path in self.files if path.suffix.lower() == ".json"]
+        documents = [read_validation(path) for path in self.files if path.suffix.lower() == ".json"]
         grasps = [path for path in self.files if path.suffix.lower() != ".json"]
         if len(grasps) > 1 or (grasps and self.inputs.grasps is not None):
             raise GraspRefineError(
@@ -156,10 +156,12 @@ class View:
             for note in problem.notes:
                 reporter.say(f"note: {note}")
         collection = Collection.of(problem)
-        proofs: dict[int, Proved] = {}
+        trials_by_grasp: dict[int, TrialResult] = {}
         for document in documents:
-            proofs |= document.of(collection)
-        return Controller(with_proofs(collection, proofs) if proofs else collection, self.settings, proofs)
+            trials_by_grasp |= document.of(collection)
+        return Controller(
+            with_trials(collection, trials_by_grasp) if trials_by_grasp else collection, self.settings, trials_by_grasp
+        )
 
     def _replayed(self, path: Path, reporter: Reporter) -> Controller:
         """The grasp of a replay, with its motion."""
@@ -200,7 +202,7 @@ def show(problem: Problem) -> Viewer:
     return viewer
 
 
-def _told_file(document: Proofs) -> Path:
+def _told_file(document: ValidationFile) -> Path:
     """The grasp file that a document is about.
 
     Raises:

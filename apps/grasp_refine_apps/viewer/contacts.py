@@ -15,11 +15,11 @@ from grasp_refine.forces.quality import quality
 from grasp_refine.forces.squeeze import contacts
 from grasp_refine.forces.wrench import PLANNING_FRICTION, center_of_mass, contact_forces
 from grasp_refine.hands.chain import Frames
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.target import Target
 
-TOUCHING = Touching()
+TOUCHING = ContactSelection()
 """Which links should touch where nobody says."""
 
 NEARLY = 1e-4

@@ -14,7 +14,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.editing import Steering
+from grasp_refine_apps.viewer.editing import Editing
 from grasp_refine_apps.viewer.jobs import Change
 from grasp_refine_apps.viewer.marks import Mark
 from grasp_refine_apps.viewer.measuring import measured, unmeasured
@@ -23,24 +23,28 @@ from grasp_refine_apps.viewer.refining import refined, targets_of
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
 from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.trace import Trace
-from grasp_refine_apps.viewer.validated import Proved
-from grasp_refine_apps.viewer.validating import Prover, protocol_of, prove, watch
+from grasp_refine_apps.viewer.validated import TrialResult
+from grasp_refine_apps.viewer.validating import Validator, protocol_of, run_trial, watch
 from grasp_refine_apps.viewer.worker import Control, Stopped
 
 
-class Controller(Steering):
+class Controller(Editing):
     """What can be done with what is open."""
 
-    def __init__(self, collection: Collection, settings: Any, proofs: Mapping[int, Proved] | None = None) -> None:
+    def __init__(
+        self, collection: Collection, settings: Any, trials_by_grasp: Mapping[int, TrialResult] | None = None
+    ) -> None:
         """Show the first grasp.
 
         Args:
             collection: What is open.
             settings: The options of refinement (`State.settings`).
-            proofs: What simulation said of the grasps, by number.
+            trials_by_grasp: What simulation said of the grasps, by number.
         """
-        super().__init__(_opened(State(collection, 0, *_grasp(collection, 0), settings, proofs=proofs or {}), 0))
-        self._prover = Prover()
+        super().__init__(
+            _opened(State(collection, 0, *_grasp(collection, 0), settings, trials_by_grasp=trials_by_grasp or {}), 0)
+        )
+        self._prover = Validator()
         self._measuring = False
         """Whether there are grasps to be measured when nothing else is to be done."""
 
@@ -59,7 +63,9 @@ class Controller(Steering):
                 if self._state.job is not None and self._state.job.kind == "measure":
                     self._halt()
             self._history.clear()
-            now = replace(self._state, collection=collection, proofs=self._state.proofs if same_grasps else {})
+            now = replace(
+                self._state, collection=collection, trials_by_grasp=self._state.trials_by_grasp if same_grasps else {}
+            )
             self._become(_opened(now, number))
 
     def show(self, number: int) -> None:
@@ -150,7 +156,7 @@ class Controller(Steering):
                 return
             self._push("")
             pose = self._state.standing
-            self._set(pose=pose, trace=None, frame=None, outcome=None, motion=None, picked=None, proof=None)
+            self._set(pose=pose, trace=None, frame=None, outcome=None, motion=None, picked=None, trial=None)
             scene, targets = self._state.scene, self._state.targets
             name = self._state.collection.group(self._state.number)
 
@@ -192,7 +198,7 @@ class Controller(Steering):
 
     # proving
 
-    def prove(self, setting: str = "force-closure", friction: float | None = None) -> None:
+    def run_trial(self, setting: str = "force-closure", friction: float | None = None) -> None:
         """Test the grasp that is shown in MuJoCo."""
         with self._lock:
             try:
@@ -205,30 +211,34 @@ class Controller(Steering):
 
             def work(control: Control) -> Change:
                 prepared, tell, check = self._hand_object(scene), control.tell, control.check
-                found = prove(self._prover, scene, pose, protocol, came=came, prepared=prepared, tell=tell, check=check)
-                return lambda state: replace(state, proof=found, proofs=self._proofs(state, number, pose, found))
+                found = run_trial(
+                    self._prover, scene, pose, protocol, came=came, prepared=prepared, tell=tell, check=check
+                )
+                return lambda state: replace(
+                    state, trial=found, trials_by_grasp=self._proofs(state, number, pose, found)
+                )
 
             if self.run_job("prove", "testing in MuJoCo", work):
                 # What is proved is what was shown, and stays so.
-                self._set(pose=pose, frame=None, motion=None, proof=None)
+                self._set(pose=pose, frame=None, motion=None, trial=None)
 
-    def _proofs(self, state: State, number: int, pose: Pose, found: Proved) -> Mapping[int, Proved]:
+    def _proofs(self, state: State, number: int, pose: Pose, found: TrialResult) -> Mapping[int, TrialResult]:
         """What is known of the grasps as their file has them, with what was found of one."""
         _, _, as_it_came = _grasp(state.collection, number)
-        return {**state.proofs, number: found} if pose.same(as_it_came) else state.proofs
+        return {**state.trials_by_grasp, number: found} if pose.same(as_it_came) else state.trials_by_grasp
 
     def watch(self, direction: str) -> None:
         """Simulate one direction of the proof once more, to be looked at."""
         with self._lock:
-            now, proof = self._state, self._state.proof
-            if proof is None or direction not in proof.directions:
+            now, trial = self._state, self._state.trial
+            if trial is None or direction not in trial.directions:
                 return
             pose, scene, came = now.pose, now.scene, _came(now)
 
             def work(control: Control) -> Change:
                 prepared, tell, check = self._hand_object(scene), control.tell, control.check
                 found = watch(
-                    self._prover, scene, pose, proof, direction, came=came, prepared=prepared, tell=tell, check=check
+                    self._prover, scene, pose, trial, direction, came=came, prepared=prepared, tell=tell, check=check
                 )
                 return lambda state: replace(state, motion=found, motion_frame=0)
 
@@ -273,6 +283,6 @@ def _opened(state: State, number: int) -> State:
         initial=initial,
         pose=pose,
         targets=targets_of(scene),
-        proof=state.proofs.get(number),
+        trial=state.trials_by_grasp.get(number),
         **{name: getattr(state, name) for name in looks},
     )

@@ -21,7 +21,7 @@ from grasp_refine_apps.viewer.target import Target
 from grasp_refine_apps.viewer.worker import Control
 
 
-class Steering(Jobs):
+class Editing(Jobs):
     """Jobs, and a hand that steers; a change ends what is being refined, proved or watched."""
 
     def __init__(self, state: State) -> None:
@@ -167,7 +167,7 @@ class Steering(Jobs):
         self._push(what)
         pose = changes.pop("pose", state.standing)
         # What was found out of another pose is not true of this one.
-        forgotten = {} if pose is state.pose else {"proof": None, "outcome": None}
+        forgotten = {} if pose is state.pose else {"trial": None, "outcome": None}
         return replace(state, **{"pose": pose, "frame": None, "motion": None, **forgotten, **changes})
 
     def _interrupt(self) -> None:
@@ -183,5 +183,5 @@ class Steering(Jobs):
             if found is not None:
                 self._interrupt()
                 back = {"pose": found.pose, "targets": found.targets, "T_world_object": found.T_world_object}
-                nothing = dict.fromkeys(("frame", "motion", "proof", "outcome", "picked"))
+                nothing = dict.fromkeys(("frame", "motion", "trial", "outcome", "picked"))
                 self._set(**back, **nothing)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.nodes import Balls, HandMeshes, Meshes, place
+from grasp_refine_apps.viewer.nodes import BoundingSpheres, HandMeshes, Meshes, place
 from grasp_refine_apps.viewer.picking import hit_mesh, nearest_on_surface
 from grasp_refine_apps.viewer.state import State
 
@@ -30,7 +30,7 @@ class Interaction:
         controller: Controller,
         hand: HandMeshes,
         obj: Meshes,
-        targets: Balls,
+        targets: BoundingSpheres,
         length: float,
     ) -> None:
         """Listen to nothing yet.

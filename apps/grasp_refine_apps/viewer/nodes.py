@@ -137,7 +137,7 @@ class Lines:
                 self._node.points, self._node.colors = points.astype(np.float32), colors
 
 
-class Balls:
+class BoundingSpheres:
     """Small balls that come and go, all of one size."""
 
     def __init__(self, scene: viser.SceneApi, name: str, radius: float, color: Color, opacity: float | None = None):

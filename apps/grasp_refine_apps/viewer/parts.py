@@ -15,7 +15,7 @@ from grasp_refine_apps.viewer.contacts import Contacts, contacts_of
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.glyphs import force_arrows, friction_cones, segments
 from grasp_refine_apps.viewer.interaction import Interaction
-from grasp_refine_apps.viewer.nodes import Arrows, Balls, HandMeshes, Lines, Meshes, place
+from grasp_refine_apps.viewer.nodes import Arrows, BoundingSpheres, HandMeshes, Lines, Meshes, place
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shapes import LinkPoses, collision_shapes, object_shapes, visual_shapes
 from grasp_refine_apps.viewer.state import State
@@ -78,12 +78,12 @@ class Parts:
         self.size = float(np.linalg.norm(high - low))
         ball = float(np.clip(0.012 * self.size, 8e-4, 3e-3))
         self._lines = Lines(scene, f"{GRASP}/contacts/lines", 3.0)
-        self._on_link = Balls(scene, f"{GRASP}/contacts/link", ball, (0, 0, 0))
-        self._on_object = Balls(scene, f"{GRASP}/contacts/object", ball, (0, 0, 0))
-        self._targets = Balls(scene, f"{GRASP}/targets/object", 1.8 * ball, TARGET_COLOR, 0.75)
-        self._wanted = Balls(scene, f"{GRASP}/targets/link", 1.3 * ball, TARGET_COLOR)
+        self._on_link = BoundingSpheres(scene, f"{GRASP}/contacts/link", ball, (0, 0, 0))
+        self._on_object = BoundingSpheres(scene, f"{GRASP}/contacts/object", ball, (0, 0, 0))
+        self._targets = BoundingSpheres(scene, f"{GRASP}/targets/object", 1.8 * ball, TARGET_COLOR, 0.75)
+        self._wanted = BoundingSpheres(scene, f"{GRASP}/targets/link", 1.3 * ball, TARGET_COLOR)
         self._target_lines = Lines(scene, f"{GRASP}/targets/lines", 2.0)
-        self._picked = Balls(scene, f"{GRASP}/picked", 1.8 * ball, PICKED_COLOR)
+        self._picked = BoundingSpheres(scene, f"{GRASP}/picked", 1.8 * ball, PICKED_COLOR)
         length = float(np.clip(0.5 * self.size, 0.02, 0.1))
         self._forces = Arrows(scene, f"{GRASP}/forces", length)
         self._length = length

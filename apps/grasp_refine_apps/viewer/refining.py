@@ -14,7 +14,7 @@ from grasp_refine.pipeline.refine import refine_group
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.goal import goal_of
-from grasp_refine.refinement.iteration_state import Glimpse
+from grasp_refine.refinement.iteration_state import IterationState
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
@@ -66,21 +66,21 @@ def refined(
         Stopped: nobody wants it any more.
     """
     scene = aimed(scene, pose, targets)
-    config.touching.named(scene.hand, scene.links)
+    config.contact_selection.named(scene.hand, scene.links)
     recorder = Recorder(prepared, targets, config.margin)
     held = config.holds and not targets
     most = most_iterations(config) if held else config.solver.iterations
     last, count = -np.inf, 0
 
-    def watch(glimpse: Glimpse) -> None:
+    def watch(state: IterationState) -> None:
         nonlocal last, count
         control.check()
-        recorder.see(glimpse)
+        recorder.see(state)
         count += 1
         now = time.monotonic()
         if now - last >= SHOWN_EVERY or control.paused:
             last = now
-            control.tell(min(count / most, 1.0), f"{glimpse.stage}, iteration {count}")
+            control.tell(min(count / most, 1.0), f"{state.stage}, iteration {count}")
             trace = recorder.trace()
             if trace is not None:
                 show(trace)
@@ -123,5 +123,5 @@ def targets_of(scene: Scene) -> tuple[Target, ...]:
 def nearest_targets(prepared: HandObject, scene: Scene, pose: Pose, config: Config) -> tuple[Target, ...]:
     """Targets where the links that should touch are nearest to the object."""
     scene = aimed(scene, pose, ())
-    goal = goal_of(scene, config.touching, prepared, nearest=True)
+    goal = goal_of(scene, config.contact_selection, prepared, nearest=True)
     return targets_of(replace(scene, target_link=goal.target_link, target_object=goal.target_object))

@@ -18,7 +18,7 @@ from grasp_refine_apps.viewer.trace import Trace
 
 if TYPE_CHECKING:
     from grasp_refine_apps.viewer.shown_motion import ShownMotion
-    from grasp_refine_apps.viewer.validated import Proved
+    from grasp_refine_apps.viewer.validated import TrialResult
 
 JobKind = Literal["load", "measure", "aim", "refine", "prove", "replay", "export"]
 Gizmo = Literal["none", "hand", "object"]
@@ -106,9 +106,9 @@ class State:
     """Whether clicks on links and on the object set targets."""
     picked: tuple[str, Float[np.ndarray, " 3"]] | None = None
     """A link that was clicked, and the point on it (3,) in its frame; it waits for a point on the object."""
-    proof: Proved | None = None
+    trial: TrialResult | None = None
     """What simulation said of the grasp."""
-    proofs: Mapping[int, Proved] = field(default_factory=dict)
+    trials_by_grasp: Mapping[int, TrialResult] = field(default_factory=dict)
     """What it said of the grasps of the collection as their file has them, by number, where a document tells."""
     motion: ShownMotion | None = None
     """The simulation that is looked at."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from grasp_refine.refinement.iteration_state import Glimpse
+from grasp_refine.refinement.iteration_state import IterationState
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.contacts import contacts_of
 from grasp_refine_apps.viewer.pose import Pose
@@ -62,11 +62,11 @@ class Recorder:
         self._columns: list[np.ndarray] = []
         self._labels: list[str] = []
 
-    def see(self, glimpse: Glimpse) -> None:
+    def see(self, state: IterationState) -> None:
         """Keep an iteration; of several starts at once, that with the lowest loss."""
-        best = int(np.argmin(np.nan_to_num(glimpse.loss, nan=np.inf)))
-        pose = Pose(glimpse.point.T[best].copy(), glimpse.point.q[best].copy())
-        self.keep(pose, glimpse.touching[best], float(glimpse.loss[best]), glimpse.stage)
+        best = int(np.argmin(np.nan_to_num(state.loss, nan=np.inf)))
+        pose = Pose(state.point.T[best].copy(), state.point.q[best].copy())
+        self.keep(pose, state.touching[best], float(state.loss[best]), state.stage)
 
     def keep(self, pose: Pose, touching: np.ndarray, loss: float, label: str) -> None:
         """Keep where the hand is, and what that is worth."""

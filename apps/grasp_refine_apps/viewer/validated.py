@@ -50,7 +50,7 @@ class Tried:
 
 
 @dataclass(frozen=True, eq=False)
-class Proved:
+class TrialResult:
     """What simulation said of one grasp; NaN where something is not known."""
 
     protocol: Protocol
@@ -69,7 +69,9 @@ class Proved:
     """How the hand closed, to be simulated again; None where that is not known."""
 
     @staticmethod
-    def of(trials: Trials, i: int, protocol: Protocol, closing: Mapping[str, str], motion: Motion | None) -> Proved:
+    def of(
+        trials: Trials, i: int, protocol: Protocol, closing: Mapping[str, str], motion: Motion | None
+    ) -> TrialResult:
         """What the grasp `i` of some trials came to."""
         tried = tuple(
             Tried(
@@ -84,7 +86,7 @@ class Proved:
             )
             for d, name in enumerate(trials.directions)
         )
-        return Proved(
+        return TrialResult(
             protocol=protocol,
             tried=tried,
             closing=closing,

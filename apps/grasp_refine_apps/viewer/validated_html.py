@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from math import degrees, isnan
 
-from grasp_refine_apps.viewer.validated import Proved, Tried
+from grasp_refine_apps.viewer.validated import TrialResult, Tried
 
 AXIS_COLORS = {"x": "#e03131", "y": "#2f9e44", "z": "#1c7ed6"}
 """Colours of the axes, as frames in the scene have them."""
@@ -36,7 +36,7 @@ STYLE = """<style>
 """How it looks, in both colour schemes of the page."""
 
 
-def proved_html(proved: Proved) -> str:
+def trial_html(proved: TrialResult) -> str:
     """The verdict, and a row for each direction if anything was pushed."""
     kind = "gr-unsure" if proved.barely else "gr-yes" if proved.held else "gr-no"
     sign = "✓" if proved.held else "✗"
@@ -45,7 +45,7 @@ def proved_html(proved: Proved) -> str:
     return f'{STYLE}<div class="gr-proof">{verdict}{table}</div>'
 
 
-def notes_html(proved: Proved) -> str:
+def notes_html(proved: TrialResult) -> str:
     """How it was tested."""
     notes = [proved.conditions]
     if not proved.protocol.tabletop:
@@ -61,13 +61,13 @@ def _sentence(text: str) -> str:
     return f"{text[0].upper()}{text[1:]}."
 
 
-def _table(proved: Proved) -> str:
+def _table(proved: TrialResult) -> str:
     head = "".join(f'<th title="{hint}">{label}</th>' for label, hint in COLUMNS.items())
     body = "".join(_row(proved, tried) for tried in proved.tried)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _row(proved: Proved, tried: Tried) -> str:
+def _row(proved: TrialResult, tried: Tried) -> str:
     result = (
         '<td class="gr-held">✓ held</td>'
         if tried.held

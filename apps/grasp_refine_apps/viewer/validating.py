@@ -25,7 +25,7 @@ from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shown_motion import ShownMotion, shown_motion
-from grasp_refine_apps.viewer.validated import Proved
+from grasp_refine_apps.viewer.validated import TrialResult
 
 HANDS, WORLDS = 2, 6
 """How many hands, and worlds of a hand, an object and a protocol, are kept ready."""
@@ -56,7 +56,7 @@ def protocol_of(setting: str, friction: float | None = None) -> Protocol:
     return SETTINGS[setting].slippery(friction)
 
 
-class Prover:
+class Validator:
     """Hands and worlds as MuJoCo takes them, made when they are first asked for and kept for the next grasp."""
 
     def __init__(self) -> None:
@@ -84,8 +84,8 @@ class Prover:
         return build_world(self._model(hand), obj, protocol, table)
 
 
-def prove(
-    prover: Prover,
+def run_trial(
+    validator: Validator,
     scene: Scene,
     pose: Pose,
     protocol: Protocol,
@@ -94,11 +94,11 @@ def prove(
     prepared: HandObject | None = None,
     tell: Tell = lambda share, what: None,
     check: Check = lambda: None,
-) -> Proved:
+) -> TrialResult:
     """What simulation says of one pose of the hand.
 
     Args:
-        prover: Keeps what was compiled.
+        validator: Keeps what was compiled.
         scene: Hand, object and table, and the one grasp as it came.
         pose: Where the hand is.
         protocol: How it is simulated.
@@ -112,7 +112,7 @@ def prove(
     """
     tell(0.0, "preparing the simulation")
     check()
-    world = prover.world(scene, protocol)
+    world = validator.world(scene, protocol)
     check()
     motion, owners = stages(scene, pose, came=came, prepared=prepared, check=check)
     pushing = "lifting the object" if protocol.tabletop else f"pushing in {len(protocol.directions)} directions"
@@ -120,14 +120,14 @@ def prove(
     closed = close(world, motion, Conditions.nominal(world, 1), watch=seen)
     trials = push(world, closed, watch=seen)
     tell(1.0, "done")
-    return Proved.of(trials, 0, protocol, owners, motion)
+    return TrialResult.of(trials, 0, protocol, owners, motion)
 
 
 def watch(
-    prover: Prover,
+    validator: Validator,
     scene: Scene,
     pose: Pose,
-    proved: Proved,
+    proved: TrialResult,
     direction: str,
     *,
     came: GraspSet | None = None,
@@ -138,9 +138,9 @@ def watch(
     """The simulation of one direction again, this time recorded.
 
     Args:
-        prover: Keeps what was compiled.
-        scene: As for `prove`.
-        pose: As for `prove`; only needed where the proof does not say how the hand closed.
+        validator: Keeps what was compiled.
+        scene: As for `run_trial`.
+        pose: As for `run_trial`; only needed where the proof does not say how the hand closed.
         proved: What simulation said.
         direction: One of its directions.
         came: As for `stages`.
@@ -155,7 +155,7 @@ def watch(
         raise GraspRefineError(f"direction '{direction}': there are {', '.join(proved.directions)}")
     tell(0.0, "preparing the simulation")
     check()
-    world = prover.world(scene, proved.protocol)
+    world = validator.world(scene, proved.protocol)
     motion = proved.motion
     if motion is None:
         motion, _ = stages(scene, pose, came=came, prepared=prepared, check=check)
@@ -170,7 +170,7 @@ def watch(
     )
     if replay is None:
         raise GraspRefineError(f"nothing to watch: {proved.words(proved.tried[0])}")
-    return shown_motion(scene.hand, prover.model(scene.hand), replay, world.model)
+    return shown_motion(scene.hand, validator.model(scene.hand), replay, world.model)
 
 
 def stages(

@@ -15,8 +15,8 @@ from grasp_refine.grasps.grasp_set import OTHER_STAGES
 from grasp_refine.validation.protocol import AXES, SETTINGS, Protocol
 from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import Reason
-from grasp_refine_apps.viewer.validated import Proved, Tried
-from grasp_refine_apps.viewer.validations import COMMANDS, Entry, Proofs, When
+from grasp_refine_apps.viewer.validated import TrialResult, Tried
+from grasp_refine_apps.viewer.validations import COMMANDS, Entry, ValidationFile, When
 
 LARGEST = 2**28
 """How many bytes a document may have: 256 MiB, or some 40 000 grasps."""
@@ -28,7 +28,7 @@ LONGEST = 40
 """Longest text of a wrong value that is shown."""
 
 
-def read_proofs(path: Path) -> Proofs:
+def read_validation(path: Path) -> ValidationFile:
     """What a document says.
 
     Raises:
@@ -57,7 +57,7 @@ class _Reader:
         shown = shown if len(shown) < LONGEST else f"{shown[: LONGEST - 4]} ..."
         return GraspFileError(f"{self.path}: {where} must be {needed}, got {shown}")
 
-    def document(self, value: Any) -> Proofs:
+    def document(self, value: Any) -> ValidationFile:
         """All of it."""
         whole = self.mapping(value, "the document")
         if whole.get("command") not in COMMANDS:
@@ -72,7 +72,7 @@ class _Reader:
         if whole["command"] == "validate":
             closing = {"after": self.closing(files[0].get("closing")) if len(files) == 1 else {}}
         grasps = self.list(whole.get("grasps"), "grasps")
-        return Proofs(
+        return ValidationFile(
             path=self.path,
             command=whole["command"],
             files={
@@ -86,7 +86,7 @@ class _Reader:
         """One grasp."""
         grasp = self.mapping(value, where)
         simulation = self.mapping(grasp.get("simulation") or {}, f"{where}.simulation")
-        proved: dict[When, Proved] = {}
+        proved: dict[When, TrialResult] = {}
         for when in ("before", "after"):
             if simulation.get(when) is not None:
                 at = f"{where}.simulation.{when}"
@@ -103,7 +103,7 @@ class _Reader:
             proved=proved,
         )
 
-    def proved(self, value: Any, where: str, protocol: Protocol | None, closing: Mapping[str, str]) -> Proved:
+    def proved(self, value: Any, where: str, protocol: Protocol | None, closing: Mapping[str, str]) -> TrialResult:
         """What simulation said of one grasp."""
         simulation = self.mapping(value, where)
         setting = simulation.get("setting")
@@ -114,7 +114,7 @@ class _Reader:
         if not directions:
             raise self.error(f"{where}.directions", "a list with something in it", directions)
         closed = self.mapping(simulation.get("closing") or {}, f"{where}.closing")
-        return Proved(
+        return TrialResult(
             protocol=protocol,
             tried=tuple(self.tried(one, f"{where}.directions[{i}]") for i, one in enumerate(directions)),
             closing=closing,

@@ -14,7 +14,7 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.results.result_files import fingerprint
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import STATUS
-from grasp_refine_apps.viewer.validated import Proved
+from grasp_refine_apps.viewer.validated import TrialResult
 
 COMMANDS = ("run", "validate")
 """Commands whose documents tell of simulations."""
@@ -38,12 +38,12 @@ class Entry:
     """Name of the object."""
     quality: float
     """`Quality.value` after refinement, or of the grasp as it was; NaN where unknown."""
-    proved: Mapping[When, Proved]
+    proved: Mapping[When, TrialResult]
     """What was simulated."""
 
 
 @dataclass(frozen=True, eq=False)
-class Proofs:
+class ValidationFile:
     """What a document says of all grasps."""
 
     path: Path
@@ -55,7 +55,7 @@ class Proofs:
     entries: tuple[Entry, ...]
     """The grasps, in the order in which they were asked for."""
 
-    def of(self, collection: Collection) -> dict[int, Proved]:
+    def of(self, collection: Collection) -> dict[int, TrialResult]:
         """Number of a grasp that is open -> what simulation said of it.
 
         What `validate` wrote is of the file that was validated. What `run` wrote is, before refinement, of the file
@@ -114,7 +114,7 @@ class Proofs:
         return GraspFileError(f"{self.path}: {message}")
 
 
-def with_proofs(collection: Collection, found: Mapping[int, Proved]) -> Collection:
+def with_trials(collection: Collection, found: Mapping[int, TrialResult]) -> Collection:
     """The same grasps, with what simulation said of some in their table."""
     success, known = np.zeros((2, len(collection)), dtype=bool)
     reason = np.full(len(collection), "", dtype=object)

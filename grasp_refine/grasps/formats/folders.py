@@ -14,7 +14,7 @@ def object_folder(name: str) -> str:
     return UNUSUAL.sub("_", name).lstrip(".") or "object"
 
 
-def told_apart(names: Iterable[str]) -> list[str]:
+def disambiguate(names: Iterable[str]) -> list[str]:
     """The names, with a number after those that came before."""
     latest: dict[str, int] = {}
     found = []

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.core.errors import GraspFileError
-from grasp_refine.core.names import is_sound
+from grasp_refine.core.names import is_valid
 from grasp_refine.grasps.grasp_set import unit_poses, without_zero_quaternions
 
 MESH_FOLDERS = ("mesh", "meshes", "urdf", "mjcf", "coacd")
@@ -91,7 +91,7 @@ class Source:
             value = value.decode("utf-8", errors="replace")
         if not isinstance(value, str):
             raise self.error(f"{what} must be a text; it is {_kind(value)}")
-        if not is_sound(value):
+        if not is_valid(value):
             raise self.error(f"{what} holds letters that no text has, or that control a terminal")
         return value
 

@@ -72,5 +72,5 @@ class Adam(Schedule):
         mean = average / (1.0 - self.first**steps)
         size = (squares / (1.0 - self.second**steps)).sqrt()
         direction = torch.where(size > 0, mean / torch.where(size > 0, size, torch.ones_like(size)), 0.0)
-        moved = self.moved(T, q, direction, stage, lower, upper)
+        moved = self.integrate(T, q, direction, stage, lower, upper)
         return *moved, torch.cat([average, squares, steps], dim=1)

@@ -64,7 +64,7 @@ class Descent(Schedule):
         unit = average.clone()
         for part in (slice(0, 3), slice(3, 6), slice(6, None)):
             unit[:, part] = _unit(average[:, part])
-        return *self.moved(T, q, unit, stage, lower, upper), average
+        return *self.integrate(T, q, unit, stage, lower, upper), average
 
 
 def _unit(vector: torch.Tensor) -> torch.Tensor:

@@ -14,7 +14,7 @@ from grasp_refine.core.array_records import take
 from grasp_refine.core.profiling import stage
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
-from grasp_refine.refinement.solvers.least_squares import Minimum, Point, Watch
+from grasp_refine.refinement.solvers.least_squares import IterationCallback, Minimum, Point
 from grasp_refine.refinement.solvers.status import Status
 
 
@@ -30,7 +30,7 @@ class Differentiable(Protocol):
     def evaluate(
         self, member: np.ndarray, T: Tensor, q: Tensor, key: int, previous: Any | None
     ) -> tuple[Tensor, Tensor, Any]:
-        """Losses (batch,), gradients (batch, 6 + n), and what helps nearby: arrays with `asked` (batch,)."""
+        """Losses (batch,), gradients (batch, 6 + n), and what helps nearby: arrays with `num_queries` (batch,)."""
         ...
 
     def tensor(self, array: np.ndarray) -> Tensor:
@@ -61,10 +61,10 @@ def descend(
     *,
     status: np.ndarray,
     progress: Callable[[int, int, float], None] | None = None,
-    watch: Watch | None = None,
+    on_iteration: IterationCallback | None = None,
 ) -> Minimum:
     """Lower the losses of all members; arguments and result are those of `least_squares.minimise`."""
-    run = _Run(problem, start, solver, tolerance, status, watch)
+    run = _Run(problem, start, solver, tolerance, status, on_iteration)
     iteration = 0
     while len(run.active) and iteration < solver.iterations:
         mean_loss = run.iterate(iteration)
@@ -85,11 +85,11 @@ class _Run:
         solver: Descent | Adam,
         tolerance: float,
         status: np.ndarray,
-        watch: Watch | None,
+        on_iteration: IterationCallback | None,
     ) -> None:
         count = len(start.q)
         self.problem, self.solver, self.tolerance, self.status = problem, solver, tolerance, status.copy()
-        self.watch = watch
+        self.on_iteration = on_iteration
         self.best_T, self.best_q = start.T.copy(), start.q.copy()
         self.best, self.first = np.full(count, np.inf), np.full(count, np.nan)
         self.iterations, self.queries = np.zeros((2, count), dtype=np.int64)
@@ -109,14 +109,14 @@ class _Run:
         active, problem = self.active, self.problem
         loss, gradient, known = problem.evaluate(active, self.T, self.q, iteration, self.previous)
         value = loss.double().cpu().numpy()
-        if self.watch is not None:
-            self.watch(active, Point(self.T.double().cpu().numpy(), self.q.double().cpu().numpy()), value)
+        if self.on_iteration is not None:
+            self.on_iteration(active, Point(self.T.double().cpu().numpy(), self.q.double().cpu().numpy()), value)
         ended = self._judge(value, iteration)
         stage = torch.as_tensor(self.stage[active], device=self.T.device)
         memory = self.solver.memory(gradient) if self.memory is None else self.memory
         T, q, memory = self.solver.step(self.T, self.q, gradient, memory, stage, problem.lower, problem.upper)
         self.iterations[active] += 1
-        self.queries[active] += known.asked
+        self.queries[active] += known.num_queries
         if ended.any():
             keep = np.flatnonzero(~ended)
             rows = torch.as_tensor(keep, device=self.T.device)

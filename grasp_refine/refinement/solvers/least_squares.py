@@ -39,7 +39,7 @@ class Point:
     __repr__ = brief
 
 
-Watch = Callable[[np.ndarray, Point, np.ndarray], None]
+IterationCallback = Callable[[np.ndarray, Point, np.ndarray], None]
 """Sees members (M,), where they are after an iteration, and their losses (M,); may raise to end it all."""
 
 
@@ -51,21 +51,21 @@ class Linear:
     """Residuals (batch, m) that have a derivative."""
     jacobian: np.ndarray
     """(batch, m, dof)"""
-    one_sided: np.ndarray | None = None
+    unilateral: np.ndarray | None = None
     """Rows (batch, m) that count only where they are positive; None: none."""
 
     __repr__ = brief
 
-    def also(self, weight: float, residual: np.ndarray, jacobian: np.ndarray) -> Linear:
+    def with_rows(self, weight: float, residual: np.ndarray, jacobian: np.ndarray) -> Linear:
         """The same with further residuals (batch, k), whose squares count so much."""
         scale = np.sqrt(weight)
-        one_sided = self.one_sided
-        if one_sided is not None:
-            one_sided = np.concatenate([one_sided, np.zeros(residual.shape, dtype=bool)], axis=1)
+        unilateral = self.unilateral
+        if unilateral is not None:
+            unilateral = np.concatenate([unilateral, np.zeros(residual.shape, dtype=bool)], axis=1)
         return Linear(
             np.concatenate([self.residual, scale * residual], axis=1),
             np.concatenate([self.jacobian, scale * jacobian], axis=1),
-            one_sided,
+            unilateral,
         )
 
 
@@ -75,7 +75,7 @@ class Evaluated(Protocol):
 
     loss: np.ndarray
     """Sum of the squares of all residuals (batch,); NaN where it is not known."""
-    asked: np.ndarray
+    num_queries: np.ndarray
     """Narrow-phase queries (batch,)."""
 
 
@@ -99,15 +99,15 @@ class Problem(Protocol):
         """Residuals and derivatives; `width` (batch,) multiplies the radii of neighbourhoods."""
         ...
 
-    def room(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
+    def step_bounds(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of a step (batch, dof), both ways."""
         ...
 
-    def moved(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
+    def integrate(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
         """The points after steps (batch, dof)."""
         ...
 
-    def restarted(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
+    def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
         """Other starts of stalled members, the `start`-th (batch,) of each; a function of member and number only."""
         ...
 
@@ -169,7 +169,7 @@ def minimise(
     width: int = WIDTH,
     seconds: float | np.ndarray = inf,
     progress: Progress | None = None,
-    watch: Watch | None = None,
+    on_iteration: IterationCallback | None = None,
 ) -> Minimum:
     """Minimise all members.
 
@@ -183,11 +183,11 @@ def minimise(
         seconds: A member whose share of the CPU time is above this, a number for all or for each (N,), ends.
         progress: Called after each iteration with the number of finished members, the iteration, and the mean
             best loss of those still running.
-        watch: Sees where members are, at their start and after each of their iterations.
+        on_iteration: Sees where members are, at their start and after each of their iterations.
     """
     count = len(start.T)
     status = np.full(count, Status.RUNNING) if status is None else status.copy()
-    run = _Run(problem, solver, tolerance, np.broadcast_to(seconds, count), start, status, watch)
+    run = _Run(problem, solver, tolerance, np.broadcast_to(seconds, count), start, status, on_iteration)
     waiting = np.flatnonzero(run.status == Status.RUNNING)
     slots: _Slots | None = None
     iteration = 0
@@ -230,10 +230,10 @@ class _Run:
         seconds: np.ndarray,
         start: Point,
         status: np.ndarray,
-        watch: Watch | None,
+        on_iteration: IterationCallback | None,
     ) -> None:
         count = len(start.T)
-        self.problem, self.solver, self.status, self.watch = problem, solver, status, watch
+        self.problem, self.solver, self.status, self.on_iteration = problem, solver, status, on_iteration
         self.tolerance, self.seconds = tolerance, seconds
         self.best = Point(start.T.copy(), start.q.copy())
         self.best_loss, self.first_loss = np.full(count, np.inf), np.full(count, np.nan)
@@ -259,7 +259,7 @@ class _Run:
         """The slots after their trials were evaluated, without those that end; stalled ones start again."""
         solver, member = self.solver, slots.member
         self.iterations[member] += 1
-        self.queries[member] += known.asked
+        self.queries[member] += known.num_queries
         starting = np.isinf(slots.loss)
         accepted = known.loss < slots.loss
         fall = np.where(starting, 0.0, slots.loss) - known.loss
@@ -285,8 +285,8 @@ class _Run:
             since,
             slots.starts + starting,
         )
-        if self.watch is not None:
-            self.watch(member, slots.point, loss)
+        if self.on_iteration is not None:
+            self.on_iteration(member, slots.point, loss)
         more = (slots.starts <= solver.restarts) & (self.best_loss[member] >= solver.good)
         patience = np.where(more, solver.patience, solver.last_patience)
         stuck = (since >= patience) | (damping > solver.largest) | np.isinf(loss)
@@ -313,7 +313,7 @@ class _Run:
     def _restarted(self, slots: _Slots, rows: np.ndarray) -> _Slots:
         """The same slots with other starts in some rows."""
         member = slots.member[rows]
-        trial = self.problem.restarted(member, slots.starts[rows], take(self.best, member), take(slots.point, rows))
+        trial = self.problem.restart(member, slots.starts[rows], take(self.best, member), take(slots.point, rows))
         T, q, loss, mark = (array.copy() for array in (slots.trial.T, slots.trial.q, slots.loss, slots.mark))
         damping, since = slots.damping.copy(), slots.since.copy()
         T[rows], q[rows], loss[rows], mark[rows] = trial.T, trial.q, np.inf, np.inf
@@ -326,11 +326,11 @@ class _Run:
         problem, member = self.problem, slots.member
         width = self.widths[slots.rejections % len(self.widths)]
         linear = problem.linearize(member, slots.point, slots.known, width)
-        lower, upper = problem.room(member, slots.point)
+        lower, upper = problem.step_bounds(member, slots.point)
         dx, predicted = bounded_step(
-            linear.jacobian, linear.residual, slots.damping, problem.metric(member), lower, upper, linear.one_sided
+            linear.jacobian, linear.residual, slots.damping, problem.metric(member), lower, upper, linear.unilateral
         )
-        trial = problem.moved(member, slots.point, dx)
+        trial = problem.integrate(member, slots.point, dx)
         starting = np.isinf(slots.loss)
         if starting.any():
             trial = choose(starting, slots.trial, trial)

@@ -83,7 +83,7 @@ def bounded_step(
     metric: Array,
     lower: Array,
     upper: Array,
-    one_sided: Array | None = None,
+    unilateral: Array | None = None,
     passes: int = 4,
 ) -> tuple[Array, Array]:
     """Steps dx (batch, n) within bounds, and the falls (batch,) of the loss that they predict.
@@ -99,15 +99,15 @@ def bounded_step(
         metric: Diagonals of W (batch, n).
         lower: Lower bounds of dx (batch, n), at most 0.
         upper: Upper bounds, at least 0.
-        one_sided: Rows (batch, m) that count only where they are positive; None: none.
+        unilateral: Rows (batch, m) that count only where they are positive; None: none.
         passes: Most times that the rows, and the bounds, that count are chosen.
     """
     xp = array_namespace(J)
-    if one_sided is None:
+    if unilateral is None:
         dx = _within_bounds(J, r, damping, metric, lower, upper)
         after = r + matvec(J, dx)
         return dx, xp.sum(r * r - after * after, axis=-1)
-    counts = ~one_sided | (r > 0)
+    counts = ~unilateral | (r > 0)
     before = xp.where(counts, r, xp.zeros_like(r))
     dx = xp.zeros_like(lower)
     some = xp.ones_like(damping, dtype=xp.bool)
@@ -115,7 +115,7 @@ def bounded_step(
         counted = xp.where(counts[some][..., None], J[some], 0.0)
         dx[some] = _within_bounds(counted, r[some], damping[some], metric[some], lower[some], upper[some])
         after = r + matvec(J, dx)
-        now = ~one_sided | (after > 0)
+        now = ~unilateral | (after > 0)
         some = xp.any(now != counts, axis=-1)
         counts = now
         if not bool(xp.any(some)):

@@ -20,7 +20,7 @@ class Rows:
         self.covectors = [np.zeros((count, 0, 6))]
         self.links = [np.zeros((count, 0), dtype=np.int64)]
         self.minus = [np.zeros((count, 0), dtype=np.int64)]
-        self.one_sided = [np.zeros((count, 0), dtype=bool)]
+        self.unilateral = [np.zeros((count, 0), dtype=bool)]
         self.relative = False
 
     def add(self, residual: np.ndarray, covector: np.ndarray, weight: float, link: np.ndarray) -> None:
@@ -31,9 +31,9 @@ class Rows:
         self.covectors.append(scale * covector.reshape(M, C * k, 6))
         self.links.append(np.broadcast_to(np.repeat(link, k), (M, C * k)))
         self.minus.append(np.full((M, C * k), -1))
-        self.one_sided.append(np.zeros((M, C * k), dtype=bool))
+        self.unilateral.append(np.zeros((M, C * k), dtype=bool))
 
-    def add_one_sided(
+    def add_unilateral(
         self,
         depth: np.ndarray,
         covector: np.ndarray,
@@ -63,14 +63,14 @@ class Rows:
         self.covectors.append(scale * np.where(chosen[..., None], picked, 0.0))
         self.links.append(place if link is None else link[place])
         self.minus.append(np.full(place.shape, -1) if minus is None else minus[place])
-        self.one_sided.append(np.ones(place.shape, dtype=bool))
+        self.unilateral.append(np.ones(place.shape, dtype=bool))
         self.relative |= minus is not None
 
-    def pulled(self, chain: Chain, frames: Frames) -> Linear:
+    def joint_covectors(self, chain: Chain, frames: Frames) -> Linear:
         """All rows, as functions of root twist and joint values."""
-        parts = self.residuals, self.covectors, self.links, self.minus, self.one_sided
-        residual, covector, link, minus, one_sided = (np.concatenate(part, axis=1) for part in parts)
-        J = chain.pull(frames, covector, link)
+        parts = self.residuals, self.covectors, self.links, self.minus, self.unilateral
+        residual, covector, link, minus, unilateral = (np.concatenate(part, axis=1) for part in parts)
+        J = chain.to_joint_space(frames, covector, link)
         if self.relative:
-            J -= chain.pull(frames, np.where(minus[..., None] >= 0, covector, 0.0), np.maximum(minus, 0))
-        return Linear(residual, J, one_sided if one_sided.any() else None)
+            J -= chain.to_joint_space(frames, np.where(minus[..., None] >= 0, covector, 0.0), np.maximum(minus, 0))
+        return Linear(residual, J, unilateral if unilateral.any() else None)

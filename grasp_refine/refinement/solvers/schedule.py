@@ -57,7 +57,7 @@ class Schedule:
         """The earliest stage of the schedule at an iteration."""
         return sum(iteration >= share * self.iterations for share in self.shares)
 
-    def moved(
+    def integrate(
         self,
         T: torch.Tensor,
         q: torch.Tensor,

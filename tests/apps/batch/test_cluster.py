@@ -56,18 +56,23 @@ def address(cluster: DaskCluster) -> str:
 
 
 def outcomes(
-    address: str, folder: Path, *tasks: str, tries: int = 2, patience_s: float = PATIENCE_S, beat: Callable = ignore
+    address: str,
+    folder: Path,
+    *tasks: str,
+    tries: int = 2,
+    patience_s: float = PATIENCE_S,
+    heartbeat: Callable = ignore,
 ) -> dict[int, Done | Failed]:
     """Number -> what came of it."""
     shards = some_shards(folder, *tasks)
-    results = run_on_cluster(shards, work, address=address, tries=tries, patience_s=patience_s, beat=beat)
+    results = run_on_cluster(shards, work, address=address, tries=tries, patience_s=patience_s, heartbeat=heartbeat)
     return {each.number: each for each in results}
 
 
 def test_every_shard_comes_out_and_what_work_raises_is_told(address: str, tmp_path: Path):
     told: list[tuple[int, str, float, int]] = []
     tasks = ["a:write", "a:raise mesh", "b:raise stubborn", "b:beat 1.5", "a:write", "b:write"]
-    found = outcomes(address, tmp_path, *tasks, beat=lambda *what: told.append(what))
+    found = outcomes(address, tmp_path, *tasks, heartbeat=lambda *what: told.append(what))
     failures = {number: found.pop(number) for number in (1, 2)}
     shards = some_shards(tmp_path, *tasks)
     assert found == {shard.number: done(shard) for shard in shards if shard.number not in failures}
@@ -85,7 +90,7 @@ def test_work_keeps_what_it_has_loaded(address: str, tmp_path: Path):
     """Each shard once came with a copy of the work that had loaded nothing."""
     shards = some_shards(tmp_path, *["write"] * 6)
     (scheduler := tmp_path / "scheduler.json").write_text(json.dumps({"address": address}))
-    assert len(list(run_on_cluster(shards, Tally(), address=str(scheduler), beat=ignore))) == 6
+    assert len(list(run_on_cluster(shards, Tally(), address=str(scheduler), heartbeat=ignore))) == 6
     assert len(calls := tallies(tmp_path)) <= 2
     assert all(each == list(range(1, len(each) + 1)) for each in calls)
 
@@ -121,7 +126,7 @@ def test_a_shard_that_waits_for_others_is_not_taken_for_one_that_hangs(address: 
 
 def test_a_caller_who_stops_lets_no_other_shard_begin(address: str, tmp_path: Path):
     """But those that workers have by then: one each."""
-    results = run_on_cluster(some_shards(tmp_path, *["beat 0.3"] * 8), work, address=address, beat=ignore)
+    results = run_on_cluster(some_shards(tmp_path, *["beat 0.3"] * 8), work, address=address, heartbeat=ignore)
     next(results)
     results.close()
     time.sleep(1.5)
@@ -213,7 +218,7 @@ def test_a_worker_that_hangs_for_ever_and_a_scheduler_that_is_lost(bare: DaskClu
     bare.add_workers("--no-nanny", "--nthreads", "1")
     workers_of(bare, 1)
     shards = some_shards(tmp_path, "write", "sleep 3600", "write")
-    results = run_on_cluster(shards, work, address=bare.address, tries=1, patience_s=10.0, beat=ignore)
+    results = run_on_cluster(shards, work, address=bare.address, tries=1, patience_s=10.0, heartbeat=ignore)
     assert next(results) == done(shards[0])
     hung = next(results)
     assert isinstance(hung, Failed) and (hung.number, hung.reason) == (1, "hung")

@@ -25,7 +25,7 @@ from grasp_refine_apps.batch import thumbnail as portraits  # noqa: E402
 from grasp_refine_apps.batch.pictures import draw_cases  # noqa: E402
 from grasp_refine_apps.batch.rows import read_rows  # noqa: E402
 from grasp_refine_apps.batch.statistics import Statistics  # noqa: E402
-from grasp_refine_apps.batch.thumbnail import HEIGHT, WIDTH, Pose, bones, portrait  # noqa: E402
+from grasp_refine_apps.batch.thumbnail import HEIGHT, WIDTH, Pose, skeleton, thumbnail  # noqa: E402
 from grasp_refine_apps.batch.worst import Case  # noqa: E402
 
 
@@ -114,19 +114,19 @@ def test_pictures_take_no_more_time_than_allowed(cases: tuple[Case, ...], out: P
 def test_a_grasp_that_is_not_finite_has_no_picture(allegro: Hand):
     pose = example(allegro)
     with refused(ValueError, "finite"):
-        portrait(bones(allegro), load_object("mug"), [pose, Pose(pose.T_world_root * np.nan, pose.q)])
+        thumbnail(skeleton(allegro), load_object("mug"), [pose, Pose(pose.T_world_root * np.nan, pose.q)])
 
 
 def test_the_same_grasp_looks_the_same_twice(allegro: Hand, small: None):
-    pose, drawn = example(allegro), bones(allegro)
-    first, again = portrait(drawn, load_object("mug"), [pose, pose])
+    pose, drawn = example(allegro), skeleton(allegro)
+    first, again = thumbnail(drawn, load_object("mug"), [pose, pose])
     assert first == again
 
 
 @pytest.mark.parametrize("name", ["allegro", "shadow"])
 def test_hands_are_drawn_with_few_triangles_that_stay_where_they_were(name: str):
     hand = load_hand(name)
-    drawn = bones(hand)
+    drawn = skeleton(hand)
     assert sum(len(model.faces) for model in drawn.models) < 6000
     for model, points, link in zip(
         drawn.models, drawn.points, (link for link in hand.links if link.body is not None), strict=True
@@ -158,6 +158,6 @@ def test_an_object_of_any_size_and_many_triangles_can_be_drawn(allegro: Hand, sm
     fine = replace(load_object("mug"), mesh=trimesh.creation.icosphere(subdivisions=5, radius=0.04))
     assert len(fine.mesh.faces) > 20_000
     for obj in (large, fine):
-        (png,) = portrait(bones(allegro), obj, [example(allegro)])
+        (png,) = thumbnail(skeleton(allegro), obj, [example(allegro)])
         background, blue, _ = shares(png)
         assert blue > 0.02

@@ -29,11 +29,14 @@ def ignore(number: int, what: str, share: float, refined: int) -> None:
 
 
 def outcomes(
-    folder: Path, *tasks: str, workers: int = 1, patience_s: float = PATIENCE_S, beat: Callable = ignore
+    folder: Path, *tasks: str, workers: int = 1, patience_s: float = PATIENCE_S, heartbeat: Callable = ignore
 ) -> dict[int, Done | Failed]:
     """Number -> what came of it."""
     shards = some_shards(folder, *tasks)
-    found = {each.number: each for each in run_local(shards, work, workers=workers, patience_s=patience_s, beat=beat)}
+    found = {
+        each.number: each
+        for each in run_local(shards, work, workers=workers, patience_s=patience_s, heartbeat=heartbeat)
+    }
     assert multiprocessing.active_children() == []
     return found
 
@@ -106,7 +109,7 @@ def test_a_worker_keeps_to_a_group(tmp_path: Path):
 
 def test_work_keeps_what_it_has_loaded(tmp_path: Path):
     shards = some_shards(tmp_path, *["write"] * 6)
-    assert len(list(run_local(shards, Tally(), workers=2, patience_s=PATIENCE_S, beat=ignore))) == 6
+    assert len(list(run_local(shards, Tally(), workers=2, patience_s=PATIENCE_S, heartbeat=ignore))) == 6
     assert all(calls == list(range(1, len(calls) + 1)) for calls in tallies(tmp_path))
 
 
@@ -116,7 +119,7 @@ def test_no_shards_need_no_process(tmp_path: Path):
 
 def test_there_are_no_more_workers_than_shards(tmp_path: Path):
     shards = some_shards(tmp_path, "write")
-    results = run_local(shards, work, workers=8, patience_s=PATIENCE_S, beat=ignore)
+    results = run_local(shards, work, workers=8, patience_s=PATIENCE_S, heartbeat=ignore)
     assert next(results) == done(shards[0])
     assert len(multiprocessing.active_children()) == 1
     assert list(results) == []
@@ -165,7 +168,7 @@ def test_a_shard_that_always_crashes_fails_and_says_where(tmp_path: Path):
 def test_a_shard_that_no_worker_can_load_fails_at_once(tmp_path: Path):
     """Its worker once waited for ever."""
     shards = [replace(some_shards(tmp_path, "write")[0], task=Unloadable())]
-    (failure,) = run_local(shards, work, workers=1, patience_s=PATIENCE_S, beat=ignore)
+    (failure,) = run_local(shards, work, workers=1, patience_s=PATIENCE_S, heartbeat=ignore)
     assert isinstance(failure, Failed)
     assert_names(failure.message, "code 1")
     assert failure.traceback.endswith("ModuleNotFoundError: No module named 'no_such_module'")
@@ -196,7 +199,7 @@ def test_what_a_lost_worker_had_started_is_ended_with_it(tmp_path: Path, patienc
 
 def test_signs_of_life_arrive_with_the_number_of_the_shard(tmp_path: Path):
     told: list[tuple[int, str, float, int]] = []
-    outcomes(tmp_path, "write", "beat 2", beat=lambda *what: told.append(what))
+    outcomes(tmp_path, "write", "beat 2", heartbeat=lambda *what: told.append(what))
     assert told[:2] == [(0, "write", 0.25, 0), (1, "beat 2", 0.25, 0)]
     assert set(told[2:]) == {(1, "still there", 0.5, 3)}
     assert len(told) <= 13, "about 200 were given, at most 5 a second are sent"
@@ -205,7 +208,7 @@ def test_signs_of_life_arrive_with_the_number_of_the_shard(tmp_path: Path):
 def test_a_caller_who_takes_long_makes_no_worker_look_dead(tmp_path: Path, patience_s: float):
     """Nor does a pause of the whole machine: only time in which somebody listened counts."""
     shards = some_shards(tmp_path, "write", f"sleep {1.5 * patience_s}", "write")
-    results = run_local(shards, work, workers=1, patience_s=patience_s, beat=ignore)
+    results = run_local(shards, work, workers=1, patience_s=patience_s, heartbeat=ignore)
     assert next(results) == done(shards[0])
     time.sleep(1.2 * patience_s)
     assert list(results) == [done(shard) for shard in shards[1:]]
@@ -218,7 +221,7 @@ def test_a_caller_who_stops_early_leaves_nothing_behind(tmp_path: Path):
         work,
         workers=3,
         patience_s=PATIENCE_S,
-        beat=ignore,
+        heartbeat=ignore,
     )
     next(results)
     assert soon(lambda: half.exists() and child.exists() and child.read_text() != "")
@@ -247,7 +250,7 @@ def test_workers_are_quiet(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
 def test_workers_that_cannot_start_end_the_batch_with_a_reason(tmp_path: Path):
     reason = "ModuleNotFoundError: No module named 'no_such_module'"
     with refused(GraspRefineError, "3 worker", "code 1", reason, "refine-grasp doctor"):
-        list(run_local(some_shards(tmp_path, "write"), Unknown(), workers=1, patience_s=PATIENCE_S, beat=ignore))
+        list(run_local(some_shards(tmp_path, "write"), Unknown(), workers=1, patience_s=PATIENCE_S, heartbeat=ignore))
     assert multiprocessing.active_children() == []
 
 
@@ -264,7 +267,7 @@ def test_workers_end_with_a_caller_who_is_killed(tmp_path: Path, program: Callab
 
 def test_workers_that_take_too_long_to_start_end_the_batch_with_a_reason(tmp_path: Path):
     with refused(GraspRefineError, "3 worker", "1 s"):
-        list(run_local(some_shards(tmp_path, "write"), Slow(), workers=1, patience_s=1.0, beat=ignore))
+        list(run_local(some_shards(tmp_path, "write"), Slow(), workers=1, patience_s=1.0, heartbeat=ignore))
 
 
 @pytest.mark.parametrize("moment", ["starting", "working"])

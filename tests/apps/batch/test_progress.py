@@ -60,7 +60,7 @@ def test_a_file_gets_a_line_now_and_then_and_at_each_failure(clock: Clock):
         assert said(console) == ["refining 40 grasps in 4 shards with 2 workers, 20 were done before"]
         for _ in range(50):
             clock.now += 0.2
-            progress.beat(0, "refining", 0.4)
+            progress.heartbeat(0, "refining", 0.4)
         assert len(said(console)) == 1, "10 s are no news"
         progress.failed(Failed(1, "crashed", "ended with SIGSEGV", "", 2))
         assert said(console)[1:] == ["job, part 1 failed (crashed, tried 2 times): ended with SIGSEGV"]
@@ -109,11 +109,11 @@ def test_names_and_messages_are_no_markup(clock: Clock):
 def test_a_terminal_sees_the_whole_and_what_each_worker_does(clock: Clock):
     progress = Progress(plain(), shards(4), 2, skipped=10, clock=clock)
     assert picture(progress)[1:] == ["10/50 grasps refined", "⠋ starting the workers"]
-    progress.beat(0, "decomposing [mug]", 0.0)
-    progress.beat(1, "refining", 0.5)
+    progress.heartbeat(0, "decomposing [mug]", 0.0)
+    progress.heartbeat(1, "refining", 0.5)
     clock.now += 10.0
     assert picture(progress)[1] == "10/50 grasps refined", "no speed and no time left before a grasp is refined"
-    progress.beat(1, "refining", 0.5, 3)
+    progress.heartbeat(1, "refining", 0.5, 3)
     bar, facts, *workers = picture(progress)
     # 10 grasps were done before, and half a shard of 10 is: 15 of 50, at 5 in 10 s.
     assert bar == "━" * 24
@@ -124,7 +124,7 @@ def test_a_terminal_sees_the_whole_and_what_each_worker_does(clock: Clock):
         "20/50 grasps refined · 1.00 grasps/s · 30 s left · 100 % good",
         "  0 % job, part 0: decomposing [mug]",
     ]
-    progress.beat(1, "late", 0.9)
+    progress.heartbeat(1, "late", 0.9)
     assert len(picture(progress)) == 3, "a sign of life that comes late is none"
     progress.wait("writing the index")
     assert picture(progress)[-1] == "⠋ writing the index"
@@ -133,7 +133,7 @@ def test_a_terminal_sees_the_whole_and_what_each_worker_does(clock: Clock):
 def test_no_line_is_wider_than_the_terminal_and_many_workers_are_counted(clock: Clock):
     progress = Progress(plain(), shards(30), 20, clock=clock)
     for number in range(20):
-        progress.beat(number, "refining " * 20, 0.3)
+        progress.heartbeat(number, "refining " * 20, 0.3)
     for number in range(20, 25):
         progress.done(done(number, 10, 3))
     clock.now += 1e5
@@ -152,7 +152,7 @@ def test_a_terminal_is_cleaned_up(clock: Clock):
     file = io.StringIO()
     console = Console(file=file, width=80, highlight=False, force_terminal=True)
     with pytest.raises(KeyboardInterrupt), Progress(console, shards(1), 1, clock=clock) as progress:
-        progress.beat(0, "refining", 0.5)
+        progress.heartbeat(0, "refining", 0.5)
         raise KeyboardInterrupt
     # The cursor is hidden while the bar moves, and is back.
     assert file.getvalue().count("\x1b[?25l") == file.getvalue().count("\x1b[?25h") == 1

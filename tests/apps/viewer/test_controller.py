@@ -249,10 +249,10 @@ def test_targets_are_moved_replaced_deleted_and_brought_back(viewer: Controller)
 
 def test_a_proof_says_what_held_and_its_motion_can_be_watched(viewer: Controller) -> None:
     viewer.show(SLIPPING)
-    viewer.prove("force-closure", 0.15)
+    viewer.run_trial("force-closure", 0.15)
     settled(viewer)
-    proof = viewer.state.proof
-    assert proof is not None and proof.directions == ("+x", "-x", "+y", "-y", "+z", "-z") and not proof.held
+    trial = viewer.state.trial
+    assert trial is not None and trial.directions == ("+x", "-x", "+y", "-y", "+z", "-z") and not trial.held
     viewer.watch("+z")
     settled(viewer)
     state = viewer.state
@@ -261,18 +261,18 @@ def test_a_proof_says_what_held_and_its_motion_can_be_watched(viewer: Controller
     assert viewer.state.motion_frame == len(state.motion) - 1
     assert np.linalg.norm(viewer.state.T_shown_object[:3, 3]) > 0.01
     viewer.end_motion()
-    assert same(viewer.state.shown, viewer.state.pose) and viewer.state.proof is proof
-    viewer.prove("force-closure", -1.0)
+    assert same(viewer.state.shown, viewer.state.pose) and viewer.state.trial is trial
+    viewer.run_trial("force-closure", -1.0)
     assert viewer.state.notice.bad
     assert_names(viewer.state.notice.text, "friction", "0", "-1")
 
 
 def test_a_proof_is_forgotten_when_the_hand_moves(viewer: Controller) -> None:
-    viewer.prove()
+    viewer.run_trial()
     settled(viewer)
-    assert viewer.state.proof is not None
+    assert viewer.state.trial is not None
     viewer.set_joint(0, 0.1)
-    assert viewer.state.proof is None
+    assert viewer.state.trial is None
 
 
 # what is open
@@ -305,7 +305,7 @@ def test_a_mark_that_cannot_be_written_is_told_and_kept(tmp_path: Path, problem:
 def test_a_simulation_is_only_looked_at(viewer: Controller) -> None:
     viewer.show(SLIPPING)
     first = viewer.state.pose
-    viewer.prove("force-closure", 0.15)
+    viewer.run_trial("force-closure", 0.15)
     settled(viewer)
     viewer.watch("+z")
     settled(viewer)
@@ -326,11 +326,11 @@ def test_what_is_not_finite_or_no_joint_is_ignored(viewer: Controller) -> None:
 
 
 def test_a_new_target_leaves_the_proof_of_the_pose(viewer: Controller) -> None:
-    viewer.prove()
+    viewer.run_trial()
     settled(viewer)
     viewer.aim_nearest()
     settled(viewer)
-    assert viewer.state.targets and viewer.state.proof is not None
+    assert viewer.state.targets and viewer.state.trial is not None
     viewer.undo()
     assert viewer.state.targets == ()
 

@@ -23,7 +23,7 @@ viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'vi
 
 from grasp_refine_apps.viewer.collection import Collection  # noqa: E402
 from grasp_refine_apps.viewer.controller import Controller  # noqa: E402
-from grasp_refine_apps.viewer.panels.edit_panel import SteerPanel, target_words  # noqa: E402
+from grasp_refine_apps.viewer.panels.edit_panel import EditPanel, target_words  # noqa: E402
 from grasp_refine_apps.viewer.panels.joints import limits, units  # noqa: E402
 from grasp_refine_apps.viewer.shapes import LinkPoses  # noqa: E402
 from grasp_refine_apps.viewer.target import Target  # noqa: E402
@@ -36,7 +36,7 @@ class Shown:
     """A page with the panel."""
 
     controller: Controller
-    panel: SteerPanel
+    panel: EditPanel
     page: Page
 
     def press(self, name: str) -> None:
@@ -59,7 +59,7 @@ def problem() -> Problem:
 @pytest.fixture
 def shown(problem: Problem) -> Iterator[Shown]:
     made = controller(problem)
-    with shown_panel(SteerPanel, made) as (panel, page):
+    with shown_panel(EditPanel, made) as (panel, page):
         until(lambda: panel._joints._sliders)
         yield Shown(made, panel, page)
 

@@ -29,7 +29,7 @@ viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'vi
 
 from grasp_refine_apps.viewer import upload_limit  # noqa: E402
 from grasp_refine_apps.viewer.panels import export_panel  # noqa: E402
-from grasp_refine_apps.viewer.panels.export_panel import TakePanel, open_html, png  # noqa: E402
+from grasp_refine_apps.viewer.panels.export_panel import ExportPanel, open_html, png  # noqa: E402
 from grasp_refine_apps.viewer.uploads import LARGEST_UPLOAD  # noqa: E402
 from viser_client import Client  # noqa: E402
 from websocket_page import until  # noqa: E402
@@ -62,7 +62,7 @@ class Shown:
 
     server: viser.ViserServer
     controller: Controller
-    panel: TakePanel
+    panel: ExportPanel
     one: Client
     other: Client
 
@@ -80,7 +80,7 @@ class Shown:
 def shown(collection: Collection) -> Iterator[Shown]:
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     controller = Controller(collection, Settings(geometry_only=True))
-    panel = TakePanel(server, controller)
+    panel = ExportPanel(server, controller)
     controller.listen(panel.draw)
     panel.draw(controller.state)
     with Client(server) as one, Client(server) as other:

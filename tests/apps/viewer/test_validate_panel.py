@@ -19,7 +19,7 @@ viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'vi
 
 from grasp_refine_apps.viewer import motion_player  # noqa: E402
 from grasp_refine_apps.viewer.controller import Controller  # noqa: E402
-from grasp_refine_apps.viewer.panels.validate_panel import PAUSE, PLAY, ProvePanel  # noqa: E402
+from grasp_refine_apps.viewer.panels.validate_panel import PAUSE, PLAY, ValidatePanel  # noqa: E402
 
 
 @dataclass
@@ -27,7 +27,7 @@ class Shown:
     """A page with the panel."""
 
     controller: Controller
-    panel: ProvePanel
+    panel: ValidatePanel
     page: Page
 
     def widget(self, name: str) -> Any:
@@ -39,7 +39,7 @@ class Shown:
     def proved(self) -> None:
         """Test it, and wait for what comes of it."""
         self.press("test")
-        until(lambda: self.controller.state.proof is not None and self.widget("watch").visible)
+        until(lambda: self.controller.state.trial is not None and self.widget("watch").visible)
 
     def watched(self, direction: str) -> None:
         """Watch a direction, and wait until it is there."""
@@ -56,7 +56,7 @@ def problem() -> Problem:
 @pytest.fixture
 def shown(problem: Problem) -> Iterator[Shown]:
     made = controller(problem)
-    with shown_panel(ProvePanel, made) as (panel, page):
+    with shown_panel(ValidatePanel, made) as (panel, page):
         yield Shown(made, panel, page)
 
 
@@ -121,10 +121,10 @@ def test_a_setting_brings_its_friction(shown: Shown) -> None:
     until(lambda: shown.widget("friction").value == 0.3)
     shown.proved()
     assert shown.widget("result").content != untested
-    proof = shown.controller.state.proof
-    assert proof is not None and proof.protocol.name == "strict"
+    trial = shown.controller.state.trial
+    assert trial is not None and trial.protocol.name == "strict"
     # That of the setting, with its torsion, which is not in proportion to that of others.
-    assert (proof.protocol.friction, proof.protocol.torsion) == (0.3, 0.002)
+    assert (trial.protocol.friction, trial.protocol.torsion) == (0.3, 0.002)
     # What is steered is no longer what was tested.
     T = shown.controller.state.pose.T_object_root.copy()
     T[2, 3] += 0.001
@@ -136,7 +136,7 @@ def test_a_lift_has_one_direction(shown: Shown) -> None:
     shown.page.change(shown.widget("setting"), "tabletop")
     until(lambda: shown.widget("friction").value == 0.6)
     shown.press("test")
-    until(lambda: shown.controller.state.proof is not None and shown.widget("watch").options == ("lift",))
+    until(lambda: shown.controller.state.trial is not None and shown.widget("watch").options == ("lift",))
     # The table is where the hand is: there is nothing to watch.
     until(lambda: "pregrasp" in shown.widget("result").content)
     assert not shown.widget("watch").visible

@@ -10,8 +10,8 @@ import pytest
 
 from grasp_refine.validation.protocol import AXES, FORCE_CLOSURE, TABLETOP, Protocol
 from grasp_refine.validation.trials import Reason
-from grasp_refine_apps.viewer.validated import Proved, Tried
-from grasp_refine_apps.viewer.validated_html import motion_html, notes_html, proved_html
+from grasp_refine_apps.viewer.validated import TrialResult, Tried
+from grasp_refine_apps.viewer.validated_html import motion_html, notes_html, trial_html
 from refusals import assert_names
 
 OWN = {"pregrasp": "own", "squeeze": "own"}
@@ -22,16 +22,16 @@ def tried(direction: str, reason: Reason, mm: float = 2.0, degrees: float = 1.0,
     return Tried(direction, reason, at, mm / 1e3, angle, mm / 1e3, angle, ("tip", "thumb", "palm", "ring"))
 
 
-def proved(*reasons: Tried, protocol: Protocol = FORCE_CLOSURE, **known: float) -> Proved:
+def proved(*reasons: Tried, protocol: Protocol = FORCE_CLOSURE, **known: float) -> TrialResult:
     """Those directions as said, the others held."""
     said = {one.direction: one for one in reasons}
     names = protocol.directions or ("lift",)
     all_of_them = tuple(said.get(name) or tried(name, Reason.HELD) for name in names)
     numbers = {"closing_m": 0.001, "closing_rad": 0.01, "penetration_m": 0.0, **known}
-    return Proved(protocol, all_of_them, OWN, **numbers)
+    return TrialResult(protocol, all_of_them, OWN, **numbers)
 
 
-def everywhere(reason: Reason, **known: float) -> Proved:
+def everywhere(reason: Reason, **known: float) -> TrialResult:
     return proved(*(replace(tried(name, reason, nan, nan), links=()) for name in AXES), **known)
 
 
@@ -76,7 +76,7 @@ def test_what_ends_before_the_push_is_told_once() -> None:
     thrown = everywhere(Reason.THROWN, closing_m=0.089, closing_rad=radians(31))
     assert thrown.before_push == Reason.THROWN and thrown.watchable
     assert_names(thrown.verdict, FAILS, "89 mm", "31°")
-    assert "<table>" not in proved_html(thrown)
+    assert "<table>" not in trial_html(thrown)
     deep = everywhere(Reason.PENETRATES, penetration_m=0.0122)
     assert not deep.watchable
     assert_names(deep.verdict, FAILS, "12.2 mm", "10 mm")
@@ -104,15 +104,15 @@ def test_how_it_was_tested_is_told() -> None:
 
 
 def test_the_table_has_a_row_for_each_direction() -> None:
-    page = proved_html(proved(tried("+x", Reason.TURNED, 9.0, 15.2, at=0.2)))
+    page = trial_html(proved(tried("+x", Reason.TURNED, 9.0, 15.2, at=0.2)))
     assert page.count("<tr ") == 6 and page.count("✓ held") == 5
     assert "✗ turned, 0.2 s</td><td>9.0 mm</td><td>15.2°</td><td>4</td>" in page
     (title,) = (found for found in re.findall(r'<tr title="([^"]*)"', page) if "15.2°" in found)
     assert_names(title, "0.2 s", "4 links")
-    assert "gr-no" in page.split("</style>")[1] and "gr-yes" in proved_html(proved()).split("</style>")[1]
-    assert "gr-unsure" in proved_html(proved(tried("+y", Reason.HELD, 40.0))).split("</style>")[1]
+    assert "gr-no" in page.split("</style>")[1] and "gr-yes" in trial_html(proved()).split("</style>")[1]
+    assert "gr-unsure" in trial_html(proved(tried("+y", Reason.HELD, 40.0))).split("</style>")[1]
     unknown = proved(replace(tried("+x", Reason.UNSTABLE, nan, nan, at=0.2), links=()))
-    assert "<td>–</td><td>–</td><td>0</td>" in proved_html(unknown)
+    assert "<td>–</td><td>–</td><td>0</td>" in trial_html(unknown)
 
 
 def test_text_cannot_become_html() -> None:

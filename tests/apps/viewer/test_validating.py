@@ -27,7 +27,7 @@ from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.sources import Sources
 from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.validating import Prover, protocol_of, prove, stages, watch
+from grasp_refine_apps.viewer.validating import Validator, protocol_of, run_trial, stages, watch
 from grasp_refine_apps.viewer.worker import Control, Stopped
 from refusals import assert_names, refused
 from running_processes import PATIENCE_S
@@ -53,8 +53,8 @@ def prepared(scene: Scene) -> HandObject:
 
 
 @pytest.fixture(scope="module")
-def prover() -> Prover:
-    return Prover()
+def validator() -> Validator:
+    return Validator()
 
 
 def as_it_came(scene: Scene) -> Pose:
@@ -68,11 +68,13 @@ def lifted(scene: Scene, by: float) -> Pose:
     return Pose(T, scene.q[0])
 
 
-def test_a_proof_says_what_validate_says(prover: Prover, group: Group, scene: Scene, prepared: HandObject) -> None:
+def test_a_proof_says_what_validate_says(
+    validator: Validator, group: Group, scene: Scene, prepared: HandObject
+) -> None:
     protocol = protocol_of("force-closure", 0.15)
     told: list[tuple[float, str]] = []
-    proved = prove(
-        prover,
+    proved = run_trial(
+        validator,
         scene,
         as_it_came(scene),
         protocol,
@@ -84,7 +86,7 @@ def test_a_proof_says_what_validate_says(prover: Prover, group: Group, scene: Sc
     assert proved.motion is not None
     np.testing.assert_allclose(proved.motion.q, group.motion().q, atol=1e-9)
     np.testing.assert_allclose(proved.motion.T_world_root, group.motion().T_world_root, atol=1e-9)
-    expected = simulate(prover.world(scene, protocol), proved.motion)
+    expected = simulate(validator.world(scene, protocol), proved.motion)
     # To the last bit.
     for d, tried in enumerate(proved.tried):
         assert tried.direction == expected.directions[d]
@@ -104,10 +106,10 @@ def test_a_proof_says_what_validate_says(prover: Prover, group: Group, scene: Sc
     assert_names(parts[3], "6")
 
 
-def test_the_watched_motion_ends_as_the_proof_says(prover: Prover, scene: Scene, prepared: HandObject) -> None:
-    proved = prove(prover, scene, as_it_came(scene), protocol_of("force-closure", 0.15), prepared=prepared)
+def test_the_watched_motion_ends_as_the_proof_says(validator: Validator, scene: Scene, prepared: HandObject) -> None:
+    proved = run_trial(validator, scene, as_it_came(scene), protocol_of("force-closure", 0.15), prepared=prepared)
     lost = next(tried for tried in proved.tried if not tried.held)
-    motion = watch(prover, scene, as_it_came(scene), proved, lost.direction)
+    motion = watch(validator, scene, as_it_came(scene), proved, lost.direction)
     assert (motion.direction, motion.reason, motion.setting) == (lost.direction, "turned", "force-closure")
     # What was found at a check is what is shown in the frame of that time.
     frame = motion.frame_at(0.8 + lost.time_s)
@@ -120,7 +122,7 @@ def test_the_watched_motion_ends_as_the_proof_says(prover: Prover, scene: Scene,
     assert proved.motion is not None
     np.testing.assert_allclose(motion.T_root[0], proved.motion.T_world_root[0, 0], atol=1e-12)
     np.testing.assert_allclose(motion.q[0], proved.motion.q[0, 0], atol=1e-12)
-    held = watch(prover, scene, as_it_came(scene), replace(proved, motion=None), "+x", prepared=prepared)
+    held = watch(validator, scene, as_it_came(scene), replace(proved, motion=None), "+x", prepared=prepared)
     assert held.held and not held.lost.any()
 
 
@@ -145,7 +147,7 @@ def test_pregrasp_and_squeeze_of_the_file_are_for_the_grasp_of_the_file(
     np.testing.assert_array_equal(motion.T_world_root[0, 1], moved.T_object_root)
 
 
-def test_a_grasp_of_others_is_closed_as_its_file_says(prover: Prover, shared_assets: Path) -> None:
+def test_a_grasp_of_others_is_closed_as_its_file_says(validator: Validator, shared_assets: Path) -> None:
     """DexGraspBench, where it comes from, finds that all grasps of this bottle hold."""
     bottle = "core_bottle_523cddb320608c09a37f3fc191551700"
     sources = Sources(
@@ -156,36 +158,38 @@ def test_a_grasp_of_others_is_closed_as_its_file_says(prover: Prover, shared_ass
     )
     (group,) = load_problem(sources.of(shared_assets / "grasps/normalised/bodex_shadow.npz")).groups
     pose = as_it_came(group.scene)
-    proved = prove(prover, group.scene, pose, FORCE_CLOSURE, came=group.grasps)
+    proved = run_trial(validator, group.scene, pose, FORCE_CLOSURE, came=group.grasps)
     assert proved.held and proved.closing == {"pregrasp": "file", "squeeze": "file"}
-    motion = watch(prover, group.scene, pose, proved, "-y")
+    motion = watch(validator, group.scene, pose, proved, "-y")
     assert motion.held and len(motion) == 141 and motion.seconds == pytest.approx(2.8)
     assert group.grasps.pregrasp is not None
     np.testing.assert_allclose(pose_from_transform(motion.T_root[:1]), group.grasps.pregrasp.hand_pose, atol=1e-6)
 
 
-def test_what_was_compiled_is_kept(prover: Prover, scene: Scene) -> None:
-    world = prover.world(scene, FORCE_CLOSURE)
-    assert prover.world(replace(scene, q=scene.q + 1.0), protocol_of("force-closure")) is world
-    assert prover.world(scene, STRICT) is not world
-    assert prover.model(scene.hand) is world.hand
+def test_what_was_compiled_is_kept(validator: Validator, scene: Scene) -> None:
+    world = validator.world(scene, FORCE_CLOSURE)
+    assert validator.world(replace(scene, q=scene.q + 1.0), protocol_of("force-closure")) is world
+    assert validator.world(scene, STRICT) is not world
+    assert validator.model(scene.hand) is world.hand
 
 
-Doing = Callable[[Prover, Scene, HandObject, Control], object]
+Doing = Callable[[Validator, Scene, HandObject, Control], object]
 
 
-def proving(prover: Prover, scene: Scene, prepared: HandObject, control: Control) -> object:
+def proving(validator: Validator, scene: Scene, prepared: HandObject, control: Control) -> object:
     protocol = protocol_of("force-closure", 0.15)
-    return prove(prover, scene, as_it_came(scene), protocol, prepared=prepared, tell=control.tell, check=control.check)
+    return run_trial(
+        validator, scene, as_it_came(scene), protocol, prepared=prepared, tell=control.tell, check=control.check
+    )
 
 
-def watching(prover: Prover, scene: Scene, prepared: HandObject, control: Control) -> object:
+def watching(validator: Validator, scene: Scene, prepared: HandObject, control: Control) -> object:
     pose = as_it_came(scene)
-    proved = prove(prover, scene, pose, FORCE_CLOSURE, prepared=prepared)
-    return watch(prover, scene, pose, proved, "+x", tell=control.tell, check=control.check)
+    proved = run_trial(validator, scene, pose, FORCE_CLOSURE, prepared=prepared)
+    return watch(validator, scene, pose, proved, "+x", tell=control.tell, check=control.check)
 
 
-def cpu_seconds_to_stop(prover: Prover, scene: Scene, prepared: HandObject, doing: Doing, at: float) -> float:
+def cpu_seconds_to_stop(validator: Validator, scene: Scene, prepared: HandObject, doing: Doing, at: float) -> float:
     """CPU time (s) that goes by until it stops when that share is done."""
     reached, ended = threading.Event(), []
 
@@ -197,7 +201,7 @@ def cpu_seconds_to_stop(prover: Prover, scene: Scene, prepared: HandObject, doin
 
     def work() -> None:
         with pytest.raises(Stopped):
-            doing(prover, scene, prepared, control)
+            doing(validator, scene, prepared, control)
         ended.append(time.process_time())
 
     thread = threading.Thread(target=work)
@@ -211,12 +215,14 @@ def cpu_seconds_to_stop(prover: Prover, scene: Scene, prepared: HandObject, doin
 
 
 @pytest.mark.parametrize(("doing", "at"), [(proving, 0.1), (proving, 0.9), (watching, 0.5)])
-def test_stop_takes_effect_at_once(prover: Prover, scene: Scene, prepared: HandObject, doing: Doing, at: float) -> None:
-    before = prove(prover, scene, as_it_came(scene), FORCE_CLOSURE, prepared=prepared)
+def test_stop_takes_effect_at_once(
+    validator: Validator, scene: Scene, prepared: HandObject, doing: Doing, at: float
+) -> None:
+    before = run_trial(validator, scene, as_it_came(scene), FORCE_CLOSURE, prepared=prepared)
     # A few milliseconds each; a whole proof takes seconds.
-    assert min(cpu_seconds_to_stop(prover, scene, prepared, doing, at) for _ in range(3)) < 0.2
+    assert min(cpu_seconds_to_stop(validator, scene, prepared, doing, at) for _ in range(3)) < 0.2
     # Nothing of it is left: the next proof is that from before.
-    after = prove(prover, scene, as_it_came(scene), FORCE_CLOSURE, prepared=prepared)
+    after = run_trial(validator, scene, as_it_came(scene), FORCE_CLOSURE, prepared=prepared)
     assert [tried.reason for tried in after.tried] == [tried.reason for tried in before.tried]
     moved = [[tried.displacement_m for tried in proved.tried] for proved in (before, after)]
     np.testing.assert_allclose(*moved, atol=1e-6)
@@ -237,24 +243,24 @@ def test_stop_is_heard_while_the_hand_is_opened(scene: Scene, prepared: HandObje
 
 
 def test_a_grasp_that_cannot_start_is_told_and_cannot_be_watched(
-    prover: Prover, scene: Scene, prepared: HandObject
+    validator: Validator, scene: Scene, prepared: HandObject
 ) -> None:
     pose = as_it_came(scene)
     inside = Pose(pose.T_object_root.copy(), pose.q)
     towards = np.array([0.0, 0.0, 0.05]) - pose.T_object_root[:3, 3]  # the middle of the mug
     inside.T_object_root[:3, 3] += 0.08 * towards / np.linalg.norm(towards)
-    proved = prove(prover, scene, inside, FORCE_CLOSURE, prepared=prepared)
+    proved = run_trial(validator, scene, inside, FORCE_CLOSURE, prepared=prepared)
     assert proved.before_push == Reason.PENETRATES and not proved.watchable
     depth = f"{1e3 * proved.penetration_m:.1f} mm"
     assert_names(proved.verdict, depth)
     with refused(GraspRefineError, depth):
-        watch(prover, scene, inside, proved, "+x")
+        watch(validator, scene, inside, proved, "+x")
 
 
-def test_a_direction_that_is_none_is_refused(prover: Prover, scene: Scene, prepared: HandObject) -> None:
-    proved = prove(prover, scene, lifted(scene, 1.0), FORCE_CLOSURE, prepared=prepared)
+def test_a_direction_that_is_none_is_refused(validator: Validator, scene: Scene, prepared: HandObject) -> None:
+    proved = run_trial(validator, scene, lifted(scene, 1.0), FORCE_CLOSURE, prepared=prepared)
     with refused(GraspRefineError, "lift", "+x, -x, +y, -y, +z, -z"):
-        watch(prover, scene, lifted(scene, 1.0), proved, "lift")
+        watch(validator, scene, lifted(scene, 1.0), proved, "lift")
 
 
 def test_settings_and_friction_that_cannot_be_are_refused() -> None:

@@ -20,9 +20,9 @@ from grasp_refine_apps.cli import main
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import HELD, REASON
 from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.validating import Prover, prove
-from grasp_refine_apps.viewer.validation_file import read_proofs
-from grasp_refine_apps.viewer.validations import with_proofs
+from grasp_refine_apps.viewer.validating import Validator, run_trial
+from grasp_refine_apps.viewer.validation_file import read_validation
+from grasp_refine_apps.viewer.validations import with_trials
 from refusals import assert_names, refused
 
 EXAMPLE = resource_dir("robots") / "allegro" / "example_mug.npz"
@@ -46,18 +46,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_what_validate_wrote_is_what_a_proof_finds(folder: Path) -> None:
     # Whichever grasps are open, in whichever order.
     collection = opened(EXAMPLE, 0, 1, 2)
-    found = read_proofs(folder / "validate.json").of(collection)
+    found = read_validation(folder / "validate.json").of(collection)
     assert sorted(found) == [0, 1]
     for number, read in found.items():
         scene = collection.scene(number)
-        proved = prove(Prover(), scene, Pose(scene.T_world_root[0], scene.q[0]), read.protocol)
+        proved = run_trial(Validator(), scene, Pose(scene.T_world_root[0], scene.q[0]), read.protocol)
         assert (proved.verdict, proved.conditions, proved.closed_by) == (read.verdict, read.conditions, read.closed_by)
         assert [proved.words(tried) for tried in proved.tried] == [read.words(tried) for tried in read.tried]
         for one, other in zip(proved.tried, read.tried, strict=True):
             assert (one.direction, one.reason, one.links) == (other.direction, other.reason, other.links)
             np.testing.assert_equal((one.peak_m, one.time_s), (other.peak_m, other.time_s))
         assert read.motion is None
-    table = with_proofs(collection, found).columns
+    table = with_trials(collection, found).columns
     said = ["held" if found[number].held else "failed" for number in (0, 1)]
     assert table[HELD.key].values.tolist() == [*said, ""]
     reasons = [next((t.reason.label for t in found[n].tried if not t.held), "") for n in (0, 1)]
@@ -66,15 +66,15 @@ def test_what_validate_wrote_is_what_a_proof_finds(folder: Path) -> None:
 
 
 def test_what_run_wrote_is_of_its_input_before_and_of_its_output_after(folder: Path) -> None:
-    proofs = read_proofs(folder / "run.json")
-    before = proofs.of(opened(EXAMPLE, 0, 1))
+    trials_by_grasp = read_validation(folder / "run.json")
+    before = trials_by_grasp.of(opened(EXAMPLE, 0, 1))
     assert [before[n].verdict for n in (0, 1)] == [
-        read_proofs(folder / "validate.json").of(opened(EXAMPLE, 0, 1))[n].verdict for n in (0, 1)
+        read_validation(folder / "validate.json").of(opened(EXAMPLE, 0, 1))[n].verdict for n in (0, 1)
     ]
     assert before[0].closed_by == ""
     # Grasp 1 was asked for first.
     document = json.loads((folder / "run.json").read_text())
-    after = proofs.of(opened(folder / "allegro_mug.npz"))
+    after = trials_by_grasp.of(opened(folder / "allegro_mug.npz"))
     assert sorted(after) == [0, 1] and [grasp["row"] for grasp in document["grasps"]] == [1, 0]
     for number, grasp in enumerate(document["grasps"]):
         simulation = grasp["simulation"]["after"]
@@ -132,7 +132,7 @@ def test_damaged_documents_are_refused_in_one_line(
     path = tmp_path / "spoilt.json"
     path.write_text(json.dumps(document))
     with refused(GraspFileError, *named) as caught:
-        read_proofs(path)
+        read_validation(path)
     assert str(caught.value).startswith(f"{path}: ")
 
 
@@ -149,29 +149,29 @@ def test_other_files_are_refused(tmp_path: Path, text: str, named: tuple[str, ..
     path = tmp_path / "other.json"
     path.write_text(text)
     with refused(GraspFileError, path, *named):
-        read_proofs(path)
+        read_validation(path)
     with refused(GraspFileError, tmp_path / "missing.json"):
-        read_proofs(tmp_path / "missing.json")
+        read_validation(tmp_path / "missing.json")
 
 
 def test_documents_about_other_grasps_are_refused(folder: Path, tmp_path: Path) -> None:
     other = opened(resource_dir("robots") / "allegro" / "example_bottle.npz", 0)
-    proofs = read_proofs(folder / "validate.json")
+    trials_by_grasp = read_validation(folder / "validate.json")
     with refused(GraspFileError, folder / "validate.json", "example_bottle.npz"):
-        proofs.of(other)
+        trials_by_grasp.of(other)
     with refused(GraspFileError, folder / "validate.json", "2 grasps"):
-        proofs.of(opened(EXAMPLE, 3))
+        trials_by_grasp.of(opened(EXAMPLE, 3))
     document = json.loads((folder / "run.json").read_text())
     for grasp in document["grasps"]:
         grasp["quality"]["after"] = 0.25
     (tmp_path / "run.json").write_text(json.dumps(document))
     with refused(GraspFileError, tmp_path / "run.json", "quality 0.25", "mug 0"):
-        read_proofs(tmp_path / "run.json").of(opened(folder / "allegro_mug.npz"))
+        read_validation(tmp_path / "run.json").of(opened(folder / "allegro_mug.npz"))
     for grasp in document["grasps"]:
         grasp["simulation"] = {"before": None, "after": None}
     (tmp_path / "run.json").write_text(json.dumps(document))
     with refused(GraspFileError, tmp_path / "run.json", "`run`", "--validate"):
-        read_proofs(tmp_path / "run.json").of(opened(EXAMPLE, 0))
+        read_validation(tmp_path / "run.json").of(opened(EXAMPLE, 0))
 
 
 def test_what_is_not_known_is_not_made_up(folder: Path, tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_what_is_not_known_is_not_made_up(folder: Path, tmp_path: Path) -> None:
     for direction in thrown["directions"]:
         direction.update(reason="thrown", time_s=None, displacement_m=None, angle_rad=None, peak_m=None, peak_rad=None)
     (tmp_path / "plain.json").write_text(json.dumps(document))
-    found = read_proofs(tmp_path / "plain.json").of(opened(EXAMPLE, 0, 1))
+    found = read_validation(tmp_path / "plain.json").of(opened(EXAMPLE, 0, 1))
     assert found[0].protocol.friction == 0.6 and found[0].closed_by == ""
     assert found[1].before_push == Reason.THROWN and found[1].watchable
     assert_names(found[1].verdict, "89 mm", "30°")

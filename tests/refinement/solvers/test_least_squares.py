@@ -16,7 +16,7 @@ SOLVER = LevenbergMarquardt(iterations=200, restarts=0)
 @dataclass(frozen=True, eq=False)
 class Known:
     loss: np.ndarray
-    asked: np.ndarray
+    num_queries: np.ndarray
     q: np.ndarray
 
 
@@ -63,13 +63,13 @@ class Valley:
             self.widths[m].append(float(one))
         return Linear(self.residual(member, point.q), self.jacobian(member, point.q))
 
-    def room(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
+    def step_bounds(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
         return np.full(point.q.shape, -self.box), np.full(point.q.shape, self.box)
 
-    def moved(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
+    def integrate(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
         return Point(point.T, point.q + dx)
 
-    def restarted(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
+    def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
         draws = [np.random.default_rng((m, k)).uniform(-4, 4, 2) for m, k in zip(member, start, strict=True)]
         return Point(best.T, np.array(draws))
 

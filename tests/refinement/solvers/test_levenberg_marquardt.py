@@ -143,25 +143,25 @@ def test_the_prediction_is_the_fall_of_a_linear_problem() -> None:
 def one_sided_problems(count: int, seed: int) -> tuple[np.ndarray, ...]:
     """J, r, lambda, W and which rows are one-sided: half of them, some positive at first."""
     J, r, damping, metric = problems(count, 14, 6, seed)
-    one_sided = np.tile(np.arange(14) % 2 == 0, (count, 1))
-    return J, r, damping, metric, one_sided
+    unilateral = np.tile(np.arange(14) % 2 == 0, (count, 1))
+    return J, r, damping, metric, unilateral
 
 
-def one_sided_loss(J: np.ndarray, r: np.ndarray, one_sided: np.ndarray, dx: np.ndarray) -> np.ndarray:
+def one_sided_loss(J: np.ndarray, r: np.ndarray, unilateral: np.ndarray, dx: np.ndarray) -> np.ndarray:
     after = r + np.einsum("bij,bj->bi", J, dx)
-    return (np.where(one_sided, np.maximum(after, 0.0), after) ** 2).sum(axis=1)
+    return (np.where(unilateral, np.maximum(after, 0.0), after) ** 2).sum(axis=1)
 
 
 def test_one_sided_rows_count_where_they_are_positive_after_the_step() -> None:
     """r = [x - 1, 3 (x - 0.5)+]: neither 1, as if it were free, nor 0.55, as if it pulled from below as well."""
     J, damping = np.array([[[1.0], [3.0]]]), np.zeros(1)
     bounds = np.full((1, 1), -9.0), np.full((1, 1), 9.0)
-    one_sided = np.array([[False, True]])
-    dx, fall = bounded_step(J, np.array([[-1.0, -1.5]]), damping, np.ones((1, 1)), *bounds, one_sided)
+    unilateral = np.array([[False, True]])
+    dx, fall = bounded_step(J, np.array([[-1.0, -1.5]]), damping, np.ones((1, 1)), *bounds, unilateral)
     np.testing.assert_allclose(dx, [[0.55]], atol=1e-12)
     assert fall[0] == pytest.approx(1.0 - 0.45**2 - 0.15**2)
     # r = [x + 1, 3 (x + 0.1)+]: what a step leaves does not hold it back nor push it on.
-    dx, fall = bounded_step(J, np.array([[1.0, 0.3]]), damping, np.ones((1, 1)), *bounds, one_sided)
+    dx, fall = bounded_step(J, np.array([[1.0, 0.3]]), damping, np.ones((1, 1)), *bounds, unilateral)
     np.testing.assert_allclose(dx, [[-1.0]], atol=1e-12)
     assert fall[0] == pytest.approx(1.09)
 
@@ -169,18 +169,18 @@ def test_one_sided_rows_count_where_they_are_positive_after_the_step() -> None:
 @pytest.mark.parametrize("room", [FREE, 0.3])
 def test_steps_with_one_sided_rows_are_the_optimum_and_foretell_the_fall(room: float) -> None:
     """The damped loss is convex and piecewise quadratic: at its minimum no way within the bounds leads down."""
-    J, r, damping, metric, one_sided = one_sided_problems(200, 14)
+    J, r, damping, metric, unilateral = one_sided_problems(200, 14)
     rng = np.random.default_rng(15)
     lower, upper = -room * rng.uniform(0.1, 1, (200, 6)), room * rng.uniform(0.1, 1, (200, 6))
-    dx, fall = bounded_step(J, r, damping, metric, lower, upper, one_sided)
+    dx, fall = bounded_step(J, r, damping, metric, lower, upper, unilateral)
     assert (dx >= lower).all() and (dx <= upper).all()
     zero = np.zeros_like(dx)
     np.testing.assert_allclose(
-        fall, one_sided_loss(J, r, one_sided, zero) - one_sided_loss(J, r, one_sided, dx), rtol=1e-9, atol=1e-12
+        fall, one_sided_loss(J, r, unilateral, zero) - one_sided_loss(J, r, unilateral, dx), rtol=1e-9, atol=1e-12
     )
     after = r + np.einsum("bij,bj->bi", J, dx)
     slope = (
-        np.einsum("bij,bi->bj", J, np.where(one_sided, np.maximum(after, 0.0), after)) + damping[:, None] * metric * dx
+        np.einsum("bij,bi->bj", J, np.where(unilateral, np.maximum(after, 0.0), after)) + damping[:, None] * metric * dx
     )
     free = np.where((dx <= lower) & (slope > 0) | (dx >= upper) & (slope < 0), 0.0, slope)
     settled = np.abs(free).max(axis=1) < 1e-8
@@ -188,16 +188,16 @@ def test_steps_with_one_sided_rows_are_the_optimum_and_foretell_the_fall(room: f
 
 
 def test_without_one_sided_rows_that_matter_nothing_changes() -> None:
-    J, r, damping, metric, one_sided = one_sided_problems(20, 16)
+    J, r, damping, metric, unilateral = one_sided_problems(20, 16)
     bounds = np.full((20, 6), -0.3), np.full((20, 6), 0.3)
     plain = bounded_step(J, r, damping, metric, *bounds)
     for found, expected in zip(
-        bounded_step(J, r, damping, metric, *bounds, np.zeros_like(one_sided)), plain, strict=True
+        bounded_step(J, r, damping, metric, *bounds, np.zeros_like(unilateral)), plain, strict=True
     ):
         np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
-    far = np.where(one_sided, -1e3, r)
-    masked = np.where(one_sided, 0.0, r), np.where(one_sided[..., None], 0.0, J)
-    found = bounded_step(J, far, damping, metric, *bounds, one_sided)
+    far = np.where(unilateral, -1e3, r)
+    masked = np.where(unilateral, 0.0, r), np.where(unilateral[..., None], 0.0, J)
+    found = bounded_step(J, far, damping, metric, *bounds, unilateral)
     np.testing.assert_allclose(found[0], bounded_step(masked[1], masked[0], damping, metric, *bounds)[0], atol=1e-12)
 
 

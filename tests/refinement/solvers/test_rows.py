@@ -15,12 +15,12 @@ def hand() -> Hand:
     return load_hand("allegro", candidates=16)
 
 
-def pulled(hand: Hand, rows: Rows, count: int) -> tuple[Linear, Chain, object]:
+def joint_covectors(hand: Hand, rows: Rows, count: int) -> tuple[Linear, Chain, object]:
     """The rows on the first 12 links of random hands."""
     rng = np.random.default_rng(9)
     chain = Chain(hand, [link.name for link in hand.links][:12])
     frames = chain(exp_se3(rng.normal(size=(count, 6))), rng.uniform(hand.lower, hand.upper, (count, 16)))
-    return rows.pulled(chain, frames), chain, frames
+    return rows.joint_covectors(chain, frames), chain, frames
 
 
 def test_weights_multiply_squares_and_links_pull_on_their_own_joints(hand: Hand) -> None:
@@ -28,11 +28,11 @@ def test_weights_multiply_squares_and_links_pull_on_their_own_joints(hand: Hand)
     r, c = rng.normal(size=(3, 2, 4)), rng.normal(size=(3, 2, 4, 6))
     rows = Rows(3)
     rows.add(r, c, 9.0, np.array([5, 7]))
-    linear, chain, frames = pulled(hand, rows, 3)
+    linear, chain, frames = joint_covectors(hand, rows, 3)
     np.testing.assert_allclose(linear.residual, 3.0 * r.reshape(3, 8))
-    expected = chain.pull(frames, 3.0 * c.reshape(3, 8, 6), np.array([5] * 4 + [7] * 4))
+    expected = chain.to_joint_space(frames, 3.0 * c.reshape(3, 8, 6), np.array([5] * 4 + [7] * 4))
     np.testing.assert_allclose(linear.jacobian, expected)
-    assert linear.one_sided is None
+    assert linear.unilateral is None
 
 
 @pytest.mark.parametrize("partners", [False, True], ids=["one link", "two links"])
@@ -45,15 +45,15 @@ def test_one_sided_rows_are_those_of_what_is_near_and_no_more_than_in_the_fulles
     c = rng.normal(size=(4, 9, 6))
     first, second = (np.arange(9) + 1, np.arange(9) + 3) if partners else (None, None)
     rows = Rows(4)
-    rows.add_one_sided(depth, c, 4.0, first, second)
-    linear, chain, frames = pulled(hand, rows, 4)
+    rows.add_unilateral(depth, c, 4.0, first, second)
+    linear, chain, frames = joint_covectors(hand, rows, 4)
     near = depth > -NEAR
     most = near.sum(axis=1).max()
-    assert linear.residual.shape == (4, most) and linear.one_sided is not None and linear.one_sided.all()
+    assert linear.residual.shape == (4, most) and linear.unilateral is not None and linear.unilateral.all()
     link = np.arange(9) if first is None else first
-    full = chain.pull(frames, 2.0 * c, link)
+    full = chain.to_joint_space(frames, 2.0 * c, link)
     if second is not None:
-        full = full - chain.pull(frames, 2.0 * c, second)
+        full = full - chain.to_joint_space(frames, 2.0 * c, second)
     for m in range(4):
         held = np.flatnonzero(near[m])
         np.testing.assert_allclose(linear.residual[m, : len(held)], 2.0 * depth[m, held])
@@ -65,15 +65,15 @@ def test_one_sided_rows_are_those_of_what_is_near_and_no_more_than_in_the_fulles
 def test_terms_follow_each_other_and_only_some_are_one_sided(hand: Hand) -> None:
     rows = Rows(2)
     rows.add(np.ones((2, 1, 1)), np.ones((2, 1, 1, 6)), 1.0, np.array([3]))
-    rows.add_one_sided(np.array([[-1.0, 0.002], [-1.0, -1.0]]), np.ones((2, 2, 6)), 1.0)
-    rows.add_one_sided(np.array([[0.001], [0.001]]), np.ones((2, 1, 6)), 1.0, np.array([4]), np.array([6]))
-    linear, _, _ = pulled(hand, rows, 2)
+    rows.add_unilateral(np.array([[-1.0, 0.002], [-1.0, -1.0]]), np.ones((2, 2, 6)), 1.0)
+    rows.add_unilateral(np.array([[0.001], [0.001]]), np.ones((2, 1, 6)), 1.0, np.array([4]), np.array([6]))
+    linear, _, _ = joint_covectors(hand, rows, 2)
     np.testing.assert_array_equal(linear.residual, [[1.0, 0.002, 0.001], [1.0, -NEAR, 0.001]])
-    np.testing.assert_array_equal(linear.one_sided, [[False, True, True]] * 2)
+    np.testing.assert_array_equal(linear.unilateral, [[False, True, True]] * 2)
 
 
 def test_nothing_near_adds_nothing(hand: Hand) -> None:
     rows = Rows(3)
-    rows.add_one_sided(np.full((3, 5), -0.1), np.ones((3, 5, 6)), 100.0)
-    linear, _, _ = pulled(hand, rows, 3)
-    assert linear.residual.shape == (3, 0) and linear.jacobian.shape == (3, 0, 22) and linear.one_sided is None
+    rows.add_unilateral(np.full((3, 5), -0.1), np.ones((3, 5, 6)), 100.0)
+    linear, _, _ = joint_covectors(hand, rows, 3)
+    assert linear.residual.shape == (3, 0) and linear.jacobian.shape == (3, 0, 22) and linear.unilateral is None

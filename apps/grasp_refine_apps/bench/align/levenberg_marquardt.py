@@ -80,7 +80,7 @@ def minimised(
     )
     start_cpu, start_wall = time.process_time(), time.perf_counter()
     with watch:
-        found = minimise(problem, start, settings, TOLERANCE, progress=told, watch=visited if visit else None)
+        found = minimise(problem, start, settings, TOLERANCE, progress=told, on_iteration=visited if visit else None)
     cpu_s, wall_s = time.process_time() - start_cpu, time.perf_counter() - start_wall
     task = np.arange(counts.max())[:, None]
     member = first + task % counts

@@ -14,7 +14,7 @@ from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import cross, exp_so3, matvec, tangents, transform, transform_points
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.refinement.solvers.least_squares import Linear, Point
-from grasp_refine.witness.contact_kinematics import slide
+from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
 from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatures
 from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.bodies import BodyPair
@@ -41,7 +41,7 @@ class Known:
     """[d - beta, E^T (x_a - t_a), E^T (x_b - t_b)] (M, 5): the misses across the normal have no derivative."""
     loss: np.ndarray
     """(d - beta)^2 + |x_a - t_a|^2 + |x_b - t_b|^2 (M,) in square metres."""
-    asked: np.ndarray
+    num_queries: np.ndarray
     witness: Witness
     E: np.ndarray
     """Tangents (M, 3, 2)."""
@@ -101,7 +101,7 @@ class AlignProblem:
         residual = np.concatenate([gap[:, None], matvec(E.mT, miss_a), matvec(E.mT, miss_b)], axis=1)
         a, b = (miss_a**2).sum(axis=1), (miss_b**2).sum(axis=1)
         loss = np.where(w.valid, gap**2 + a + b, np.nan)
-        return Known(residual, loss, w.asked, w, E, pivot, np.sqrt(np.stack([a, b], axis=1)))
+        return Known(residual, loss, w.num_queries, w, E, pivot, np.sqrt(np.stack([a, b], axis=1)))
 
     def linearize(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> Linear:
         """Residuals (M, 5) and Jacobians (M, 5, 6) in the twist of body b about its target.
@@ -122,7 +122,7 @@ class AlignProblem:
         T_a = self.tasks.T_world_a[member]
         K_a, K_b = self.curvatures.fit(self.pair[member], T_a, point.T, w, known.E, known.miss.T, width)
         arm = w.point_b - known.pivot
-        U_a, U_b = slide(arm, w.normal, w.distance, known.E, K_a, K_b)
+        U_a, U_b = contact_slip_jacobian(arm, w.normal, w.distance, known.E, K_a, K_b)
         gap = np.concatenate([w.normal, cross(arm, w.normal)], axis=1)[:, None]
         return np.concatenate([gap, U_a, U_b], axis=1)
 
@@ -165,19 +165,19 @@ class AlignProblem:
         length = self.length[self.pair[member], None]
         return np.concatenate([np.ones((len(member), 3)), np.repeat(length**2, 3, axis=1)], axis=1)
 
-    def room(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
+    def step_bounds(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
         """No bounds."""
         free = np.full((len(member), 6), np.inf)
         return -free, free
 
-    def moved(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
+    def integrate(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
         """Body b turned about its target."""
         pivot = transform_points(point.T, self.tasks.target_b[member])
         turn = np.sqrt((dx[:, 3:] ** 2).sum(axis=1, keepdims=True))
         dx = dx * (TURN / np.maximum(turn, TURN))
         return Point(_turned(point.T, pivot, dx[:, 3:], pivot + dx[:, :3]), point.q)
 
-    def restarted(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
+    def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
         """Body b turned at random about its target, which is put onto that of body a.
 
         Every third time by any small angle from the best pose, else far from the present one.

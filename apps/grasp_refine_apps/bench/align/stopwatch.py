@@ -14,9 +14,9 @@ from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.neighborhood import Neighborhood, Neighbors
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import Sides, WitnessScene
-from grasp_refine_apps.bench.shares import told_apart
+from grasp_refine_apps.bench.shares import disambiguate
 
-PARTS = told_apart("broad phase", "narrow phase", "derivative")
+PARTS = disambiguate("broad phase", "narrow phase", "derivative")
 """What of the CPU time is told apart. Broad phase: all of a query but its narrow phase."""
 
 PASSES = ("forward", "backward", "sampling")

@@ -21,7 +21,7 @@ from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import GOOD
+from grasp_refine.refinement.force_closure_search import GOOD_QUALITY
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
@@ -73,8 +73,8 @@ def queries(progress: Callable[[float], None]) -> dict[str, float]:
     found = {
         "convex-query": _median(convex.engines[usual, False].forward_s, convex.peers["coal-fresh"].forward_s),
         "concave-query": _median(cold.forward_s, concave.peers["coal-fresh"].forward_s),
-        "concave-asked": cold.asked / cold.poses,
-        "warm-asked": warm.asked / cold.asked,
+        "concave-asked": cold.num_queries / cold.poses,
+        "warm-asked": warm.num_queries / cold.num_queries,
         "warm-query": _median(warm.forward_s, cold.forward_s),
         # Not of the same rounds: each over coal, which was.
         "single-query": _median(single.engines[usual, False].forward_s, single.peers["coal-fresh"].forward_s)
@@ -156,7 +156,7 @@ def forces(progress: Callable[[float], None]) -> dict[str, float]:
     times = cpu_times({name: partial(run, name) for name in configs}, ROUNDS, LEAST_S)
     return {
         "holding": _median(times["holding"], times["geometry"]),
-        "good": float((_scores(scene, found["holding"]) <= GOOD).mean()),
+        "good": float((_scores(scene, found["holding"]) <= GOOD_QUALITY).mean()),
     }
 
 

@@ -11,9 +11,9 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine_apps.bench.grasp.measures import Measures
 from grasp_refine_apps.bench.grasp.runner import Done, Part, calls
 from grasp_refine_apps.bench.grasp.variants import Variant
-from grasp_refine_apps.bench.shares import cpu_share, told_apart
+from grasp_refine_apps.bench.shares import cpu_share, disambiguate
 
-PARTS = told_apart("kinematics", "broad phase", "narrow phase", "derivative")
+PARTS = disambiguate("kinematics", "broad phase", "narrow phase", "derivative")
 """What of the CPU time is told apart."""
 
 LEVELS = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}

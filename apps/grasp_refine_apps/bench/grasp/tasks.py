@@ -15,7 +15,7 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.bench.grasp.measures import measured
 from grasp_refine_apps.bench.grasp.sets import GraspSet, Group
@@ -138,7 +138,7 @@ def true_grasps(group: Group) -> Tasks:
         return tried
     config = Config(
         solver=LevenbergMarquardt(patience=12, progress=0.1),
-        touching=Touching(links=tips),
+        contact_selection=ContactSelection(links=tips),
         # No compromise: what penetrates is no true grasp.
         weights=Weights(penetration=100.0, self_penetration=100.0, wrench=0.0),
         tolerance=SOLVED,

@@ -30,7 +30,7 @@ def _ours(measured: Measured) -> list[Row]:
     case, first = measured.case, next(iter(measured.engines.values()))
     found = []
     for (engine, warm), answers in measured.engines.items():
-        asked, all_pairs = answers.asked, answers.poses * case.piece_pairs
+        asked, all_pairs = answers.num_queries, answers.poses * case.piece_pairs
         # What surrounds the query, and the derivative, are the same whatever answers.
         shown = answers is first
         backward = {

@@ -69,7 +69,7 @@ class Answers:
     forward_s: np.ndarray
     """CPU seconds per pose, in each round."""
     poses: int
-    asked: int
+    num_queries: int
     """Narrow-phase queries for all of them."""
     warm: int
     """Poses whose first query had a warm start of GJK."""
@@ -174,7 +174,7 @@ class CaseJob:
         return Answers(
             forward_s=times["engine", pairs.engine, state] / len(T_a),
             poses=len(T_a),
-            asked=int(found.asked.sum()),
+            num_queries=int(found.num_queries.sum()),
             warm=apart,
             error=float(np.abs(found.distance - reference.distance).max()),
         )

@@ -88,7 +88,7 @@ def ask_cold(
 class _Unbounded(PieceTable):
     """Piece pairs of which nothing is known, so that all must be asked."""
 
-    def ball_bound(self, pair: np.ndarray, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def sphere_bound(self, pair: np.ndarray, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """None; infinite in empty columns."""
         bound = np.where(self.id[pair] >= 0, -np.inf, np.inf)
         return bound, np.zeros(len(pair), dtype=np.int64)
@@ -117,7 +117,7 @@ def _in_python(pairs: Pairs) -> Pairs:
 
 def _pairs(example: Example) -> list[Pairs]:
     """What a refinement asks about: links and object, and links that can touch each other."""
-    both = example.prepared.pairs, example.prepared.own_pairs
+    both = example.prepared.pairs, example.prepared.self_collision_pairs
     return [pairs for pairs in both if pairs is not None]
 
 

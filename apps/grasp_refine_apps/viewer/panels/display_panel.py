@@ -24,7 +24,7 @@ WORDS = {
 """Field of `Showing` -> label and hint."""
 
 
-class LookPanel:
+class DisplayPanel:
     """Toggles of what is seen, and the legend."""
 
     def __init__(self, server: viser.ViserServer, controller: Controller) -> None:

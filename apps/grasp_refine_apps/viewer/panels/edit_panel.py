@@ -23,7 +23,7 @@ PERIOD = 0.2
 """Seconds between two updates of numbers and sliders."""
 
 
-class SteerPanel:
+class EditPanel:
     """Widgets that move hand, object and targets."""
 
     def __init__(self, server: viser.ViserServer, controller: Controller) -> None:

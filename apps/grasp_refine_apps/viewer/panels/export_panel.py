@@ -32,7 +32,7 @@ LARGEST_PICTURE = 4096
 BUSY = "something else is being done: wait until it ends, or stop it, then try again"
 
 
-class TakePanel:
+class ExportPanel:
     """What is open, uploads and downloads; downloads go only to the browser that asks."""
 
     def __init__(self, server: viser.ViserServer, controller: Controller, uploads: Uploads | None = None) -> None:

@@ -11,21 +11,21 @@ import viser
 from grasp_refine_apps.viewer.colors import distance_legend
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.panels.browse_panel import BrowsePanel
-from grasp_refine_apps.viewer.panels.display_panel import LookPanel
-from grasp_refine_apps.viewer.panels.edit_panel import SteerPanel
-from grasp_refine_apps.viewer.panels.export_panel import TakePanel
+from grasp_refine_apps.viewer.panels.display_panel import DisplayPanel
+from grasp_refine_apps.viewer.panels.edit_panel import EditPanel
+from grasp_refine_apps.viewer.panels.export_panel import ExportPanel
 from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel
-from grasp_refine_apps.viewer.panels.validate_panel import ProvePanel
+from grasp_refine_apps.viewer.panels.validate_panel import ValidatePanel
 from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.view import View
 
 PANELS = (
     ("Refine", RefinePanel),
-    ("Steer", SteerPanel),
-    ("Prove", ProvePanel),
+    ("Steer", EditPanel),
+    ("Prove", ValidatePanel),
     ("Browse", BrowsePanel),
-    ("Files", TakePanel),
-    ("View", LookPanel),
+    ("Files", ExportPanel),
+    ("View", DisplayPanel),
 )
 """What the tabs are called, and what is in them."""
 

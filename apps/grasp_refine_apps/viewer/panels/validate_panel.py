@@ -13,8 +13,8 @@ from grasp_refine_apps.viewer.motion_player import MotionPlayer
 from grasp_refine_apps.viewer.panels.held import Held
 from grasp_refine_apps.viewer.shown_motion import RATE, ShownMotion
 from grasp_refine_apps.viewer.state import Job, State
-from grasp_refine_apps.viewer.validated import Proved
-from grasp_refine_apps.viewer.validated_html import motion_html, notes_html, proved_html
+from grasp_refine_apps.viewer.validated import TrialResult
+from grasp_refine_apps.viewer.validated_html import motion_html, notes_html, trial_html
 from grasp_refine_apps.viewer.validating import MOST_FRICTION
 
 PLAY, PAUSE = "Play", "Pause"
@@ -27,7 +27,7 @@ ABOUT = {
 """What the settings mean."""
 
 
-class ProvePanel:
+class ValidatePanel:
     """Widgets for one proof and for the motion that is watched; all browsers see the same."""
 
     def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
@@ -35,7 +35,7 @@ class ProvePanel:
         self._server, self._controller = server, controller
         self._lock = threading.RLock()
         self._player = MotionPlayer(controller.show_motion_frame, self._ended)
-        self._proof: Proved | None = None
+        self._proof: TrialResult | None = None
         self._motion: ShownMotion | None = None
         self._frame = 0
 
@@ -78,13 +78,13 @@ class ProvePanel:
         """Show a state."""
         with self._lock:
             self._draw_job(state.job)
-            self._draw_proof(state.proof)
+            self._draw_proof(state.trial)
             self._draw_motion(state.motion, state.motion_frame)
 
     def _connect(self) -> None:
         """Let the widgets call commands; values that we set ourselves come without a client."""
         self._setting.on_update(self._choose)
-        self._test.on_click(lambda event: self._controller.prove(self._setting.value, self._other_friction()))
+        self._test.on_click(lambda event: self._controller.run_trial(self._setting.value, self._other_friction()))
         self._stop.on_click(lambda event: self._controller.stop())
         self._watch.on_click(lambda event: self._controller.watch(event.target.value))
         self._play.on_click(lambda event: self._toggle())
@@ -146,16 +146,16 @@ class ProvePanel:
             _put(self._bar, value=round(100.0 * (job.share or 0.0)))
             _put(self._doing, content=motion_html(f"{job.what} …", lost=False))
 
-    def _draw_proof(self, proof: Proved | None) -> None:
+    def _draw_proof(self, trial: TrialResult | None) -> None:
         """The verdict, and what can be watched."""
-        if proof is self._proof:
+        if trial is self._proof:
             return
-        self._proof = proof
-        _put(self._result, content=motion_html("Not tested yet.", lost=False) if proof is None else proved_html(proof))
-        _put(self._notes, content="" if proof is None else notes_html(proof))
-        if proof is not None:
-            _put(self._watch, options=proof.directions)
-        _put(self._watch, visible=proof is not None and proof.watchable)
+        self._proof = trial
+        _put(self._result, content=motion_html("Not tested yet.", lost=False) if trial is None else trial_html(trial))
+        _put(self._notes, content="" if trial is None else notes_html(trial))
+        if trial is not None:
+            _put(self._watch, options=trial.directions)
+        _put(self._watch, visible=trial is not None and trial.watchable)
 
     def _draw_motion(self, motion: ShownMotion | None, frame: int) -> None:
         """The frame that is seen, in words; a new motion is played at once, if anybody sees it."""

@@ -69,7 +69,7 @@ def test_the_same_seed_gives_the_same_poses_and_another_one_other_starts():
     problems = [AlignProblem([OTHER], [tasks], 0.0, seed) for seed in (0, 1)]
     now = Point(tasks.T_world_b, np.zeros((len(tasks), 0)))
     members = np.arange(len(tasks))
-    first, other = (problem.restarted(members, np.ones(len(tasks), dtype=int), now, now).T for problem in problems)
+    first, other = (problem.restart(members, np.ones(len(tasks), dtype=int), now, now).T for problem in problems)
     assert (np.abs(first - other).max(axis=(1, 2)) > 1e-3).all()
 
 
@@ -124,7 +124,7 @@ def test_tilted_faces_are_laid_on_each_other_in_one_step():
     flat = problem.linearize(member, start, known, np.full(1, np.inf))
     free = np.full((1, 6), np.inf)
     dx, _ = bounded_step(flat.jacobian, flat.residual, np.full(1, 1.0), problem.metric(member), -free, free)
-    after = problem.evaluate(member, problem.moved(member, start, dx), known)
+    after = problem.evaluate(member, problem.integrate(member, start, dx), known)
     assert known.loss[0] > 1e-4 and after.loss[0] < 1e-8
     # The other widths are left as they are.
     np.testing.assert_array_equal(problem.linearize(member, start, known, one).residual, known.residual)

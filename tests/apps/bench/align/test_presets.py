@@ -128,6 +128,6 @@ def test_the_default_is_the_method_of_the_paper():
     assert Variant() == OURS
     assert (OURS.method, OURS.neighborhood, OURS.transport, OURS.optimise) == ("distance", "adaptive", True, "T2")
     assert (OURS.margin, OURS.step_size, OURS.budget) == (1e-3, 10.0, 2000)
-    one_sided, coupled = (Variant(coupling=coupling).derivative(0) for coupling in ("one-sided", "coupled"))
-    assert isinstance(one_sided, Distance) and isinstance(coupled, Distance)
-    assert (one_sided.smoothed_self, coupled.smoothed_self) == (True, False)
+    unilateral, coupled = (Variant(coupling=coupling).derivative(0) for coupling in ("one-sided", "coupled"))
+    assert isinstance(unilateral, Distance) and isinstance(coupled, Distance)
+    assert (unilateral.smoothed_self, coupled.smoothed_self) == (True, False)

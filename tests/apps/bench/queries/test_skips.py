@@ -59,7 +59,7 @@ def test_every_piece_pair_is_asked_where_nothing_is_known_of_them():
     pairs = make_pairs(Case("concave", 4), 0)
     T = draw_poses(pairs, 0.004, 6, 0)
     plain, every = query(pairs, *T), query(unbounded(pairs), *T)
-    assert (every.asked == 16).all() and (plain.asked < 16).all()
+    assert (every.num_queries == 16).all() and (plain.num_queries < 16).all()
     np.testing.assert_allclose(every.distance, plain.distance, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(every.winner, plain.winner)
 

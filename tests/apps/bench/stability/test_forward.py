@@ -108,7 +108,7 @@ def test_poses_are_the_same_again_and_others_with_another_seed():
     first = posers(made, Task("box", 0.1, ("far", "near")))[0].pose("near", 8)
     np.testing.assert_array_equal(first.T_b, again.T_b)
     assert not np.array_equal(first.T_b, other.T_b)
-    T_a, T_b = first.moved(1e3)
+    T_a, T_b = first.integrate(1e3)
     np.testing.assert_allclose(np.linalg.norm(T_a[:, :3, 3] - first.T_a[:, :3, 3], axis=1), 1e3, rtol=1e-12)
     np.testing.assert_allclose(T_b[:, :3, 3] - T_a[:, :3, 3], first.T_b[:, :3, 3] - first.T_a[:, :3, 3], atol=1e-12)
 
