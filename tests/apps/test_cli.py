@@ -71,7 +71,7 @@ def test_help_is_instant_and_loads_nothing_heavy():
         "print(sorted(packages - sys.stdlib_module_names), len(loaded) < 100, code)"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=subprocess_environment())
-    assert result.stdout.splitlines()[-1] == "['grasp_refine'] True 0"
+    assert result.stdout.splitlines()[-1] == "['grasp_refine', 'grasp_refine_apps'] True 0"
     assert all(f"  {name} " in result.stdout for name in COMMANDS)
 
 

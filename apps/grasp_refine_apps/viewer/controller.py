@@ -275,7 +275,7 @@ def _grasp(collection: Collection, number: int) -> tuple[Scene, Pose, Pose]:
 def _opened(state: State, number: int) -> State:
     """The state when a grasp of the same collection is opened; how things are looked at, and what is done, stays."""
     scene, initial, pose = _grasp(state.collection, number)
-    looks = ("settings", "proofs", "job", "gizmo", "showing", "side_by_side", "notice", "change")
+    looks = ("settings", "trials_by_grasp", "job", "gizmo", "showing", "side_by_side", "notice", "change")
     return State(
         collection=state.collection,
         number=number,
