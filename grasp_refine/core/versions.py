@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
-from grasp_refine import __version__
-
 NAME = "grasp-refine"
 
 _REQUIREMENT = re.compile(r"\s*([A-Za-z0-9._-]+)\s*(?:\[[^]]*\])?\s*([^;]*?)\s*(?:;\s*(.*))?$")
@@ -67,11 +65,19 @@ def requirements() -> tuple[Requirement, ...]:
     return tuple(found)
 
 
+def own_version() -> str:
+    """Return the version of the program from its installed metadata."""
+    try:
+        return version(NAME)
+    except PackageNotFoundError:
+        return "0+not.installed"
+
+
 def versions() -> dict[str, str]:
     """Name -> installed version of Python, the program and what it always needs; for results."""
     packages = {need.name: need.installed for need in requirements() if need.extra is None}
     return {
-        NAME: __version__,
+        NAME: own_version(),
         "python": platform.python_version(),
         **{name: installed for name, installed in packages.items() if installed is not None},
     }

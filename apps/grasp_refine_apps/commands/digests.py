@@ -8,9 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from grasp_refine import __version__
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.json_files import dumps
+from grasp_refine.core.versions import own_version
 from grasp_refine.hands.mesh_files import resolve_mesh
 from grasp_refine.hands.source import hand_files
 from grasp_refine.objects.source import ObjectSource
@@ -76,7 +76,7 @@ class Digests:
         targets = inputs.targets
         if targets not in (AUTO, NEAREST):
             targets = self.file(Path(targets))["sha256"]
-        return _sha256({"layout": LAYOUT, "version": __version__, "inputs": told, "targets": targets, **depends})
+        return _sha256({"layout": LAYOUT, "version": own_version(), "inputs": told, "targets": targets, **depends})
 
 
 def _meshes(path: Path, seen: tuple[Path, ...] = ()) -> list[Path]:
