@@ -94,7 +94,7 @@ def refine(
     check_kind("scene", scene, Scene)
     check_kind("config", config, Config | None)
     check_kind("progress", progress, Progress | None)
-    check_kind("watch", on_iteration, IterationCallback | None)
+    check_kind("on_iteration", on_iteration, IterationCallback | None)
     check_kind("prepared", prepared, HandObject | None)
     wall, cpu = time.perf_counter(), time.process_time()
     config = config or Config()
@@ -164,7 +164,7 @@ def _least_squares(
     hand = scene.hand
     given = Point(scene.T_world_root, np.clip(scene.q, hand.lower, hand.upper))
     limits: dict[str, Any] = {"width": config.width, "seconds": config.seconds, "progress": progress}
-    limits["watch"] = with_callback(on_iteration, goal, WAY)
+    limits["on_iteration"] = with_callback(on_iteration, goal, WAY)
     if not goal.aimed.any():
         solver = replace(solver, restarts=0)
         return minimise(problem, given, solver, config.tolerance, status=status, **limits)
