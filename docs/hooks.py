@@ -58,9 +58,9 @@ def _commands() -> str:
 
     parts = [
         "# Commands",
-        f"`{PROGRAM} COMMAND --help` prints the same. The exit code is 0 when done, 1 when nothing usable came out, 2 for "
-        "bad input, with one line that says what to do, and 130 when interrupted: Ctrl-C, SIGTERM and a closed terminal "
-        "end a command and everything that it started.",
+        f"`{PROGRAM} COMMAND --help` prints the same. The exit code is 0 when done, 1 when nothing usable came out, 2 "
+        "for bad input, with one line that says what to do, and 130 when interrupted: Ctrl-C, SIGTERM and a closed "
+        "terminal end a command and everything that it started.",
         "| Command | |\n|---|---|",
     ]
     parts[-1] += "".join(f"\n| [`{name}`](#{_anchor(name)}) | {_cell(what)} |" for name, what in COMMANDS.items())
@@ -97,11 +97,11 @@ def _option(action: Any) -> str | None:
     said, _, default = " ".join(action.help.split()).rpartition(" (default: ")
     if not said:
         said, default = default, ")"
-    names = [name for name in action.option_strings if not name.startswith("--no-") or len(action.option_strings) == 1]
+    name = action.option_strings[0] if action.option_strings else ""
     value = action.metavar if isinstance(action.metavar, str) else " ".join(action.metavar or ())
-    words = names[0] if names else ""
-    shown = " ".join(filter(None, [words, value]))
-    return f"| `{_cell(shown)}` | {_cell(said)} | {_cell(default.removesuffix(')'))} |"
+    # A long list of choices has to break.
+    words = [f"`{part}`" for part in re.split(r"(?<=,)", f"{name} {value}".strip())]
+    return f"| {_cell('<wbr>'.join(words))} | {_cell(said)} | {_cell(default.removesuffix(')'))} |"
 
 
 def _names(files: Files) -> str:
