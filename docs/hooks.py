@@ -101,7 +101,7 @@ def _option(action: Any) -> str | None:
     value = action.metavar if isinstance(action.metavar, str) else " ".join(action.metavar or ())
     # A long list of choices has to break.
     words = [f"`{part}`" for part in re.split(r"(?<=,)", f"{name} {value}".strip())]
-    return f"| {_cell('<wbr>'.join(words))} | {_cell(said)} | {_cell(default.removesuffix(')'))} |"
+    return f"| {'<wbr>'.join(words)} | {_cell(said)} | {_cell(default.removesuffix(')'))} |"
 
 
 def _names(files: Files) -> str:
