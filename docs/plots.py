@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import matplotlib.ticker
 
 matplotlib.use("svg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -34,7 +35,10 @@ def hold(rows: list[dict[str, Any]], axes: Any) -> None:
         bars = axes.bar([i + offset for i in range(len(rows))], [100 * row[key] for row in rows], 0.38, color=color)
         bars.set_label(label)
         axes.bar_label(bars, fmt="%.0f", fontsize=8)
-    labels = [row["label"] + (f"\n{row['cpu_ms_mean']:.0f} ms" if row["cpu_ms_mean"] else "\n") for row in rows]
+    names = {"as they came": "input", "own stages": "own pregrasp, squeeze"}
+    labels = [names.get(row["label"], row["label"]) for row in rows]
+    times = [f"{row['cpu_ms_mean']:.0f} ms" if row["cpu_ms_mean"] else "" for row in rows]
+    labels = [f"{label}\n{time}" for label, time in zip(labels, times, strict=True)]
     axes.set_xticks(range(len(rows)), labels, fontsize=8)
     axes.set(ylabel="grasps that hold, %", ylim=(0, 108))
     axes.legend(frameon=False, ncols=2, loc="upper left", fontsize=8)
@@ -56,7 +60,8 @@ def align(rows: list[dict[str, Any]], axes: Any) -> None:
                 label=name, **style,
             )  # fmt: skip
         axis.set(xscale="log", xlabel="CPU s per pair of bodies", ylabel="Acc@1e-6, %", ylim=(-3, 103), title=kind)
-    axes[0].legend(frameon=False, fontsize=8)
+        _plain(axis.xaxis)
+    axes[1].legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def queries(rows: list[dict[str, Any]], axes: Any) -> None:
@@ -73,10 +78,17 @@ def queries(rows: list[dict[str, Any]], axes: Any) -> None:
         bars = axes.bar([i + 0.16 * (number - 2) for i in range(len(cases))], times, 0.15)
         bars.set_label({"native": "grasp-refine", "python": "grasp-refine, without compiler"}.get(engine, engine))
         axes.bar_label(bars, fmt="%.2g", fontsize=7)
-    labels = [f"{kind}, {pieces} {'piece' if pieces == 1 else 'piece pairs'}\n{state}" for kind, pieces, state in cases]
+    labels = [f"{kind}, {pieces} {'piece' if pieces == 1 else 'pieces'}\n{state}" for kind, pieces, state in cases]
     axes.set_xticks(range(len(cases)), labels, fontsize=8)
-    axes.set(yscale="log", ylabel="CPU µs per query")
-    axes.legend(frameon=False, fontsize=8)
+    axes.set(yscale="log", ylabel="CPU µs per query", ylim=(1, 100))
+    _plain(axes.yaxis)
+    axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+
+def _plain(axis: Any) -> None:
+    """Write the ticks of a logarithmic axis as numbers, and only those of decades."""
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(matplotlib.ticker.NullFormatter())
 
 
 def main(paths: list[str]) -> None:
@@ -85,7 +97,7 @@ def main(paths: list[str]) -> None:
     plt.rcParams |= {
         "svg.hashsalt": "", "svg.fonttype": "none", "font.size": 9, "axes.spines.top": False, "axes.spines.right": False
     }  # fmt: skip
-    plots = {"hold": (hold, (7.5, 3.2), 1), "align": (align, (8.0, 3.2), 2), "queries": (queries, (7.5, 3.4), 1)}
+    plots = {"hold": (hold, (7.5, 3.2), 1), "align": (align, (8.6, 3.0), 2), "queries": (queries, (8.6, 3.2), 1)}
     for (name, (draw, size, columns)), document in zip(plots.items(), documents, strict=True):
         figure, axes = plt.subplots(1, columns, figsize=size, layout="constrained")
         draw(document["rows"], axes)
