@@ -17,9 +17,6 @@ PAGES = {
 
 TEXT = "\n".join(PAGES.values())
 
-FACADE = False
-"""Whether the blocks marked `python facade` are run: they show `import grasp_refine as gr`."""
-
 
 def blocks(language: str, text: str = TEXT) -> list[str]:
     """Fenced blocks in a language, of all pages or of a text; those that several pages share come once."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+import shutil
 import tomllib
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 
+from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
 from grasp_refine.hands.hand import HAND_TOML, load_hand
 from grasp_refine.results.verdict import HOLDS, should_hold
@@ -16,7 +18,7 @@ from grasp_refine.validation.metrics import metrics
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.job_list import read_jobs
-from readme import FACADE, PAGES, ROOT, TEXT, blocks, python_block, run_python, section
+from readme import PAGES, ROOT, TEXT, blocks, python_block, run_python, section
 
 BENCHES = ("bench align", "bench queries", "bench stability", "bench grasp", "bench hold", "bench --gate")
 
@@ -58,17 +60,18 @@ def test_the_layer_of_the_readme_runs():
     assert gradient.isfinite().all() and gradient.abs().max() > 0
 
 
-@pytest.mark.skipif(not FACADE, reason="the facade is not there yet")
 def test_the_facade_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     import grasp_refine
 
     monkeypatch.chdir(tmp_path)
     shown: list[object] = []
     monkeypatch.setattr(grasp_refine, "view", shown.append, raising=False)
+    shutil.copy(resource_dir("robots") / "allegro" / "allegro.urdf", "my_hand.urdf")
     names: dict[str, object] = {}
     for block in blocks("python facade"):
         exec(compile(block, "python.md", "exec"), names)
-    assert load_grasps(tmp_path / "refined.npz") and shown == [names["refined"]]
+    assert len(load_grasps("refined.npz")) == 16 and len(shown[0]) == 16
+    assert names["held"].all() and len(load_grasps("held.npz")) == 8 and len(load_grasps("two.npz")) == 2
 
 
 PYTHON = ("refine(scene", "simulate(", "T_ball.grad", "sum().backward()", "optimizer.step", "my_poses.npy")
