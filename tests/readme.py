@@ -29,9 +29,14 @@ def section(page: str, heading: str) -> str:
     return PAGES[page].partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
 
 
+def facade_blocks() -> list[str]:
+    """Blocks of Python that use `import grasp_refine as gr`, in the order of the pages."""
+    return [block for block in blocks("python") if re.search(r"\bgr\.", block)]
+
+
 def python_block(mark: str) -> str:
-    """The one block of Python that contains `mark`."""
-    (block,) = (block for block in blocks("python") if mark in block)
+    """The one block of Python that contains `mark`, those of the facade left out."""
+    (block,) = (block for block in blocks("python") if mark in block and block not in facade_blocks())
     return block
 
 
