@@ -180,7 +180,7 @@ class Equilibrium:
         axes = frames.axes[..., 6:]
         # Velocity of each point per joint.
         velocity = axes[:, None, :3] - hat(p) @ axes[:, None, 3:]
-        velocity = velocity * self.chain.followed(links)[:, None, 6:]
+        velocity = velocity * self.chain.joint_mask(links)[:, None, 6:]
         return np.einsum("ej,mcij->meci", self.forms, velocity)
 
     def _torque_rows(
@@ -193,7 +193,7 @@ class Equilibrium:
         chain, m = self.chain, len(self.chain.joints)
         M, P, C = f.shape[:3]
         S = frames.axes[..., 6:].mT
-        follows = chain.followed(columns)[:, 6:]
+        follows = chain.joint_mask(columns)[:, 6:]
         W = np.concatenate([f, np.cross(p[:, None], f)], axis=-1)
         force, moment = np.split((follows.T @ W).reshape(M, P, m, 6), 2, axis=-1)
         linear, angular = S[:, None, :, :3], S[:, None, :, 3:]
