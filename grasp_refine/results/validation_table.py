@@ -15,10 +15,10 @@ from grasp_refine.results.simulated import reason_lines
 from grasp_refine.results.table import LONGEST, WORST, number_text, numbers_text, plain_table
 from grasp_refine.results.validation_document import QUANTILES
 from grasp_refine.results.verdict import Agreement, estimate_line, held_line, should_hold
-from grasp_refine.validation.metrics import NEAR, Metrics
+from grasp_refine.validation.metrics import CONTACT_DISTANCE_M, Metrics
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Reason
-from grasp_refine.validation.validate import BARELY, ENOUGH, Validated
+from grasp_refine.validation.validate import BARELY, MIN_CONTACT_LINKS, Validated
 
 _FEW = 3
 """Most directions that are named in a cell."""
@@ -220,7 +220,7 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
         )
     squeezed = validated.by_squeeze
     if squeezed.any():
-        near = f"fewer than {ENOUGH} links within {NEAR * 1e3:g} mm of the object before it"
+        near = f"fewer than {MIN_CONTACT_LINKS} links within {CONTACT_DISTANCE_M * 1e3:g} mm of the object before it"
         how = near if validated.unsqueezed is None else "fails without"
         perhaps = "perhaps " if validated.unsqueezed is None else ""
         lines.append(
