@@ -15,7 +15,7 @@ from grasp_refine.forces.squeeze import set_point_offsets
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.mjcf_model import mjcf_model, similar
+from grasp_refine.validation.mjcf_model import mjcf_model, prefixed_names
 from grasp_refine.validation.servos import moments
 from refusals import assert_names, refused
 
@@ -347,8 +347,12 @@ def test_what_is_no_position_servo_is_refused(tmp_path: Path, servo: str) -> Non
 
 def test_names_match_behind_a_prefix() -> None:
     there = ["rh_FFJ4", "lh/FFJ3", "XFFJ2", "a_1", "b_1", "FFJ1", "x_FFJ1"]
-    assert similar("FFJ4", there) == ["rh_FFJ4"] and similar("FFJ3", there) == ["lh/FFJ3"]
-    assert similar("FFJ2", there) == [] and similar("1", there) == ["a_1", "b_1"] and similar("FFJ1", there) == ["FFJ1"]
+    assert prefixed_names("FFJ4", there) == ["rh_FFJ4"] and prefixed_names("FFJ3", there) == ["lh/FFJ3"]
+    assert (
+        prefixed_names("FFJ2", there) == []
+        and prefixed_names("1", there) == ["a_1", "b_1"]
+        and prefixed_names("FFJ1", there) == ["FFJ1"]
+    )
 
 
 def test_hand_toml_says_which_joint_is_which(tmp_path: Path) -> None:
