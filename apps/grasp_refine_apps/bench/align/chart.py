@@ -1,6 +1,6 @@
 """Charts of the alignment benchmark as SVG: error and misses against CPU time, and against a swept setting.
 
-The same rows give the same bytes.
+The output is deterministic: equal rows give equal bytes.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ CROWDED = 12
 
 
 def styles(rows: Sequence[Row], labels: Sequence[str]) -> dict[str, Style]:
-    """Label -> style: the first variant of a method has the method's colour, others one that no method needs."""
+    """Label -> style: the first variant of a method has the method's colour, others a colour that no method uses."""
     owner = {label: name_of(row) for row, label in zip(rows, labels, strict=True)}
     place = {label: METHODS.index(method) if method in METHODS else 0 for label, method in owner.items()}
     spare = [k for k in range(len(COLORS)) if k not in place.values()]
@@ -61,14 +61,14 @@ def styles(rows: Sequence[Row], labels: Sequence[str]) -> dict[str, Style]:
 
 @dataclass(frozen=True)
 class TimeChart:
-    """The picture that matters, and what has to be said about it."""
+    """The main chart, and a note to be printed below it."""
 
     svg: str
     note: str
 
 
 def time_chart(rows: Sequence[Row]) -> TimeChart:
-    """Error and share of misses against CPU time per pair, a column a kind and a line a variant."""
+    """Chart error and share of misses against CPU time per pair, a column for each kind and a line for each variant."""
     rows = [row for row in rows if _positive(row.get("cpu_s_per_pair"))]
     note = ""
     labels = labels_of(rows)
@@ -110,7 +110,7 @@ def time_chart(rows: Sequence[Row]) -> TimeChart:
     grid = [[(f"{kind} bodies", lines(kind, height), axis) for kind in kinds] for _, height, axis in panels]
     hollow = any(any(line.open) for row in grid for _, lines_, _ in row for line in lines_)
     if hollow:
-        note += " A hollow marker stands for none missed (drawn at half a target) or an error too small to draw."
+        note += " A hollow marker means none missed (drawn at half a target) or an error too small to draw."
     svg = draw(
         grid, [name for name, _, _ in panels], "CPU time per pair of bodies", time_axis, "time", "Error over time"
     )
@@ -118,7 +118,7 @@ def time_chart(rows: Sequence[Row]) -> TimeChart:
 
 
 def sweep_chart(rows: Sequence[Row], key: str) -> str:
-    """Share of hits and median error at the largest budget against the setting `key`, a column a kind."""
+    """Chart share of hits and median error at the largest budget against the setting `key`, a column for each kind."""
     rows = at_largest_budget(rows, labels_of(rows))
     labels = labels_of(rows, without=[key])
     style = styles(rows, labels)
@@ -154,7 +154,7 @@ def sweep_chart(rows: Sequence[Row], key: str) -> str:
 
 
 def _at_best(rows: Sequence[Row], key: str) -> list[Row]:
-    """The rows of each variant that have the value of `key` with the most hits at the largest budget."""
+    """Select the rows of each variant at the value of `key` with the most hits at the largest budget."""
     names = labels_of(rows, without=[key])
     last = at_largest_budget(rows, labels_of(rows))
     last_names = {id(row): name for row, name in zip(rows, names, strict=True)}

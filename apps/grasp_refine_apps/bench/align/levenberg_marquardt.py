@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on alignment tasks: each task ends when it is solved, or when its budget is spent."""
+"""Levenberg-Marquardt on alignment tasks: each task ends when it is solved, or when its budget is used up."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ TOLERANCE = 1e-14
 """Errors (m^2) below this, a tenth of a micrometre, end a task."""
 
 PATIENCE = 9
-"""Iterations without progress before a new start."""
+"""Iterations without progress before a restart."""
 WIDTHS = (1.0, 0.5, 2.0, 0.25, 0.0, np.inf)
-"""Factors of the neighbourhoods' radii, one after the other at each rejection; the last takes faces as planes."""
+"""Factors of the neighbourhoods' radii, one after the other at each rejection; the last treats faces as planes."""
 
 
 @dataclass(frozen=True)
 class AlignLevenbergMarquardt:
-    """Levenberg-Marquardt with the derivative of contact kinematics; a stalled task starts again without limit."""
+    """Levenberg-Marquardt with the derivative of contact kinematics; a stalled task restarts without limit."""
 
     margin: float = 0.0
-    """Contact margin beta in metres: the gap that is aimed at."""
+    """Contact margin beta in metres: the desired gap."""
     iterations: int = 200
     """Budget of a task in iterations, each one witness query."""
     patch: Patch | None = None
-    """Which witness points are used; None: plain ones."""
+    """Patch witness that is used; None: plain witness points."""
     seed: int = 0
-    """Of new starts."""
+    """Seed of restarts."""
 
 
 def minimised(
@@ -48,21 +48,21 @@ def minimised(
     progress: Callable[[float], None] = lambda share: None,
     visit: Visit | None = None,
 ) -> Aligned:
-    """Run the tasks of several pairs together; what comes of a task does not depend on the others.
+    """Run the tasks of several pairs together; the result of a task does not depend on the others.
 
     Args:
         bodies: P pairs.
-        tasks: Those of each pair; some may have more than others.
+        tasks: Tasks of each pair; some pairs may have more than others.
         solver: Budget and witness.
-        progress: Called now and then with the share of the budget that is spent.
-        visit: Sees where the first task is.
+        progress: Called from time to time with the share of the budget that is used.
+        visit: Called with the poses of the first task at each iterate.
     """
     watch = Stopwatch()
     problem = AlignProblem(bodies, tasks, solver.margin, solver.seed, solver.patch, watch)
     counts = np.array([len(its) for its in tasks])
     first = np.cumsum(counts) - counts
     start = Point(problem.tasks.T_world_b, np.zeros((counts.sum(), 0)))
-    # What is built at the first call is not part of the loop's time.
+    # Caches built at the first call are not part of the loop's time.
     problem.evaluate(first, Point(start.T[first], start.q[first]), None)
     most = solver.iterations * -(-counts.sum() // WIDTH)
 

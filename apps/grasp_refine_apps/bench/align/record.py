@@ -1,4 +1,4 @@
-"""Runs every method on one task, alone, and keeps where the bodies were at each iterate."""
+"""Records of every method on one task alone, with the poses of the bodies at each iterate."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks
 from grasp_refine_apps.bench.align.variants import Variant
 
 LONGEST = 2001
-"""Most iterates that are kept of a trajectory: the start, and the paper's 2000 iterations."""
+"""Largest number of iterates in a trajectory: the start, and the paper's 2000 iterations."""
 
 
 def record_task(
@@ -30,16 +30,16 @@ def record_task(
     device: str = "cpu",
     progress: Callable[[float, str], None] = lambda share, what: None,
 ) -> AlignmentTask:
-    """The task with one trajectory for each method.
+    """Return the task with one trajectory for each method.
 
     Args:
-        pair: Two bodies.
-        task: One task of them.
+        pair: The two bodies.
+        task: One task of these bodies.
         variants: Methods; of those that differ in their budget only, the one with the largest is run.
-        seed: Of samples and new starts.
+        seed: Seed of samples and restarts.
         dtype: Number type of poses and losses.
         device: Torch device of poses and losses.
-        progress: Gets the share of the work that is done, and what is.
+        progress: Called with the share of the work that is done, and its label.
     """
     variants = largest_budgets(variants)
     labels = labels_of([variant.columns() for variant in variants])
@@ -58,7 +58,7 @@ def record_task(
 
 
 def largest_budgets(variants: Sequence[Variant]) -> list[Variant]:
-    """Of variants that differ in their budget only, the one with the largest."""
+    """Select the variant with the largest budget among those that differ in their budget only."""
     found: dict[Variant, Variant] = {}
     for variant in variants:
         method = replace(variant, budget=None, budget_s=None)
@@ -68,20 +68,20 @@ def largest_budgets(variants: Sequence[Variant]) -> list[Variant]:
 
 
 def shown_task(tasks: Tasks) -> Tasks:
-    """The first task that can surely be solved; where there is none, the first that counts."""
+    """Return the first task that is certainly solvable; without any, the first accepted one."""
     wanted = tasks.reachable & tasks.accepted
     return tasks.take(np.flatnonzero(wanted if wanted.any() else tasks.accepted)[:1])
 
 
 def thinned(count: int, keep: int) -> np.ndarray:
-    """At most `LONGEST` of `count` iterates, evenly spread: the first, the last, and number `keep`."""
+    """Select at most `LONGEST` of `count` iterates, evenly spread: the first, the last, and number `keep`."""
     if count <= LONGEST:
         return np.arange(count)
     return np.unique(np.append(np.linspace(0, count - 1, LONGEST - 1).round().astype(int), keep))
 
 
 def _recorded(job: Job, label: str) -> Trajectory:
-    """What came of the only task of a job."""
+    """Run the only task of a job and record its trajectory."""
     poses: list[np.ndarray] = []
     times: list[float] = []
 

@@ -1,4 +1,4 @@
-"""Runs variants on tasks: a job takes some pairs through one variant."""
+"""Jobs of the benchmark: each takes some pairs through one variant."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from grasp_refine_apps.bench.align.variants import Variant
 from grasp_refine_apps.bench.timing import one_thread
 
 WIDTH = {"descent": {"convex": 32, "concave": 2}, "levenberg-marquardt": {"convex": 32, "concave": 4}}
-"""Solver -> kind -> pairs that go through it together: many where the cost is that of small operations."""
+"""Solver -> kind -> pairs run together: many where small operations dominate the cost."""
 
 SOLVED_EARLY = 0.1
-"""About the share of its budget that Levenberg-Marquardt uses, and of the time of an iteration of descent."""
+"""Approximate share of its budget that Levenberg-Marquardt uses, and of the time of an iteration of descent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Job:
 
     @property
     def work(self) -> float:
-        """About how long it takes, in arbitrary units."""
+        """Approximate duration, in arbitrary units."""
         pieces = sum(
             len(pair.a.pieces) * len(pair.b.pieces) * len(t) for pair, t in zip(self.pairs, self.tasks, strict=True)
         )
@@ -48,7 +48,7 @@ class Job:
 
     @property
     def label(self) -> str:
-        """What it is, for a progress bar."""
+        """Label of the job, for a progress bar."""
         return f"{self.variant.name}, {self.pairs[0].kind}"
 
     def do(self, progress: Callable[[float], None]) -> Done:
@@ -63,7 +63,7 @@ class Job:
         return Done(self, aligned, errors_at(self.pairs, padded(self.tasks), *poses, variant.margin, variant.patch)[0])
 
     def solved(self, progress: Callable[[float], None], visit: Visit | None = None) -> Aligned:
-        """What the solver makes of the tasks; `visit` sees where the first one is."""
+        """Run the solver on the tasks; `visit` is called with the poses of the first one."""
         solver = self.variant.built(self.seed)
         if not isinstance(solver, AlignDescent):
             return minimised(self.pairs, self.tasks, solver, progress=progress, visit=visit)
@@ -73,12 +73,12 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Done:
-    """What came out of a job; task i of pair p is real where `i < len(job.tasks[p])`."""
+    """Results of a job; task i of pair p is real where `i < len(job.tasks[p])`."""
 
     job: Job
     aligned: Aligned
     patch_error: np.ndarray | None = None
-    """Errors (N, P) at the best poses by the patch witness, in square metres; None: not judged so."""
+    """Errors (N, P) at the best poses by the patch witness, in square metres; None: not measured."""
 
     def errors(self, pair: int) -> tuple[np.ndarray, np.ndarray]:
         """Best and last errors of the tasks of a pair."""
@@ -100,10 +100,10 @@ def jobs(
     device: str,
     threads: int,
 ) -> list[Job]:
-    """One job for each variant and each group of pairs of one kind."""
+    """Make one job for each variant and each group of pairs of one kind."""
     made = []
     for kind in KINDS:
-        # Pairs with about as many pieces go together: they are padded to the largest number.
+        # Pairs with similar numbers of pieces run together: they are padded to the largest number.
         index = [i for i, pair in enumerate(pairs) if pair.kind == kind]
         index.sort(key=lambda i: len(pairs[i].a.pieces) * len(pairs[i].b.pieces))
         for variant in variants:

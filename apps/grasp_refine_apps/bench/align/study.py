@@ -1,4 +1,4 @@
-"""A run of the benchmark: pairs and tasks are drawn, variants are run on them, rows and typical failures come out."""
+"""A run of the benchmark: draws pairs and tasks, runs variants on them, and returns rows and typical failures."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from grasp_refine_apps.bench.align.variants import Variant
 from grasp_refine_apps.bench.jobs import run_jobs
 
 LOOKED_AT = 40
-"""About how many of the missed tasks of a method are searched for a typical one."""
+"""Approximate number of missed tasks of a method that are searched for a typical one."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """What is run."""
+    """Settings of a run."""
 
     variants: tuple[Variant, ...]
-    """What is compared."""
+    """Variants to compare."""
     meshes: Path | None = None
     """Folder of meshes; None: the embedded objects."""
     kinds: tuple[Kind, ...] = ("convex", "concave")
     """Convex hulls of the meshes, or their CoACD pieces."""
     classes: tuple[str, ...] = CLASSES[:3]
-    """Where targets lie."""
+    """Features that targets lie on, on body a and on body b."""
     pairs: int = 8
     """Pairs of bodies of each kind."""
     targets: int = 64
     """Accepted targets of each pair."""
     seed: int = 0
-    """Of pairs, tasks and samples."""
+    """Seed of pairs, tasks and samples."""
     dtype: str = "float64"
     """Number type of poses and losses."""
     device: str = "cpu"
@@ -51,30 +51,30 @@ class Study:
     workers: int = 1
     """Processes."""
     record: bool = False
-    """Whether one task of the first pair is run again by each method, to be shown."""
+    """Whether each method runs one task of the first pair again, for the viewer."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out of a study."""
+    """Results of a study."""
 
     rows: list[dict[str, Any]]
-    """The entries of the tables."""
+    """Entries of the tables."""
     failures: list[Failure]
     """Typical failures of each method."""
     problems: list[str]
-    """What went wrong with jobs that gave no result."""
+    """Errors of jobs without a result."""
     recorded: AlignmentTask | None = None
-    """A task as each method went through it."""
+    """One task with the trajectory of each method."""
 
 
 def run_study(study: Study, say: Callable[[str], None], progress: Callable[[float, str], None]) -> Outcome:
     """Draw pairs and tasks, and run all variants on them.
 
     Args:
-        study: What is run.
-        say: Gets lines on what is loaded.
-        progress: Gets the share of the work that is done, and what is.
+        study: The settings.
+        say: Called with lines on loading.
+        progress: Called with the share of the work that is done, and its label.
 
     Raises:
         GraspRefineError: the meshes cannot be used, or no task is accepted.
@@ -87,7 +87,7 @@ def run_study(study: Study, say: Callable[[str], None], progress: Callable[[floa
     ]
     pairs, tasks = _with_tasks(pairs, tasks, say)
     if not pairs:
-        raise GraspRefineError("no pair has a task that is accepted: something else is always in the way")
+        raise GraspRefineError("no pair has an accepted task: something else is always in the way")
     recorded = None
     if study.record:
         machine = {"dtype": study.dtype, "device": study.device}
@@ -107,11 +107,11 @@ def run_study(study: Study, say: Callable[[str], None], progress: Callable[[floa
 
 
 def typical_failures(done: Sequence[Done]) -> list[Failure]:
-    """Of each method and kind one reachable task that was missed: where its blind spot shows, if it does.
+    """Return for each method and kind one reachable task that was missed, in its blind spot if possible.
 
-    Looked at are the first variant of each method of descent, and of Levenberg-Marquardt, at the largest budget, and
-    no face-face targets, whose witness points are not unique. Of the tasks that come into question, the one with the
-    median error is shown.
+    Candidates are the first variant of each method of descent, and of Levenberg-Marquardt, at the largest budget, but
+    no face-face targets, whose witness points are not unique. Of the candidate tasks, the one with the median error is
+    shown.
     """
     found: dict[tuple[str, str], list[Done]] = {}
     for one in sorted(done, key=lambda one: -(one.job.variant.budget or one.job.variant.budget_s or 0.0)):
@@ -136,7 +136,7 @@ def typical_failures(done: Sequence[Done]) -> list[Failure]:
 
 
 def _missed(tasks: Tasks, error: np.ndarray) -> list[int]:
-    """Reachable tasks, face-face apart, that were missed by more than a millimetre."""
+    """Reachable tasks, except face-face ones, that were missed by more than a millimetre."""
     alone = tasks.target_class != CLASSES.index("face-face")
     missed = alone & tasks.reachable & (error >= LEVELS["acc_1e6"]) & np.isfinite(error)
     return np.flatnonzero(missed).tolist()
@@ -166,7 +166,7 @@ def _failure(done: Done, p: int, i: int) -> Failure:
 
 
 def _winner(done: Done, p: int, winner: int) -> int:
-    """The closest pieces of pair p, counted from its own first piece pair."""
+    """Winning pieces of pair p, counted from its own first piece pair."""
     before = sum(len(pair.a.pieces) * len(pair.b.pieces) for pair in done.job.pairs[:p])
     return winner - before
 
@@ -174,11 +174,11 @@ def _winner(done: Done, p: int, winner: int) -> int:
 def _with_tasks(
     pairs: list[BodyPair], tasks: list[Tasks], say: Callable[[str], None]
 ) -> tuple[list[BodyPair], list[Tasks]]:
-    """The pairs on which some task is accepted."""
+    """Keep the pairs with at least one accepted task."""
     some = [bool(t.accepted.any()) for t in tasks]
     for pair, any_accepted in zip(pairs, some, strict=True):
         if not any_accepted:
-            say(f"left out: {pair.name}, none of its tasks is accepted")
+            say(f"skipped: {pair.name}, none of its tasks is accepted")
     return (
         [pair for pair, kept in zip(pairs, some, strict=True) if kept],
         [t for t, kept in zip(tasks, some, strict=True) if kept],

@@ -1,4 +1,4 @@
-"""Measures the ratios of the gate: what is compared is taken in turn, and the median over the rounds counts."""
+"""Measurements of the ratios of the gate: alternating runs, of which the median over the rounds counts."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ from grasp_refine_apps.bench.shares import REST, cpu_share
 from grasp_refine_apps.bench.timing import cpu_times, one_thread
 
 ROUNDS, LEAST_S = 5, 0.02
-"""How often each time is taken, and CPU seconds of a measurement, for which short calls are repeated."""
+"""Number of measurements of each time, and minimum CPU seconds of one, for which short calls are repeated."""
 
 HAND, OBJECT, EXAMPLE = "allegro", "rounded_box", "allegro/example_rounded_box.npz"
-"""What is grasped: a convex object, of which no decomposition decides how long it takes."""
+"""The hand and the grasped object, which is convex, so that no decomposition affects the time."""
 
 TASKS, BATCH, SINGLES, FORCED = 256, 64, 8, 32
-"""Grasps in all, worked on at once, one at a time, and with forces."""
+"""Grasps in all, refined at once, refined one at a time, and refined with forces."""
 
 DESCENT_STEPS = 20
 
@@ -58,14 +58,14 @@ SEED = 0
 
 
 def measure(group: Group, progress: Callable[[float], None]) -> dict[str, float]:
-    """Name -> value of the ratios of a group that this machine has."""
+    """Measure the ratios of a group that are available on this machine: name -> value."""
     torch.set_num_threads(1)
     with one_thread():
         return MEASURES[group](progress)
 
 
 def queries(progress: Callable[[float], None]) -> dict[str, float]:
-    """Costs of witness queries, relative to coal and to each other."""
+    """Measure costs of witness queries, relative to coal and to each other."""
     cases = (Case(batch=256), Case(batch=1), Case("concave", 16, batch=256))
     convex, single, concave = (_of_case(case, partial(_part, progress, k / 3, 1 / 3)) for k, case in enumerate(cases))
     usual = chosen("auto")
@@ -76,7 +76,7 @@ def queries(progress: Callable[[float], None]) -> dict[str, float]:
         "concave-asked": cold.num_queries / cold.poses,
         "warm-asked": warm.num_queries / cold.num_queries,
         "warm-query": _median(warm.forward_s, cold.forward_s),
-        # Not of the same rounds: each over coal, which was.
+        # Measured in other rounds: each relative to coal in its own rounds.
         "single-query": _median(single.engines[usual, False].forward_s, single.peers["coal-fresh"].forward_s)
         / _median(convex.engines[usual, False].forward_s, convex.peers["coal-fresh"].forward_s),
         "backward": _median(convex.backward_s["contact-kinematics"], convex.layer_s),
@@ -89,10 +89,10 @@ def queries(progress: Callable[[float], None]) -> dict[str, float]:
 
 
 def grasps(progress: Callable[[float], None]) -> dict[str, float]:
-    """Costs and results of refining disturbed grasps, given targets."""
+    """Measure costs and results of refining disturbed grasps, given targets."""
     tasks = _tasks()
     cut = tasks.of(Variant(pieces=64))
-    assert cut is not None  # one of a convex object can be cut
+    assert cut is not None  # a convex object can always be cut
     some, whole = slice(BATCH), HandObject.of(tasks.scene)
     variant, descent = Variant(batch=BATCH), Variant("descent", budget=DESCENT_STEPS, batch=BATCH)
     progress(0.2)
@@ -130,7 +130,7 @@ def grasps(progress: Callable[[float], None]) -> dict[str, float]:
     steps = {name: sum(one.iterations.sum() for one in found[name]) for name in found}
     return {
         "grasp": _median(times["grasp"], times["coal"]) / BATCH,
-        # By step, so that it does not matter which grasps are among the few.
+        # With a stride, so that the choice of the few grasps does not matter.
         "single-grasp": _median(times["single"] / steps["single"], times["all"] / steps["all"]),
         "pieces": _median(times["pieces"] / steps["pieces"], times["grasp"] / steps["grasp"]),
         "descent-step": _median(times["descent"] / steps["descent"], times["grasp"] / steps["grasp"]),
@@ -143,7 +143,7 @@ def grasps(progress: Callable[[float], None]) -> dict[str, float]:
 
 
 def forces(progress: Callable[[float], None]) -> dict[str, float]:
-    """Costs and results of refining disturbed grasps so that they hold."""
+    """Measure costs and results of refining disturbed grasps until they hold."""
     tasks = _tasks().take(slice(FORCED))
     scene = replace(tasks.scene, target_link=None, target_object=None)
     prepared, found = HandObject.of(scene), {}
@@ -163,7 +163,7 @@ def forces(progress: Callable[[float], None]) -> dict[str, float]:
 MEASURES: Mapping[Group, Callable[[Callable[[float], None]], dict[str, float]]] = MappingProxyType(
     {"queries": queries, "grasps": grasps, "forces": forces}
 )
-"""How each group is measured."""
+"""Group -> its measurement."""
 
 
 def _of_case(case: Case, progress: Callable[[float], None]) -> Measured:
@@ -177,7 +177,7 @@ def _part(progress: Callable[[float], None], before: float, size: float, share: 
 
 
 def _tasks() -> Tasks:
-    """Disturbed true grasps."""
+    """Return disturbed true grasps."""
     file = load_grasps(resource_dir("robots") / EXAMPLE)
     hand, obj = load_hand(HAND, base_link=file.base_link), load_object(OBJECT)
     scene = Scene(hand, obj, transform_from_pose(file.hand_pose), match_joints(file, hand)[0])
@@ -187,7 +187,7 @@ def _tasks() -> Tasks:
 
 
 def _scores(scene: Scene, found: Refinement) -> np.ndarray:
-    """What speaks against the refined grasps (N,)."""
+    """Return the penalty (N,) of the refined grasps."""
     chain = Chain(scene.hand, scene.links)
     frames = chain(found.T_world_root, found.q)
     T = frames.T_world_link
@@ -196,5 +196,5 @@ def _scores(scene: Scene, found: Refinement) -> np.ndarray:
 
 
 def _median(times: Sequence[float] | np.ndarray, others: Sequence[float] | np.ndarray) -> float:
-    """The median over the rounds of how many times longer the first took."""
+    """Median over the rounds of the ratio of the times."""
     return float(np.median(np.asarray(times) / np.asarray(others)))

@@ -1,4 +1,4 @@
-"""From results to rows: one flat entry for each variant, set and kind of tasks, pooled, and for each object."""
+"""Rows of results: one flat entry for each variant, set and kind of tasks, pooled, and for each object."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from grasp_refine_apps.bench.grasp.variants import Variant
 from grasp_refine_apps.bench.shares import cpu_share, disambiguate
 
 PARTS = disambiguate("kinematics", "broad phase", "narrow phase", "derivative")
-"""What of the CPU time is told apart."""
+"""Parts of the CPU time that are measured separately."""
 
 LEVELS = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
 """Errors (m^2) below which every contact of a grasp must be."""
 SHALLOW, APART = 5e-5, 1e-5
-"""Penetration of the object, and of links in each other, in metres, that is hardly any."""
+"""Negligible penetration of the object, and of links in each other, in metres."""
 DEEP, STUCK = 0.01, 5e-4
-"""A start that penetrates by the first (metres) is deep; one that still does by more than the second did not escape."""
+"""Depth (metres) from which a start counts as deep, and depth above which such a grasp did not escape."""
 
 Row = dict[str, Any]
 
 
 def rows(done: Sequence[Done]) -> list[Row]:
-    """All rows of a run: for each job the pooled one, then one for each object."""
+    """Return all rows of a run: for each job the pooled one, then one for each object."""
     return [row for one in done for row in _of_job(one)]
 
 
@@ -54,7 +54,7 @@ def _of_job(done: Done) -> list[Row]:
 
 
 def _sizes(parts: Sequence[Part]) -> Row:
-    """How large the problems are: means over all grasps."""
+    """Sizes of the problems: means over all grasps."""
     touching = np.concatenate([part.touching.sum(axis=1) for part in parts])
     counts = [len(part.tasks) for part in parts]
     scenes = [part.tasks.scene for part in parts]
@@ -66,7 +66,7 @@ def _sizes(parts: Sequence[Part]) -> Row:
 
 
 def _rate(done: Done) -> float | None:
-    """Grasps per second of the clock, of all processes together."""
+    """Grasps per second of wall time, over all processes."""
     if done.span is None:
         return None
     return sum(len(part.tasks) for part in done.parts) / (done.span[1] - done.span[0])
@@ -100,7 +100,7 @@ def _statistics(parts: Sequence[Part], aimed: bool, variant: Variant) -> Row:
         "iterations_median": float(np.median(iterations)),
         "queries_mean": float(queries.mean()),
         "cpu_ms_per_grasp": 1e3 * float(cpu_s.mean()),
-        # The grasps of a call share its time evenly: of one call there is nothing but the mean.
+        # The grasps of a call share its time evenly: a single call has only a mean.
         "cpu_ms_per_grasp_median": 1e3 * float(np.median(cpu_s)) if several else None,
         "wall_ms_per_grasp": 1e3 * float(wall_s.mean()),
         "solver_cpu_ms_per_grasp": 1e3 * float(solver_cpu_s.mean()),
@@ -119,14 +119,14 @@ def contact_errors(error: np.ndarray, aimed: bool) -> Row:
     if not aimed:
         return dict.fromkeys(names)
     worst = np.where(np.isnan(error), -np.inf, error).max(axis=1)
-    # A grasp whose targets nobody could judge is not solved.
+    # A grasp whose targets could not be measured is not solved.
     worst = np.where(np.isinf(worst), np.inf, worst)
     solved = {name: float((worst < level).mean()) for name, level in LEVELS.items()}
     return {**solved, names[2]: float(np.sqrt(np.median(worst))), names[3]: float(np.sqrt(worst.max()))}
 
 
 def deep_starts(parts: Sequence[Part], aimed: bool) -> Row:
-    """How many real grasps start deep in the object, and those that did not escape."""
+    """Count real grasps that start deep in the object, and those that did not escape."""
     if aimed:
         return {"deep_starts": None, "deep_stuck": None, "deep_stuck_grasps": None}
     deep, stuck = 0, []
@@ -150,7 +150,7 @@ def _joined(parts: Sequence[Measures]) -> Measures:
 
 
 def _depths(name: str, depth: np.ndarray) -> Row:
-    """Of depths (N,) in the object, in metres; grasps that nobody could measure count as the worst."""
+    """Statistics of depths (N,) in the object, in metres; grasps that could not be measured count as the worst."""
     depth = np.where(np.isnan(depth), np.inf, depth)
     return {
         f"{name}_mean_m": float(depth.mean()),
@@ -171,7 +171,7 @@ def _own_depths(name: str, depth: np.ndarray) -> Row:
 
 
 def _gaps(gap: np.ndarray) -> Row:
-    """Of the gaps (M,) of links that should touch, in metres."""
+    """Statistics of the gaps (M,) of links that should touch, in metres."""
     gap = np.where(np.isnan(gap), np.inf, gap)
     if not len(gap):
         return dict.fromkeys(("gap_median_m", "gap_p90_m", "gap_worst_m"))

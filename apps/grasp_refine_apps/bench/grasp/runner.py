@@ -1,4 +1,4 @@
-"""Runs a variant on the tasks of a set, and measures what comes out."""
+"""Runs of a variant on the tasks of a set, and measures of the results."""
 
 from __future__ import annotations
 
@@ -22,42 +22,42 @@ from grasp_refine_apps.bench.grasp.variants import Variant
 from grasp_refine_apps.bench.timing import one_thread
 
 WARM_UP = 2
-"""Iterations, of as many grasps, before anything is timed."""
+"""Iterations, and number of grasps, of the run before the first measurement."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What came out of N tasks on one object."""
+    """Results of N tasks on one object."""
 
     tasks: Tasks
     before: Measures
     after: Measures
     moved: Movement
     touching: np.ndarray
-    """Links (N, L) that were to touch."""
+    """Links (N, L) that should touch."""
     status: np.ndarray
-    """A `Status` for each (N,)."""
+    """A `Status` for each task (N,)."""
     iterations: np.ndarray
     queries: np.ndarray
     """Narrow-phase queries of the solver (N,)."""
     cpu_s: np.ndarray
-    """CPU seconds (N,): of its call, shared evenly by the grasps in it."""
+    """CPU seconds (N,) of each task's call, shared evenly by the grasps in it."""
     wall_s: np.ndarray
-    """The same of the clock."""
+    """Wall seconds (N,) of each task's call, shared evenly by the grasps in it."""
     solver_cpu_s: np.ndarray
-    """CPU seconds (N,) that the solver itself counts: those of its loop."""
+    """CPU seconds (N,) of the solver's loop, as counted by the solver itself."""
     watch: Stopwatch = field(default_factory=Stopwatch)
     """CPU time of all calls by stage."""
 
 
 @dataclass(frozen=True, eq=False)
 class Done:
-    """What came out of a job."""
+    """Results of a job."""
 
     job: SetJob
     parts: tuple[Part, ...]
     span: tuple[float, float] | None = None
-    """When the first call began and the last one ended, by the clock of the machine, in seconds."""
+    """Wall-clock times in seconds at which the first call began and the last one ended."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,26 +70,26 @@ class SetJob:
     hand: str
     """Name of the hand."""
     kind: Kind
-    """Whether targets are given."""
+    """Tasks with or without targets."""
     tasks: tuple[Tasks, ...]
-    """By object and scale."""
+    """Tasks by object and scale."""
     seed: int
     tolerance: float
     threads: int
 
     @property
     def work(self) -> float:
-        """About how long it takes: grasps times iterations, of which Levenberg-Marquardt seldom needs all."""
+        """Approximate duration: grasps times iterations, of which Levenberg-Marquardt seldom needs all."""
         most = self.variant.iterations
         return float(sum(map(len, self.tasks)) * (min(most, 30) if self.variant.least_squares else most))
 
     @property
     def label(self) -> str:
-        """What it is, for a progress bar."""
+        """Label of the job, for a progress bar."""
         return f"{self.set}, {self.variant.solver}, {self.variant.what}"
 
     def do(self, progress: Callable[[float], None]) -> Done:
-        """Refine and measure all tasks, in this process or in as many as the variant says."""
+        """Refine and measure all tasks, in this process or in as many as the variant has."""
         many = self.variant.processes
         if many is None:
             return self.run(lambda: None, progress)
@@ -100,13 +100,13 @@ class SetJob:
         return Done(self, tuple(part for done in found for part in done.parts), (min(begins), max(ends)))
 
     def run(self, ready: Callable[[], None], progress: Callable[[float], None] = lambda share: None) -> Done:
-        """Refine and measure all tasks in this process; `ready` is called before anything is timed."""
+        """Refine and measure all tasks in this process; `ready` is called before the first measurement."""
         torch.set_num_threads(self.threads)
         with one_thread():
             return self._run(ready, progress)
 
     def _run(self, ready: Callable[[], None], progress: Callable[[float], None]) -> Done:
-        # What is built once for a hand and an object is not timed.
+        # Caches built once for a hand and an object are not timed.
         prepared = [self._prepared(tasks) for tasks in self.tasks]
         total, finished, timed = sum(map(len, self.tasks)), 0, []
         ready()
@@ -123,7 +123,7 @@ class SetJob:
         return Done(self, tuple(map(_measured, self.tasks, timed)), span)
 
     def _prepared(self, tasks: Tasks) -> HandObject:
-        """Hand and object, warmed up."""
+        """Prepare hand and object, warmed up."""
         prepared, config = HandObject.of(tasks.scene), self.variant.config(self.seed, self.tolerance)
         short = replace(config, solver=replace(config.solver, iterations=WARM_UP))
         refine(tasks.take(slice(WARM_UP)).scene, short, prepared=prepared)
@@ -146,7 +146,7 @@ class SetJob:
 
 @dataclass(frozen=True, eq=False)
 class _Timed:
-    """Tasks that were refined, call by call."""
+    """Refined tasks with the times of each call."""
 
     found: list[Refinement]
     cpu_s: np.ndarray
@@ -181,7 +181,7 @@ def _told(progress: Callable[[int], None], before: int, done: int, iteration: in
 
 
 def calls(count: int, variant: Variant) -> list[tuple[int, int]]:
-    """First and last tasks of each call of `refine`: Levenberg-Marquardt itself keeps its batch full, others cannot."""
+    """Return first and last tasks of each call of `refine`: Levenberg-Marquardt keeps its batch full, others cannot."""
     size = count if variant.least_squares and variant.batch > 1 else variant.batch
     return [(start, min(start + size, count)) for start in range(0, count, size)]
 
@@ -195,14 +195,14 @@ def jobs(
     tolerance: float,
     threads: int,
 ) -> list[SetJob]:
-    """One job for each set, kind of tasks and variant.
+    """Make one job for each set, kind of tasks and variant.
 
     Args:
-        variants: What is compared.
+        variants: Variants to compare.
         sets: Sets with a kind of tasks and these tasks, by object and scale.
-        singles: Most tasks of a set that are run one at a time.
-        seed: Of everything that a solver draws.
-        tolerance: Loss in m^2 below which a grasp is done.
+        singles: Largest number of tasks of a set that are run one at a time.
+        seed: Seed of the solvers.
+        tolerance: Loss in m^2 below which a grasp is solved.
         threads: Threads of torch.
     """
     made = []

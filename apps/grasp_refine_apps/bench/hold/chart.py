@@ -19,18 +19,18 @@ PANELS = 2
 """Panels side by side."""
 
 LONGEST = 40
-"""Most letters of an object's name above a panel."""
+"""Most characters of an object's name above a panel."""
 
 DASHES = {"as-came": (5, 3), "own-stages": (1, 2)}
-"""How the levels of what is not refined are drawn."""
+"""Dashes of the levels of grasps that are not refined."""
 
 
 def success_chart(rows: Sequence[Row], settings: Sequence[str]) -> str:
-    """Share of grasps that hold against CPU time of refining one; those that were not refined are levels.
+    """Chart the share of grasps that hold against CPU time of refining one; unrefined grasps are levels.
 
     Args:
         rows: All rows.
-        settings: How grasps were simulated.
+        settings: Names of the simulation settings.
     """
     styles = {name: Style(COLORS[k][0], MARKERS[k], "-") for k, name in enumerate(settings)}
     panels = []
@@ -57,9 +57,9 @@ def _line(rows: Sequence[Row], setting: str, style: Style) -> Line:
 
 
 def _axis(rows: Sequence[Row], levels: Sequence[tuple[Style, str, float]], axes: Axes, lines: list[Line]) -> None:
-    """A vertical axis of shares up to 100 %, with the levels, and what was done at each time."""
+    """Draw a vertical axis of shares up to 100 %, with the levels, and the label of the method at each time."""
     values = [*(y for line in lines for y in line.y), *(at for _, _, at in levels)]
-    # Tens of percent, with room for what is written below.
+    # Tens of percent, with space for the labels below.
     low = max(0.0, floor(10 * min(values)) / 10 - 0.3)
     axes.set_ylim(low, 1.02)
     step = 0.1 if low > 0.35 else 0.2

@@ -1,4 +1,4 @@
-"""Applies every method to grasps on one object, measures what comes out, and simulates it."""
+"""Runs of every method on grasps on one object, with measures and simulation of the results."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from grasp_refine_apps.bench.hold.methods import Method
 from grasp_refine_apps.bench.timing import one_thread
 
 WARM_UP = 2
-"""Iterations, of as many grasps, before anything is timed."""
+"""Iterations, and number of grasps, of the run before the first measurement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,28 +32,28 @@ class Group:
     object: str
     """Name of the object."""
     scene: Scene
-    """The grasps, without targets."""
+    """Hand, object and the grasps, without targets."""
     came: Motion | None
-    """How the hand closes to them as they came; None: no one says, so that it is as we find."""
+    """Given motion of the hand as it closes; None: not specified, so that it is computed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What came of N grasps by one method; costs are NaN where there are none."""
+    """Results of N grasps by one method; costs are NaN where there are none."""
 
     method: Method
     object: str
     measures: Measures
     moved: Movement
-    """How far the method moved them."""
+    """Distances that the method moved them."""
     cpu_s: np.ndarray
     """CPU seconds of refining each (N,)."""
     wall_s: np.ndarray
-    """The same of the clock."""
+    """Wall seconds of refining each (N,)."""
     stages_cpu_s: np.ndarray
     """CPU seconds of finding pregrasp and squeeze of each (N,)."""
     starts: np.ndarray
-    """From how many starts each was tried (N,)."""
+    """Number of starts of each (N,)."""
     reason: Mapping[str, np.ndarray]
     """Setting -> a `Reason` for each (N,), of the first push that failed."""
 
@@ -67,25 +67,25 @@ class GroupJob:
     """The hand for simulation."""
     methods: tuple[Method, ...]
     settings: tuple[SettingName, ...]
-    """How grasps are simulated."""
+    """Names of the simulation settings."""
     width: int
-    """Most grasps that are refined at once."""
+    """Largest number of grasps that are refined at once."""
     seed: int
     threads: int | None
-    """CPU threads of the simulation; None: as many as there are."""
+    """CPU threads of the simulation; None: all cores."""
 
     @property
     def work(self) -> float:
-        """About how long it takes: most of it is simulation, which takes about the same for every grasp."""
+        """Approximate duration: mostly simulation, which takes about the same for every grasp."""
         return float(len(self.group.scene.q))
 
     @property
     def label(self) -> str:
-        """What it is, for a progress bar."""
+        """Label of the job, for a progress bar."""
         return self.group.object
 
     def do(self, progress: Callable[[float], None]) -> tuple[Part, ...]:
-        """What came of each method, in this process."""
+        """Run each method, in this process."""
         with one_thread():
             return self._parts(progress)
 
@@ -94,7 +94,7 @@ class GroupJob:
         worlds: dict[str, World] = {
             name: build_world(self.model, scene.object, SETTINGS[name], scene.table) for name in self.settings
         }
-        # What is built once for a hand and an object is not timed.
+        # Caches built once for a hand and an object are not timed.
         prepared = HandObject.of(scene)
         self._warm_up(prepared)
         parts = []

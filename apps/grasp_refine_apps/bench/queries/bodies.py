@@ -1,4 +1,4 @@
-"""Bodies that are generated: ellipsoids, and coils of them that are concave, with any number of pieces and vertices."""
+"""Generated bodies: ellipsoids, and concave coils of them, with any number of pieces and vertices."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ HALF = (0.05, 0.03, 0.02)
 """Half axes in metres of the ellipsoid of a convex body."""
 
 RADIUS, THICKNESS, PITCH, OVERLAP = 0.045, 0.016, 0.024, 1.2
-"""Of a coil: radius and thickness, how far it rises in a turn (metres), and how much longer pieces are than apart."""
+"""Dimensions of a coil: radius, thickness, rise per turn (metres), and length of pieces over their spacing."""
 
 
 def ellipsoid(rng: np.random.Generator, vertices: int, half: tuple[float, float, float], T: np.ndarray) -> Piece:
-    """The hull of so many random points on an ellipsoid, all of which are its vertices.
+    """Return the hull of random points on an ellipsoid, all of which are its vertices.
 
     Args:
-        rng: Draws them.
-        vertices: How many.
+        rng: Generator of the points.
+        vertices: Number of points.
         half: Half axes in metres.
         T: Its pose (4, 4) in the body.
     """
@@ -32,7 +32,7 @@ def ellipsoid(rng: np.random.Generator, vertices: int, half: tuple[float, float,
 
 
 def make_body(pieces: int, vertices: int, seed: int) -> Body:
-    """A body with so many pieces, each with so many vertices: an ellipsoid, or else a coil about the z axis."""
+    """Make a body of `pieces` pieces with `vertices` vertices each: an ellipsoid, or else a coil about the z axis."""
     rng = np.random.default_rng((seed, pieces, vertices))
     if pieces == 1:
         return build_body("ellipsoid", [ellipsoid(rng, vertices, HALF, np.eye(4))], seed=seed)
@@ -50,7 +50,7 @@ def make_body(pieces: int, vertices: int, seed: int) -> Body:
 
 
 def make_pairs(case: Case, seed: int, engine: Engine = "auto") -> Pairs:
-    """The pair of bodies of a case; the same seed gives the same bodies."""
+    """Make the pair of bodies of a case; equal seeds give equal bodies."""
     first, second = case.sides
     a, b = make_body(first, case.vertices, seed), make_body(second, case.vertices, seed + 1)
     return Pairs((a,), (b,), engine=engine)

@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 Axis = Literal["batch", "vertices", "pieces"]
 
 NAMES: dict[Axis, str] = {"batch": "poses in a call", "vertices": "vertices of a piece", "pieces": "pieces of a body"}
-"""What a chart is over."""
+"""Names of the horizontal axes."""
 
 WIDE, MOST = 2, 4
 """Panels side by side, and in all."""
 
 
 def sweep_chart(rows: Sequence[Row], axis: Axis) -> str:
-    """CPU time of a query over what varies, a panel for all cases that are the same but for it; empty without any.
+    """Chart CPU time of a query over one axis, a panel for all cases that differ only in it; empty without any.
 
     Args:
         rows: All rows.
-        axis: What varies.
+        axis: The varied quantity.
     """
     fixed = [name for name in ("kind", "pieces", "vertices", "state", "batch") if name != axis]
     groups: dict[tuple[object, ...], list[Row]] = {}

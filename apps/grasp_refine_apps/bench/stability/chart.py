@@ -1,6 +1,6 @@
 """Heat maps: a square for all cells that share some keys, darker the nearer the worst error is to its tolerance.
 
-They are tables, not pictures: each square says in words what it counts, and the colours are those of the page.
+They are tables, not pictures: each square has its counts as text, and the colours are those of the page.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from grasp_refine_apps.bench.stability.labels import WHAT, ordered, words
 from grasp_refine_apps.bench.stability.rows import WRONG, Row
 
 LEAST = 1e-8
-"""Error over tolerance of the palest square; of 1 it is the darkest that is not wrong."""
+"""Error over tolerance of the palest square; the darkest one that is not wrong has 1."""
 
 
 @dataclass(frozen=True)
@@ -22,13 +22,13 @@ class Square:
     """All cells of one row and column."""
 
     look: str
-    """How it looks: "right", "wrong", "refused", or "none" where there is no such cell."""
+    """Style: "right", "wrong", "refused", or "none" where there is no such cell."""
     depth: int
     """Percent of the darkest colour."""
     text: str
-    """What is written in it: how many faults there are."""
+    """Text of the square: number of faults."""
     hint: str
-    """All of it in words."""
+    """Full description."""
 
 
 @dataclass(frozen=True)
@@ -36,25 +36,25 @@ class Line:
     """A row of squares."""
 
     heads: tuple[tuple[str, int], ...]
-    """What it is of, each with the rows that it stands for; those of the row above are not said again."""
+    """Labels of the row, each with the number of rows that it spans; those of the row above are not repeated."""
     squares: tuple[Square, ...]
 
 
 @dataclass(frozen=True)
 class HeatMap:
-    """Squares by what they are of."""
+    """Squares by the keys of rows and columns."""
 
     corner: tuple[str, ...]
-    """What the rows are of."""
+    """Keys of the rows."""
     columns: tuple[str, ...]
     lines: tuple[Line, ...]
 
 
 def heat_map(rows: Iterable[Row], down: Sequence[str], across: str, error: str) -> HeatMap:
-    """The heat map of some rows.
+    """Make the heat map of some rows.
 
     Args:
-        rows: What is counted.
+        rows: Rows to count.
         down: Keys that have a row for each combination that occurs.
         across: Key whose values are the columns.
         error: Key of the error that colours the squares, over its tolerance.
@@ -100,7 +100,7 @@ def _square(rows: Sequence[Row], where: str, error: str) -> Square:
 
 
 def depth(error: float | None) -> int:
-    """Percent of the darkest colour of an error over its tolerance; logarithmic."""
+    """Percent of the darkest colour for an error over its tolerance; logarithmic."""
     if error is None or error <= LEAST:
         return 0
     return round(100 * min(1.0, 1 - log10(error) / log10(LEAST)))

@@ -1,4 +1,4 @@
-"""Distances and witness points: asked in all states and ways, and judged."""
+"""Distances and witness points: queried in all states and ways, and checked."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from grasp_refine_apps.bench.stability.task import Task
 
 
 def forward_cells(task: Task) -> Iterator[Cell]:
-    """What came of the forward cells of a task, state after state; a state that bodies cannot be in has none."""
+    """Check the distances and points of a task, state after state; impossible states have no cells."""
     made = make_pairs(task.kind, task.diagonal, task.seed)
     every = [(poser, SecondOpinion(poser.a, poser.b)) for poser in posers(made, task)]
     for state in task.states:
@@ -35,7 +35,7 @@ def forward_cells(task: Task) -> Iterator[Cell]:
 def _state_cells(
     task: Task, state: State, pairs_of_bodies: Sequence[tuple[Poser, SecondOpinion]], refused: Sequence[str]
 ) -> Iterator[Cell]:
-    """The cells of a state, of those pairs of bodies that can be in it, and with those that could not be built."""
+    """Make the cells of a state, of those pairs of bodies that can be in it, and with those that could not be built."""
     able, others = [poser for poser, _ in pairs_of_bodies], [other for _, other in pairs_of_bodies]
     each = -(-task.queries // (len(able) + len(refused)))
     blank = Cell(
@@ -79,7 +79,7 @@ def _state_cells(
 
 
 def _answers(pairs: Pairs, posed: Sequence[Posed], way: Forward, translations: Sequence[float]) -> Witness:
-    """The answers (len(translations) * N, P) at all N poses of P pairs at the first translation, the second, ..."""
+    """Query (len(translations) * N, P) answers at all N poses of P pairs at the first translation, the second, ..."""
     poses = [
         np.stack([np.concatenate([its.moved(far)[side] for far in translations]) for its in posed], axis=1)
         for side in (0, 1)
@@ -96,7 +96,7 @@ def _answers(pairs: Pairs, posed: Sequence[Posed], way: Forward, translations: S
 
 
 def _second_opinion(others: Sequence[SecondOpinion], posed: Sequence[Posed], most: int) -> dict[str, Any]:
-    """How often MuJoCo was asked, at so many poses at most, and how often it was wrong, as entries of a cell."""
+    """Count queries of MuJoCo, at no more than `most` poses, and its wrong answers, as entries of a cell."""
     asked = wrong = 0
     for other, its in zip(others, posed, strict=True):
         some = slice(-(-most // len(others)))
@@ -110,7 +110,7 @@ def _second_opinion(others: Sequence[SecondOpinion], posed: Sequence[Posed], mos
 
 
 def _counted(cell: Cell, judged: Sequence[Judged], able: Sequence[Poser]) -> Cell:
-    """The cell with the counts of all its pairs of bodies."""
+    """Total the counts of all pairs of bodies in the cell."""
 
     def count(name: str) -> int:
         return sum(int(getattr(one, name).sum()) for one in judged)
@@ -136,6 +136,6 @@ def _counted(cell: Cell, judged: Sequence[Judged], able: Sequence[Poser]) -> Cel
 
 
 def _first_wrong(judged: Judged, poser: Poser) -> str:
-    """Where the first wrong answer of a pair of bodies is; empty: nowhere."""
+    """Location of the first wrong answer of a pair of bodies; empty: none."""
     wrong = judged.wrong
     return f"{poser.a.name} and {poser.b.name}: pose {int(wrong.argmax())} of {len(wrong)}" if wrong.any() else ""

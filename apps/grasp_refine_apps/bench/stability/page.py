@@ -1,4 +1,4 @@
-"""The report of the benchmark: one HTML file with heat maps and tables, and nothing from outside."""
+"""The report of the benchmark: one self-contained HTML file with heat maps and tables."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from grasp_refine_apps.bench.stability.table import number
 from grasp_refine_apps.report.html_page import rendered
 
 WORST = 40
-"""Cells that are shown by name where something is wrong; where nothing is, `NEAREST` of each precision."""
+"""Cells that are listed where something is wrong; where nothing is, `NEAREST` of each precision."""
 NEAREST = 10
 
 MESSAGES = 20
-"""Different reasons why something was refused that are shown."""
+"""Largest number of different reasons of refusal that are listed."""
 
 
 def page(document: dict[str, Any]) -> str:
-    """The report of a run of `bench stability` as HTML; the same input gives the same text.
+    """Render the report of a run of `bench stability` as HTML; equal input gives equal text.
 
     Args:
-        document: What the benchmark writes as JSON.
+        document: The JSON document of the benchmark.
     """
     rows = document["rows"]
     found = counted(rows)
@@ -43,7 +43,7 @@ def page(document: dict[str, Any]) -> str:
 
 
 def _totals(rows: Sequence[Row], crashes: int) -> list[tuple[str, str]]:
-    """What is counted, and how often it was."""
+    """Counted quantities, and their totals."""
     forward, derivative, found = of_measure(rows, "forward"), of_measure(rows, "derivative"), counted(rows)
     lines = [("cells", len(rows)), ("queries", counted(forward)["queries"])]
     lines += [("witness points judged", found["points_compared"]), ("derivatives", counted(derivative)["queries"])]
@@ -53,17 +53,17 @@ def _totals(rows: Sequence[Row], crashes: int) -> list[tuple[str, str]]:
 
 
 def _maps(rows: Sequence[Row]) -> list[tuple[str, str, HeatMap]]:
-    """Each heat map with its title and what it shows."""
+    """Make each heat map with its title and description."""
     forward, derivative = of_measure(rows, "forward"), of_measure(rows, "derivative")
     body, way = ("kind", "diagonal"), ("dtype", "batch", "engine", "translation")
     method, moves = ("method", "neighborhood", "dtype"), "derivative_error_max"
     double, single = ([row for row in forward if row["dtype"] == dtype] for dtype in DTYPES)
     asked = [
-        ("Signed distances by body and state", "Poses in double precision, asked in all ways.", double, body, "state",
+        ("Signed distances by body and state", "Poses in double precision, queried in all ways.", double, body, "state",
          "error_max"),
         ("Signed distances by body and state, float32", "Poses in single precision, whose rounding is most of it.",
          single, body, "state", "error_max"),
-        ("Signed distances by way of asking", "All bodies together.", forward, way, "state", "error_max"),
+        ("Signed distances by way of querying", "All bodies together.", forward, way, "state", "error_max"),
         ("Witness points by body and state", "Poses in double precision; the colour is of points and normals.", double,
          body, "state", "points_error_max"),
         ("Derivatives by method and state", "All bodies together.", derivative, method, "state", moves),
@@ -74,7 +74,7 @@ def _maps(rows: Sequence[Row]) -> list[tuple[str, str, HeatMap]]:
 
 
 def _told(row: Row, seed: int) -> tuple[str, str, str, str]:
-    """A cell: what it is, what is wrong, its worst error, and how to ask again."""
+    """Describe a cell: its keys, its faults, its worst error, and the command that repeats it."""
     keys = ("kind", "diagonal", "state", "dtype", "batch", "engine", "translation", "method", "neighborhood")
     shown = ", ".join(words(key, row[key]) for key in keys if row[key] is not None)
     said = [faults(row), row["where"]]
@@ -82,7 +82,7 @@ def _told(row: Row, seed: int) -> tuple[str, str, str, str]:
 
 
 def _refusals(rows: Sequence[Row]) -> list[tuple[str, int, str]]:
-    """Why something was refused, how often, and of which bodies."""
+    """Reasons of refusal, their numbers, and the bodies."""
     found = grouped((row for row in rows if row["refused"]), ("refusal",))
     return [
         (str(why or "no reason"), counted(its)["refused"], _bodies(its)) for (why,), its in [*found.items()][:MESSAGES]
@@ -90,7 +90,7 @@ def _refusals(rows: Sequence[Row]) -> list[tuple[str, int, str]]:
 
 
 def _bodies(rows: Sequence[Row]) -> str:
-    """The kinds of bodies of some rows, each with its sizes."""
+    """Format the kinds of bodies of some rows, each with its sizes."""
     sizes = {kind: [row["diagonal"] for row in rows if row["kind"] == kind] for kind in {row["kind"] for row in rows}}
     return "; ".join(
         f"{kind} of {', '.join(map(length, ordered('diagonal', sizes[kind])))}" for kind in ordered("kind", sizes)
@@ -98,7 +98,7 @@ def _bodies(rows: Sequence[Row]) -> str:
 
 
 def _mujoco(rows: Sequence[Row]) -> list[tuple[str, int, int]]:
-    """Each kind of bodies with the queries that MuJoCo was asked, and the wrong ones of them."""
+    """Each kind of bodies with its queries of MuJoCo, and the wrong ones of them."""
     asked = [row for row in rows if row["mujoco_queries"]]
     kinds = ordered("kind", (row["kind"] for row in asked))
     each = [(kind, counted(row for row in asked if row["kind"] == kind)) for kind in kinds]

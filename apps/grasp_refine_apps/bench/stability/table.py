@@ -24,7 +24,7 @@ FORWARD = (
     ("dist.\nerr.", "error_max"),
     ("pts.\nerr.", "points_error_max"),
 )
-"""Columns on queries, and what they count, or the largest of which error they are."""
+"""Columns on queries, and their counts, or the error of which they show the largest."""
 
 DERIVATIVE = (
     ("re-\nfused", "refused"),
@@ -38,19 +38,19 @@ DERIVATIVE = (
 """Columns on derivatives."""
 
 WORST, NEAREST = 5, 2
-"""Cells that are shown by name: most if something is wrong, and of each precision if nothing is."""
+"""Largest number of listed cells: if something is wrong, and of each precision if nothing is."""
 
 WIDTH = 78
-"""Letters of a line of a command, which goes on after a backslash."""
+"""Characters of a line of a command, which continues after a backslash."""
 
 
 def bench_tables(rows: Sequence[Row], seed: int, crashes: int) -> Iterator[Table | str]:
-    """Counts of queries, counts of derivatives, the cells with the largest errors, and all in one line.
+    """Yield counts of queries, counts of derivatives, the cells with the largest errors, and a summary.
 
     Args:
         rows: All rows.
-        seed: Of the run.
-        crashes: Tasks that gave no rows.
+        seed: Seed of the run.
+        crashes: Number of tasks without rows.
     """
     forward, derivative = of_measure(rows, "forward"), of_measure(rows, "derivative")
     if forward:
@@ -69,7 +69,7 @@ def bench_tables(rows: Sequence[Row], seed: int, crashes: int) -> Iterator[Table
 
 
 def summary(rows: Sequence[Row], crashes: int) -> Iterator[str]:
-    """How much was asked, and how many faults there were, in a line; one more of MuJoCo."""
+    """Yield the numbers of queries and of faults in a line; one more of MuJoCo."""
     found = counted(rows)
     asked = [
         f"{counted(its)['queries']} {what}"
@@ -81,17 +81,17 @@ def summary(rows: Sequence[Row], crashes: int) -> Iterator[str]:
     refused = f", {found['refused']} refused" if found["refused"] else ""
     crashed = f", {crashes} crashed" if crashes else ""
     if found["mujoco_queries"]:
-        yield f"MuJoCo, asked {found['mujoco_queries']} of the queries: {found['mujoco_wrong']} wrong"
+        yield f"MuJoCo, at {found['mujoco_queries']} of the queries: {found['mujoco_wrong']} wrong"
     yield f"{found.cells} cells, {' and '.join(asked)}: {wrongs}{collapsed}{refused}{crashed}"
 
 
 def _columns(table: Table, heads: Sequence[str]) -> None:
-    for head in ("\nasked", *heads):
+    for head in ("quer-\nies", *heads):
         table.add_column(head, justify="right", no_wrap=True)
 
 
 def _counts(table: Table, rows: Sequence[Row], key: str, columns: Sequence[tuple[str, str]]) -> None:
-    """A line for each value of a key; of states, one for all too."""
+    """Add a line for each value of a key; of states, one for all too."""
     groups = grouped(rows, (key,))
     lines = [(words(key, value), counted(groups[value,])) for value in ordered(key, (row[key] for row in rows))]
     lines += [("all", counted(rows))] if key == "state" else []
@@ -104,15 +104,15 @@ def _counts(table: Table, rows: Sequence[Row], key: str, columns: Sequence[tuple
 
 
 def number(value: float | None) -> str:
-    """An error over its tolerance."""
+    """Format an error over its tolerance."""
     return "-" if value is None else "0" if value == 0 else f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e+")
 
 
 def _worst(rows: Sequence[Row], seed: int) -> Iterator[str]:
-    """The wrong cells, or else those nearest to it, each with how to ask for it again."""
+    """Yield the wrong cells, or else those nearest to it, each with the command that repeats it."""
     shown = worst(rows, WORST, NEAREST)
     if shown:
-        yield "what is wrong, and how to ask for it again:" if wrong(shown[0]) else "nearest to being wrong:"
+        yield "wrong cells, and the commands that repeat them:" if wrong(shown[0]) else "nearest to being wrong:"
     for row in shown:
         error = error_of(row)
         said = [faults(row), row["dtype"], "" if error is None else f"error {number(error)} of its tolerance"]

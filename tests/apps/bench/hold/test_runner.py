@@ -45,7 +45,7 @@ def parts(tmp_path_factory: pytest.TempPathFactory) -> tuple[Part, ...]:
 
 
 def test_all_methods_are_tried_on_the_same_grasps(parts: tuple[Part, ...]):
-    assert [part.method.label for part in parts] == ["as they came", "own stages", "geometry only", "1 start"]
+    assert [part.method.label for part in parts] == ["input grasps", "own stages", "geometry only", "1 start"]
     for part in parts:
         assert set(part.reason) == {"force-closure"} and part.reason["force-closure"].shape == (2,)
 
