@@ -11,10 +11,10 @@ import numpy as np
 
 from grasp_refine.collision.engine import why_not_native
 
-WARM_UP = 2
+WARM_UP_CALLS = 2
 """Calls before the first measurement."""
 
-MOST = 1000
+MAX_CALLS = 1000
 """Largest number of calls in a measurement."""
 
 Name = TypeVar("Name", bound=Hashable)
@@ -30,9 +30,9 @@ def cpu_times(runs: Mapping[Name, Callable[[], object]], rounds: int, least_s: f
     """
     calls = {}
     for name, run in runs.items():
-        for _ in range(WARM_UP):
+        for _ in range(WARM_UP_CALLS):
             once = _timed(run, 1)
-        calls[name] = int(np.clip(np.ceil(least_s / max(once, 1e-7)), 1, MOST))
+        calls[name] = int(np.clip(np.ceil(least_s / max(once, 1e-7)), 1, MAX_CALLS))
     times = {name: np.empty(rounds) for name in runs}
     for round_ in range(rounds):
         for name, run in runs.items():

@@ -37,9 +37,9 @@ from grasp_refine_apps.report.panels import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FLOOR = 1e-14
+MIN_ERROR_M2 = 1e-14
 """Errors below this (m^2, a tenth of a micrometre) are drawn at it."""
-CROWDED = 12
+MAX_LINES = 12
 """With more lines than this, a swept setting is shown at its best value only."""
 
 
@@ -73,7 +73,7 @@ def time_chart(rows: Sequence[Row]) -> TimeChart:
     note = ""
     labels = labels_of(rows)
     for key in swept(rows):
-        if len(set(labels)) > CROWDED:
+        if len(set(labels)) > MAX_LINES:
             rows = _at_best(rows, key)
             labels = labels_of(rows)
             note += f" Each method is shown with its best {SWEPT[key]} only."
@@ -100,7 +100,7 @@ def time_chart(rows: Sequence[Row]) -> TimeChart:
         return max(share, least), share < least
 
     def error(row: Row) -> tuple[float, bool] | None:
-        return (max(row["d5"], FLOOR), row["d5"] < FLOOR) if _finite(row.get("d5")) else None
+        return (max(row["d5"], MIN_ERROR_M2), row["d5"] < MIN_ERROR_M2) if _finite(row.get("d5")) else None
 
     panels = [
         ("median error  [m²]", error, _error_axis),
@@ -147,7 +147,7 @@ def sweep_chart(rows: Sequence[Row], key: str) -> str:
     kinds = kinds_of(rows)
     grid = [
         [(f"{kind} bodies", lines(kind, "acc_1e6", 0.0), _hit_axis) for kind in kinds],
-        [(f"{kind} bodies", lines(kind, "d5", FLOOR), _error_axis) for kind in kinds],
+        [(f"{kind} bodies", lines(kind, "d5", MIN_ERROR_M2), _error_axis) for kind in kinds],
     ]
     names = ["targets met within 1 mm", "median error  [m²]"]
     return draw(grid, names, SWEPT[key], steps, key, f"Results over the {SWEPT[key]}")

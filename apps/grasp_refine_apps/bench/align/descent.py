@@ -32,13 +32,13 @@ from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch, TimedDerivative
 from grasp_refine_apps.bench.align.tasks import Tasks
 
-SHARES, FACTORS = (0.1, 0.9), (1.0, 0.1, 0.01)
+SCHEDULE_SHARES, SCHEDULE_FACTORS = (0.1, 0.9), (1.0, 0.1, 0.01)
 """Shares of the budget after which the steps shrink, and the factor of each phase."""
 
 METRES_PER_RADIAN = 1e-3
 """s_t / s_r."""
 
-_WHOLE = 2.0
+_ROTATION_FACTOR = 2.0
 """Proj(T^-1 G) has half of the derivative along a rotation; w here is the whole derivative."""
 
 
@@ -110,7 +110,7 @@ def align(
             error, gradients, last = problem.gradients(T_a, T_b, iteration, last)
             best.keep(error, T_a, T_b)
             visited(T_a, T_b)
-            rotation = solver.step_size * FACTORS[sum(done >= share for share in SHARES)]
+            rotation = solver.step_size * SCHEDULE_FACTORS[sum(done >= share for share in SCHEDULE_SHARES)]
             T_b = _step(T_b, gradients[-1], rotation)
             if solver.optimise == "T1T2":
                 T_a = _step(T_a, gradients[0], rotation)
@@ -173,7 +173,7 @@ class _Problem:
 
     @cached_property
     def _transport(self) -> EquivalentTransport:
-        return EquivalentTransport(METRES_PER_RADIAN, _WHOLE, both=self.solver.optimise == "T1T2")
+        return EquivalentTransport(METRES_PER_RADIAN, _ROTATION_FACTOR, both=self.solver.optimise == "T1T2")
 
     @cached_property
     def _several(self) -> bool:
@@ -200,7 +200,7 @@ class _Best:
 
 def _step(T: Tensor, G: Tensor, rotation: float) -> Tensor:
     """Return T exp(-(v s_t, w s_r)), with the body twist (v, w) of the gradient G scaled to length one; 0 stays 0."""
-    twist = body_gradient(T, G) * T.new_tensor([1.0] * 3 + [_WHOLE] * 3)
+    twist = body_gradient(T, G) * T.new_tensor([1.0] * 3 + [_ROTATION_FACTOR] * 3)
     length = twist.norm(dim=-1, keepdim=True)
     unit = twist / torch.where(length > 0, length, torch.ones_like(length))
     scale = twist.new_tensor([METRES_PER_RADIAN * rotation] * 3 + [rotation] * 3)

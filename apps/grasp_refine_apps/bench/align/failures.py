@@ -26,26 +26,26 @@ if TYPE_CHECKING:
 
 Feature = Literal["vertex", "edge", "face", "round surface"]
 
-ON_PLANE = 1e-5
+PLANE_TOLERANCE = 1e-5
 """A witness point lies in a face if its distance to the face's plane is below this fraction of the piece's size."""
-TOUCHING = 1e-5
+CONTACT_DISTANCE_M = 1e-5
 """Bodies closer than this (metres) are in contact, whatever the sign of their distance."""
-NEAR, RISING = 0.03, 0.01
+BESIDE_DISTANCE, BESIDE_RISE = 0.03, 0.01
 """Another piece makes the place concave: largest distance and smallest rise, as fractions of the diagonal."""
 
 WIDTH, HEIGHT = 420, 340
 OVERSAMPLING = 2
 """Supersampling factor: pictures are drawn this many times larger and averaged, for smooth edges."""
-SHADOW_SIZE = 500
+SHADOW_SIZE_PX = 500
 """Pixels along each side of the shadow map."""
-EXTENT = 0.2
+PICTURE_HEIGHT_M = 0.2
 """Height of a picture in metres after scaling; the rasterizer's outlines and shadows are made for this size."""
 COLOR_A, COLOR_B, BACKGROUND = (0.56, 0.72, 0.93), (0.96, 0.68, 0.36), (0.976, 0.98, 0.988)
 OPACITY_A = 0.6
-CREASE = 20.0
+CREASE_ANGLE_DEG = 20.0
 """Edges sharper than this (degrees) are drawn as edges."""
 INK, MARK_A, MARK_B = "#1b2430", "#0b4f9c", "#a63c00"
-LIGHT = (0.5, 0.25)
+LIGHT_OFFSET = (0.5, 0.25)
 """Position of the light: the camera, moved this far (in units of its distance) to the right and up."""
 
 
@@ -138,8 +138,8 @@ def place(body: Body, piece: Piece, point: np.ndarray, normal: np.ndarray) -> Pl
         distance
         for other in body.pieces
         if other is not piece
-        and ((other.vertices - point) @ normal).max() + other.radius > RISING * body.diagonal
-        and (distance := _distance(other, point)) < NEAR * body.diagonal
+        and ((other.vertices - point) @ normal).max() + other.radius > BESIDE_RISE * body.diagonal
+        and (distance := _distance(other, point)) < BESIDE_DISTANCE * body.diagonal
     ]
     return Place(feature(piece, point, normal), min(beside, default=None))
 
@@ -152,7 +152,7 @@ def feature(piece: Piece, point: np.ndarray, normal: np.ndarray) -> Feature:
     gaps = np.abs(normals @ point - offsets)
     size = np.linalg.norm(np.ptp(piece.vertices, axis=0))
     # Directions that no active face excludes; nearly parallel faces count as one.
-    active = normals[gaps <= max(ON_PLANE * size, 1.001 * gaps.min())]
+    active = normals[gaps <= max(PLANE_TOLERANCE * size, 1.001 * gaps.min())]
     values = np.linalg.eigvalsh(active.T @ active)
     return ("vertex", "edge", "face")[int((values < 1e-9 * values[-1]).sum())]
 
@@ -163,13 +163,13 @@ def caption(failure: Failure) -> str:
     if w.winner < 0:
         return "The collision query gave no witness points at the last pose."
     a, b = _places(failure)
-    if abs(w.distance) < TOUCHING:
+    if abs(w.distance) < CONTACT_DISTANCE_M:
         apart = "The bodies touch"
     elif w.distance > 0:
         apart = f"The bodies are {_mm(w.distance)} apart"
     else:
         apart = f"The bodies penetrate by {_mm(-w.distance)}"
-    wanted = f" ({_mm(failure.margin)} desired)" if abs(w.distance - failure.margin) > TOUCHING else ""
+    wanted = f" ({_mm(failure.margin)} desired)" if abs(w.distance - failure.margin) > CONTACT_DISTANCE_M else ""
     where = f"the witness point is {_on(a.feature)} of body a and {_on(b.feature)} of body b"
     if a.feature == b.feature:
         where = f"the witness points are both {_on(a.feature)}"
@@ -177,7 +177,7 @@ def caption(failure: Failure) -> str:
     said = f"{apart}{wanted}; {where}, {misses} from the targets."
     for name, its in (("a", a), ("b", b)):
         if its.beside is not None:
-            gap = "touching" if its.beside < TOUCHING else f"{_mm(its.beside)} from"
+            gap = "touching" if its.beside < CONTACT_DISTANCE_M else f"{_mm(its.beside)} from"
             said += f" Body {name} is concave there: another piece of it rises {gap} its witness point."
     reason = _reason(failure, a, b)
     return f"{said} {reason}" if reason else said
@@ -199,11 +199,11 @@ def _reason(failure: Failure, a: Place, b: Place) -> str:
         return "At an edge the analytical derivative sees only moves along it."
     if any(its.beside is not None for its in missed):
         return "The closest piece can change at once there, which a derivative at one point does not show."
-    if method == "direction" and abs(failure.witness.distance) <= TOUCHING:
+    if method == "direction" and abs(failure.witness.distance) <= CONTACT_DISTANCE_M:
         return "Close to contact the direction between the witness points, which this method rotates, vanishes."
     if method == "direction" and "face" in features:
         return "All points of a face lie equally far along its normal, so this method cannot distinguish them."
-    if method == "zeroth-order" and failure.witness.distance < -TOUCHING:
+    if method == "zeroth-order" and failure.witness.distance < -CONTACT_DISTANCE_M:
         return "In penetration the deepest points can jump between sides, which makes sampled differences noisy."
     if method == "rigid":
         return "This method treats the witness points as fixed to their bodies."
@@ -219,7 +219,7 @@ def picture(failure: Failure) -> bytes:
     middle = (interest.min(0) + interest.max(0)) / 2
     reach = max(np.linalg.norm(interest - middle, axis=1).max(), 1e-4)
     smaller = min(failure.body_a.diagonal, failure.body_b.diagonal)
-    scale = EXTENT / max(2.7 * reach, 0.55 * smaller)
+    scale = PICTURE_HEIGHT_M / max(2.7 * reach, 0.55 * smaller)
 
     def seen(points: np.ndarray) -> np.ndarray:
         return scale * (points - middle) @ turn.T
@@ -234,12 +234,14 @@ def picture(failure: Failure) -> bytes:
     direction = _viewpoint(failure, turn, interest, marks)
     size = OVERSAMPLING * np.array([WIDTH, HEIGHT])
     target = (marks.min(0) + marks.max(0)) / 2
-    camera = Camera(target + 2.0 * far * direction, target, int(size[0]), int(size[1]), EXTENT, perspective=False)
+    camera = Camera(
+        target + 2.0 * far * direction, target, int(size[0]), int(size[1]), PICTURE_HEIGHT_M, perspective=False
+    )
     a = _model(failure.body_a, failure.T_world_a, seen, COLOR_A)
     b = _model(failure.body_b, failure.T_world_b, seen, COLOR_B)
     photo = OPACITY_A * _on_background([a, b], camera) + (1.0 - OPACITY_A) * _on_background([b], camera)
     image = Image.fromarray((255 * photo).round().astype(np.uint8))
-    _annotate(ImageDraw.Draw(image), camera.project(marks)[:, :2], scale * HEIGHT / EXTENT)
+    _annotate(ImageDraw.Draw(image), camera.project(marks)[:, :2], scale * HEIGHT / PICTURE_HEIGHT_M)
     out = io.BytesIO()
     image.resize((WIDTH, HEIGHT), Image.Resampling.BOX).save(out, format="PNG", optimize=True)
     return out.getvalue()
@@ -335,12 +337,12 @@ def _model(body: Body, T: np.ndarray, seen: Callable[[np.ndarray], np.ndarray], 
     mesh = trimesh.util.concatenate([piece.mesh() for piece in body.pieces])
     assert isinstance(mesh, trimesh.Trimesh)
     mesh.vertices = seen(transform_points(T, np.asarray(mesh.vertices)))
-    return Model.of(mesh, color, crease=CREASE)
+    return Model.of(mesh, color, crease=CREASE_ANGLE_DEG)
 
 
 def _on_background(models: list[Model], camera: Camera) -> np.ndarray:
     right, down, forward = camera.axes
-    image = render(models, camera, LIGHT[0] * right - LIGHT[1] * down - forward, SHADOW_SIZE)
+    image = render(models, camera, LIGHT_OFFSET[0] * right - LIGHT_OFFSET[1] * down - forward, SHADOW_SIZE_PX)
     return image[..., :3] * image[..., 3:] + np.array(BACKGROUND) * (1.0 - image[..., 3:])
 
 

@@ -17,12 +17,12 @@ from grasp_refine_apps.bench.align.problem import AlignProblem
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch
 from grasp_refine_apps.bench.align.tasks import Tasks
 
-TOLERANCE = 1e-14
+TOLERANCE_M2 = 1e-14
 """Errors (m^2) below this, a tenth of a micrometre, end a task."""
 
-PATIENCE = 9
+STALL_ITERATIONS = 9
 """Iterations without progress before a restart."""
-WIDTHS = (1.0, 0.5, 2.0, 0.25, 0.0, np.inf)
+RADIUS_FACTORS = (1.0, 0.5, 2.0, 0.25, 0.0, np.inf)
 """Factors of the neighbourhoods' radii, one after the other at each rejection; the last treats faces as planes."""
 
 
@@ -76,11 +76,15 @@ def minimised(
             visit(problem.tasks.T_world_a[0], T_b)
 
     settings = LevenbergMarquardt(
-        iterations=solver.iterations, restarts=solver.iterations, patience=PATIENCE, good=0.0, widths=WIDTHS
+        iterations=solver.iterations,
+        restarts=solver.iterations,
+        patience=STALL_ITERATIONS,
+        good=0.0,
+        widths=RADIUS_FACTORS,
     )
     start_cpu, start_wall = time.process_time(), time.perf_counter()
     with watch:
-        found = minimise(problem, start, settings, TOLERANCE, progress=told, on_iteration=visited if visit else None)
+        found = minimise(problem, start, settings, TOLERANCE_M2, progress=told, on_iteration=visited if visit else None)
     cpu_s, wall_s = time.process_time() - start_cpu, time.perf_counter() - start_wall
     task = np.arange(counts.max())[:, None]
     member = first + task % counts

@@ -114,23 +114,27 @@ def _query_us(row: Row) -> float | None:
     return None if forward is None or backward is None else forward + backward
 
 
-MILLIMETRE, TENTH = "Acc@1e-6", "Acc@1e-8"
+ACC_MILLIMETRE, ACC_TENTH = "Acc@1e-6", "Acc@1e-8"
 PATCH = (
-    Column("patch 1e-6", f"{MILLIMETRE} at the same poses, by patch", _of("patch", "acc_1e6"), _percent, max),
-    Column("patch 1e-8", f"{TENTH} at the same poses, by patch", _of("patch", "acc_1e8"), _percent, max),
+    Column("patch 1e-6", f"{ACC_MILLIMETRE} at the same poses, by patch", _of("patch", "acc_1e6"), _percent, max),
+    Column("patch 1e-8", f"{ACC_TENTH} at the same poses, by patch", _of("patch", "acc_1e8"), _percent, max),
     Column("patch D9 [m²]", "9th decile of the error at the same poses, by patch", _of("patch", "d9"), _area, min),
 )
 """Columns by patch witness points; shown where these were measured."""
 COLUMNS = (
-    Column(MILLIMETRE, "share of targets with an error below 1e-6 m² (1 mm)", _of("acc_1e6"), _percent, max),
-    Column(TENTH, "share of targets with an error below 1e-8 m² (0.1 mm)", _of("acc_1e8"), _percent, max),
+    Column(ACC_MILLIMETRE, "share of targets with an error below 1e-6 m² (1 mm)", _of("acc_1e6"), _percent, max),
+    Column(ACC_TENTH, "share of targets with an error below 1e-8 m² (0.1 mm)", _of("acc_1e8"), _percent, max),
     Column("D5 [m²]", "median of the error", _of("d5"), _area, min),
     Column("D9 [m²]", "9th decile: nine of ten errors are below it", _of("d9"), _area, min),
     Column(
-        "reachable", f"{MILLIMETRE} of the targets known to be reachable", _of("reachable", "acc_1e6"), _percent, max
+        "reachable",
+        f"{ACC_MILLIMETRE} of the targets known to be reachable",
+        _of("reachable", "acc_1e6"),
+        _percent,
+        max,
     ),
-    Column("unfiltered", f"{MILLIMETRE} of all targets drawn", _of("unfiltered", "acc_1e6"), _percent, max),
-    Column("last", f"{MILLIMETRE} of the last iterates, not the best", _of("last", "acc_1e6"), _percent, max),
+    Column("unfiltered", f"{ACC_MILLIMETRE} of all targets drawn", _of("unfiltered", "acc_1e6"), _percent, max),
+    Column("last", f"{ACC_MILLIMETRE} of the last iterates, not the best", _of("last", "acc_1e6"), _percent, max),
     Column("queries", "collision queries per target, mean", _of("queries_mean"), lambda v: f"{v:.0f}", min),
     Column("query µs", "CPU microseconds of a query, forward and backward", _query_us, lambda v: f"{v:.0f}", min),
     Column("sampling µs", "of these, the choice of surface samples", _of("sampling_us"), lambda v: f"{v:.0f}", None),
@@ -283,7 +287,7 @@ def _matrix(rows: Sequence[Row], label: Callable[[Row], str]) -> list[Table]:
         for row in here:
             found.setdefault(label(row), {})[row["target_class"]] = row
         columns = [
-            Column(name, f"{MILLIMETRE} of {name} targets (body a, body b)", _of(name, "acc_1e6"), _percent, max)
+            Column(name, f"{ACC_MILLIMETRE} of {name} targets (body a, body b)", _of(name, "acc_1e6"), _percent, max)
             for name in sorted({row["target_class"] for row in here}, key=_class_order)
         ]
         lines = [{**classes, "label": name} for name, classes in found.items()]

@@ -20,7 +20,7 @@ BASELINE = Variant("direction", "neighbor", transport=False)
 """The method that the paper improves on (Montaut et al. 2022)."""
 SMOOTHING: tuple[MethodName, ...] = ("direction", "distance")
 """Methods that use samples of the surface."""
-NEAR: tuple[NeighborhoodName, ...] = ("neighbor", "fixed", "adaptive")
+NEIGHBORHOODS: tuple[NeighborhoodName, ...] = ("neighbor", "fixed", "adaptive")
 """Neighbourhoods of these samples."""
 EPSILON = 1e-5
 """Epsilon of the patch witness, in metres."""
@@ -49,7 +49,7 @@ def _table1() -> tuple[Variant, ...]:
 
 
 def _table2() -> tuple[Variant, ...]:
-    sampling = [Variant(name, near) for name, near in product(SMOOTHING, NEAR)]
+    sampling = [Variant(name, near) for name, near in product(SMOOTHING, NEIGHBORHOODS)]
     without = [Variant(name, transport=False) for name in SMOOTHING]
     both = [Variant(name, transport=False, optimise="T1T2") for name in SMOOTHING]
     return tuple(replace(variant, margin=margin) for variant in (*both, *without, *sampling) for margin in (0.0, 1e-3))
@@ -61,7 +61,7 @@ def _table3() -> tuple[Variant, ...]:
 
 
 def _table4() -> tuple[Variant, ...]:
-    backward = [Variant(name, near) for name, near in product(SMOOTHING, NEAR)]
+    backward = [Variant(name, near) for name, near in product(SMOOTHING, NEIGHBORHOODS)]
     return (*backward, replace(OURS, transport=False))
 
 

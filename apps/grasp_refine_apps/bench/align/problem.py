@@ -21,15 +21,15 @@ from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch
 from grasp_refine_apps.bench.align.tasks import Tasks
 
-NEAR, FAR = (0.003, 0.5), (0.3, np.pi)
+NEAR_ANGLES_RAD, FAR_ANGLES_RAD = (0.003, 0.5), (0.3, np.pi)
 """Ranges of restart angles in radians: from the best pose (log-uniform), and from the current pose."""
 
-TURN = 2.0
+MAX_ROTATION_RAD = 2.0
 """Largest rotation of a step in radians."""
 
-FACE = 2e-5
+FACE_DISTANCE_M = 2e-5
 """Faces this close to a witness point (metres), beside the nearest one, may support it."""
-UNDAMPED = 1e3
+UNDAMPED_FACTOR = 1e3
 """Factor of residuals that damping must not affect: only the full step is useful."""
 
 
@@ -148,7 +148,7 @@ class AlignProblem:
         J[:, :3, :3] = np.eye(3)
         J[:, 3:, 3:] = length[..., None] * cross(n_b[:, None] + np.zeros_like(rows), rows)
         residual = np.concatenate([apart, length * matvec(rows, n_a + n_b)], axis=1)
-        return UNDAMPED * residual, UNDAMPED * J
+        return UNDAMPED_FACTOR * residual, UNDAMPED_FACTOR * J
 
     def _witness(
         self, pair: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, before: Witness | None, member: np.ndarray
@@ -174,7 +174,7 @@ class AlignProblem:
         """Rotate body b about its target."""
         pivot = transform_points(point.T, self.tasks.target_b[member])
         turn = np.sqrt((dx[:, 3:] ** 2).sum(axis=1, keepdims=True))
-        dx = dx * (TURN / np.maximum(turn, TURN))
+        dx = dx * (MAX_ROTATION_RAD / np.maximum(turn, MAX_ROTATION_RAD))
         return Point(_turned(point.T, pivot, dx[:, 3:], pivot + dx[:, :3]), point.q)
 
     def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
@@ -187,7 +187,7 @@ class AlignProblem:
         for row, (m, k, close) in enumerate(zip(member.tolist(), start.tolist(), near.tolist(), strict=True)):
             rng = np.random.default_rng((self.seed, self.key[m], k))
             axis = rng.normal(size=3)
-            angle = np.exp(rng.uniform(*np.log(NEAR))) if close else rng.uniform(*FAR)
+            angle = np.exp(rng.uniform(*np.log(NEAR_ANGLES_RAD))) if close else rng.uniform(*FAR_ANGLES_RAD)
             w[row] = axis / np.linalg.norm(axis) * angle
         T = choose(near, best.T, now.T)
         pivot = transform_points(T, self.tasks.target_b[member])
@@ -203,7 +203,7 @@ def supporting(pieces: Sequence[Piece], winner: np.ndarray, x: np.ndarray, outwa
         normals, offsets = pieces[number].planes
         if len(normals):
             away = np.abs(x[rows] @ normals.T - offsets - pieces[number].radius)
-            near = away <= FACE + away.min(axis=1, keepdims=True)
+            near = away <= FACE_DISTANCE_M + away.min(axis=1, keepdims=True)
             found[rows] = normals[np.where(near, outward[rows] @ normals.T, -np.inf).argmax(axis=1)]
     return found
 

@@ -16,7 +16,7 @@ from grasp_refine_apps.bench.align.saved import AlignmentTask, Solid, Trajectory
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks
 from grasp_refine_apps.bench.align.variants import Variant
 
-LONGEST = 2001
+MAX_ITERATES = 2001
 """Largest number of iterates in a trajectory: the start, and the paper's 2000 iterations."""
 
 
@@ -74,10 +74,10 @@ def shown_task(tasks: Tasks) -> Tasks:
 
 
 def thinned(count: int, keep: int) -> np.ndarray:
-    """Select at most `LONGEST` of `count` iterates, evenly spread: the first, the last, and number `keep`."""
-    if count <= LONGEST:
+    """Select at most `MAX_ITERATES` of `count` iterates, evenly spread: the first, the last, and number `keep`."""
+    if count <= MAX_ITERATES:
         return np.arange(count)
-    return np.unique(np.append(np.linspace(0, count - 1, LONGEST - 1).round().astype(int), keep))
+    return np.unique(np.append(np.linspace(0, count - 1, MAX_ITERATES - 1).round().astype(int), keep))
 
 
 def _recorded(job: Job, label: str) -> Trajectory:

@@ -13,7 +13,7 @@ from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from grasp_refine_apps.bench.shares import cpu_share
 
-LEVELS = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
+ERROR_LEVELS_M2 = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
 """Errors (m^2) below which a task counts as solved."""
 
 
@@ -34,9 +34,9 @@ def rows(done: Sequence[Done], targets: int, dtype: str) -> list[dict[str, Any]]
 def summary(errors: np.ndarray, weights: np.ndarray | None = None) -> dict[str, Any]:
     """Return shares of solved tasks, and the fifth and ninth decile of their errors (m^2), optionally weighted."""
     if not len(errors):
-        return {"targets": 0, **dict.fromkeys(LEVELS), "d5": None, "d9": None}
+        return {"targets": 0, **dict.fromkeys(ERROR_LEVELS_M2), "d5": None, "d9": None}
     weights = np.ones(len(errors)) if weights is None else weights
-    solved = {name: float(np.average(errors < level, weights=weights)) for name, level in LEVELS.items()}
+    solved = {name: float(np.average(errors < level, weights=weights)) for name, level in ERROR_LEVELS_M2.items()}
     return {
         "targets": len(errors),
         **solved,

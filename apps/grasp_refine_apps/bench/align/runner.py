@@ -16,10 +16,10 @@ from grasp_refine_apps.bench.align.tasks import Tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from grasp_refine_apps.bench.timing import one_thread
 
-WIDTH = {"descent": {"convex": 32, "concave": 2}, "levenberg-marquardt": {"convex": 32, "concave": 4}}
+PAIRS_PER_JOB = {"descent": {"convex": 32, "concave": 2}, "levenberg-marquardt": {"convex": 32, "concave": 4}}
 """Solver -> kind -> pairs run together: many where small operations dominate the cost."""
 
-SOLVED_EARLY = 0.1
+EARLY_COST_SHARE = 0.1
 """Approximate share of its budget that Levenberg-Marquardt uses, and of the time of an iteration of descent."""
 
 
@@ -43,7 +43,7 @@ class Job:
         )
         items = sum(map(len, self.tasks))
         length = self.variant.budget if self.variant.budget is not None else 1000.0 * (self.variant.budget_s or 0.0)
-        early = SOLVED_EARLY if self.variant.solver == "levenberg-marquardt" else 1.0
+        early = EARLY_COST_SHARE if self.variant.solver == "levenberg-marquardt" else 1.0
         return early * length * (30.0 * items + pieces) * (13.0 if self.variant.every > 1 else 1.0)
 
     @property
@@ -107,7 +107,7 @@ def jobs(
         index = [i for i, pair in enumerate(pairs) if pair.kind == kind]
         index.sort(key=lambda i: len(pairs[i].a.pieces) * len(pairs[i].b.pieces))
         for variant in variants:
-            width = WIDTH[variant.solver][kind]
+            width = PAIRS_PER_JOB[variant.solver][kind]
             for start in range(0, len(index), width):
                 group = index[start : start + width]
                 chosen = tuple(tasks[i] if variant.every == 1 else tasks[i].every(variant.every) for i in group)

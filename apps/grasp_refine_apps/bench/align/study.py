@@ -13,14 +13,14 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.bench.align.bodies import KINDS, BodyPair, Kind, draw_pairs, mesh_sources
 from grasp_refine_apps.bench.align.failures import Failure, WitnessPoints, blind_spot
 from grasp_refine_apps.bench.align.record import record_task, shown_task
-from grasp_refine_apps.bench.align.rows import LEVELS, rows
+from grasp_refine_apps.bench.align.rows import ERROR_LEVELS_M2, rows
 from grasp_refine_apps.bench.align.runner import Done, jobs
 from grasp_refine_apps.bench.align.saved import AlignmentTask
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from grasp_refine_apps.bench.jobs import run_jobs
 
-LOOKED_AT = 40
+MAX_SEARCHED = 40
 """Approximate number of missed tasks of a method that are searched for a typical one."""
 
 
@@ -128,7 +128,7 @@ def typical_failures(done: Sequence[Done]) -> list[Failure]:
         ]
         if missed:
             missed.sort(key=lambda entry: entry[0])
-            some = [failure for _, failure in missed[:: max(1, len(missed) // LOOKED_AT)]]
+            some = [failure for _, failure in missed[:: max(1, len(missed) // MAX_SEARCHED)]]
             blind = [failure for failure in some if blind_spot(failure)]
             chosen = blind or some
             typical.append(chosen[len(chosen) // 2])
@@ -138,7 +138,7 @@ def typical_failures(done: Sequence[Done]) -> list[Failure]:
 def _missed(tasks: Tasks, error: np.ndarray) -> list[int]:
     """Reachable tasks, except face-face ones, that were missed by more than a millimetre."""
     alone = tasks.target_class != CLASSES.index("face-face")
-    missed = alone & tasks.reachable & (error >= LEVELS["acc_1e6"]) & np.isfinite(error)
+    missed = alone & tasks.reachable & (error >= ERROR_LEVELS_M2["acc_1e6"]) & np.isfinite(error)
     return np.flatnonzero(missed).tolist()
 
 

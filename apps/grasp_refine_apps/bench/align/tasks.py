@@ -23,16 +23,16 @@ from grasp_refine_apps.bench.align.bodies import BodyPair
 CLASSES = ("vertex-vertex", "face-vertex", "vertex-face", "face-face")
 """Features that the targets lie on, first on body a, then on body b."""
 
-ACCEPTED, REACHABLE = 1e-2, 1e-4
+ACCEPTED_MISS_M, REACHABLE_MISS_M = 1e-2, 1e-4
 """Largest miss (metres) at the aligned pose of tasks that count, and of tasks that are certainly solvable."""
 
-REJECTED_SHARE = 8
+ACCEPTED_PER_REJECTED = 8
 """Accepted tasks for each rejected one that is run, to estimate an unfiltered benchmark."""
 
 Source = Callable[[int, np.random.Generator], tuple[np.ndarray, np.ndarray]]
 """Draws up to a number of targets (N, 3) of a body, with their normals (N, 3)."""
 
-_ROUNDS = 40
+_MAX_DRAWS = 40
 """Draws, each of four times the requested number, before a pair counts as one with too few accepted tasks."""
 
 
@@ -51,9 +51,9 @@ class Tasks:
     T_world_b: np.ndarray
     """Initial poses (N, 4, 4) of body b."""
     accepted: np.ndarray
-    """Tasks (N,) whose miss at the aligned pose is below `ACCEPTED`."""
+    """Tasks (N,) whose miss at the aligned pose is below `ACCEPTED_MISS_M`."""
     reachable: np.ndarray
-    """Tasks (N,) whose miss at the aligned pose is below `REACHABLE`."""
+    """Tasks (N,) whose miss at the aligned pose is below `REACHABLE_MISS_M`."""
     weight: np.ndarray
     """Number of drawn tasks that each one represents (N,): 1 for the accepted, more for the rejected ones."""
 
@@ -150,7 +150,7 @@ def _of_class(pair: BodyPair, index: int, count: int, rng: np.random.Generator) 
     pairs = Pairs((pair.a,), (pair.b,))
     sources = [_source(body, place) for body, place in zip((pair.a, pair.b), CLASSES[index].split("-"), strict=True)]
     found: list[Tasks] = []
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_DRAWS):
         found.append(_drawn(pair, pairs, sources, index, 4 * count, rng))
         if sum(int(one.accepted.sum()) for one in found) >= count:
             break
@@ -159,7 +159,7 @@ def _of_class(pair: BodyPair, index: int, count: int, rng: np.random.Generator) 
     # Tasks drawn after the last one needed do not count for the acceptance rate.
     last = accepted[count - 1] + 1 if len(accepted) >= count else len(tasks)
     accepted, rejected = accepted[:count], np.flatnonzero(~tasks.accepted[:last])
-    sample = rejected[: max(1, count // REJECTED_SHARE)]
+    sample = rejected[: max(1, count // ACCEPTED_PER_REJECTED)]
     if len(sample):
         tasks.weight[sample] = len(rejected) / len(sample)
     return tasks.take(np.concatenate([accepted, sample]))
@@ -180,7 +180,14 @@ def _drawn(
     miss = np.sqrt((miss_a**2).sum(axis=1) + (miss_b**2).sum(axis=1))
     miss[~at.valid[:, 0]] = np.inf
     return Tasks(
-        np.full(N, index), t_a, t_b, T_a, _initial(pair, N, rng), miss < ACCEPTED, miss < REACHABLE, np.ones(N)
+        np.full(N, index),
+        t_a,
+        t_b,
+        T_a,
+        _initial(pair, N, rng),
+        miss < ACCEPTED_MISS_M,
+        miss < REACHABLE_MISS_M,
+        np.ones(N),
     )
 
 

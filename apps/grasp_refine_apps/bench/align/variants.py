@@ -35,7 +35,7 @@ NEIGHBORHOODS: Mapping[NeighborhoodName, Adaptive | Fixed | Neighbor] = MappingP
     {"adaptive": Adaptive(), "fixed": Fixed(), "neighbor": Neighbor()}
 )
 
-FEW_TARGETS = 8
+TARGET_STRIDE = 8
 """Stride of the targets for methods with many queries per iteration, as in the paper."""
 
 
@@ -100,7 +100,7 @@ class Variant:
     @property
     def every(self) -> int:
         """Stride of the targets that are run."""
-        return FEW_TARGETS if self.method in ("zeroth-order", "finite-difference") else 1
+        return TARGET_STRIDE if self.method in ("zeroth-order", "finite-difference") else 1
 
     def derivative(self, seed: int) -> Derivative:
         """Make the derivative method."""

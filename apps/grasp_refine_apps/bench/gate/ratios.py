@@ -48,40 +48,45 @@ class Ratio:
         return max(one, other) if self.higher else min(one, other)
 
 
-TIME, COUNT = 1.5, 1.1
+TIME_FACTOR, COUNT_FACTOR = 1.5, 1.1
 """Factors of ratios of CPU times, and of counts."""
 
 RATIOS = (
-    Ratio("convex-query", "query of two convex bodies / coal.distance", "queries", factor=TIME),
-    Ratio("concave-query", "query of 16 x 16 pieces / coal.distance on all pairs", "queries", factor=TIME),
-    Ratio("concave-asked", "pieces queried of 256 pairs", "queries", factor=COUNT, slack=0.1),
-    Ratio("warm-asked", "pieces queried near the last pose / without it", "queries", factor=COUNT, own=True),
-    Ratio("warm-query", "query near the last pose / without it", "queries", factor=TIME, own=True),
-    Ratio("single-query", "query at batch 1 / at batch 256", "queries", factor=TIME, own=True),
-    Ratio("backward", "backward pass of the witness layer / forward", "queries", factor=TIME, own=True),
+    Ratio("convex-query", "query of two convex bodies / coal.distance", "queries", factor=TIME_FACTOR),
+    Ratio("concave-query", "query of 16 x 16 pieces / coal.distance on all pairs", "queries", factor=TIME_FACTOR),
+    Ratio("concave-asked", "pieces queried of 256 pairs", "queries", factor=COUNT_FACTOR, slack=0.1),
+    Ratio("warm-asked", "pieces queried near the last pose / without it", "queries", factor=COUNT_FACTOR, own=True),
+    Ratio("warm-query", "query near the last pose / without it", "queries", factor=TIME_FACTOR, own=True),
+    Ratio("single-query", "query at batch 1 / at batch 256", "queries", factor=TIME_FACTOR, own=True),
+    Ratio("backward", "backward pass of the witness layer / forward", "queries", factor=TIME_FACTOR, own=True),
     Ratio(
         "engines",
         "query in Python / in the compiled engine",
         "queries",
         higher=True,
-        factor=TIME,
+        factor=TIME_FACTOR,
         native=True,
         own=True,
         promised=3.0,
     ),
     Ratio(
-        "bare-loop", "query in the compiled engine / its bare loop", "queries", factor=TIME, native=True, promised=2.0
+        "bare-loop",
+        "query in the compiled engine / its bare loop",
+        "queries",
+        factor=TIME_FACTOR,
+        native=True,
+        promised=2.0,
     ),
-    Ratio("grasp", "grasp at batch 64 / 100 queries of coal.distance", "grasps", factor=TIME),
-    Ratio("single-grasp", "grasp at batch 1 / at batch 256", "grasps", factor=TIME, own=True),
-    Ratio("pieces", "grasp of an object in 64 pieces / in one", "grasps", factor=TIME, own=True),
-    Ratio("descent-step", "step of descent / of Levenberg-Marquardt", "grasps", factor=TIME, own=True),
+    Ratio("grasp", "grasp at batch 64 / 100 queries of coal.distance", "grasps", factor=TIME_FACTOR),
+    Ratio("single-grasp", "grasp at batch 1 / at batch 256", "grasps", factor=TIME_FACTOR, own=True),
+    Ratio("pieces", "grasp of an object in 64 pieces / in one", "grasps", factor=TIME_FACTOR, own=True),
+    Ratio("descent-step", "step of descent / of Levenberg-Marquardt", "grasps", factor=TIME_FACTOR, own=True),
     Ratio("bookkeeping", "share of CPU time in no query, pose or derivative", "grasps", slack=0.08, own=True),
-    Ratio("steps", "steps of a grasp, mean", "grasps", factor=COUNT),
-    Ratio("queries", "narrow-phase queries of a grasp, mean", "grasps", factor=COUNT),
+    Ratio("steps", "steps of a grasp, mean", "grasps", factor=COUNT_FACTOR),
+    Ratio("queries", "narrow-phase queries of a grasp, mean", "grasps", factor=COUNT_FACTOR),
     Ratio("solved", "share of grasps within 1 mm of all targets", "grasps", higher=True, slack=0.01),
     Ratio("solved-finely", "share within 0.1 mm", "grasps", higher=True, slack=0.03),
-    Ratio("holding", "grasp with forces that balance / by geometry only", "forces", factor=TIME, own=True),
+    Ratio("holding", "grasp with forces that balance / by geometry only", "forces", factor=TIME_FACTOR, own=True),
     Ratio("good", "share of grasps that should hold", "forces", higher=True, slack=0.07),
 )
 """All ratios, in the order of the table."""

@@ -26,7 +26,7 @@ from grasp_refine_apps.report.panels import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FLOOR = 1e-8
+MIN_ERROR_M = 1e-8
 """Errors below this (metres) are drawn at it."""
 
 Height = Callable[[Row], tuple[float, bool] | None]
@@ -150,7 +150,7 @@ def _lines(rows: Sequence[Row], name: str, styles: dict[str, Style], height: Hei
 
 def _error(row: Row) -> tuple[float, bool] | None:
     value = row["contact_error_median_m"]
-    return (max(value, FLOOR), value < FLOOR) if value is not None and isfinite(value) else None
+    return (max(value, MIN_ERROR_M), value < MIN_ERROR_M) if value is not None and isfinite(value) else None
 
 
 def _misses(row: Row) -> tuple[float, bool] | None:

@@ -16,11 +16,11 @@ from grasp_refine_apps.bench.shares import cpu_share, disambiguate
 PARTS = disambiguate("kinematics", "broad phase", "narrow phase", "derivative")
 """Parts of the CPU time that are measured separately."""
 
-LEVELS = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
+ERROR_LEVELS_M2 = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
 """Errors (m^2) below which every contact of a grasp must be."""
-SHALLOW, APART = 5e-5, 1e-5
+SHALLOW_DEPTH_M, SELF_DEPTH_M = 5e-5, 1e-5
 """Negligible penetration of the object, and of links in each other, in metres."""
-DEEP, STUCK = 0.01, 5e-4
+DEEP_START_M, STUCK_DEPTH_M = 0.01, 5e-4
 """Depth (metres) from which a start counts as deep, and depth above which such a grasp did not escape."""
 
 Row = dict[str, Any]
@@ -115,13 +115,13 @@ def contact_errors(error: np.ndarray, aimed: bool) -> Row:
         error: Errors (N, L) of contacts in square metres, NaN for links without a target.
         aimed: Whether there are targets.
     """
-    names = (*LEVELS, "contact_error_median_m", "contact_error_worst_m")
+    names = (*ERROR_LEVELS_M2, "contact_error_median_m", "contact_error_worst_m")
     if not aimed:
         return dict.fromkeys(names)
     worst = np.where(np.isnan(error), -np.inf, error).max(axis=1)
     # A grasp whose targets could not be measured is not solved.
     worst = np.where(np.isinf(worst), np.inf, worst)
-    solved = {name: float((worst < level).mean()) for name, level in LEVELS.items()}
+    solved = {name: float((worst < level).mean()) for name, level in ERROR_LEVELS_M2.items()}
     return {**solved, names[2]: float(np.sqrt(np.median(worst))), names[3]: float(np.sqrt(worst.max()))}
 
 
@@ -132,8 +132,8 @@ def deep_starts(parts: Sequence[Part], aimed: bool) -> Row:
     deep, stuck = 0, []
     for part in parts:
         before, after = part.before.penetration, part.after.penetration
-        deep += int((before >= DEEP).sum())
-        for i in np.flatnonzero((before >= DEEP) & ~(after <= STUCK)):
+        deep += int((before >= DEEP_START_M).sum())
+        for i in np.flatnonzero((before >= DEEP_START_M) & ~(after <= STUCK_DEPTH_M)):
             stuck.append(
                 {
                     "object": part.tasks.object,
@@ -157,7 +157,7 @@ def _depths(name: str, depth: np.ndarray) -> Row:
         f"{name}_median_m": float(np.median(depth)),
         f"{name}_p95_m": float(np.quantile(depth, 0.95, method="higher")),
         f"{name}_worst_m": float(depth.max()),
-        f"{name}_share_50um": float((depth <= SHALLOW).mean()),
+        f"{name}_share_50um": float((depth <= SHALLOW_DEPTH_M).mean()),
     }
 
 
@@ -166,7 +166,7 @@ def _own_depths(name: str, depth: np.ndarray) -> Row:
     return {
         f"{name}_mean_m": float(depth.mean()),
         f"{name}_worst_m": float(depth.max()),
-        f"{name}_share_above_10um": float((depth > APART).mean()),
+        f"{name}_share_above_10um": float((depth > SELF_DEPTH_M).mean()),
     }
 
 

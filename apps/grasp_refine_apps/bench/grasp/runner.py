@@ -21,7 +21,7 @@ from grasp_refine_apps.bench.grasp.together import together
 from grasp_refine_apps.bench.grasp.variants import Variant
 from grasp_refine_apps.bench.timing import one_thread
 
-WARM_UP = 2
+WARM_UP_ITERATIONS = 2
 """Iterations, and number of grasps, of the run before the first measurement."""
 
 
@@ -125,8 +125,8 @@ class SetJob:
     def _prepared(self, tasks: Tasks) -> HandObject:
         """Prepare hand and object, warmed up."""
         prepared, config = HandObject.of(tasks.scene), self.variant.config(self.seed, self.tolerance)
-        short = replace(config, solver=replace(config.solver, iterations=WARM_UP))
-        refine(tasks.take(slice(WARM_UP)).scene, short, prepared=prepared)
+        short = replace(config, solver=replace(config.solver, iterations=WARM_UP_ITERATIONS))
+        refine(tasks.take(slice(WARM_UP_ITERATIONS)).scene, short, prepared=prepared)
         return prepared
 
     def _timed(self, tasks: Tasks, prepared: HandObject, progress: Callable[[int], None]) -> _Timed:

@@ -24,9 +24,9 @@ from grasp_refine_apps.bench.grasp.variants import Variant
 
 Kind = Literal["targets", "nothing"]
 
-NEAR = 0.02
+TIP_DISTANCE_M = 0.02
 """Largest distance (metres) of every fingertip to the object in grasps that are tried as true ones."""
-TOUCHES, SOLVED = 1e-5, 1e-12
+CONTACT_TOLERANCE_M, SOLVED_LOSS_M2 = 1e-5, 1e-12
 """Largest gap and penetration (metres) of a true grasp, and its largest loss (m^2)."""
 
 
@@ -132,7 +132,7 @@ def true_grasps(group: Group) -> Tasks:
     tips = tuple(dict.fromkeys(contact.link for contact in hand.contacts))
     columns = [links.index(tip) for tip in tips]
     before = measured(scene, scene.T_world_root, scene.q)
-    near = (before.distance[:, columns] <= NEAR).all(axis=1)
+    near = (before.distance[:, columns] <= TIP_DISTANCE_M).all(axis=1)
     tried = Tasks("targets", group.object, group.scale, scene, group.index).take(np.flatnonzero(near))
     if not len(tried):
         return tried
@@ -141,12 +141,16 @@ def true_grasps(group: Group) -> Tasks:
         contact_selection=ContactSelection(links=tips),
         # No compromise: a grasp that penetrates is not a true one.
         weights=Weights(penetration=100.0, self_penetration=100.0, wrench=0.0),
-        tolerance=SOLVED,
+        tolerance=SOLVED_LOSS_M2,
     )
     found = refine(tried.scene, config)
     after = measured(tried.scene, found.T_world_root, found.q)
-    exact = (np.abs(after.distance[:, columns]) < TOUCHES).all(axis=1) & (found.loss[:, 1] < SOLVED)
-    exact &= (after.penetration < TOUCHES) & (after.self_penetration < TOUCHES) & (after.limits_violated == 0)
+    exact = (np.abs(after.distance[:, columns]) < CONTACT_TOLERANCE_M).all(axis=1) & (found.loss[:, 1] < SOLVED_LOSS_M2)
+    exact &= (
+        (after.penetration < CONTACT_TOLERANCE_M)
+        & (after.self_penetration < CONTACT_TOLERANCE_M)
+        & (after.limits_violated == 0)
+    )
     aimed = np.isin(np.arange(len(links)), columns)[:, None]
     scene = replace(
         tried.scene,

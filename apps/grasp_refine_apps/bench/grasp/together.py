@@ -16,7 +16,7 @@ from grasp_refine.core.interruption import end_with
 
 Result = TypeVar("Result")
 
-PATIENCE = 600.0
+MAX_WAIT_S = 600.0
 """Longest time in seconds that a process waits for the others to be ready."""
 
 
@@ -75,7 +75,7 @@ def _do(work: Callable[[Callable[[], None]], Any], barrier: Barrier, told: Conne
     os.environ["OMP_NUM_THREADS"] = "1"
 
     def ready() -> None:
-        barrier.wait(PATIENCE)
+        barrier.wait(MAX_WAIT_S)
 
     try:
         result = work(ready)

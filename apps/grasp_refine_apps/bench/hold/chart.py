@@ -15,10 +15,10 @@ from grasp_refine_apps.report.panels import COLORS, MARKERS, PLAIN, Line, Style,
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PANELS = 2
+PANELS_PER_ROW = 2
 """Panels side by side."""
 
-LONGEST = 40
+MAX_NAME_CHARACTERS = 40
 """Most characters of an object's name above a panel."""
 
 DASHES = {"as-came": (5, 3), "own-stages": (1, 2)}
@@ -37,7 +37,7 @@ def success_chart(rows: Sequence[Row], settings: Sequence[str]) -> str:
     for name in dict.fromkeys(row["object"] for row in rows):
         its = [row for row in rows if row["object"] == name]
         lines = [_line(its, setting, style) for setting, style in styles.items()]
-        heading = name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
+        heading = name if len(name) <= MAX_NAME_CHARACTERS else f"{name[: MAX_NAME_CHARACTERS - 1]}…"
         levels = [
             (style, row["method"], row[column("success", setting)])
             for setting, style in styles.items()
@@ -45,7 +45,7 @@ def success_chart(rows: Sequence[Row], settings: Sequence[str]) -> str:
             if row["cpu_ms_mean"] is None
         ]
         panels.append((heading, [line for line in lines if line.x], partial(_axis, its, levels)))
-    grid = [panels[start : start + PANELS] for start in range(0, len(panels), PANELS)]
+    grid = [panels[start : start + PANELS_PER_ROW] for start in range(0, len(panels), PANELS_PER_ROW)]
     names = ["grasps that hold"] * len(grid)
     return draw(grid, names, "CPU time of refining a grasp", time_axis, "hold", "Success against run time")
 

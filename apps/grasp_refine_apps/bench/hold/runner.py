@@ -21,7 +21,7 @@ from grasp_refine_apps.bench.hold.measures import Measures, measured
 from grasp_refine_apps.bench.hold.methods import Method
 from grasp_refine_apps.bench.timing import one_thread
 
-WARM_UP = 2
+WARM_UP_ITERATIONS = 2
 """Iterations, and number of grasps, of the run before the first measurement."""
 
 
@@ -108,10 +108,10 @@ class GroupJob:
 
     def _warm_up(self, prepared: HandObject) -> None:
         scene = self.group.scene
-        few = replace(scene, T_world_root=scene.T_world_root[:WARM_UP], q=scene.q[:WARM_UP])
+        few = replace(scene, T_world_root=scene.T_world_root[:WARM_UP_ITERATIONS], q=scene.q[:WARM_UP_ITERATIONS])
         for config in (method.config(self.seed, self.width) for method in self.methods):
             if config is not None:
-                short = replace(config, starts=1, solver=replace(config.solver, iterations=WARM_UP))
+                short = replace(config, starts=1, solver=replace(config.solver, iterations=WARM_UP_ITERATIONS))
                 refine(few, short, prepared=prepared)
         closing(few, prepared)
 

@@ -15,7 +15,7 @@ Column = tuple[str, Callable[[Row], str]]
 HEADS = {"force-closure": "force-\nclos.", "strict": "strict", "tabletop": "table-\ntop"}
 """Abbreviations of the simulation settings for column heads."""
 
-LONGEST = 30
+MAX_NAME_CHARACTERS = 30
 """Most characters of an object's name."""
 
 
@@ -78,5 +78,5 @@ def _by_object(rows: Sequence[Row], objects: Sequence[str], settings: Sequence[s
 
 def _table(title: str, first: str) -> Table:
     table = Table(title=title, title_justify="left", box=SIMPLE, padding=0, show_edge=False)
-    table.add_column(first, no_wrap=True, overflow="ellipsis", min_width=7, max_width=LONGEST)
+    table.add_column(first, no_wrap=True, overflow="ellipsis", min_width=7, max_width=MAX_NAME_CHARACTERS)
     return table

@@ -9,9 +9,9 @@ Kind = Literal["convex", "mixed", "concave"]
 """One piece against one; one against several, as a link against an object; several against several."""
 
 State = Literal["far", "near", "touching", "shallow", "deep"]
-"""Relative state of the bodies, see `DISTANCE`."""
+"""Relative state of the bodies, see `STATE_DISTANCES_M`."""
 
-DISTANCE: dict[State, float] = {"far": 0.2, "near": 0.004, "touching": 0.0, "shallow": -0.001, "deep": -0.005}
+STATE_DISTANCES_M: dict[State, float] = {"far": 0.2, "near": 0.004, "touching": 0.0, "shallow": -0.001, "deep": -0.005}
 """Signed distance of the bodies in metres, which are 10 to 14 cm long."""
 
 

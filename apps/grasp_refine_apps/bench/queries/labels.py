@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from grasp_refine_apps.bench.queries.peers import PEERS
 from grasp_refine_apps.bench.queries.rows import Row
 
-WHAT = {peer.name: peer.what for peer in PEERS}
+PEER_LABELS = {peer.name: peer.what for peer in PEERS}
 """Peer -> its explanation."""
 
 

@@ -7,7 +7,7 @@ from math import log10
 from typing import Any
 
 from grasp_refine_apps.bench.queries.chart import NAMES, sweep_chart
-from grasp_refine_apps.bench.queries.labels import WHAT, bodies, cases, method, methods, queries, skips
+from grasp_refine_apps.bench.queries.labels import PEER_LABELS, bodies, cases, method, methods, queries, skips
 from grasp_refine_apps.bench.queries.rows import Row
 from grasp_refine_apps.bench.queries.table import number, worst_errors
 from grasp_refine_apps.report.html_page import Column, rendered
@@ -15,7 +15,7 @@ from grasp_refine_apps.report.html_page import Column, rendered
 OURS = {"python": "our engine in Python", "bare-loop": "a loop in C++ over the queries of the compiled engine"}
 """Other engines -> explanation."""
 
-WIDEST = 1000.0
+MAX_RATIO = 1000.0
 """Ratio at which a bar has full length."""
 
 
@@ -33,7 +33,7 @@ def page(document: dict[str, Any]) -> str:
         charts=charts,
         first=next((row["by"] for row in queries(rows)), ""),
         bars=_bars(rows),
-        what=OURS | WHAT,
+        what=OURS | PEER_LABELS,
         errors=worst_errors(rows),
         columns=_columns(rows),
         lines=[{**row, "bodies": bodies(row)} for row in queries(rows)],
@@ -55,7 +55,7 @@ def _bars(rows: Sequence[Row]) -> list[tuple[str, list[tuple[str, str, float]]]]
 
 def _length(ratio: float) -> float:
     """Percent of the full length; a peer 100 times faster has length 0."""
-    return max(0.0, min(100.0, 100 * (log10(ratio) + 2) / (log10(WIDEST) + 2)))
+    return max(0.0, min(100.0, 100 * (log10(ratio) + 2) / (log10(MAX_RATIO) + 2)))
 
 
 def _value(key: str, form: str = "") -> Callable[[Row], str]:

@@ -16,7 +16,7 @@ from grasp_refine.collision.query import Pairs
 from grasp_refine.core.se3 import inverse
 from grasp_refine.geometry.body import Body
 
-FARTHEST = 10.0
+CUTOFF_M = 10.0
 """Distances beyond this, in metres, are ignored by MuJoCo."""
 
 Loop = Callable[[], np.ndarray]
@@ -108,7 +108,7 @@ def mujoco_loop(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Loop:
         found = []
         for position, turn in zip(centers, turns, strict=True):
             data.geom_xpos[geoms], data.geom_xmat[geoms] = position, turn
-            best = FARTHEST
+            best = CUTOFF_M
             for a, b in pairs_of_geoms:
                 d = mujoco.mj_geomDistance(model, data, a, b, best, segment)
                 if d < best:

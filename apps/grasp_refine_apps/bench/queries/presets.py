@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from itertools import product
 from types import MappingProxyType
 
-from grasp_refine_apps.bench.queries.cases import DISTANCE, Case, Kind, State
+from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case, Kind, State
 from grasp_refine_apps.bench.queries.skips_starting import COMMANDS
 
 BATCHES, VERTICES, PIECES = (1, 16, 256, 1024), (8, 32, 128, 512), (4, 16, 64)
 """Default values of the sweeps; `Case` has the defaults of the others."""
 
-STATES = tuple(DISTANCE)
+STATES = tuple(STATE_DISTANCES_M)
 
 CONVEX, MIXED, CONCAVE = Case("convex"), Case("mixed", 16), Case("concave", 16)
 """Cases at which batches and states are compared."""

@@ -20,7 +20,7 @@ from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
 from grasp_refine_apps.bench.queries.bodies import make_pairs
-from grasp_refine_apps.bench.queries.cases import DISTANCE, Case
+from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case
 from grasp_refine_apps.bench.queries.peers import PEERS, Loop, Peer
 from grasp_refine_apps.bench.queries.poses import draw_poses, nearby
 from grasp_refine_apps.bench.timing import cpu_times, one_thread
@@ -37,10 +37,10 @@ METHODS: Mapping[MethodName, Derivative] = MappingProxyType(
 )
 """Name -> derivative method."""
 
-FEWEST = 32
+MIN_POSES = 32
 """Smallest number of poses of a case: smaller batches are several calls, so that no single pose decides."""
 
-PEER_POSES, PEER_QUERIES = 64, 8192
+MAX_PEER_POSES, MAX_PEER_QUERIES = 64, 8192
 """Largest number of poses for a peer, and of queries unless there are only 4 poses; evenly from all poses."""
 
 
@@ -104,7 +104,7 @@ class CaseJob:
     @property
     def work(self) -> float:
         """Approximate duration: the calls of a batch, and the queries of the peers."""
-        peers = min(PEER_QUERIES, PEER_POSES * self.case.piece_pairs) if self.peers else 0
+        peers = min(MAX_PEER_QUERIES, MAX_PEER_POSES * self.case.piece_pairs) if self.peers else 0
         return 1.0 + 1e-3 * self.case.batch + 5e-4 * peers
 
     @property
@@ -123,8 +123,8 @@ class CaseJob:
         case = self.case
         pairs = {engine: make_pairs(case, self.seed, engine) for engine in self.engines}
         first = pairs[self.engines[0]]
-        count = max(case.batch, FEWEST)
-        T_a, T_b = draw_poses(first, DISTANCE[case.state], count, self.seed)
+        count = max(case.batch, MIN_POSES)
+        T_a, T_b = draw_poses(first, STATE_DISTANCES_M[case.state], count, self.seed)
         reference = query(make_pairs(case, self.seed, "python"), T_a, T_b)
         before = {engine: query(own, T_a, nearby(T_b, self.seed)) for engine, own in pairs.items()}
         progress(0.1)
@@ -203,7 +203,7 @@ def _chosen(names: tuple[str, ...]) -> list[Peer]:
 
 def _some(count: int, piece_pairs: int) -> np.ndarray:
     """Choose poses for the peers, evenly from all."""
-    most = min(count, PEER_POSES, max(4, PEER_QUERIES // piece_pairs))
+    most = min(count, MAX_PEER_POSES, max(4, MAX_PEER_QUERIES // piece_pairs))
     return np.linspace(0, count - 1, most).round().astype(np.int64)
 
 

@@ -17,10 +17,10 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.bench.queries.poses import nearby
 
-WARM_UP = 2
+WARM_UP_ITERATIONS = 2
 """Iterations, of one grasp, before the first measurement."""
 
-DISTURBANCE = (0.005, 0.05)
+PALM_DEVIATIONS = (0.005, 0.05)
 """Standard deviations of the palms of disturbed grasps, in metres and radians; the latter of their joints, too."""
 
 
@@ -53,7 +53,7 @@ class Example:
     def warm_up(self) -> None:
         """Refine one grasp for a few iterations, so that all caches exist."""
         scene = replace(self.scene, T_world_root=self.scene.T_world_root[:1], q=self.scene.q[:1])
-        short = replace(self.config, starts=1, solver=replace(self.config.solver, iterations=WARM_UP))
+        short = replace(self.config, starts=1, solver=replace(self.config.solver, iterations=WARM_UP_ITERATIONS))
         refine(scene, short, prepared=self.prepared)
 
 
@@ -63,8 +63,8 @@ def several(scene: Scene, count: int, seed: int) -> Scene:
     rows = np.arange(count) % own
     T, q = scene.T_world_root[rows], scene.q[rows]
     again = np.arange(count) >= own
-    noise = DISTURBANCE[1] * np.random.default_rng(seed).normal(size=q.shape)
-    T = np.where(again[:, None, None], nearby(T, seed, DISTURBANCE), T)
+    noise = PALM_DEVIATIONS[1] * np.random.default_rng(seed).normal(size=q.shape)
+    T = np.where(again[:, None, None], nearby(T, seed, PALM_DEVIATIONS), T)
     return replace(
         scene, T_world_root=T, q=np.clip(np.where(again[:, None], q + noise, q), scene.hand.lower, scene.hand.upper)
     )

@@ -29,7 +29,7 @@ from grasp_refine.witness.scene import WitnessScene
 from grasp_refine_apps.bench.queries.skip import Example, Skip, replaced, timed
 from grasp_refine_apps.bench.queries.skips_querying import difference
 
-BATCH, FRAMES = 256, 20
+NUM_CONFIGURATIONS, FRAME_REPEATS = 256, 20
 """Number of configurations for derivatives of the torch layer and for frames; number of repetitions of the frames."""
 
 
@@ -48,7 +48,7 @@ def frame_skip(example: Example, rounds: int) -> Skip:
     counts = {which: len({*chain.links}) + len(chain.joints) for which, chain in chains.items()}
     cpu = timed({which: partial(_many_poses, example, chain) for which, chain in chains.items()}, rounds)
     return Skip(
-        "frames of links without bodies", "frames", f"{example.hand}, {FRAMES} times batch {BATCH}",
+        "frames of links without bodies", "frames", f"{example.hand}, {FRAME_REPEATS} times batch {NUM_CONFIGURATIONS}",
         counts["without"], counts["with"], cpu["without"][1], cpu["with"][1], "the frames of all links",
     )  # fmt: skip
 
@@ -233,11 +233,11 @@ def layer_skip(example: Example, rounds: int) -> Skip:
 
 
 def _many_poses(example: Example, chain: Chain) -> None:
-    for _ in range(FRAMES):
+    for _ in range(FRAME_REPEATS):
         _poses(example, chain)
 
 
 def _poses(example: Example, chain: Chain) -> np.ndarray:
-    """Poses of the links of a chain in the given grasps, repeated until there are `BATCH` of them."""
-    rows = np.arange(BATCH) % len(example.scene.q)
+    """Poses of the links of a chain in the given grasps, repeated until there are `NUM_CONFIGURATIONS` of them."""
+    rows = np.arange(NUM_CONFIGURATIONS) % len(example.scene.q)
     return chain(example.scene.T_world_root[rows], example.scene.q[rows]).T_world_link

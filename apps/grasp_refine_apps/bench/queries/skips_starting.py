@@ -20,7 +20,7 @@ from grasp_refine.hands.self_collision import Sampling, candidate_pairs, judged_
 from grasp_refine.objects.object import Object
 from grasp_refine_apps.bench.queries.skip import Skip, timed
 
-CONFIGURATIONS = 512
+NUM_CONFIGURATIONS = 512
 """Number of random configurations at which pairs of links are queried."""
 
 PROGRAM = """
@@ -52,11 +52,11 @@ def self_collision_skips(hand: Hand, seed: int, rounds: int) -> Iterator[Skip]:
     """Measure the skip of link pairs that never meet within the joint limits, and of finding them at a second start."""
     judged = judged_pairs(hand)
     apart = sorted(set(candidate_pairs(hand)) - {*judged.at_rest, *judged.nearly_always})
-    q = np.random.default_rng(seed).uniform(*_limits(hand), (CONFIGURATIONS, len(hand.joint_names)))
+    q = np.random.default_rng(seed).uniform(*_limits(hand), (NUM_CONFIGURATIONS, len(hand.joint_names)))
     both = {"without": apart, "with": judged.watched}
     asked = timed({which: partial(self_penetration, hand, pairs, q) for which, pairs in both.items()}, rounds + 1)
     yield Skip(
-        "pairs of links that never meet within the limits", "link pairs", f"{hand.name}, batch {CONFIGURATIONS}",
+        "pairs of links that never meet within the limits", "link pairs", f"{hand.name}, batch {NUM_CONFIGURATIONS}",
         len(apart), len(judged.watched), asked["without"][1], asked["with"][1],
         "all pairs that do not overlap by design are queried",
     )  # fmt: skip

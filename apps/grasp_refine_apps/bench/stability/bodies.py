@@ -17,10 +17,10 @@ from grasp_refine_apps.bench.stability.cases import KINDS, Kind
 Maker = Callable[[float], Sequence[Piece]]
 """From a scale to the pieces of a body."""
 
-THIN = 1e-4
+PLATE_THICKNESS = 1e-4
 """Thickness of a plate over its diagonal."""
 
-COPIES = (0.0, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6)
+COPY_OFFSETS = (0.0, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6)
 """Offsets of near-duplicates of a vertex, in diagonals."""
 
 
@@ -74,7 +74,7 @@ def _needles(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
 
 def _plates(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
     """Make a plate against another one, and against a finger tip."""
-    plate, disc = _box((0.8, 0.6, THIN)), _ring(48) * (0.3, 0.3, THIN / 2)
+    plate, disc = _box((0.8, 0.6, PLATE_THICKNESS)), _ring(48) * (0.3, 0.3, PLATE_THICKNESS / 2)
     return [(_hull(plate), _hull(disc)), (_hull(plate), _hull(plate)), (_hull(plate), _hull(_round(rng, 60)))]
 
 
@@ -163,4 +163,4 @@ def _ring(sides: int) -> np.ndarray:
 
 def _copied(rng: np.random.Generator, points: np.ndarray) -> np.ndarray:
     """All points with their near-duplicates."""
-    return np.concatenate([points + copy * rng.uniform(-1, 1, points.shape) for copy in COPIES])
+    return np.concatenate([points + copy * rng.uniform(-1, 1, points.shape) for copy in COPY_OFFSETS])

@@ -54,7 +54,7 @@ State = Literal[
 
 STATES: tuple[State, ...] = get_args(State)
 
-APART: Mapping[State, float] = MappingProxyType(
+STATE_DISTANCES: Mapping[State, float] = MappingProxyType(
     cast(
         dict[State, float],
         {"far": 1e3, "near": 0.05, "contact": 0.0} | {f"gap-1e-{n}": 10.0**-n for n in range(3, 13)},
@@ -62,7 +62,7 @@ APART: Mapping[State, float] = MappingProxyType(
 )
 """Distances of the states in which the bodies are apart, in diagonals."""
 
-APART_M: Mapping[State, float] = MappingProxyType({"gap-1um": 1e-6, "gap-1nm": 1e-9})
+STATE_DISTANCES_M: Mapping[State, float] = MappingProxyType({"gap-1um": 1e-6, "gap-1nm": 1e-9})
 """Distances of the states in which the bodies are apart, in metres."""
 
 GAPS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3, -1e-9, -1e-6, -1e-3)

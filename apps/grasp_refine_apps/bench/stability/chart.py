@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from math import log10
 
 from grasp_refine_apps.bench.stability.counts import Counts, counted, grouped
-from grasp_refine_apps.bench.stability.labels import WHAT, ordered, words
+from grasp_refine_apps.bench.stability.labels import FAULT_LABELS, ordered, words
 from grasp_refine_apps.bench.stability.rows import WRONG, Row
 
-LEAST = 1e-8
+PALEST_ERROR = 1e-8
 """Error over tolerance of the palest square; the darkest one that is not wrong has 1."""
 
 
@@ -101,11 +101,11 @@ def _square(rows: Sequence[Row], where: str, error: str) -> Square:
 
 def depth(error: float | None) -> int:
     """Percent of the darkest colour for an error over its tolerance; logarithmic."""
-    if error is None or error <= LEAST:
+    if error is None or error <= PALEST_ERROR:
         return 0
-    return round(100 * min(1.0, 1 - log10(error) / log10(LEAST)))
+    return round(100 * min(1.0, 1 - log10(error) / log10(PALEST_ERROR)))
 
 
 def _said(found: Counts) -> str:
-    said = [f"{found[name]} {WHAT[name]}" for name in WRONG if found[name]] or ["none wrong"]
+    said = [f"{found[name]} {FAULT_LABELS[name]}" for name in WRONG if found[name]] or ["none wrong"]
     return ", ".join([*said, *([f"{found['refused']} refused"] if found["refused"] else [])])

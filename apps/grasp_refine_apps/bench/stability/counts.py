@@ -11,10 +11,10 @@ from grasp_refine_apps.bench.stability.rows import WRONG, Row
 SUMMED = ("queries", "refused", "points_compared", "collapsed", "mujoco_queries", "mujoco_wrong", *WRONG)
 """Counts of rows that add up."""
 
-WORST = ("error_max", "distance_error_max_m", "points_error_max", "derivative_error_max")
+LARGEST = ("error_max", "distance_error_max_m", "points_error_max", "derivative_error_max")
 """Errors of rows of which the largest counts."""
 
-SHARES = ("error_max", "points_error_max", "derivative_error_max")
+RELATIVE_ERRORS = ("error_max", "points_error_max", "derivative_error_max")
 """Errors that are relative to their tolerance."""
 
 
@@ -27,7 +27,7 @@ class Counts:
     sums: dict[str, int]
     """Each of `SUMMED` -> its sum."""
     largest: dict[str, float | None]
-    """Each of `WORST` -> the largest; None: nothing was compared."""
+    """Each of `LARGEST` -> the largest; None: nothing was compared."""
 
     def __getitem__(self, name: str) -> int:
         """Return one of the sums."""
@@ -45,7 +45,7 @@ def counted(rows: Iterable[Row]) -> Counts:
     return Counts(
         len(rows),
         {name: sum(row[name] for row in rows) for name in SUMMED},
-        {name: max((row[name] for row in rows if row[name] is not None), default=None) for name in WORST},
+        {name: max((row[name] for row in rows if row[name] is not None), default=None) for name in LARGEST},
     )
 
 
@@ -90,4 +90,4 @@ def worst(rows: Iterable[Row], most: int, nearest: int) -> list[Row]:
 
 def error_of(row: Row) -> float | None:
     """Largest error of a cell over its tolerance, of all that were compared; None: nothing was."""
-    return max((row[name] for name in SHARES if row[name] is not None), default=None)
+    return max((row[name] for name in RELATIVE_ERRORS if row[name] is not None), default=None)

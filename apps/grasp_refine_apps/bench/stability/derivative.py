@@ -32,7 +32,9 @@ from grasp_refine_apps.bench.stability.poses import Posed, posers
 from grasp_refine_apps.bench.stability.rows import Cell
 from grasp_refine_apps.bench.stability.task import Task
 
-NEAR: Mapping[cases.Neighborhood, Adaptive | Fixed] = MappingProxyType({"adaptive": Adaptive(), "fixed": Fixed()})
+NEIGHBORHOODS: Mapping[cases.Neighborhood, Adaptive | Fixed] = MappingProxyType(
+    {"adaptive": Adaptive(), "fixed": Fixed()}
+)
 """Neighbourhoods by name."""
 
 METHODS: Mapping[cases.Method, Callable[[Adaptive | Fixed], Derivative]] = MappingProxyType(
@@ -50,10 +52,10 @@ METHODS: Mapping[cases.Method, Callable[[Adaptive | Fixed], Derivative]] = Mappi
 TOLERANCE = 1e-9
 """Rounding of a derivative, as a share of its largest entry or of 1; that of its precision is added."""
 
-ROUNDINGS = 64.0
+NUM_ROUNDINGS = 64.0
 """Number of roundings of the result's precision that may add up."""
 
-STEP = 1e-5
+STEP_TOLERANCE = 1e-5
 """Allowed error of finite differences for their step of 1e-3, as a share of the largest entry or of 1."""
 
 
@@ -77,7 +79,7 @@ def derivative_cells(task: Task) -> Iterator[Cell]:
 
 def method_of(way: cases.Derivative) -> Derivative:
     """Make the derivative method of a cell."""
-    return METHODS[way.method](NEAR[way.neighborhood or "adaptive"])
+    return METHODS[way.method](NEIGHBORHOODS[way.neighborhood or "adaptive"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +125,7 @@ def judged(scene: Scene, way: cases.Derivative, method: Derivative | None = None
     size = np.abs(np.where(finite[:, None, None, None], motion.covectors, 0.0)).max(axis=(1, 2, 3))
     # Poses and points are rounded, too: more so, the farther from the origin.
     reach = np.abs([w.point_a, w.point_b, *(T[:, :3, 3] for T in (scene.posed.T_a, scene.posed.T_b))]).max(axis=(0, 2))
-    rounding = TOLERANCE + ROUNDINGS * torch.finfo(dtype).eps * (1.0 + reach / scene.diagonal)
+    rounding = TOLERANCE + NUM_ROUNDINGS * torch.finfo(dtype).eps * (1.0 + reach / scene.diagonal)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         errors = np.stack(
             [
@@ -198,7 +200,7 @@ def _slips(scene: Scene, motion: Motion, method: cases.Method, rounding: np.ndar
         narrow = (rounding - TOLERANCE) * scene.diagonal / np.abs(motion.witness.distance)
         return agreement, error[:, :, :6].max(axis=(1, 2, 3)) / (size * (rounding + narrow))
     if method == "finite-difference":
-        return agreement, error.max(axis=(1, 2, 3)) / (size * (STEP + rounding))
+        return agreement, error.max(axis=(1, 2, 3)) / (size * (STEP_TOLERANCE + rounding))
     return agreement, np.zeros(len(size))
 
 

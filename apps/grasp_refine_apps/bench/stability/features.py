@@ -11,7 +11,7 @@ import numpy as np
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine_apps.bench.stability.cases import State
 
-SHARP = 1e-6
+COPLANAR_TOLERANCE = 1e-6
 """Faces whose normals differ by less than this are one face, without an edge between them."""
 
 
@@ -47,7 +47,7 @@ def edge(piece: Piece, rng: np.random.Generator, towards: np.ndarray | None = No
     first, second = owner[order[0::2]], owner[order[1::2]]
     normals = piece.normals
     both = normals[first].any(axis=1) & normals[second].any(axis=1)
-    sharp = np.flatnonzero(both & (np.linalg.norm(normals[first] - normals[second], axis=1) > SHARP))
+    sharp = np.flatnonzero(both & (np.linalg.norm(normals[first] - normals[second], axis=1) > COPLANAR_TOLERANCE))
     means = normals[first[sharp]] + normals[second[sharp]]
     k = sharp[rng.integers(len(sharp)) if towards is None else (means @ towards).argmax()]
     corners = piece.vertices[loops[order[2 * k]]]

@@ -18,7 +18,7 @@ from grasp_refine_apps.bench.stability.cases import Forward, State
 from grasp_refine_apps.bench.stability.judging import Judged, judge, tolerance
 from grasp_refine_apps.bench.stability.poses import Posed, Poser, posers
 from grasp_refine_apps.bench.stability.rows import Cell
-from grasp_refine_apps.bench.stability.second import ROUNDING, SecondOpinion
+from grasp_refine_apps.bench.stability.second import MUJOCO_TOLERANCE, SecondOpinion
 from grasp_refine_apps.bench.stability.task import Task
 
 
@@ -104,7 +104,7 @@ def _second_opinion(others: Sequence[SecondOpinion], posed: Sequence[Posed], mos
         found = other.distances(T_a, T_b)
         if found is not None:
             position = np.maximum(*(np.linalg.norm(T[:, :3, 3], axis=1) for T in (T_a, T_b)))
-            allowed = tolerance(other.unit, position) + ROUNDING * (other.unit + np.abs(true))
+            allowed = tolerance(other.unit, position) + MUJOCO_TOLERANCE * (other.unit + np.abs(true))
             asked, wrong = asked + len(found), wrong + int((np.abs(found - true) > allowed).sum())
     return {"mujoco_queries": asked, "mujoco_wrong": wrong}
 

@@ -14,19 +14,19 @@ from grasp_refine_apps.bench.stability.cases import DType
 from grasp_refine_apps.bench.stability.polytopes import outside, separations
 from grasp_refine_apps.bench.stability.reference import Truth
 
-SIZE, LEAST_M, ROUNDING = 1e-8, 1e-12, 1e-15
+SIZE_TOLERANCE, TOLERANCE_M, POSITION_TOLERANCE = 1e-8, 1e-12, 1e-15
 """Allowed error of a distance: a share of the diagonal, metres, and a share of the position."""
 
-SINGLE = float(np.finfo(np.float32).eps)
+SINGLE_TOLERANCE = float(np.finfo(np.float32).eps)
 """Allowed error in single precision: a share of diagonal plus position."""
 
-POINTS = 1e-6
+POINT_TOLERANCE = 1e-6
 """Allowed error of a point as a share of the diagonal, besides the slide due to the error of the distance."""
 
-SLIDE = 1e-12
+MIN_SLIDE_ERROR = 1e-12
 """Lower bound of that error of the distance, as a share of the diagonal and of the distance of the cores."""
 
-COLLAPSED = 64.0
+SIGN_ROUNDINGS = 64.0
 """Distances of more than this number of roundings of diagonal and position have a known sign."""
 
 
@@ -70,12 +70,12 @@ def tolerance(diagonal: float, position: np.ndarray, dtype: DType = "float64") -
         position: Distance (N,) of the bodies from the origin of the world, metres.
         dtype: Precision of poses and answers.
     """
-    return SIZE * diagonal + LEAST_M + _rounding(diagonal, position, dtype)
+    return SIZE_TOLERANCE * diagonal + TOLERANCE_M + _rounding(diagonal, position, dtype)
 
 
 def _rounding(diagonal: float, position: np.ndarray, dtype: DType) -> np.ndarray:
     """Largest displacement (N,) of bodies by the rounding of their poses, in metres."""
-    return ROUNDING * position + (SINGLE * (position + diagonal) if dtype == "float32" else 0.0)
+    return POSITION_TOLERANCE * position + (SINGLE_TOLERANCE * (position + diagonal) if dtype == "float32" else 0.0)
 
 
 def _zeroed(found: Witness, good: np.ndarray) -> Witness:
@@ -116,13 +116,13 @@ def judge(
     opposite = (np.sign(found.distance) != np.sign(truth.distance)) & (np.abs(truth.distance) > allowed)
     contrary = (found.distance > 0.0) != (found.status == QueryStatus.SEPARATED)
     # Only where rounding of the poses is negligible: otherwise it decides which feature is the nearest.
-    sharp = good & (allowed <= POINTS * diagonal)
+    sharp = good & (allowed <= POINT_TOLERANCE * diagonal)
     compared = sharp & truth.unique
     # If a point is d from a plane, points of the plane that are sqrt(2 d e) from the nearest one are d + e away.
-    least = SLIDE * (diagonal + np.abs(truth.core)) + _rounding(diagonal, position, dtype)
+    least = MIN_SLIDE_ERROR * (diagonal + np.abs(truth.core)) + _rounding(diagonal, position, dtype)
     slack = np.maximum(error, least)
     aslant = np.sqrt(2.0 * np.maximum(truth.core, 0.0) * slack)
-    near = POINTS * diagonal + aslant + np.where(compared, truth.slide, 1.0) * slack
+    near = POINT_TOLERANCE * diagonal + aslant + np.where(compared, truth.slide, 1.0) * slack
     R = T_a[:, :3, :3]
     off = np.maximum(
         *(
@@ -145,10 +145,10 @@ def judge(
         faults = fault[rows], truth.distance[rows] - parted, outside(a, in_a), outside(b, in_b)
         fault[rows] = np.maximum.reduce(faults)
     fault += np.abs(np.linalg.norm(found.normal, axis=1) - 1.0) * diagonal
-    wide = POINTS * (diagonal + np.abs(truth.distance)) + allowed
+    wide = POINT_TOLERANCE * (diagonal + np.abs(truth.distance)) + allowed
     points_error = np.where(good, np.maximum(np.where(compared, off / near, 0.0), fault / wide), np.nan)
     wrong_distance, wrong_sign = good & (error > allowed), good & (opposite | contrary)
-    told = np.abs(truth.distance) > COLLAPSED * np.finfo(dtype).eps * (diagonal + position)
+    told = np.abs(truth.distance) > SIGN_ROUNDINGS * np.finfo(dtype).eps * (diagonal + position)
     other = (np.sign(found.distance) != np.sign(truth.distance)) | (
         (found.status == QueryStatus.SEPARATED) != (truth.distance > 0.0)
     )

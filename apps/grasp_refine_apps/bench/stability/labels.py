@@ -22,7 +22,7 @@ ORDER: Mapping[str, tuple[Any, ...]] = MappingProxyType(
 )
 """Key of a row -> its values in display order; values of other keys are sorted."""
 
-WHAT = MappingProxyType(
+FAULT_LABELS = MappingProxyType(
     {
         "failed": "no answer",
         "not_finite": "not finite",
@@ -71,7 +71,7 @@ def ordered(key: str, values: Iterable[Any]) -> list[Any]:
 
 def faults(row: Row) -> str:
     """Describe the faults of a cell; empty: none."""
-    return ", ".join(f"{row[name]} {WHAT[name]}" for name in WRONG if row[name])
+    return ", ".join(f"{row[name]} {FAULT_LABELS[name]}" for name in WRONG if row[name])
 
 
 OPTIONS = ("dtype", "batch", "engine", "translation", "method", "neighborhood")

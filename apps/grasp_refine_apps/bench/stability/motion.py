@@ -22,10 +22,10 @@ from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine_apps.bench.stability.poses import Posed
 
-FORMS = 3
+NUM_FORMS = 3
 """Linear forms of points and normal that are differentiated; of two spheres all nine, whose derivatives are known."""
 
-HAND = 0.1
+SCENE_SIZE_M = 0.1
 """Size in metres at which derivatives are compared, up to a factor of 3."""
 
 
@@ -51,7 +51,7 @@ class Scene:
         N = len(posed.T_a)
         targets = [body.candidates.points[rng.integers(len(body.candidates.points), size=N)] for body in (a, b)]
         targets = [np.where(np.arange(N)[:, None] % 2 == 0, np.nan, target) for target in targets]
-        factor = 8.0 ** (round(np.log(HAND / max(a.diagonal, b.diagonal)) / np.log(8.0)) or 1)
+        factor = 8.0 ** (round(np.log(SCENE_SIZE_M / max(a.diagonal, b.diagonal)) / np.log(8.0)) or 1)
         other = Pairs((_scaled(a, factor, seed),), (_scaled(b, factor, seed),))
         return Scene(Pairs((a,), (b,)), posed, (targets[0], targets[1]), other, factor)
 
@@ -85,7 +85,7 @@ class Motion:
 def forms_of(scene: Scene) -> np.ndarray:
     """Return orthonormal forms (K, 9), equal at all poses."""
     drawn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(9, 9)))
-    return drawn if scene.spheres else drawn[:FORMS]
+    return drawn if scene.spheres else drawn[:NUM_FORMS]
 
 
 def move(

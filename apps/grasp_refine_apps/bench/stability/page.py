@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from typing import Any
 
 from grasp_refine_apps.bench.stability.cases import DTYPES
-from grasp_refine_apps.bench.stability.chart import LEAST, HeatMap, heat_map
+from grasp_refine_apps.bench.stability.chart import PALEST_ERROR, HeatMap, heat_map
 from grasp_refine_apps.bench.stability.counts import counted, error_of, grouped, of_measure, worst
-from grasp_refine_apps.bench.stability.labels import WHAT, again, faults, length, ordered, words
+from grasp_refine_apps.bench.stability.labels import FAULT_LABELS, again, faults, length, ordered, words
 from grasp_refine_apps.bench.stability.rows import WRONG, Row
 from grasp_refine_apps.bench.stability.table import number
 from grasp_refine_apps.report.html_page import rendered
 
-WORST = 40
-"""Cells that are listed where something is wrong; where nothing is, `NEAREST` of each precision."""
-NEAREST = 10
+MAX_WRONG_CELLS = 40
+"""Cells that are listed where something is wrong; where nothing is, `MAX_NEAR_CELLS` of each precision."""
+MAX_NEAR_CELLS = 10
 
-MESSAGES = 20
+MAX_REASONS = 20
 """Largest number of different reasons of refusal that are listed."""
 
 
@@ -34,9 +34,9 @@ def page(document: dict[str, Any]) -> str:
         document=document,
         totals=_totals(rows, len(document["problems"])),
         maps=_maps(rows),
-        least=LEAST,
+        least=PALEST_ERROR,
         any_wrong=found.wrong > 0,
-        worst=[_told(row, document["seed"]) for row in worst(rows, WORST, NEAREST)],
+        worst=[_told(row, document["seed"]) for row in worst(rows, MAX_WRONG_CELLS, MAX_NEAR_CELLS)],
         refusals=_refusals(rows),
         mujoco=_mujoco(rows),
     )
@@ -48,7 +48,7 @@ def _totals(rows: Sequence[Row], crashes: int) -> list[tuple[str, str]]:
     lines = [("cells", len(rows)), ("queries", counted(forward)["queries"])]
     lines += [("witness points judged", found["points_compared"]), ("derivatives", counted(derivative)["queries"])]
     lines += [("refused with a reason", found["refused"]), ("collapsed", found["collapsed"])]
-    lines += [(WHAT[name], found[name]) for name in WRONG]
+    lines += [(FAULT_LABELS[name], found[name]) for name in WRONG]
     return [(name, f"{count:,}".replace(",", "\u202f")) for name, count in [*lines, ("crashes", crashes)]]
 
 
@@ -85,7 +85,8 @@ def _refusals(rows: Sequence[Row]) -> list[tuple[str, int, str]]:
     """Reasons of refusal, their numbers, and the bodies."""
     found = grouped((row for row in rows if row["refused"]), ("refusal",))
     return [
-        (str(why or "no reason"), counted(its)["refused"], _bodies(its)) for (why,), its in [*found.items()][:MESSAGES]
+        (str(why or "no reason"), counted(its)["refused"], _bodies(its))
+        for (why,), its in [*found.items()][:MAX_REASONS]
     ]
 
 

@@ -7,7 +7,7 @@ from scipy.spatial import ConvexHull
 
 from grasp_refine.geometry.pieces import Piece
 
-FACE = 1e-7
+FACE_TOLERANCE = 1e-7
 """Vertices this close to a supporting plane (as a share of the size) may be part of the face that touches."""
 
 
@@ -59,15 +59,15 @@ def supporting(core: np.ndarray, n: np.ndarray) -> tuple[list[np.ndarray], np.nd
     """
     heights = n @ core.T
     behind = heights.max(axis=1, keepdims=True) - heights
-    item, vertex = np.nonzero(behind <= FACE)
+    item, vertex = np.nonzero(behind <= FACE_TOLERANCE)
     distances = np.linalg.norm(core[heights.argmax(axis=1), None] - core, axis=2)
-    slope = np.where(behind <= FACE, 1.0, distances / np.maximum(behind, FACE)).max(axis=1)
+    slope = np.where(behind <= FACE_TOLERANCE, 1.0, distances / np.maximum(behind, FACE_TOLERANCE)).max(axis=1)
     return np.split(vertex, np.cumsum(np.bincount(item, minlength=len(n)))[:-1]), slope
 
 
 def is_point(face: np.ndarray) -> bool:
     """Return True if the vertices (V, 3) of a face nearly coincide."""
-    return bool(np.ptp(face, axis=0).max() <= FACE)
+    return bool(np.ptp(face, axis=0).max() <= FACE_TOLERANCE)
 
 
 def crossing(first: np.ndarray, second: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:

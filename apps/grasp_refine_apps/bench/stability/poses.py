@@ -11,24 +11,32 @@ from scipy.spatial.transform import Rotation
 
 from grasp_refine.geometry.body import Body
 from grasp_refine_apps.bench.stability.bodies import Made
-from grasp_refine_apps.bench.stability.cases import APART, APART_M, FEATURES, GAPS, KINDS, STATES, State
+from grasp_refine_apps.bench.stability.cases import (
+    FEATURES,
+    GAPS,
+    KINDS,
+    STATE_DISTANCES,
+    STATE_DISTANCES_M,
+    STATES,
+    State,
+)
 from grasp_refine_apps.bench.stability.features import FEATURE, Feature, extreme
 from grasp_refine_apps.bench.stability.reference import Truth, Truths
 from grasp_refine_apps.bench.stability.task import Task
 
-TURNS = 4
+MAX_ROTATIONS = 4
 """Largest number of relative rotations of a pair of bodies, of which the first is none."""
 
-SPINS, FEWER, MANY = 8, 2, 20_000
+MAX_FEATURE_ROTATIONS, FEW_FEATURE_ROTATIONS, MANY_VERTEX_PAIRS = 8, 2, 20_000
 """Largest number of rotations for features, the same for large bodies, and the vertex pairs that make them large."""
 
-SHARE = 8
+POSES_PER_ROTATION = 8
 """Number of poses that justify one more rotation."""
 
-BEGINNINGS = 4
+NUM_START_PAIRS = 4
 """Number of piece pairs from whose contact the search of poses starts, for each rotation."""
 
-DRAWS = 4
+DRAWS_PER_POSE = 4
 """Number of poses drawn for each requested one, where other pieces may be in the way."""
 
 
@@ -68,7 +76,7 @@ class Poser:
     @cached_property
     def _turned(self) -> list[Truths]:
         """Truth at some rotations of the second body in the frame of the first."""
-        turns = Rotation.random(TURNS - 1, rng=np.random.default_rng(self.seed)).as_matrix()
+        turns = Rotation.random(MAX_ROTATIONS - 1, rng=np.random.default_rng(self.seed)).as_matrix()
         return [self._truths(R) for R in (np.eye(3), *turns)]
 
     def can_be(self, state: State) -> bool:
@@ -89,7 +97,7 @@ class Poser:
         self, rng: np.random.Generator, state: State, count: int
     ) -> Iterator[tuple[np.ndarray, np.ndarray, Truth]]:
         """Yield rotations (n, 3, 3) and offsets (n, 3) in a state that is not one of features, and the truth."""
-        turns = min(max(count // SHARE, 2), TURNS)
+        turns = min(max(count // POSES_PER_ROTATION, 2), MAX_ROTATIONS)
         n = -(-count // turns)
         for truths in self._turned[:turns]:
             if state in ("total", "concentric"):
@@ -105,14 +113,16 @@ class Poser:
         if state in ("shallow", "deep"):
             low, high = (-9, -2) if state == "shallow" else (np.log10(0.02), np.log10(0.2))
             return -self.diagonal * 10 ** rng.uniform(low, high, n)
-        return np.full(n, APART_M[state] if state in APART_M else APART[state] * self.diagonal)
+        return np.full(
+            n, STATE_DISTANCES_M[state] if state in STATE_DISTANCES_M else STATE_DISTANCES[state] * self.diagonal
+        )
 
     def _at_distance(self, rng: np.random.Generator, truths: Truths, n: int, distance: np.ndarray) -> np.ndarray:
         """Offsets (n, 3) at which the bodies have these distances; inwards the truth may be less deep."""
         t = np.empty((n, 3))
-        some = rng.integers(len(truths.pairs), size=BEGINNINGS)
+        some = rng.integers(len(truths.pairs), size=NUM_START_PAIRS)
         for i in range(n):
-            touching, outward = truths.difference(some[i % BEGINNINGS]).boundary(rng)
+            touching, outward = truths.difference(some[i % NUM_START_PAIRS]).boundary(rng)
             # From there outwards, straight or oblique, until all pieces are apart.
             along = outward + rng.normal(size=3) * rng.choice([0.0, 0.1, 1.0])
             step = self.diagonal * 10 ** rng.uniform(-2, 0.5)
@@ -132,9 +142,12 @@ class Poser:
         self, rng: np.random.Generator, state: State, count: int
     ) -> Iterator[tuple[np.ndarray, np.ndarray, Truth]]:
         """Yield rotations, offsets and the truth for a face, edge or vertex of each body against the other's."""
-        turns = min(max(count // SHARE, 1), FEWER if self._vertex_pairs > MANY else SPINS)
+        turns = min(
+            max(count // POSES_PER_ROTATION, 1),
+            FEW_FEATURE_ROTATIONS if self._vertex_pairs > MANY_VERTEX_PAIRS else MAX_FEATURE_ROTATIONS,
+        )
         n = -(-count // turns)
-        draws = 1 if len(self.a.pieces) * len(self.b.pieces) == 1 else DRAWS
+        draws = 1 if len(self.a.pieces) * len(self.b.pieces) == 1 else DRAWS_PER_POSE
         for turn in range(turns):
             first, second = (self._feature(rng, body, state) for body in (self.a, self.b))
             R = _against(rng, first, second, straight=turn % 4 == 0)

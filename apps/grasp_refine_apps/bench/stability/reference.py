@@ -20,20 +20,27 @@ from itertools import product
 import numpy as np
 
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine_apps.bench.stability.polytopes import FACE, crossing, is_point, on_triangles, supporting, surface
+from grasp_refine_apps.bench.stability.polytopes import (
+    FACE_TOLERANCE,
+    crossing,
+    is_point,
+    on_triangles,
+    supporting,
+    surface,
+)
 
-_CROSSING = 0.05
+_MIN_CROSSING_SINE = 0.05
 """Smallest sine of the angle of two edges whose crossing defines the points."""
 
-_FLAT = 1e4
+_MAX_SLIDE = 1e4
 """Points that slide farther than this for each metre of distance are not unique."""
 
-_TIE = 1e-5
+_TIE_TOLERANCE = 1e-5
 """Nearest facets whose depths differ by less (as a share of the size) are ties."""
 
 _POINTS = ("point_a", "point_b")
 
-_MOST = 1_000_000
+_MAX_ENTRIES = 1_000_000
 """Largest number of entries of a temporary matrix."""
 
 
@@ -87,14 +94,14 @@ class Difference:
     def at(self, t: np.ndarray) -> Truth:
         """Return the truth at offsets t (N, 3): the origin of the second body in the frame of the first, in metres."""
         p = -(t + self.middle) / self.unit
-        rows = max(1, _MOST // len(self.centers))
+        rows = max(1, _MAX_ENTRIES // len(self.centers))
         parts = [self._nearest(p[start : start + rows]) for start in range(0, len(p), rows)]
         core, q, normal, face, clear = (np.concatenate(column) for column in zip(*parts, strict=True))
         in_a, in_b, slide = self._witnesses(q, face)
         distance = core * self.unit - sum(self.radii)
         x_a = in_a * self.unit + self.a.vertices.mean(axis=0) + self.radii[0] * normal
         x_b = in_b * self.unit + self.turned.mean(axis=0) + t - self.radii[1] * normal
-        return Truth(distance, normal, x_a, x_b, clear & (slide <= _FLAT), core * self.unit, slide)
+        return Truth(distance, normal, x_a, x_b, clear & (slide <= _MAX_SLIDE), core * self.unit, slide)
 
     def boundary(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Draw an offset (3,) at which the cores touch, at a facet, edge or vertex of M, and a way (3,) out of it."""
@@ -119,7 +126,7 @@ class Difference:
         distance = heights[np.arange(len(p)), facet]
         inward = -self.normals[facet]
         q = p.copy() if self.flat else p + distance[:, None] * inward
-        rivals = heights > distance[:, None] - _TIE
+        rivals = heights > distance[:, None] - _TIE_TOLERANCE
         cosines = np.einsum("ij,kj->ik", -inward, self.normals)
         clear = ~(rivals & (cosines < 1.0 - 1e-9)).any(axis=1)
         normal = inward.copy()
@@ -127,8 +134,8 @@ class Difference:
         if len(outside):
             distance[outside], q[outside] = self._to_triangles(p[outside], heights[outside])
             gap = distance[outside]
-            clear[outside] = (gap > FACE) if self.flat else True
-            for limit, direction in ((1e-12, normal), (FACE, inward)):
+            clear[outside] = (gap > FACE_TOLERANCE) if self.flat else True
+            for limit, direction in ((1e-12, normal), (FACE_TOLERANCE, inward)):
                 away = outside[gap > limit]
                 direction[away] = (q[away] - p[away]) / distance[away, None]
         normal[~normal.any(axis=1)] = self._across
@@ -170,7 +177,7 @@ class Difference:
         """
         N = len(q)
         x, y, slide = np.zeros((N, 3)), np.zeros((N, 3)), np.full(N, np.inf)
-        rows = max(1, _MOST // max(len(self.core_a), len(self.core_b)))
+        rows = max(1, _MAX_ENTRIES // max(len(self.core_a), len(self.core_b)))
         for start in range(0, N, rows):
             block = slice(start, start + rows)
             faces_a, slopes_a = supporting(self.core_a, n[block])
@@ -185,7 +192,7 @@ class Difference:
                     x[i], y[i], slide[i] = second[0] - q[i], second[0], 1.0 + b
                 elif len(first) == len(second) == 2:
                     x[i], y[i], sine = crossing(first, second, q[i])
-                    if sine > _CROSSING:
+                    if sine > _MIN_CROSSING_SINE:
                         slide[i] = 1.0 + (a + b) / sine
         return x, y, slide
 
@@ -224,7 +231,7 @@ class Truths:
         bound = np.maximum(bound, self._apart(t, found.normal))
         bound[np.arange(len(t)), first] = np.inf
         # A rival at the same distance is evaluated, too.
-        slack = _TIE * self._radius
+        slack = _TIE_TOLERANCE * self._radius
         left = np.flatnonzero((bound < found.distance[:, None] + slack).any(axis=0))
         for k in left[np.argsort(bound[:, left].min(axis=0))]:
             self._lower(found, k, t, np.flatnonzero(bound[:, k] < found.distance + slack[k]))
@@ -242,7 +249,7 @@ class Truths:
             return
         new, size = self.difference(k).at(t[rows]), self._radius[k]
         moved = np.maximum(*(np.abs(getattr(new, name) - getattr(found, name)[rows]).max(axis=1) for name in _POINTS))
-        tie = (np.abs(new.distance - found.distance[rows]) < _TIE * size) & ~(moved <= FACE * size)
+        tie = (np.abs(new.distance - found.distance[rows]) < _TIE_TOLERANCE * size) & ~(moved <= FACE_TOLERANCE * size)
         better = new.distance < found.distance[rows]
         index = rows[better]
         for field in fields(Truth):

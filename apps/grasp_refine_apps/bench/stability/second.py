@@ -13,10 +13,10 @@ from grasp_refine.core.se3 import inverse
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
 
-ROUNDING = 4 * float(np.finfo(np.float32).eps)
+MUJOCO_TOLERANCE = 4 * float(np.finfo(np.float32).eps)
 """Allowed error of MuJoCo, as a share of size and distance: it keeps vertices in single precision."""
 
-FARTHEST = 1e6
+CUTOFF_DIAGONALS = 1e6
 """Distances beyond this, in diagonals, are ignored by MuJoCo."""
 
 
@@ -61,7 +61,7 @@ class SecondOpinion:
         for relative in inverse(T_a) @ T_b:
             data.geom_xpos[geoms] = center @ relative[:3, :3].T + relative[:3, 3] / self.unit
             data.geom_xmat[geoms] = (relative[:3, :3] @ R).reshape(-1, 9)
-            nearest = FARTHEST
+            nearest = CUTOFF_DIAGONALS
             for one, other in product(first, geoms.tolist()):
                 nearest = min(nearest, mujoco.mj_geomDistance(model, data, one, other, nearest, None))
             found.append(nearest * self.unit)

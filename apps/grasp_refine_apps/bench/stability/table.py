@@ -37,10 +37,10 @@ DERIVATIVE = (
 )
 """Columns on derivatives."""
 
-WORST, NEAREST = 5, 2
+MAX_WRONG_CELLS, MAX_NEAR_CELLS = 5, 2
 """Largest number of listed cells: if something is wrong, and of each precision if nothing is."""
 
-WIDTH = 78
+LINE_CHARACTERS = 78
 """Characters of a line of a command, which continues after a backslash."""
 
 
@@ -110,14 +110,16 @@ def number(value: float | None) -> str:
 
 def _worst(rows: Sequence[Row], seed: int) -> Iterator[str]:
     """Yield the wrong cells, or else those nearest to it, each with the command that repeats it."""
-    shown = worst(rows, WORST, NEAREST)
+    shown = worst(rows, MAX_WRONG_CELLS, MAX_NEAR_CELLS)
     if shown:
         yield "wrong cells, and the commands that repeat them:" if wrong(shown[0]) else "nearest to being wrong:"
     for row in shown:
         error = error_of(row)
         said = [faults(row), row["dtype"], "" if error is None else f"error {number(error)} of its tolerance"]
         yield f"- {', '.join(filter(None, said))}"
-        lines = wrap(again(row, seed), WIDTH, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False)
+        lines = wrap(
+            again(row, seed), LINE_CHARACTERS, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False
+        )
         yield " \\\n".join(lines)
     if shown:
         yield ""

@@ -16,7 +16,7 @@ from grasp_refine.refinement.solvers.levenberg_marquardt import bounded_step
 from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.aligned import Aligned
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
-from grasp_refine_apps.bench.align.levenberg_marquardt import TOLERANCE, AlignLevenbergMarquardt, minimised
+from grasp_refine_apps.bench.align.levenberg_marquardt import TOLERANCE_M2, AlignLevenbergMarquardt, minimised
 from grasp_refine_apps.bench.align.problem import AlignProblem, supporting
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from shapes_for_tests import cluster_body, convex_body, ring_body
@@ -55,7 +55,7 @@ def test_it_solves_tasks_and_tells_how_many_queries_each_took(pair: BodyPair, ma
     assert result.witness.distance.shape == result.error.shape
     assert ((result.iterations > 0) & (result.iterations <= 200)).all()
     # Whoever is not solved has used all that there was.
-    solved = result.error < 2 * TOLERANCE
+    solved = result.error < 2 * TOLERANCE_M2
     assert (result.iterations[~solved] == 200).all() and result.iterations[solved].mean() < 100
     asked = result.watch.queries / result.iterations.sum()
     assert asked == 1.0 if pair is PAIR else asked > 1.0
@@ -80,7 +80,7 @@ def test_what_comes_of_a_task_does_not_depend_on_the_others(pair: BodyPair):
     together = minimised([OTHER, pair], [accepted(OTHER, 6), tasks], solver)
     for i in range(len(tasks)):
         alone = minimised([pair], [tasks.take(np.array([i]))], solver)
-        assert (alone.error[0, 0] < 2 * TOLERANCE) == (together.error[i, 1] < 2 * TOLERANCE)
+        assert (alone.error[0, 0] < 2 * TOLERANCE_M2) == (together.error[i, 1] < 2 * TOLERANCE_M2)
         # Curvatures are fitted in single precision, whose rounding depends on how many are fitted at once; some
         # tasks leave a rotation open in which it adds up.
         np.testing.assert_allclose(alone.T_world_b[0, 0], together.T_world_b[i, 1], rtol=0, atol=1e-3)

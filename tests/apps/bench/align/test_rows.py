@@ -12,7 +12,7 @@ from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.json_files import dumps
 from grasp_refine_apps.bench.align.aligned import Aligned
 from grasp_refine_apps.bench.align.bodies import BodyPair
-from grasp_refine_apps.bench.align.rows import LEVELS, rows, summary
+from grasp_refine_apps.bench.align.rows import ERROR_LEVELS_M2, rows, summary
 from grasp_refine_apps.bench.align.runner import Done, Job
 from grasp_refine_apps.bench.align.stopwatch import PARTS, Stopwatch
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks
@@ -87,7 +87,7 @@ def test_a_weighted_summary_is_that_of_the_tasks_it_stands_for(seed: int):
     expanded = np.sort(np.repeat(errors, weights))
     found = summary(errors, weights.astype(float))
     assert set(found) == SUMMARY and found["targets"] == len(errors)
-    for name, level in LEVELS.items():
+    for name, level in ERROR_LEVELS_M2.items():
         assert found[name] == pytest.approx((expanded < level).mean())
     for name, tenths in (("d5", 5), ("d9", 9)):
         assert found[name] == expanded[-(-len(expanded) * tenths // 10) - 1]

@@ -21,7 +21,13 @@ from grasp_refine_apps.bench.queries.cases import Case
 from grasp_refine_apps.bench.queries.poses import draw_poses
 from grasp_refine_apps.bench.queries.skip import Example, Skip, replaced, several, timed
 from grasp_refine_apps.bench.queries.skips_querying import asking_skips, unbounded
-from grasp_refine_apps.bench.queries.skips_solving import BATCH, curvature_skip, finished_skip, frame_skip, layer_skip
+from grasp_refine_apps.bench.queries.skips_solving import (
+    NUM_CONFIGURATIONS,
+    curvature_skip,
+    finished_skip,
+    frame_skip,
+    layer_skip,
+)
 from grasp_refine_apps.bench.queries.skips_starting import (
     _modules,
     decomposition_skip,
@@ -94,7 +100,10 @@ def test_curvatures_are_fitted_where_forces_look(example: Example):
 
 def test_the_layer_differentiates_where_a_loss_looks(example: Example):
     skip = layer_skip(example, 1)
-    assert (skip.with_, skip.without) == (BATCH * len(example.scene.hand.contacts), BATCH * len(example.scene.links))
+    assert (skip.with_, skip.without) == (
+        NUM_CONFIGURATIONS * len(example.scene.hand.contacts),
+        NUM_CONFIGURATIONS * len(example.scene.links),
+    )
 
 
 def test_frames_of_links_without_bodies_are_not_computed(example: Example):

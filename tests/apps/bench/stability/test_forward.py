@@ -14,10 +14,10 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.bench.stability import forward
 from grasp_refine_apps.bench.stability.bodies import Made, make_pairs
 from grasp_refine_apps.bench.stability.cases import (
-    APART,
-    APART_M,
     DIAGONALS,
     KINDS,
+    STATE_DISTANCES,
+    STATE_DISTANCES_M,
     STATES,
     Forward,
     Kind,
@@ -68,11 +68,11 @@ def posed(kind: Kind, diagonal: float, state: State, count: int, pair: int = 0) 
     return made, found
 
 
-@pytest.mark.parametrize("state", [state for state in STATES if state in APART or state in APART_M])
+@pytest.mark.parametrize("state", [state for state in STATES if state in STATE_DISTANCES or state in STATE_DISTANCES_M])
 def test_convex_bodies_are_as_far_apart_as_the_state_says(state: State):
     for kind, diagonal in (("box", 0.1), ("needle", 1e-3), ("ball", 10.0)):
         _, found = posed(kind, diagonal, state, 12)
-        wanted = APART_M.get(state, APART.get(state, 0.0) * diagonal)
+        wanted = STATE_DISTANCES_M.get(state, STATE_DISTANCES.get(state, 0.0) * diagonal)
         np.testing.assert_allclose(found.truth.distance, wanted, rtol=1e-12, atol=2e-15 * diagonal)
 
 
