@@ -66,7 +66,7 @@ def ask_far(
     hidden = ~told | (found.distance >= cutoff)
     nothing = nothing_near(np.where(told, cutoff, bound))
     for field in fields(Witness):
-        if field.name != "asked":
+        if field.name != "num_queries":
             getattr(found, field.name)[hidden] = getattr(nothing, field.name)[hidden]
     return found
 

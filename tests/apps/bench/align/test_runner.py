@@ -133,7 +133,7 @@ def test_the_queries_that_are_told_are_those_that_were_made(method: str, tasks: 
     (job,) = made(tasks[1:2], PAIRS[1:2], (variant,))
     done = alone(job)
     # One narrow-phase query answers a query of two hulls.
-    assert done.aligned.watch.queries == variant.queries(7) * done.aligned.error.size
+    assert done.aligned.watch.queries == variant.queries(np.full(done.aligned.error.shape, 7)).sum()
 
 
 @pytest.mark.parametrize("workers", [1, 2])

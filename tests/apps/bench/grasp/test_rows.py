@@ -6,12 +6,14 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from grasp_refine.core.json_files import dumps
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.geometry import Movement
 from grasp_refine_apps.bench.grasp.chart import line_names, size_chart, time_chart
 from grasp_refine_apps.bench.grasp.labels import pooled, varied
@@ -24,8 +26,10 @@ from grasp_refine_apps.bench.grasp.tasks import Kind, Tasks
 from grasp_refine_apps.bench.grasp.variants import Variant
 
 NAN = np.nan
+# Of a scene, rows count joints and pieces only.
 SCENES = {
-    name: SimpleNamespace(
+    name: Mock(
+        Scene,
         hand=SimpleNamespace(joint_names=("a", "b", "c")),
         object=SimpleNamespace(body=SimpleNamespace(pieces=(None,) * pieces)),
     )
@@ -51,8 +55,7 @@ def measures(depth: list[float], error: list[list[float]] | None = None, own: fl
 def part(kind: Kind, name: str, before: Measures, after: Measures, cpu_s: list[float]) -> Part:
     n = len(cpu_s)
     return Part(
-        # Of a scene, rows count joints and pieces only.
-        tasks=Tasks(kind, name, 1.0, SCENES[name], np.arange(10, 10 + n)),  # type: ignore[arg-type]
+        tasks=Tasks(kind, name, 1.0, SCENES[name], np.arange(10, 10 + n)),
         before=before,
         after=after,
         moved=Movement(np.full(n, 0.01), np.full(n, 0.1), np.full(n, 0.2)),
