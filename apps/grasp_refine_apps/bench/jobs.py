@@ -44,7 +44,7 @@ def run_jobs(todo: Sequence[Job], workers: int, progress: Callable[[float, str],
     results: dict[int, Any] = {}
     problems: list[str] = []
     try:
-        for index, outcome in _in_turn(todo, progress) if workers == 1 else _side_by_side(todo, workers, progress):
+        for index, outcome in _run_serially(todo, progress) if workers == 1 else _run_parallel(todo, workers, progress):
             # An interrupted process returns a KeyboardInterrupt, which is not a result.
             if isinstance(outcome, BaseException):
                 problems.append(f"{todo[index].label}: {''.join(format_exception(outcome)).strip()}")
@@ -55,7 +55,7 @@ def run_jobs(todo: Sequence[Job], workers: int, progress: Callable[[float, str],
     return [results[index] for index in sorted(results)], problems
 
 
-def _in_turn(todo: Sequence[Job], progress: Callable[[float, str], None]) -> Iterator[tuple[int, Any]]:
+def _run_serially(todo: Sequence[Job], progress: Callable[[float, str], None]) -> Iterator[tuple[int, Any]]:
     """Run each job in this process and yield its index with its result or error."""
     total, finished = sum(job.work for job in todo), 0.0
     for index, job in enumerate(todo):
@@ -70,7 +70,7 @@ def _in_turn(todo: Sequence[Job], progress: Callable[[float, str], None]) -> Ite
         finished += job.work
 
 
-def _side_by_side(
+def _run_parallel(
     todo: Sequence[Job], workers: int, progress: Callable[[float, str], None]
 ) -> Iterator[tuple[int, Any]]:
     """Run the jobs in several processes and yield each index with its result or error, as they end."""

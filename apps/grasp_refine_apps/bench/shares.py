@@ -13,7 +13,7 @@ Parts = Mapping[str, tuple[Stage, ...]]
 """Name of a part, one word -> its stages."""
 
 
-def disambiguate(*apart: Stage) -> dict[str, tuple[Stage, ...]]:
+def split_stages(*apart: Stage) -> dict[str, tuple[Stage, ...]]:
     """Return each of the given stages as a part, and the rest as one more."""
     rest = tuple(stage for stage in STAGES if stage not in apart)
     return {stage.replace(" ", ""): (stage,) for stage in apart} | {REST: rest}

@@ -19,7 +19,7 @@ Visit = Callable[[np.ndarray, np.ndarray], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Aligned:
+class AlignmentResult:
     """Results of P pairs with up to N tasks each; arrays (N, P, ...). Pairs with fewer tasks repeat theirs."""
 
     error: np.ndarray
@@ -44,7 +44,7 @@ class Aligned:
     """Wall seconds of the loop."""
 
 
-def padded(tasks: Sequence[Tasks]) -> list[Tasks]:
+def pad_tasks(tasks: Sequence[Tasks]) -> list[Tasks]:
     """Repeat the tasks of each pair, so that all pairs have the same number."""
     count = max(map(len, tasks))
     return [its.take(np.arange(count) % len(its)) for its in tasks]

@@ -27,7 +27,7 @@ from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.patch import Patch
 from grasp_refine.witness.transport import EquivalentTransport
-from grasp_refine_apps.bench.align.aligned import Aligned, Visit, errors_at
+from grasp_refine_apps.bench.align.aligned import AlignmentResult, Visit, errors_at
 from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch, TimedDerivative
 from grasp_refine_apps.bench.align.tasks import Tasks
@@ -73,7 +73,7 @@ def align(
     device: str = "cpu",
     progress: Callable[[float], None] = lambda share: None,
     visit: Visit | None = None,
-) -> Aligned:
+) -> AlignmentResult:
     """Run the tasks of several pairs, an equal number of each.
 
     Args:
@@ -137,7 +137,7 @@ def align(
         final_error, _ = errors_at(bodies, tasks, last_a, last_b, solver.margin)
         best_error, witness = errors_at(bodies, tasks, best_a, best_b, solver.margin)
     iterations = np.full(best_error.shape, iteration)
-    return Aligned(best_error, final_error, best_a, best_b, witness, iterations, watch, cpu_s, wall_s)
+    return AlignmentResult(best_error, final_error, best_a, best_b, witness, iterations, watch, cpu_s, wall_s)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import numpy as np
 from grasp_refine.refinement.solvers.least_squares import WIDTH, Point, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.witness.patch import Patch
-from grasp_refine_apps.bench.align.aligned import Aligned, Visit, errors_at, padded
+from grasp_refine_apps.bench.align.aligned import AlignmentResult, Visit, errors_at, pad_tasks
 from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.problem import AlignProblem
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch
@@ -40,14 +40,14 @@ class AlignLevenbergMarquardt:
     """Seed of restarts."""
 
 
-def minimised(
+def run_levenberg_marquardt(
     bodies: Sequence[BodyPair],
     tasks: Sequence[Tasks],
     solver: AlignLevenbergMarquardt,
     *,
     progress: Callable[[float], None] = lambda share: None,
     visit: Visit | None = None,
-) -> Aligned:
+) -> AlignmentResult:
     """Run the tasks of several pairs together; the result of a task does not depend on the others.
 
     Args:
@@ -89,6 +89,6 @@ def minimised(
     task = np.arange(counts.max())[:, None]
     member = first + task % counts
     T_a, T_b = problem.tasks.T_world_a[member], found.point.T[member]
-    error, witness = errors_at(bodies, padded(tasks), T_a, T_b, solver.margin)
+    error, witness = errors_at(bodies, pad_tasks(tasks), T_a, T_b, solver.margin)
     iterations = np.where(task < counts, found.iterations[member], 0)
-    return Aligned(error, error, T_a, T_b, witness, iterations, watch, cpu_s, wall_s)
+    return AlignmentResult(error, error, T_a, T_b, witness, iterations, watch, cpu_s, wall_s)

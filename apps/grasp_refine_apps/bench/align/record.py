@@ -46,7 +46,7 @@ def record_task(
     runs = []
     for number, (variant, label) in enumerate(zip(variants, labels, strict=True)):
         progress(number / len(variants), f"recording {label}")
-        runs.append(_recorded(Job(variant, (pair,), (task,), seed, dtype, device, threads=1), label))
+        runs.append(_record(Job(variant, (pair,), (task,), seed, dtype, device, threads=1), label))
     return AlignmentTask(
         pair.kind,
         CLASSES[task.target_class[0]],
@@ -73,14 +73,14 @@ def shown_task(tasks: Tasks) -> Tasks:
     return tasks.take(np.flatnonzero(wanted if wanted.any() else tasks.accepted)[:1])
 
 
-def thinned(count: int, keep: int) -> np.ndarray:
+def thin(count: int, keep: int) -> np.ndarray:
     """Select at most `MAX_ITERATES` of `count` iterates, evenly spread: the first, the last, and number `keep`."""
     if count <= MAX_ITERATES:
         return np.arange(count)
     return np.unique(np.append(np.linspace(0, count - 1, MAX_ITERATES - 1).round().astype(int), keep))
 
 
-def _recorded(job: Job, label: str) -> Trajectory:
+def _record(job: Job, label: str) -> Trajectory:
     """Run the only task of a job and record its trajectory."""
     poses: list[np.ndarray] = []
     times: list[float] = []
@@ -93,7 +93,7 @@ def _recorded(job: Job, label: str) -> Trajectory:
     T = np.stack(poses)
     given = np.stack([aligned.T_world_a[0, 0], aligned.T_world_b[0, 0]])
     result = int(np.nan_to_num(np.abs(T - given).max(axis=(1, 2, 3)), nan=np.inf).argmin())
-    kept = thinned(len(T), result)
+    kept = thin(len(T), result)
     T = T[kept]
     task = job.tasks[0].take(np.zeros(len(kept), dtype=int))
     error, found = errors_at(job.pairs, [task], T[:, None, 0], T[:, None, 1], job.variant.margin)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_refine_apps.bench.align.runner import Done
+from grasp_refine_apps.bench.align.runner import JobResult
 from grasp_refine_apps.bench.align.stopwatch import PARTS, PASSES
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks
 from grasp_refine_apps.bench.align.variants import Variant
@@ -17,7 +17,7 @@ ERROR_LEVELS_M2 = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
 """Errors (m^2) below which a task counts as solved."""
 
 
-def rows(done: Sequence[Done], targets: int, dtype: str) -> list[dict[str, Any]]:
+def rows(done: Sequence[JobResult], targets: int, dtype: str) -> list[dict[str, Any]]:
     """Return all rows of a run: for each variant and kind the pooled one, then one per class, then one per pair.
 
     Args:
@@ -25,7 +25,7 @@ def rows(done: Sequence[Done], targets: int, dtype: str) -> list[dict[str, Any]]
         targets: Requested number of accepted targets of a pair; times are scaled to it.
         dtype: Number type of the run.
     """
-    groups: dict[tuple[str, Variant], list[Done]] = {}
+    groups: dict[tuple[str, Variant], list[JobResult]] = {}
     for one in done:
         groups.setdefault((one.job.pairs[0].kind, one.job.variant), []).append(one)
     return [row for (kind, variant), group in groups.items() for row in _of_group(kind, variant, group, targets, dtype)]
@@ -45,7 +45,9 @@ def summary(errors: np.ndarray, weights: np.ndarray | None = None) -> dict[str, 
     }
 
 
-def _of_group(kind: str, variant: Variant, group: Sequence[Done], targets: int, dtype: str) -> Iterator[dict[str, Any]]:
+def _of_group(
+    kind: str, variant: Variant, group: Sequence[JobResult], targets: int, dtype: str
+) -> Iterator[dict[str, Any]]:
     names = [pair.name for one in group for pair in one.job.pairs]
     tasks = [tasks for one in group for tasks in one.job.tasks]
     found = [(one, p) for one in group for p in range(len(one.job.pairs))]
@@ -107,7 +109,7 @@ def _picked(arrays: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> np.nda
     return np.concatenate([array[mask] for array, mask in zip(arrays, masks, strict=True)])
 
 
-def _times(variant: Variant, group: Sequence[Done], targets: int) -> dict[str, Any]:
+def _times(variant: Variant, group: Sequence[JobResult], targets: int) -> dict[str, Any]:
     """Costs of a variant; those of a pair are scaled to its requested number of targets."""
     results = [one.aligned for one in group]
     iterations = np.concatenate([result.iterations[result.iterations > 0] for result in results])

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from grasp_refine_apps.bench.align.aligned import Aligned, Visit, errors_at, padded
+from grasp_refine_apps.bench.align.aligned import AlignmentResult, Visit, errors_at, pad_tasks
 from grasp_refine_apps.bench.align.bodies import KINDS, BodyPair
 from grasp_refine_apps.bench.align.descent import AlignDescent, align
-from grasp_refine_apps.bench.align.levenberg_marquardt import minimised
+from grasp_refine_apps.bench.align.levenberg_marquardt import run_levenberg_marquardt
 from grasp_refine_apps.bench.align.tasks import Tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from grasp_refine_apps.bench.timing import one_thread
@@ -51,32 +51,34 @@ class Job:
         """Label of the job, for a progress bar."""
         return f"{self.variant.name}, {self.pairs[0].kind}"
 
-    def do(self, progress: Callable[[float], None]) -> Done:
+    def do(self, progress: Callable[[float], None]) -> JobResult:
         """Run the variant on the tasks, in this process."""
         torch.set_num_threads(self.threads)
         variant = self.variant
         with one_thread():
             aligned = self.solved(progress)
         if variant.patch is None:
-            return Done(self, aligned)
+            return JobResult(self, aligned)
         poses = aligned.T_world_a, aligned.T_world_b
-        return Done(self, aligned, errors_at(self.pairs, padded(self.tasks), *poses, variant.margin, variant.patch)[0])
+        return JobResult(
+            self, aligned, errors_at(self.pairs, pad_tasks(self.tasks), *poses, variant.margin, variant.patch)[0]
+        )
 
-    def solved(self, progress: Callable[[float], None], visit: Visit | None = None) -> Aligned:
+    def solved(self, progress: Callable[[float], None], visit: Visit | None = None) -> AlignmentResult:
         """Run the solver on the tasks; `visit` is called with the poses of the first one."""
         solver = self.variant.built(self.seed)
         if not isinstance(solver, AlignDescent):
-            return minimised(self.pairs, self.tasks, solver, progress=progress, visit=visit)
+            return run_levenberg_marquardt(self.pairs, self.tasks, solver, progress=progress, visit=visit)
         to = {"dtype": getattr(torch, self.dtype), "device": self.device}
-        return align(self.pairs, padded(self.tasks), solver, **to, progress=progress, visit=visit)
+        return align(self.pairs, pad_tasks(self.tasks), solver, **to, progress=progress, visit=visit)
 
 
 @dataclass(frozen=True, eq=False)
-class Done:
+class JobResult:
     """Results of a job; task i of pair p is real where `i < len(job.tasks[p])`."""
 
     job: Job
-    aligned: Aligned
+    aligned: AlignmentResult
     patch_error: np.ndarray | None = None
     """Errors (N, P) at the best poses by the patch witness, in square metres; None: not measured."""
 

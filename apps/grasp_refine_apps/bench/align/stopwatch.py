@@ -14,9 +14,9 @@ from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.neighborhood import Neighborhood, Neighbors
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import Sides, WitnessScene
-from grasp_refine_apps.bench.shares import disambiguate
+from grasp_refine_apps.bench.shares import split_stages
 
-PARTS = disambiguate("broad phase", "narrow phase", "derivative")
+PARTS = split_stages("broad phase", "narrow phase", "derivative")
 """Parts of the CPU time that are measured separately. Broad phase: all of a query but its narrow phase."""
 
 PASSES = ("forward", "backward", "sampling")

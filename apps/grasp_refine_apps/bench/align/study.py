@@ -14,7 +14,7 @@ from grasp_refine_apps.bench.align.bodies import KINDS, BodyPair, Kind, draw_pai
 from grasp_refine_apps.bench.align.failures import Failure, WitnessPoints, blind_spot
 from grasp_refine_apps.bench.align.record import record_task, shown_task
 from grasp_refine_apps.bench.align.rows import ERROR_LEVELS_M2, rows
-from grasp_refine_apps.bench.align.runner import Done, jobs
+from grasp_refine_apps.bench.align.runner import JobResult, jobs
 from grasp_refine_apps.bench.align.saved import AlignmentTask
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
@@ -106,14 +106,14 @@ def run_study(study: Study, say: Callable[[str], None], progress: Callable[[floa
     return Outcome(rows(done, study.targets, study.dtype), typical_failures(done), problems, recorded)
 
 
-def typical_failures(done: Sequence[Done]) -> list[Failure]:
+def typical_failures(done: Sequence[JobResult]) -> list[Failure]:
     """Return for each method and kind one reachable task that was missed, in its blind spot if possible.
 
     Candidates are the first variant of each method of descent, and of Levenberg-Marquardt, at the largest budget, but
     no face-face targets, whose witness points are not unique. Of the candidate tasks, the one with the median error is
     shown.
     """
-    found: dict[tuple[str, str], list[Done]] = {}
+    found: dict[tuple[str, str], list[JobResult]] = {}
     for one in sorted(done, key=lambda one: -(one.job.variant.budget or one.job.variant.budget_s or 0.0)):
         same = found.setdefault((one.job.variant.name, one.job.pairs[0].kind), [])
         if not same or same[0].job.variant == one.job.variant:
@@ -142,7 +142,7 @@ def _missed(tasks: Tasks, error: np.ndarray) -> list[int]:
     return np.flatnonzero(missed).tolist()
 
 
-def _failure(done: Done, p: int, i: int) -> Failure:
+def _failure(done: JobResult, p: int, i: int) -> Failure:
     pair, tasks, witness = done.job.pairs[p], done.job.tasks[p], done.aligned.witness
     return Failure(
         method=done.job.variant.name,
@@ -165,7 +165,7 @@ def _failure(done: Done, p: int, i: int) -> Failure:
     )
 
 
-def _winner(done: Done, p: int, winner: int) -> int:
+def _winner(done: JobResult, p: int, winner: int) -> int:
     """Winning pieces of pair p, counted from its own first piece pair."""
     before = sum(len(pair.a.pieces) * len(pair.b.pieces) for pair in done.job.pairs[:p])
     return winner - before

@@ -151,7 +151,7 @@ def _of_class(pair: BodyPair, index: int, count: int, rng: np.random.Generator) 
     sources = [_source(body, place) for body, place in zip((pair.a, pair.b), CLASSES[index].split("-"), strict=True)]
     found: list[Tasks] = []
     for _ in range(_MAX_DRAWS):
-        found.append(_drawn(pair, pairs, sources, index, 4 * count, rng))
+        found.append(_draw(pair, pairs, sources, index, 4 * count, rng))
         if sum(int(one.accepted.sum()) for one in found) >= count:
             break
     tasks = Tasks.join(found)
@@ -165,7 +165,7 @@ def _of_class(pair: BodyPair, index: int, count: int, rng: np.random.Generator) 
     return tasks.take(np.concatenate([accepted, sample]))
 
 
-def _drawn(
+def _draw(
     pair: BodyPair, pairs: Pairs, sources: Sequence[Source], index: int, count: int, rng: np.random.Generator
 ) -> Tasks:
     """Draw up to `count` tasks of one class, accepted or not."""

@@ -26,7 +26,7 @@ from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.bench.gate.ratios import Group
-from grasp_refine_apps.bench.grasp.measures import measured
+from grasp_refine_apps.bench.grasp.measures import measure_grasps
 from grasp_refine_apps.bench.grasp.rows import ERROR_LEVELS_M2, PARTS, contact_errors
 from grasp_refine_apps.bench.grasp.sets import GraspSet
 from grasp_refine_apps.bench.grasp.sets import Group as Grasps
@@ -36,7 +36,7 @@ from grasp_refine_apps.bench.queries.bodies import make_pairs
 from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case
 from grasp_refine_apps.bench.queries.peers import fresh_coal
 from grasp_refine_apps.bench.queries.poses import draw_poses
-from grasp_refine_apps.bench.queries.runner import CaseJob, Measured
+from grasp_refine_apps.bench.queries.runner import CaseJob, CaseResult
 from grasp_refine_apps.bench.shares import REST, cpu_share
 from grasp_refine_apps.bench.timing import cpu_times, one_thread
 
@@ -76,7 +76,7 @@ def queries(progress: Callable[[float], None]) -> dict[str, float]:
         "concave-asked": cold.num_queries / cold.poses,
         "warm-asked": warm.num_queries / cold.num_queries,
         "warm-query": _median(warm.forward_s, cold.forward_s),
-        # Measured in other rounds: each relative to coal in its own rounds.
+        # CaseResult in other rounds: each relative to coal in its own rounds.
         "single-query": _median(single.engines[usual, False].forward_s, single.peers["coal-fresh"].forward_s)
         / _median(convex.engines[usual, False].forward_s, convex.peers["coal-fresh"].forward_s),
         "backward": _median(convex.backward_s["contact-kinematics"], convex.layer_s),
@@ -126,7 +126,7 @@ def grasps(progress: Callable[[float], None]) -> dict[str, float]:
     with watch:
         run("grasp", tasks.take(some), variant, whole)
     scene, (every,) = tasks.scene, found["all"]
-    error = measured(scene, every.T_world_root, every.q).contact_error
+    error = measure_grasps(scene, every.T_world_root, every.q).contact_error
     solved = contact_errors(error, aimed=True)
     fine, finer = ERROR_LEVELS_M2
     steps = {name: sum(one.iterations.sum() for one in found[name]) for name in found}
@@ -168,7 +168,7 @@ MEASURES: Mapping[Group, Callable[[Callable[[float], None]], dict[str, float]]] 
 """Group -> its measurement."""
 
 
-def _of_case(case: Case, progress: Callable[[float], None]) -> Measured:
+def _of_case(case: Case, progress: Callable[[float], None]) -> CaseResult:
     engines = tuple(dict.fromkeys((chosen("auto"), "python")))
     job = CaseJob(case, engines, ("contact-kinematics",), ("coal-fresh",), ROUNDS, MIN_TIMED_S, SEED)
     return job.do(progress)

@@ -34,12 +34,12 @@ class Measures:
     """Witness points (N, L, 3) on the object, object frame, metres."""
 
 
-def measured(scene: Scene, T_world_root: np.ndarray, q: np.ndarray) -> Measures:
+def measure_grasps(scene: Scene, T_world_root: np.ndarray, q: np.ndarray) -> Measures:
     """Measure the grasps of a scene at root poses (N, 4, 4) and joint values (N, n)."""
     hand, links = scene.hand, scene.links
-    nowhere = np.full((len(q), len(links), 3), np.nan)
+    invalid = np.full((len(q), len(links), 3), np.nan)
     target_link, target_object = (
-        nowhere if target is None else target for target in (scene.target_link, scene.target_object)
+        invalid if target is None else target for target in (scene.target_link, scene.target_object)
     )
     geometry = measure(hand, scene.object, links, T_world_root, q, target_link, target_object)
     witness = geometry.witness

@@ -9,11 +9,11 @@ import numpy as np
 
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine_apps.bench.grasp.measures import Measures
-from grasp_refine_apps.bench.grasp.runner import Done, Part, calls
+from grasp_refine_apps.bench.grasp.runner import GroupResult, JobResult, calls
 from grasp_refine_apps.bench.grasp.variants import Variant
-from grasp_refine_apps.bench.shares import cpu_share, disambiguate
+from grasp_refine_apps.bench.shares import cpu_share, split_stages
 
-PARTS = disambiguate("kinematics", "broad phase", "narrow phase", "derivative")
+PARTS = split_stages("kinematics", "broad phase", "narrow phase", "derivative")
 """Parts of the CPU time that are measured separately."""
 
 ERROR_LEVELS_M2 = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
@@ -26,13 +26,13 @@ DEEP_START_M, STUCK_DEPTH_M = 0.01, 5e-4
 Row = dict[str, Any]
 
 
-def rows(done: Sequence[Done]) -> list[Row]:
+def rows(done: Sequence[JobResult]) -> list[Row]:
     """Return all rows of a run: for each job the pooled one, then one for each object."""
     return [row for one in done for row in _of_job(one)]
 
 
-def _of_job(done: Done) -> list[Row]:
-    by_object: dict[str, list[Part]] = {}
+def _of_job(done: JobResult) -> list[Row]:
+    by_object: dict[str, list[GroupResult]] = {}
     for part in done.parts:
         by_object.setdefault(part.tasks.object, []).append(part)
     groups = {"all": list(done.parts)} | (by_object if len(by_object) > 1 else {})
@@ -53,7 +53,7 @@ def _of_job(done: Done) -> list[Row]:
     ]
 
 
-def _sizes(parts: Sequence[Part]) -> Row:
+def _sizes(parts: Sequence[GroupResult]) -> Row:
     """Sizes of the problems: means over all grasps."""
     touching = np.concatenate([part.touching.sum(axis=1) for part in parts])
     counts = [len(part.tasks) for part in parts]
@@ -65,14 +65,14 @@ def _sizes(parts: Sequence[Part]) -> Row:
     }
 
 
-def _rate(done: Done) -> float | None:
+def _rate(done: JobResult) -> float | None:
     """Grasps per second of wall time, over all processes."""
     if done.span is None:
         return None
     return sum(len(part.tasks) for part in done.parts) / (done.span[1] - done.span[0])
 
 
-def _statistics(parts: Sequence[Part], aimed: bool, variant: Variant) -> Row:
+def _statistics(parts: Sequence[GroupResult], aimed: bool, variant: Variant) -> Row:
     before, after = (_joined([getattr(part, name) for part in parts]) for name in ("before", "after"))
     touching = np.concatenate([part.touching for part in parts])
     status, iterations, queries, cpu_s, wall_s, solver_cpu_s = (
@@ -125,7 +125,7 @@ def contact_errors(error: np.ndarray, aimed: bool) -> Row:
     return {**solved, names[2]: float(np.sqrt(np.median(worst))), names[3]: float(np.sqrt(worst.max()))}
 
 
-def deep_starts(parts: Sequence[Part], aimed: bool) -> Row:
+def deep_starts(parts: Sequence[GroupResult], aimed: bool) -> Row:
     """Count real grasps that start deep in the object, and those that did not escape."""
     if aimed:
         return {"deep_starts": None, "deep_stuck": None, "deep_stuck_grasps": None}

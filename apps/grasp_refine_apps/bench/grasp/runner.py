@@ -14,10 +14,10 @@ from grasp_refine.core.profiling import Stopwatch
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.validation.geometry import Movement, movement
-from grasp_refine_apps.bench.grasp.measures import Measures, measured
+from grasp_refine_apps.bench.grasp.measures import Measures, measure_grasps
 from grasp_refine_apps.bench.grasp.sets import GraspSet
 from grasp_refine_apps.bench.grasp.tasks import Kind, Tasks
-from grasp_refine_apps.bench.grasp.together import together
+from grasp_refine_apps.bench.grasp.together import run_together
 from grasp_refine_apps.bench.grasp.variants import Variant
 from grasp_refine_apps.bench.timing import one_thread
 
@@ -26,7 +26,7 @@ WARM_UP_ITERATIONS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class GroupResult:
     """Results of N tasks on one object."""
 
     tasks: Tasks
@@ -51,11 +51,11 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Done:
+class JobResult:
     """Results of a job."""
 
     job: SetJob
-    parts: tuple[Part, ...]
+    parts: tuple[GroupResult, ...]
     span: tuple[float, float] | None = None
     """Wall-clock times in seconds at which the first call began and the last one ended."""
 
@@ -88,24 +88,24 @@ class SetJob:
         """Label of the job, for a progress bar."""
         return f"{self.set}, {self.variant.solver}, {self.variant.what}"
 
-    def do(self, progress: Callable[[float], None]) -> Done:
+    def do(self, progress: Callable[[float], None]) -> JobResult:
         """Refine and measure all tasks, in this process or in as many as the variant has."""
         many = self.variant.processes
         if many is None:
             return self.run(lambda: None, progress)
         shares = [[its.take(slice(start, None, many)) for its in self.tasks] for start in range(many)]
         jobs = [replace(self, tasks=tuple(its for its in share if len(its))) for share in shares]
-        found = together([job.run for job in jobs])
+        found = run_together([job.run for job in jobs])
         begins, ends = zip(*(done.span for done in found), strict=True)
-        return Done(self, tuple(part for done in found for part in done.parts), (min(begins), max(ends)))
+        return JobResult(self, tuple(part for done in found for part in done.parts), (min(begins), max(ends)))
 
-    def run(self, ready: Callable[[], None], progress: Callable[[float], None] = lambda share: None) -> Done:
+    def run(self, ready: Callable[[], None], progress: Callable[[float], None] = lambda share: None) -> JobResult:
         """Refine and measure all tasks in this process; `ready` is called before the first measurement."""
         torch.set_num_threads(self.threads)
         with one_thread():
             return self._run(ready, progress)
 
-    def _run(self, ready: Callable[[], None], progress: Callable[[float], None]) -> Done:
+    def _run(self, ready: Callable[[], None], progress: Callable[[float], None]) -> JobResult:
         # Caches built once for a hand and an object are not timed.
         prepared = [self._prepared(tasks) for tasks in self.tasks]
         total, finished, timed = sum(map(len, self.tasks)), 0, []
@@ -120,7 +120,7 @@ class SetJob:
             timed.append(self._timed(tasks, its, within))
             finished += len(tasks)
         span = begin, time.perf_counter()
-        return Done(self, tuple(map(_measured, self.tasks, timed)), span)
+        return JobResult(self, tuple(map(_measured, self.tasks, timed)), span)
 
     def _prepared(self, tasks: Tasks) -> HandObject:
         """Prepare hand and object, warmed up."""
@@ -135,7 +135,7 @@ class SetJob:
         for start, stop in calls(len(tasks), self.variant):
             scene = tasks.take(slice(start, stop)).scene
             clock, own = time.perf_counter(), time.process_time()
-            told = partial(_told, progress, start)
+            told = partial(_report, progress, start)
             with watch:
                 found.append(refine(scene, config, told, prepared=prepared))
             share = 1.0 / (stop - start)
@@ -154,16 +154,16 @@ class _Timed:
     watch: Stopwatch
 
 
-def _measured(tasks: Tasks, timed: _Timed) -> Part:
+def _measured(tasks: Tasks, timed: _Timed) -> GroupResult:
     scene = tasks.scene
     T, q, touching, status, iterations, queries, solver_cpu_s = (
         np.concatenate([getattr(one, name) for one in timed.found])
         for name in ("T_world_root", "q", "touching", "status", "iterations", "queries", "cpu_s")
     )
-    return Part(
+    return GroupResult(
         tasks=tasks,
-        before=measured(scene, scene.T_world_root, scene.q),
-        after=measured(scene, T, q),
+        before=measure_grasps(scene, scene.T_world_root, scene.q),
+        after=measure_grasps(scene, T, q),
         moved=movement(scene.T_world_root, scene.q, T, q),
         touching=touching,
         status=status,
@@ -176,7 +176,7 @@ def _measured(tasks: Tasks, timed: _Timed) -> Part:
     )
 
 
-def _told(progress: Callable[[int], None], before: int, done: int, iteration: int, loss: float) -> None:
+def _report(progress: Callable[[int], None], before: int, done: int, iteration: int, loss: float) -> None:
     progress(before + done)
 
 

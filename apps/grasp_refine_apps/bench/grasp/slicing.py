@@ -15,7 +15,7 @@ def can_be_sliced(body: Body) -> bool:
     return len(body.pieces) == 1 and body.pieces[0].radius == 0 and len(body.pieces[0].vertices) > 3
 
 
-def sliced(body: Body, count: int) -> Body:
+def slice_body(body: Body, count: int) -> Body:
     """Cut the body into `count` pieces: repeatedly, the longest one is halved along its longest side.
 
     Outside the body distances are unchanged. Inside, the way out of a piece may be shorter than that out of the body:

@@ -17,9 +17,9 @@ from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.bench.grasp.measures import measured
+from grasp_refine_apps.bench.grasp.measures import measure_grasps
 from grasp_refine_apps.bench.grasp.sets import GraspSet, Group
-from grasp_refine_apps.bench.grasp.slicing import can_be_sliced, sliced
+from grasp_refine_apps.bench.grasp.slicing import can_be_sliced, slice_body
 from grasp_refine_apps.bench.grasp.variants import Variant
 
 Kind = Literal["targets", "nothing"]
@@ -70,7 +70,7 @@ class Tasks:
         if variant.pieces is not None:
             if not can_be_sliced(scene.object.body):
                 return None
-            scene = replace(scene, object=replace(scene.object, body=sliced(scene.object.body, variant.pieces)))
+            scene = replace(scene, object=replace(scene.object, body=slice_body(scene.object.body, variant.pieces)))
         return replace(self, scene=scene)
 
 
@@ -102,7 +102,7 @@ class Disturbance:
 def given_nothing(grasp_set: GraspSet, count: int | None) -> tuple[Tasks, ...]:
     """Return the first `count` real grasps of each group as given; None: all."""
     return tuple(
-        Tasks("nothing", group.object, group.scale, _untargeted(group.scene), group.index).take(slice(count))
+        Tasks("nothing", group.object, group.scale, _without_targets(group.scene), group.index).take(slice(count))
         for group in grasp_set.groups
     )
 
@@ -127,11 +127,11 @@ def true_grasps(group: Group) -> Tasks:
 
     Their targets are the witness points of the fingertips. A plain query decides whether they touch.
     """
-    scene = _untargeted(group.scene)
+    scene = _without_targets(group.scene)
     hand, links = scene.hand, scene.links
     tips = tuple(dict.fromkeys(contact.link for contact in hand.contacts))
     columns = [links.index(tip) for tip in tips]
-    before = measured(scene, scene.T_world_root, scene.q)
+    before = measure_grasps(scene, scene.T_world_root, scene.q)
     near = (before.distance[:, columns] <= TIP_DISTANCE_M).all(axis=1)
     tried = Tasks("targets", group.object, group.scale, scene, group.index).take(np.flatnonzero(near))
     if not len(tried):
@@ -144,7 +144,7 @@ def true_grasps(group: Group) -> Tasks:
         tolerance=SOLVED_LOSS_M2,
     )
     found = refine(tried.scene, config)
-    after = measured(tried.scene, found.T_world_root, found.q)
+    after = measure_grasps(tried.scene, found.T_world_root, found.q)
     exact = (np.abs(after.distance[:, columns]) < CONTACT_TOLERANCE_M).all(axis=1) & (found.loss[:, 1] < SOLVED_LOSS_M2)
     exact &= (
         (after.penetration < CONTACT_TOLERANCE_M)
@@ -162,6 +162,6 @@ def true_grasps(group: Group) -> Tasks:
     return replace(tried, scene=scene).take(np.flatnonzero(exact))
 
 
-def _untargeted(scene: Scene) -> Scene:
+def _without_targets(scene: Scene) -> Scene:
     """Return the scene without the targets of its file."""
     return replace(scene, target_link=None, target_object=None, direction=None)

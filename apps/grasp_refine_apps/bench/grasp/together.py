@@ -20,7 +20,7 @@ MAX_WAIT_S = 600.0
 """Longest time in seconds that a process waits for the others to be ready."""
 
 
-def together(works: Sequence[Callable[[Callable[[], None]], Result]]) -> list[Result]:
+def run_together(works: Sequence[Callable[[Callable[[], None]], Result]]) -> list[Result]:
     """Run the works, each in a process of its own, and return their results.
 
     Args:

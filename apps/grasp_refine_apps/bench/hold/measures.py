@@ -31,7 +31,7 @@ class Measures:
     """Quality (N,), `quality.Quality.value`; 0 where there are no forces."""
 
 
-def measured(
+def measure_grasps(
     prepared: HandObject,
     T_world_root: Float[np.ndarray, "N 4 4"],
     q: Float[np.ndarray, "N n"],

@@ -10,7 +10,7 @@ import numpy as np
 
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.bench.hold.measures import Measures
-from grasp_refine_apps.bench.hold.runner import Part
+from grasp_refine_apps.bench.hold.runner import GroupResult
 
 Row = dict[str, Any]
 
@@ -20,7 +20,7 @@ def column(name: str, setting: str) -> str:
     return f"{name}_{setting.replace('-', '_')}"
 
 
-def rows(parts: Sequence[Part], settings: Sequence[str]) -> list[Row]:
+def rows(parts: Sequence[GroupResult], settings: Sequence[str]) -> list[Row]:
     """Return all rows of a run: for each method the pooled one, then, of several objects, one for each.
 
     Args:
@@ -49,7 +49,7 @@ def rows(parts: Sequence[Part], settings: Sequence[str]) -> list[Row]:
     return found
 
 
-def _statistics(before: Sequence[Part], after: Sequence[Part], settings: Sequence[str]) -> Row:
+def _statistics(before: Sequence[GroupResult], after: Sequence[GroupResult], settings: Sequence[str]) -> Row:
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(part, name) for part in after])
 
@@ -89,7 +89,9 @@ def _statistics(before: Sequence[Part], after: Sequence[Part], settings: Sequenc
     }
 
 
-def _verdicts(before: Sequence[Part], after: Sequence[Part], settings: Sequence[str], quality: np.ndarray) -> Row:
+def _verdicts(
+    before: Sequence[GroupResult], after: Sequence[GroupResult], settings: Sequence[str], quality: np.ndarray
+) -> Row:
     """Outcome of the simulation by setting, and how well the quality predicts it."""
     found: dict[str, Row] = {name: {} for name in ("success", "lost", "auc", "reasons")}
     for setting in settings:

@@ -17,7 +17,7 @@ from grasp_refine.validation.motion import Motion, closing
 from grasp_refine.validation.protocol import SETTINGS, SettingName
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import World, build_world
-from grasp_refine_apps.bench.hold.measures import Measures, measured
+from grasp_refine_apps.bench.hold.measures import Measures, measure_grasps
 from grasp_refine_apps.bench.hold.methods import Method
 from grasp_refine_apps.bench.timing import one_thread
 
@@ -38,7 +38,7 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class GroupResult:
     """Results of N grasps by one method; costs are NaN where there are none."""
 
     method: Method
@@ -84,12 +84,12 @@ class GroupJob:
         """Label of the job, for a progress bar."""
         return self.group.object
 
-    def do(self, progress: Callable[[float], None]) -> tuple[Part, ...]:
+    def do(self, progress: Callable[[float], None]) -> tuple[GroupResult, ...]:
         """Run each method, in this process."""
         with one_thread():
             return self._parts(progress)
 
-    def _parts(self, progress: Callable[[float], None]) -> tuple[Part, ...]:
+    def _parts(self, progress: Callable[[float], None]) -> tuple[GroupResult, ...]:
         scene = self.group.scene
         worlds: dict[str, World] = {
             name: build_world(self.model, scene.object, SETTINGS[name], scene.table) for name in self.settings
@@ -117,7 +117,7 @@ class GroupJob:
 
     def _part(
         self, method: Method, prepared: HandObject, worlds: Mapping[str, World], progress: Callable[[float], None]
-    ) -> Part:
+    ) -> GroupResult:
         group, scene = self.group, self.group.scene
         count, touching = len(scene.q), None
         cpu_s, wall_s, stages_cpu_s, starts = np.full((4, count), np.nan)
@@ -140,10 +140,10 @@ class GroupJob:
 
             trials = simulate(world, motion, threads=self.threads, first_failure=True, progress=tell)
             reason[name] = trials.reason[np.arange(count), trials.worst]
-        return Part(
+        return GroupResult(
             method=method,
             object=group.object,
-            measures=measured(prepared, scene.T_world_root, scene.q, touching),
+            measures=measure_grasps(prepared, scene.T_world_root, scene.q, touching),
             moved=movement(group.scene.T_world_root, group.scene.q, scene.T_world_root, scene.q),
             cpu_s=cpu_s,
             wall_s=wall_s,

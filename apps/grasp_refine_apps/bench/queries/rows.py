@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine_apps.bench.queries.peers import PEERS
-from grasp_refine_apps.bench.queries.runner import Measured
+from grasp_refine_apps.bench.queries.runner import CaseResult
 
 Row = dict[str, Any]
 
@@ -18,7 +18,7 @@ def backward_column(method: str) -> str:
     return f"backward_{method.replace('-', '_')}_us"
 
 
-def rows(done: Sequence[Measured]) -> list[Row]:
+def rows(done: Sequence[CaseResult]) -> list[Row]:
     """Return all rows of a run, case by case: our engines first, then the peers.
 
     Times are medians over the rounds; ratios are medians of ratios within a round, in which all are timed alternately.
@@ -26,7 +26,7 @@ def rows(done: Sequence[Measured]) -> list[Row]:
     return [row for measured in done for row in (*_ours(measured), *_bare(measured), *_peers(measured))]
 
 
-def _ours(measured: Measured) -> list[Row]:
+def _ours(measured: CaseResult) -> list[Row]:
     case, first = measured.case, next(iter(measured.engines.values()))
     found = []
     for (engine, warm), answers in measured.engines.items():
@@ -60,7 +60,7 @@ def _ours(measured: Measured) -> list[Row]:
     return found
 
 
-def _bare(measured: Measured) -> list[Row]:
+def _bare(measured: CaseResult) -> list[Row]:
     """Row of the bare loop over the queries of the compiled engine."""
     if measured.bare_s is None:
         return []
@@ -74,7 +74,7 @@ def _bare(measured: Measured) -> list[Row]:
     return [{**native, **nothing, **times, "by": "bare-loop"}]
 
 
-def _peers(measured: Measured) -> list[Row]:
+def _peers(measured: CaseResult) -> list[Row]:
     case, first = measured.case, next(iter(measured.engines.values()))
     tolerances: dict[str, float] = {peer.name: peer.tolerance_m for peer in PEERS}
     found = []

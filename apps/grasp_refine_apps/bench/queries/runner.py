@@ -45,11 +45,11 @@ MAX_PEER_POSES, MAX_PEER_QUERIES = 64, 8192
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class CaseResult:
     """Results of a case."""
 
     case: Case
-    engines: dict[tuple[str, bool], Answers]
+    engines: dict[tuple[str, bool], EngineResult]
     """Engine, and whether it was warm -> its results."""
     backward_s: dict[MethodName, np.ndarray]
     """Method -> CPU seconds of a backward pass per pose, in each round."""
@@ -58,12 +58,12 @@ class Measured:
     bare_s: np.ndarray | None
     """CPU seconds per pose, in each round, of a bare loop in C++ over the queries of the compiled engine, cold; None:
     that engine is not compared."""
-    peers: dict[str, Peered]
+    peers: dict[str, PeerResult]
     """Peer -> its results."""
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
+class EngineResult:
     """Results of an engine at all poses."""
 
     forward_s: np.ndarray
@@ -78,7 +78,7 @@ class Answers:
 
 
 @dataclass(frozen=True, eq=False)
-class Peered:
+class PeerResult:
     """Results of a peer at some of the poses."""
 
     forward_s: np.ndarray
@@ -113,13 +113,13 @@ class CaseJob:
         case = self.case
         return f"{case.kind}, {case.pieces} x {case.vertices}, {case.state}, batch {case.batch}"
 
-    def do(self, progress: Callable[[float], None]) -> Measured:
+    def do(self, progress: Callable[[float], None]) -> CaseResult:
         """Measure the case, in this process and with one thread of torch."""
         torch.set_num_threads(1)
         with one_thread():
             return self._measured(progress)
 
-    def _measured(self, progress: Callable[[float], None]) -> Measured:
+    def _measured(self, progress: Callable[[float], None]) -> CaseResult:
         case = self.case
         pairs = {engine: make_pairs(case, self.seed, engine) for engine in self.engines}
         first = pairs[self.engines[0]]
@@ -130,20 +130,20 @@ class CaseJob:
         progress(0.1)
         runs: dict[tuple[str, ...], Callable[[], object]] = {}
         for engine, own in pairs.items():
-            runs["engine", engine, "cold"] = partial(_ask, own, T_a, T_b, case.batch, None)
-            runs["engine", engine, "warm"] = partial(_ask, own, T_a, T_b, case.batch, before[engine])
+            runs["engine", engine, "cold"] = partial(_query_all, own, T_a, T_b, case.batch, None)
+            runs["engine", engine, "warm"] = partial(_query_all, own, T_a, T_b, case.batch, before[engine])
         runs["layer",] = partial(_forward, WitnessLayer(first, METHODS[self.methods[0]]), T_a, T_b, case.batch)
         for name in self.methods:
             runs["backward", name] = _backward(WitnessLayer(first, METHODS[name]), T_a, T_b, case.batch, self.seed)
         if "native" in pairs:
             runs["bare",] = _bare(pairs["native"], T_a, T_b, case.batch)
-        some = _some(count, case.piece_pairs)
+        some = _peer_rows(count, case.piece_pairs)
         loops: dict[str, Loop] = {}
         for peer in _chosen(self.peers):
             loops[peer.name] = peer.loop(first, T_a[some], T_b[some])
             runs["peer", peer.name] = loops[peer.name]
         times = cpu_times(runs, self.rounds, self.least_s)
-        return Measured(
+        return CaseResult(
             case,
             {
                 (engine, warm): self._answers(own, T_a, T_b, before[engine] if warm else None, reference, times)
@@ -154,7 +154,7 @@ class CaseJob:
             times["layer",] / count,
             times["bare",] / count if "native" in pairs else None,
             {
-                name: Peered(times["peer", name] / len(some), len(some), loop() - reference.distance[some, 0])
+                name: PeerResult(times["peer", name] / len(some), len(some), loop() - reference.distance[some, 0])
                 for name, loop in loops.items()
             },
         )
@@ -167,11 +167,11 @@ class CaseJob:
         previous: Witness | None,
         reference: Witness,
         times: Mapping[tuple[str, ...], np.ndarray],
-    ) -> Answers:
+    ) -> EngineResult:
         found = query(pairs, T_a, T_b, previous=previous)
         apart = 0 if previous is None else int((previous.status == QueryStatus.SEPARATED).sum())
         state = "cold" if previous is None else "warm"
-        return Answers(
+        return EngineResult(
             forward_s=times["engine", pairs.engine, state] / len(T_a),
             poses=len(T_a),
             num_queries=int(found.num_queries.sum()),
@@ -201,13 +201,13 @@ def _chosen(names: tuple[str, ...]) -> list[Peer]:
     return [peer for peer in PEERS if peer.name in names]
 
 
-def _some(count: int, piece_pairs: int) -> np.ndarray:
+def _peer_rows(count: int, piece_pairs: int) -> np.ndarray:
     """Choose poses for the peers, evenly from all."""
     most = min(count, MAX_PEER_POSES, max(4, MAX_PEER_QUERIES // piece_pairs))
     return np.linspace(0, count - 1, most).round().astype(np.int64)
 
 
-def _ask(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray, batch: int, previous: Witness | None) -> None:
+def _query_all(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray, batch: int, previous: Witness | None) -> None:
     """Query all poses, `batch` in a call."""
     for start in range(0, len(T_a), batch):
         rows = slice(start, start + batch)

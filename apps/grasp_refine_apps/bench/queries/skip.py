@@ -114,7 +114,7 @@ class Skip:
 
 
 @contextmanager
-def replaced(owner: Any, name: str, value: Any) -> Iterator[None]:
+def replace_attribute(owner: Any, name: str, value: Any) -> Iterator[None]:
     """Replace an attribute of a module or class temporarily: the program has no switch that undoes a skip."""
     before = getattr(owner, name)
     setattr(owner, name, value)
@@ -124,7 +124,7 @@ def replaced(owner: Any, name: str, value: Any) -> Iterator[None]:
         setattr(owner, name, before)
 
 
-def timed(runs: Mapping[str, Callable[[], Any]], rounds: int = 1) -> dict[str, tuple[Any, float]]:
+def measure_calls(runs: Mapping[str, Callable[[], Any]], rounds: int = 1) -> dict[str, tuple[Any, float]]:
     """Return results of calls and their CPU seconds: of all threads, and of child processes that end in them.
 
     Args:

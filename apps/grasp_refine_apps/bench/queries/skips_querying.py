@@ -1,7 +1,7 @@
 """Queries that a refinement skips: of bodies that are far, cannot win, or are rejected anyway; and its warm starts.
 
 A refinement queries through `query_near`. To undo a skip, the whole refinement runs again with one of the functions
-here. Answers are equal to rounding, and so are the results, unless rounding grows over many iterations.
+here. EngineResult are equal to rounding, and so are the results, unless rounding grows over many iterations.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.collision.table import PieceTable
 from grasp_refine.refinement import grasp_problem
 from grasp_refine.refinement.refine import Refinement
-from grasp_refine_apps.bench.queries.skip import Example, Skip, replaced, timed
+from grasp_refine_apps.bench.queries.skip import Example, Skip, measure_calls, replace_attribute
 
 Near = Callable[[Pairs, np.ndarray, np.ndarray, np.ndarray, np.ndarray, Witness | None], Witness]
 """Signature of `query_near`: pairs, bounds, poses of both bodies, cutoffs, and the last answers."""
 
 
-def asking_skips(example: Example, rounds: int) -> Iterator[Skip]:
+def query_skips(example: Example, rounds: int) -> Iterator[Skip]:
     """Undo each skip of queries in a whole refinement of the example."""
     # The compiled engine checks bounds in a loop of its own.
     python = {id(pairs): _in_python(pairs) for pairs in _pairs(example)}
     every = {id(pairs): unbounded(pairs) for pairs in _pairs(example)}
     ways: dict[str, Near] = {
         "usual": query_near,
-        "far": ask_far,
-        "rejected": ask_rejected,
-        "cold": ask_cold,
+        "far": query_far,
+        "rejected": query_rejected,
+        "cold": query_cold,
         "bounded": lambda pairs, *rest: query_near(python[id(pairs)], *rest),
         "unbounded": lambda pairs, *rest: query_near(every[id(pairs)], *rest),
     }
     for near in ways.values():
-        with replaced(grasp_problem, "query_near", near):
+        with replace_attribute(grasp_problem, "query_near", near):
             example.warm_up()
-    found = timed({name: partial(refined, example, near) for name, near in ways.items()}, rounds)
+    found = measure_calls({name: partial(refined, example, near) for name, near in ways.items()}, rounds)
     for name, way, usual, how in (
         ("links that are far from everything", "far", "usual", "every pair of bodies is queried"),
         ("pieces whose bounds cannot win", "unbounded", "bounded", "all pieces of these pairs are; both in Python"),
@@ -53,11 +53,11 @@ def asking_skips(example: Example, rounds: int) -> Iterator[Skip]:
 
 def refined(example: Example, near: Near) -> Refinement:
     """Refine the grasps of an example with other queries."""
-    with replaced(grasp_problem, "query_near", near):
+    with replace_attribute(grasp_problem, "query_near", near):
         return example.refined()
 
 
-def ask_far(
+def query_far(
     pairs: Pairs, bound: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, cutoff: np.ndarray, previous: Witness | None
 ) -> Witness:
     """Query every pair, and drop the answers that would have been skipped."""
@@ -71,14 +71,14 @@ def ask_far(
     return found
 
 
-def ask_rejected(
+def query_rejected(
     pairs: Pairs, bound: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, cutoff: np.ndarray, previous: Witness | None
 ) -> Witness:
     """Query pairs of links even if the step is rejected."""
     return query_near(pairs, np.where(np.isposinf(bound), -np.inf, bound), T_a, T_b, cutoff, previous)
 
 
-def ask_cold(
+def query_cold(
     pairs: Pairs, bound: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, cutoff: np.ndarray, previous: Witness | None
 ) -> Witness:
     """Query without the last answers."""

@@ -26,7 +26,7 @@ from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.pair_curvature import PairCurvatures
 from grasp_refine.witness.scene import WitnessScene
-from grasp_refine_apps.bench.queries.skip import Example, Skip, replaced, timed
+from grasp_refine_apps.bench.queries.skip import Example, Skip, measure_calls, replace_attribute
 from grasp_refine_apps.bench.queries.skips_querying import difference
 
 NUM_CONFIGURATIONS, FRAME_REPEATS = 256, 20
@@ -46,7 +46,7 @@ def frame_skip(example: Example, rounds: int) -> Skip:
     hand = example.scene.hand
     chains = {"with": Chain(hand, links_of(hand)), "without": Chain(hand, [link.name for link in hand.links])}
     counts = {which: len({*chain.links}) + len(chain.joints) for which, chain in chains.items()}
-    cpu = timed({which: partial(_many_poses, example, chain) for which, chain in chains.items()}, rounds)
+    cpu = measure_calls({which: partial(_many_poses, example, chain) for which, chain in chains.items()}, rounds)
     return Skip(
         "frames of links without bodies", "frames", f"{example.hand}, {FRAME_REPEATS} times batch {NUM_CONFIGURATIONS}",
         counts["without"], counts["with"], cpu["without"][1], cpu["with"][1], "the frames of all links",
@@ -57,7 +57,7 @@ def frame_skip(example: Example, rounds: int) -> Skip:
 
 
 @dataclass(eq=False)
-class Kept:
+class FullBatchProblem:
     """A problem in which finished members are still evaluated and differentiated, as in a full batch."""
 
     problem: GraspProblem
@@ -121,14 +121,17 @@ def finished_skip(example: Example, rounds: int) -> Skip:
     counts: dict[str, int] = {}
 
     def kept(problem: GraspProblem, *arguments: Any, **options: Any) -> Minimum:
-        return minimise(Kept(problem, counts), *arguments, **options)
+        return minimise(FullBatchProblem(problem, counts), *arguments, **options)
 
     def everything() -> Refinement:
         counts.update({"with": 0, "without": 0})
-        with replaced(force_closure_search, "minimise", kept), replaced(refine_module, "minimise", kept):
+        with (
+            replace_attribute(force_closure_search, "minimise", kept),
+            replace_attribute(refine_module, "minimise", kept),
+        ):
             return example.refined()
 
-    found = timed({"with": example.refined, "without": everything}, rounds)
+    found = measure_calls({"with": example.refined, "without": everything}, rounds)
     (usual, cpu_with), (other, cpu_without) = found["with"], found["without"]
     return Skip(
         "finished grasps leave the batch", "grasp iterations", example.name, counts["without"], counts["with"],
@@ -186,7 +189,7 @@ def curvature_skip(example: Example) -> Skip:
             fits.fit_all(known.T_link, width)
         return linearize(problem, member, point, known, width)
 
-    with replaced(GraspProblem, "linearize", also_all):
+    with replace_attribute(GraspProblem, "linearize", also_all):
         example.refined()
     return Skip(
         "curvatures of links without a loss", "fits", example.name, fits.counts["without"], fits.counts["with"],
@@ -225,7 +228,7 @@ def layer_skip(example: Example, rounds: int) -> Skip:
         return counted.items
 
     columns = {"with": len(hand.contacts), "without": len(prepared.bodies)}
-    both = timed({which: partial(differentiated, count) for which, count in columns.items()}, rounds + 1)
+    both = measure_calls({which: partial(differentiated, count) for which, count in columns.items()}, rounds + 1)
     return Skip(
         "derivatives of witness points without a loss", "derivatives", f"{example.name}, batch {len(T)}",
         both["without"][0], both["with"][0], both["without"][1], both["with"][1], "a loss on all links",

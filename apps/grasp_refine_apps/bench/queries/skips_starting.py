@@ -18,7 +18,7 @@ from grasp_refine.geometry.pieces import convex_pieces
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.self_collision import Sampling, candidate_pairs, judged_pairs, self_penetration, touching_pairs
 from grasp_refine.objects.object import Object
-from grasp_refine_apps.bench.queries.skip import Skip, timed
+from grasp_refine_apps.bench.queries.skip import Skip, measure_calls
 
 NUM_CONFIGURATIONS = 512
 """Number of random configurations at which pairs of links are queried."""
@@ -54,7 +54,9 @@ def self_collision_skips(hand: Hand, seed: int, rounds: int) -> Iterator[Skip]:
     apart = sorted(set(candidate_pairs(hand)) - {*judged.at_rest, *judged.nearly_always})
     q = np.random.default_rng(seed).uniform(*_limits(hand), (NUM_CONFIGURATIONS, len(hand.joint_names)))
     both = {"without": apart, "with": judged.watched}
-    asked = timed({which: partial(self_penetration, hand, pairs, q) for which, pairs in both.items()}, rounds + 1)
+    asked = measure_calls(
+        {which: partial(self_penetration, hand, pairs, q) for which, pairs in both.items()}, rounds + 1
+    )
     yield Skip(
         "pairs of links that never meet within the limits", "link pairs", f"{hand.name}, batch {NUM_CONFIGURATIONS}",
         len(apart), len(judged.watched), asked["without"][1], asked["with"][1],
@@ -63,7 +65,7 @@ def self_collision_skips(hand: Hand, seed: int, rounds: int) -> Iterator[Skip]:
     with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
         look = partial(touching_pairs, hand, cache=Path(folder))
         # In this order: the first one fills the folder.
-        found = timed({"without": look, "with": look})
+        found = measure_calls({"without": look, "with": look})
     yield Skip(
         "looking for these pairs at the second start", "configurations", hand.name,
         1 + Sampling.uniform + Sampling.extreme, 0, found["without"][1], found["with"][1],
@@ -80,7 +82,7 @@ def decomposition_skip(obj: Object) -> Skip:
     """Measure the skip of decomposing a convex object, which is its own hull: CoACD does not run."""
     mesh = obj.mesh
     vertices = np.asarray(mesh.vertices) / np.linalg.norm(np.ptp(mesh.vertices, axis=0))
-    found = timed(
+    found = measure_calls(
         {
             "with": lambda: convex_pieces(mesh, name=obj.name),
             "without": lambda: decompose(vertices, np.asarray(mesh.faces), Decomposition(), single=True),
@@ -97,7 +99,9 @@ def import_skips(commands: Sequence[str]) -> Iterator[Skip]:
     """Measure the modules that a command does not load, each in processes of their own."""
     for command in commands:
         ways = {"with": False, "without": True}
-        found = timed({which: partial(_modules, command.split(), everything) for which, everything in ways.items()})
+        found = measure_calls(
+            {which: partial(_modules, command.split(), everything) for which, everything in ways.items()}
+        )
         yield Skip(
             "unused imports", "modules", f"refine-grasp {command}", found["without"][0], found["with"][0],
             found["without"][1], found["with"][1], "the whole package is imported first",

@@ -13,9 +13,9 @@ from grasp_refine_apps.bench.jobs import Job, run_jobs
 from grasp_refine_apps.bench.queries.cases import Case
 from grasp_refine_apps.bench.queries.peers import PEERS, PeerName
 from grasp_refine_apps.bench.queries.rows import rows
-from grasp_refine_apps.bench.queries.runner import CaseJob, Measured, MethodName
+from grasp_refine_apps.bench.queries.runner import CaseJob, CaseResult, MethodName
 from grasp_refine_apps.bench.queries.skip import Example, Skip
-from grasp_refine_apps.bench.queries.skips_querying import asking_skips
+from grasp_refine_apps.bench.queries.skips_querying import query_skips
 from grasp_refine_apps.bench.queries.skips_solving import frame_skip, solving_skips
 from grasp_refine_apps.bench.queries.skips_starting import decomposition_skip, import_skips, self_collision_skips
 from grasp_refine_apps.bench.timing import one_thread
@@ -83,8 +83,8 @@ def run_study(study: Study, examples: Sequence[Example], progress: Callable[[flo
     ]
     todo += skip_jobs(study, examples)
     done, problems = run_jobs(todo, 1, progress)
-    found = rows([one for one in done if isinstance(one, Measured)])
-    found += [skip.row() for one in done if not isinstance(one, Measured) for skip in one]
+    found = rows([one for one in done if isinstance(one, CaseResult)])
+    found += [skip.row() for one in done if not isinstance(one, CaseResult) for skip in one]
     return Outcome(found, problems)
 
 
@@ -92,7 +92,7 @@ def skip_jobs(study: Study, examples: Sequence[Example]) -> Iterator[SkipJob]:
     """Make the jobs of the skips: in refinements, then at the start of hands, objects and commands."""
     rounds = study.skip_rounds
     for one in examples:
-        yield SkipJob(f"{one.name}, queries", 8.0 * rounds, partial(asking_skips, one, rounds))
+        yield SkipJob(f"{one.name}, queries", 8.0 * rounds, partial(query_skips, one, rounds))
         yield SkipJob(f"{one.name}, solver", 4.0 * rounds, partial(solving_skips, one, rounds))
     for hand, one in {one.hand: one for one in examples}.items():
         yield SkipJob(hand, 1.0, partial(_of_hand, one, study.seed, rounds))

@@ -25,7 +25,7 @@ COPY_OFFSETS = (0.0, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6)
 
 
 @dataclass(frozen=True)
-class Made:
+class BodyPairs:
     """The pairs of bodies of a kind at one size."""
 
     pairs: tuple[tuple[Body, Body], ...]
@@ -34,7 +34,7 @@ class Made:
     """Reasons why other pairs of the kind could not be built, a message each."""
 
 
-def make_pairs(kind: Kind, diagonal: float, seed: int) -> Made:
+def make_pairs(kind: Kind, diagonal: float, seed: int) -> BodyPairs:
     """Make all pairs of a kind, the larger body of each with this diagonal in metres."""
     rng = np.random.default_rng((seed, KINDS.index(kind)))
     pairs, refused = [], []
@@ -49,20 +49,20 @@ def make_pairs(kind: Kind, diagonal: float, seed: int) -> Made:
             refused.append(str(error))
         else:
             pairs.append((first, second))
-    return Made(tuple(pairs), tuple(refused))
+    return BodyPairs(tuple(pairs), tuple(refused))
 
 
-def _balls(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
+def _spheres(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
     """Make spheres and capsules, one of them against a polytope that is nearly round."""
-    ball, small = _ball(0.3, (0.1, -0.2, 0.05)), _ball(0.11, (0.0, 0.0, 0.0))
-    pill, other = _pill(0.1, (-0.2, 0.1, 0.0), (0.3, 0.0, 0.1)), _pill(0.15, (0.0, 0.0, 0.0), (0.0, 0.0, 0.3))
+    ball, small = _sphere(0.3, (0.1, -0.2, 0.05)), _sphere(0.11, (0.0, 0.0, 0.0))
+    pill, other = _capsule(0.1, (-0.2, 0.1, 0.0), (0.3, 0.0, 0.1)), _capsule(0.15, (0.0, 0.0, 0.0), (0.0, 0.0, 0.3))
     return [(ball, small), (ball, ball), (ball, pill), (pill, other), (_hull(_round(rng, 200, (0.3, 0.3, 0.3))), pill)]
 
 
 def _boxes(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
     """Make two boxes, two equal cubes, a box against a sphere."""
     cube = _hull(_box((1.0, 1.0, 1.0)))
-    ball = _ball(0.2, (0.0, 0.0, 0.0))
+    ball = _sphere(0.2, (0.0, 0.0, 0.0))
     return [(_hull(_box((0.6, 0.5, 0.7))), _hull(_box((0.3, 0.2, 0.1)))), (cube, cube), (cube, ball)]
 
 
@@ -118,7 +118,7 @@ def _slivers(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
 
 MAKERS: Mapping[Kind, Callable[[np.random.Generator], list[tuple[Maker, Maker]]]] = MappingProxyType(
     {
-        "ball": _balls,
+        "ball": _spheres,
         "box": _boxes,
         "needle": _needles,
         "plate": _plates,
@@ -132,11 +132,11 @@ MAKERS: Mapping[Kind, Callable[[np.random.Generator], list[tuple[Maker, Maker]]]
 """Kind -> function that makes its pairs."""
 
 
-def _ball(radius: float, center: tuple[float, float, float]) -> Maker:
+def _sphere(radius: float, center: tuple[float, float, float]) -> Maker:
     return lambda scale: [sphere(radius * scale, np.array(center) * scale)]
 
 
-def _pill(radius: float, start: tuple[float, float, float], end: tuple[float, float, float]) -> Maker:
+def _capsule(radius: float, start: tuple[float, float, float], end: tuple[float, float, float]) -> Maker:
     return lambda scale: [capsule(radius * scale, np.array(start) * scale, np.array(end) * scale)]
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import log10
 
-from grasp_refine_apps.bench.stability.counts import Counts, counted, grouped
+from grasp_refine_apps.bench.stability.counts import Counts, group_rows, total_counts
 from grasp_refine_apps.bench.stability.labels import FAULT_LABELS, ordered, words
 from grasp_refine_apps.bench.stability.rows import WRONG, Row
 
@@ -61,7 +61,7 @@ def heat_map(rows: Iterable[Row], down: Sequence[str], across: str, error: str) 
     """
     rows = list(rows)
     columns = ordered(across, (row[across] for row in rows))
-    found = grouped(rows, (*down, across))
+    found = group_rows(rows, (*down, across))
     names = _ordered({key[:-1] for key in found}, down)
     lines = []
     for place, name in enumerate(names):
@@ -88,9 +88,9 @@ def _ordered(names: set[tuple[object, ...]], keys: Sequence[str]) -> list[tuple[
 def _square(rows: Sequence[Row], where: str, error: str) -> Square:
     if not rows:
         return Square("none", 0, "", f"{where}: there is no such cell")
-    found = counted(rows)
+    found = total_counts(rows)
     largest = found.largest[error]
-    hint = f"{where}: {found['queries']} queries, {_said(found)}"
+    hint = f"{where}: {found['queries']} queries, {_describe(found)}"
     hint += "" if largest is None else f", worst error {largest:.1e} of its tolerance"
     if found.wrong:
         return Square("wrong", 100, str(found.wrong), hint)
@@ -106,6 +106,6 @@ def depth(error: float | None) -> int:
     return round(100 * min(1.0, 1 - log10(error) / log10(PALEST_ERROR)))
 
 
-def _said(found: Counts) -> str:
+def _describe(found: Counts) -> str:
     said = [f"{found[name]} {FAULT_LABELS[name]}" for name in WRONG if found[name]] or ["none wrong"]
     return ", ".join([*said, *([f"{found['refused']} refused"] if found["refused"] else [])])

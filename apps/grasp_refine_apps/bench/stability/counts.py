@@ -39,7 +39,7 @@ class Counts:
         return sum(self.sums[name] for name in WRONG)
 
 
-def counted(rows: Iterable[Row]) -> Counts:
+def total_counts(rows: Iterable[Row]) -> Counts:
     """Total the counts of all rows."""
     rows = list(rows)
     return Counts(
@@ -54,7 +54,7 @@ def wrong(row: Row) -> int:
     return sum(row[name] for name in WRONG)
 
 
-def grouped(rows: Iterable[Row], keys: Sequence[str]) -> dict[tuple[object, ...], list[Row]]:
+def group_rows(rows: Iterable[Row], keys: Sequence[str]) -> dict[tuple[object, ...], list[Row]]:
     """Group rows by the values of the keys."""
     found: dict[tuple[object, ...], list[Row]] = {}
     for row in rows:
@@ -80,11 +80,11 @@ def worst(rows: Iterable[Row], most: int, nearest: int) -> list[Row]:
     def order(row: Row) -> tuple[int, float]:
         return wrong(row), error_of(row) or 0.0
 
-    each = [max(its, key=order) for its in grouped(rows, ("kind", "state", "measure", "dtype")).values()]
+    each = [max(its, key=order) for its in group_rows(rows, ("kind", "state", "measure", "dtype")).values()]
     each = sorted((row for row in each if order(row) > (0, 0.0)), key=order, reverse=True)
     if each and wrong(each[0]):
         return [row for row in each if wrong(row)][:most]
-    precise = grouped(each, ("dtype",))
+    precise = group_rows(each, ("dtype",))
     return [row for dtype in DTYPES for row in precise.get((dtype,), [])[:nearest]]
 
 

@@ -28,7 +28,7 @@ from grasp_refine_apps.bench.stability import cases
 from grasp_refine_apps.bench.stability.bodies import make_pairs
 from grasp_refine_apps.bench.stability.judging import tolerance
 from grasp_refine_apps.bench.stability.motion import Motion, Scene, forms_of, move, rigid_motion, sphere_motion
-from grasp_refine_apps.bench.stability.poses import Posed, posers
+from grasp_refine_apps.bench.stability.poses import PosedBodies, pose_samplers
 from grasp_refine_apps.bench.stability.rows import Cell
 from grasp_refine_apps.bench.stability.task import Task
 
@@ -62,7 +62,7 @@ STEP_TOLERANCE = 1e-5
 def derivative_cells(task: Task) -> Iterator[Cell]:
     """Check the derivatives of a task, state by state; states that are impossible for such bodies are left out."""
     made = make_pairs(task.kind, task.diagonal, task.seed)
-    every = posers(made, task)
+    every = pose_samplers(made, task)
     for state in task.states:
         able = [poser for poser in every if poser.can_be(state)]
         # Each pair has its share of the poses; pairs that could not be built have refused theirs.
@@ -175,7 +175,7 @@ def _left_behind(motion: Motion) -> np.ndarray:
     return np.maximum(np.abs(force).max(axis=(1, 2)), np.abs(moment).max(axis=(1, 2)) / reach)
 
 
-def _truth_normal(posed: Posed) -> np.ndarray:
+def _truth_normal(posed: PosedBodies) -> np.ndarray:
     """The reference's normals (N, 3) in the world."""
     return (posed.T_a[:, :3, :3] @ posed.truth.normal[..., None])[..., 0]
 

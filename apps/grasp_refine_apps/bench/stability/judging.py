@@ -31,7 +31,7 @@ SIGN_ROUNDINGS = 64.0
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class AnswerFaults:
     """Faults of N answers; missing or non-finite answers have no other fault."""
 
     failed: np.ndarray
@@ -92,7 +92,7 @@ def judge(
     T_b: np.ndarray,
     diagonal: float,
     dtype: DType = "float64",
-) -> Judged:
+) -> AnswerFaults:
     """Check N answers.
 
     Args:
@@ -152,7 +152,7 @@ def judge(
     other = (np.sign(found.distance) != np.sign(truth.distance)) | (
         (found.status == QueryStatus.SEPARATED) != (truth.distance > 0.0)
     )
-    return Judged(
+    return AnswerFaults(
         failed=~answered & ~not_finite,
         not_finite=not_finite,
         wrong_distance=wrong_distance,

@@ -20,7 +20,7 @@ from grasp_refine.core.se3 import cross, hat
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.derivative import Derivative
-from grasp_refine_apps.bench.stability.poses import Posed
+from grasp_refine_apps.bench.stability.poses import PosedBodies
 
 NUM_FORMS = 3
 """Linear forms of points and normal that are differentiated; of two spheres all nine, whose derivatives are known."""
@@ -35,7 +35,7 @@ class Scene:
 
     pairs: Pairs
     """The bodies."""
-    posed: Posed
+    posed: PosedBodies
     """Their poses, and the truth about them."""
     targets: tuple[np.ndarray, np.ndarray]
     """Targets (N, 3) on both bodies, metres, body frames; NaN in half of the poses, which have none."""
@@ -45,7 +45,7 @@ class Scene:
     """A power of 8, so that scaling is exact; never 1."""
 
     @staticmethod
-    def of(a: Body, b: Body, posed: Posed, seed: int) -> Scene:
+    def of(a: Body, b: Body, posed: PosedBodies, seed: int) -> Scene:
         """Make the scene of two bodies, with random targets."""
         rng = np.random.default_rng(seed)
         N = len(posed.T_a)

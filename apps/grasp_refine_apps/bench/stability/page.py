@@ -7,7 +7,7 @@ from typing import Any
 
 from grasp_refine_apps.bench.stability.cases import DTYPES
 from grasp_refine_apps.bench.stability.chart import PALEST_ERROR, HeatMap, heat_map
-from grasp_refine_apps.bench.stability.counts import counted, error_of, grouped, of_measure, worst
+from grasp_refine_apps.bench.stability.counts import error_of, group_rows, of_measure, total_counts, worst
 from grasp_refine_apps.bench.stability.labels import FAULT_LABELS, again, faults, length, ordered, words
 from grasp_refine_apps.bench.stability.rows import WRONG, Row
 from grasp_refine_apps.bench.stability.table import number
@@ -28,7 +28,7 @@ def page(document: dict[str, Any]) -> str:
         document: The JSON document of the benchmark.
     """
     rows = document["rows"]
-    found = counted(rows)
+    found = total_counts(rows)
     return rendered(
         __package__,
         document=document,
@@ -36,7 +36,7 @@ def page(document: dict[str, Any]) -> str:
         maps=_maps(rows),
         least=PALEST_ERROR,
         any_wrong=found.wrong > 0,
-        worst=[_told(row, document["seed"]) for row in worst(rows, MAX_WRONG_CELLS, MAX_NEAR_CELLS)],
+        worst=[_describe_cell(row, document["seed"]) for row in worst(rows, MAX_WRONG_CELLS, MAX_NEAR_CELLS)],
         refusals=_refusals(rows),
         mujoco=_mujoco(rows),
     )
@@ -44,9 +44,9 @@ def page(document: dict[str, Any]) -> str:
 
 def _totals(rows: Sequence[Row], crashes: int) -> list[tuple[str, str]]:
     """Counted quantities, and their totals."""
-    forward, derivative, found = of_measure(rows, "forward"), of_measure(rows, "derivative"), counted(rows)
-    lines = [("cells", len(rows)), ("queries", counted(forward)["queries"])]
-    lines += [("witness points judged", found["points_compared"]), ("derivatives", counted(derivative)["queries"])]
+    forward, derivative, found = of_measure(rows, "forward"), of_measure(rows, "derivative"), total_counts(rows)
+    lines = [("cells", len(rows)), ("queries", total_counts(forward)["queries"])]
+    lines += [("witness points judged", found["points_compared"]), ("derivatives", total_counts(derivative)["queries"])]
     lines += [("refused with a reason", found["refused"]), ("collapsed", found["collapsed"])]
     lines += [(FAULT_LABELS[name], found[name]) for name in WRONG]
     return [(name, f"{count:,}".replace(",", "\u202f")) for name, count in [*lines, ("crashes", crashes)]]
@@ -73,7 +73,7 @@ def _maps(rows: Sequence[Row]) -> list[tuple[str, str, HeatMap]]:
     return [(title, what, heat_map(its, down, across, of)) for title, what, its, down, across, of in asked if its]
 
 
-def _told(row: Row, seed: int) -> tuple[str, str, str, str]:
+def _describe_cell(row: Row, seed: int) -> tuple[str, str, str, str]:
     """Describe a cell: its keys, its faults, its worst error, and the command that repeats it."""
     keys = ("kind", "diagonal", "state", "dtype", "batch", "engine", "translation", "method", "neighborhood")
     shown = ", ".join(words(key, row[key]) for key in keys if row[key] is not None)
@@ -83,9 +83,9 @@ def _told(row: Row, seed: int) -> tuple[str, str, str, str]:
 
 def _refusals(rows: Sequence[Row]) -> list[tuple[str, int, str]]:
     """Reasons of refusal, their numbers, and the bodies."""
-    found = grouped((row for row in rows if row["refused"]), ("refusal",))
+    found = group_rows((row for row in rows if row["refused"]), ("refusal",))
     return [
-        (str(why or "no reason"), counted(its)["refused"], _bodies(its))
+        (str(why or "no reason"), total_counts(its)["refused"], _bodies(its))
         for (why,), its in [*found.items()][:MAX_REASONS]
     ]
 
@@ -102,5 +102,5 @@ def _mujoco(rows: Sequence[Row]) -> list[tuple[str, int, int]]:
     """Each kind of bodies with its queries of MuJoCo, and the wrong ones of them."""
     asked = [row for row in rows if row["mujoco_queries"]]
     kinds = ordered("kind", (row["kind"] for row in asked))
-    each = [(kind, counted(row for row in asked if row["kind"] == kind)) for kind in kinds]
+    each = [(kind, total_counts(row for row in asked if row["kind"] == kind)) for kind in kinds]
     return [(kind, its["mujoco_queries"], its["mujoco_wrong"]) for kind, its in each]

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from grasp_refine.geometry.body import Body
-from grasp_refine_apps.bench.stability.bodies import Made
+from grasp_refine_apps.bench.stability.bodies import BodyPairs
 from grasp_refine_apps.bench.stability.cases import (
     FEATURES,
     GAPS,
@@ -41,7 +41,7 @@ DRAWS_PER_POSE = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class PosedBodies:
     """N poses of two bodies, and the truth."""
 
     T_a: np.ndarray
@@ -60,7 +60,7 @@ class Posed:
 
 
 @dataclass(frozen=True, eq=False)
-class Poser:
+class PoseSampler:
     """A sampler of poses of two bodies."""
 
     a: Body
@@ -83,7 +83,7 @@ class Poser:
         """Return True if these bodies can be in this state: round ones have no features that could meet."""
         return state not in FEATURES or all(len(piece.faces) for body in (self.a, self.b) for piece in body.pieces)
 
-    def pose(self, state: State, count: int) -> Posed | None:
+    def pose(self, state: State, count: int) -> PosedBodies | None:
         """Return poses in this state, the same at every call; None: the bodies cannot be in it."""
         if not self.can_be(state):
             return None
@@ -91,7 +91,7 @@ class Poser:
         find = self._feature_against_feature if state in FEATURES else self._any
         R, t, truths = zip(*find(rng, state, count), strict=True)
         R, t = np.concatenate(R)[:count], np.concatenate(t)[:count]
-        return Posed(*self._in_world(rng, R, t), Truth.joined(truths).rows(slice(count)))
+        return PosedBodies(*self._in_world(rng, R, t), Truth.joined(truths).rows(slice(count)))
 
     def _any(
         self, rng: np.random.Generator, state: State, count: int
@@ -185,10 +185,10 @@ class Poser:
         return T_a, T_b
 
 
-def posers(made: Made, task: Task) -> list[Poser]:
+def pose_samplers(made: BodyPairs, task: Task) -> list[PoseSampler]:
     """Make the samplers of the pairs of bodies of a task, the same in every run."""
     size = int(np.float64(task.diagonal).view(np.uint64))
-    return [Poser(*bodies, (task.seed, KINDS.index(task.kind), size, k)) for k, bodies in enumerate(made.pairs)]
+    return [PoseSampler(*bodies, (task.seed, KINDS.index(task.kind), size, k)) for k, bodies in enumerate(made.pairs)]
 
 
 def _against(rng: np.random.Generator, first: Feature, second: Feature, *, straight: bool) -> np.ndarray:

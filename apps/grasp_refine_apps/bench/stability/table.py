@@ -8,7 +8,7 @@ from textwrap import wrap
 from rich.box import SIMPLE
 from rich.table import Table
 
-from grasp_refine_apps.bench.stability.counts import counted, error_of, grouped, of_measure, worst, wrong
+from grasp_refine_apps.bench.stability.counts import error_of, group_rows, of_measure, total_counts, worst, wrong
 from grasp_refine_apps.bench.stability.labels import again, faults, ordered, words
 from grasp_refine_apps.bench.stability.rows import Row
 
@@ -70,9 +70,9 @@ def bench_tables(rows: Sequence[Row], seed: int, crashes: int) -> Iterator[Table
 
 def summary(rows: Sequence[Row], crashes: int) -> Iterator[str]:
     """Yield the numbers of queries and of faults in a line; one more of MuJoCo."""
-    found = counted(rows)
+    found = total_counts(rows)
     asked = [
-        f"{counted(its)['queries']} {what}"
+        f"{total_counts(its)['queries']} {what}"
         for its, what in ((of_measure(rows, "forward"), "queries"), (of_measure(rows, "derivative"), "derivatives"))
         if its
     ]
@@ -92,9 +92,9 @@ def _columns(table: Table, heads: Sequence[str]) -> None:
 
 def _counts(table: Table, rows: Sequence[Row], key: str, columns: Sequence[tuple[str, str]]) -> None:
     """Add a line for each value of a key; of states, one for all too."""
-    groups = grouped(rows, (key,))
-    lines = [(words(key, value), counted(groups[value,])) for value in ordered(key, (row[key] for row in rows))]
-    lines += [("all", counted(rows))] if key == "state" else []
+    groups = group_rows(rows, (key,))
+    lines = [(words(key, value), total_counts(groups[value,])) for value in ordered(key, (row[key] for row in rows))]
+    lines += [("all", total_counts(rows))] if key == "state" else []
     for name, found in lines:
         names = ["queries", *(of for _, of in columns)]
         cells = [number(found.largest[of]) if of in found.largest else str(found[of]) for of in names]

@@ -15,7 +15,7 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align import runner as module
 from grasp_refine_apps.bench.align.bodies import BodyPair
-from grasp_refine_apps.bench.align.runner import Done, Job, jobs
+from grasp_refine_apps.bench.align.runner import Job, JobResult, jobs
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from grasp_refine_apps.bench.jobs import run_jobs
@@ -52,7 +52,7 @@ def quiet(share: float, what: str) -> None:
     pass
 
 
-def alone(job: Job) -> Done:
+def alone(job: Job) -> JobResult:
     """The result of a job that nobody watches."""
     return job.do(lambda share: None)
 

@@ -155,7 +155,7 @@ class Recorded:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.tasks: list[Tasks] = []
         self.T_aligned: list[np.ndarray] = []
-        draw, place = module._drawn, module.aligned_poses
+        draw, place = module._draw, module.aligned_poses
 
         def drawn(*arguments: Any) -> Tasks:
             self.tasks.append(draw(*arguments))
@@ -165,7 +165,7 @@ class Recorded:
             self.T_aligned.append(place(*arguments))
             return self.T_aligned[-1]
 
-        monkeypatch.setattr(module, "_drawn", drawn)
+        monkeypatch.setattr(module, "_draw", drawn)
         monkeypatch.setattr(module, "aligned_poses", placed)
 
     def all(self) -> Tasks:
