@@ -89,7 +89,7 @@ class Skip:
     cpu_with_s: float | None
     """CPU seconds with the skip."""
     how: str
-    """How the skip was undone."""
+    """Method that undoes the skip."""
     difference: float | None = None
     """Largest difference of refined poses and joint values without it, in metres and radians; None: no refinement."""
 
