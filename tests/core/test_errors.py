@@ -6,7 +6,7 @@ import pickle
 
 import pytest
 
-from grasp_refine.core.errors import LONGEST, GraspRefineError, MeshError, told
+from grasp_refine.core.errors import MAX_MESSAGE_CHARACTERS, GraspRefineError, MeshError, told
 
 
 @pytest.mark.parametrize(
@@ -26,8 +26,8 @@ def test_a_message_is_one_line_that_a_terminal_only_shows(message: str, shown: s
 
 
 def test_a_message_is_of_bounded_length():
-    assert len(str(GraspRefineError("x" * 10**6))) == LONGEST
-    assert str(GraspRefineError("x" * LONGEST)) == "x" * LONGEST
+    assert len(str(GraspRefineError("x" * 10**6))) == MAX_MESSAGE_CHARACTERS
+    assert str(GraspRefineError("x" * MAX_MESSAGE_CHARACTERS)) == "x" * MAX_MESSAGE_CHARACTERS
 
 
 def test_values_are_told_like_repr_but_bounded():
