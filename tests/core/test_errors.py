@@ -34,8 +34,8 @@ def test_values_are_told_like_repr_but_bounded():
     for value in ("box", "it's", 1.5, -3, None, [1, 2], {"a": 1}, 10**30):
         assert told(value) == repr(value)
     assert len(told("x" * 10**5)) <= 200
-    # Python prints no whole numbers of more than 4300 digits, and TOML reads them in hexadecimal.
-    assert told(16**9000) == "a whole number of thousands of digits"
+    # Python prints no integers of more than 4300 digits, and TOML reads them in hexadecimal.
+    assert told(16**9000) == "an integer of thousands of digits"
     deep: list = []
     for _ in range(10**5):
         deep = [deep]
