@@ -32,7 +32,7 @@ def check_covered(found: Covering, mesh: trimesh.Trimesh) -> None:
     assert reach.min(axis=0).max() <= OUTSIDE_TOLERANCE_M
     whole = hull(mesh.vertices)
     assert all(module._plane_distance(piece.vertices, whole).max() <= OUTSIDE_TOLERANCE_M for piece in found.pieces)
-    again = over_cover(found.pieces, Triangles(np.asarray(mesh.triangles)), least=module.NOTICED)
+    again = over_cover(found.pieces, Triangles(np.asarray(mesh.triangles)), least=module.MIN_PROTRUSION_M)
     assert again == found.stands_out
 
 
