@@ -357,7 +357,7 @@ def test_files_of_an_installed_package_are_copied(packaged: Asset, tmp_path: Pat
 
 def test_a_package_of_another_version_or_none_says_how_to_install_it(packaged: Asset, tmp_path: Path):
     (tmp_path / "site/claws-1.2.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: claws\nVersion: 1.3\n")
-    with refused(AssetError, "claws==1.2, 1.3", "pip install --no-deps claws=="):
+    with refused(AssetError, "claws==1.2", "1.3", "pip install --no-deps claws=="):
         fetch_asset(packaged, Upstream())
     (tmp_path / "site/claws-1.2.dist-info/METADATA").unlink()
     (tmp_path / "site/claws-1.2.dist-info").rmdir()

@@ -75,7 +75,15 @@ def scattered(batch: int, spread: float, seed: int = 0) -> tuple[np.ndarray, np.
     )
 
 
-FIELDS = {"point_a": 1e-12, "point_b": 1e-12, "normal": 1e-12, "distance": 1e-12, "status": 0, "winner": 0, "asked": 0}
+FIELDS = {
+    "point_a": 1e-12,
+    "point_b": 1e-12,
+    "normal": 1e-12,
+    "distance": 1e-12,
+    "status": 0,
+    "winner": 0,
+    "num_queries": 0,
+}
 """How far the answers of both engines may differ: by rounding."""
 
 
