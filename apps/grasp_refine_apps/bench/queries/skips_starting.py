@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import grasp_refine
+import grasp_refine_apps
 from grasp_refine.geometry.decomposition import Decomposition, decompose
 from grasp_refine.geometry.pieces import convex_pieces
 from grasp_refine.hands.hand import Hand
@@ -111,12 +112,12 @@ def import_skips(commands: Sequence[str]) -> Iterator[Skip]:
 def _modules(command: Sequence[str], everything: bool) -> int:
     """Count the modules that are loaded at the end of a command."""
     with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
-        found = f"import sys; sys.path.append({str(Path(grasp_refine.__file__).parents[1])!r})"
+        sources = [str(Path(package.__file__).parents[1]) for package in (grasp_refine, grasp_refine_apps)]
         child = subprocess.run(
             [
                 sys.executable,
                 "-c",
-                f"{found}\n{PROGRAM}",
+                f"import sys; sys.path += {sources!r}\n{PROGRAM}",
                 json.dumps(everything),
                 *command,
             ],
