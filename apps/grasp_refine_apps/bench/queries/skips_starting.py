@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 import grasp_refine
-import grasp_refine_apps
 from grasp_refine.geometry.decomposition import Decomposition, decompose
 from grasp_refine.geometry.pieces import convex_pieces
 from grasp_refine.hands.hand import Hand
@@ -112,7 +111,7 @@ def import_skips(commands: Sequence[str]) -> Iterator[Skip]:
 def _modules(command: Sequence[str], everything: bool) -> int:
     """Count the modules that are loaded at the end of a command."""
     with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
-        sources = [str(Path(package.__file__).parents[1]) for package in (grasp_refine, grasp_refine_apps)]
+        sources = [str(Path(grasp_refine.__file__).parents[1]), str(Path(__file__).parents[3])]
         child = subprocess.run(
             [
                 sys.executable,
