@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.se3 import transform_from_pose
@@ -121,7 +121,7 @@ def _font(size: float) -> FreeTypeFont:
     return font
 
 
-def draw_example() -> Float[np.ndarray, "H W 3"]:
+def draw_example() -> UInt8[np.ndarray, "H W 3"]:
     """Draw the picture, uint8 red, green, blue."""
     from PIL import Image, ImageDraw
 

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from grasp_refine import __version__
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.json_files import dumps
+from grasp_refine.core.versions import own_version
 from grasp_refine.hands.mesh_files import resolve_mesh
 from grasp_refine.hands.source import hand_files
 from grasp_refine.objects.source import ObjectSource
@@ -79,7 +79,7 @@ class Digests:
         if targets not in (AUTO, NEAREST):
             targets = self.file(Path(targets))["sha256"]
         return _sha256(
-            {"layout": LAYOUT_VERSION, "version": __version__, "inputs": described, "targets": targets, **depends}
+            {"layout": LAYOUT_VERSION, "version": own_version(), "inputs": described, "targets": targets, **depends}
         )
 
 

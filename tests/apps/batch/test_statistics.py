@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-import tracemalloc
+import os
+import subprocess
+import sys
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from batch_rows import made_up_rows
+from command_line import subprocess_environment
 from grasp_refine_apps.batch import statistics as module
 from grasp_refine_apps.batch.histogram import LINEAR, Bins, Histogram
 from grasp_refine_apps.batch.rows import Rows
@@ -203,18 +207,34 @@ def test_the_worst_of_many_files_are_found_wherever_they_are():
 # Memory
 
 
-def test_memory_does_not_grow_with_the_rows(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "MAX_PAIRS", 50)
-    plain = made_up_rows(16).columns
+PEAKS = """
+import sys, tracemalloc
+import numpy as np
+from batch_rows import made_up_rows
+from grasp_refine_apps.batch import statistics
+from grasp_refine_apps.batch.rows import Rows
 
-    def peak(shards: int) -> int:
-        tracemalloc.start()
-        found = Statistics.empty()
-        for number in range(shards):
-            found.add(Rows(plain | {"shard": np.full(16, float(number)), "object": np.full(16, f"object {number}")}))
-        grown = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return grown
+statistics.MAX_PAIRS = 50
+plain = made_up_rows(16).columns
 
-    peak(20)
-    assert peak(300) < 1.2 * peak(100)
+def peak(shards):
+    tracemalloc.start()
+    found = statistics.Statistics.empty()
+    for number in range(shards):
+        found.add(Rows(plain | {"shard": np.full(16, float(number)), "object": np.full(16, f"object {number}")}))
+    grown = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return grown
+
+print(peak(20), peak(100), peak(300))
+"""
+"""Peaks of the memory by number of shards, in a process where no annotation is checked: the checker remembers."""
+
+
+def test_memory_does_not_grow_with_the_rows():
+    environment = subprocess_environment()
+    path = os.pathsep.join([environment["PYTHONPATH"], str(Path(__file__).parents[2])])
+    command = [sys.executable, "-c", PEAKS]
+    found = subprocess.run(command, env=environment | {"PYTHONPATH": path}, check=True, capture_output=True, text=True)
+    _, few, many = map(int, found.stdout.split())
+    assert many < 1.2 * few
