@@ -135,8 +135,8 @@ def test_the_size_of_the_blocks_changes_nothing_but_the_memory(monkeypatch: pyte
     camera = Camera(EYE, TARGET, 100, 100, 0.2)
     triangles = np.random.default_rng(0).normal(size=(1000, 3, 3)) * [0.05, 0.4, 0.4]
     images = []
-    for block in (rasterizer.BLOCK, 100):
-        monkeypatch.setattr(rasterizer, "BLOCK", block)
+    for block in (rasterizer.BLOCK_PIXELS, 100):
+        monkeypatch.setattr(rasterizer, "BLOCK_PIXELS", block)
         tracemalloc.start()
         images.append(rasterizer._rasterize(*vertices_and_faces(triangles), camera))
         peak = tracemalloc.get_traced_memory()[1]
