@@ -56,6 +56,8 @@ _ANSI = re.compile(r"\x1b\[[0-9;]*m")
 _PUNCTUATION = re.compile(r"[.;:?]$")
 _CHOICES = re.compile(r"(?<=one of )\('[^()]*'\)")
 _UNRECOGNIZED = "unrecognized options: "
+_OPTIONS_CLASS = re.compile(r"^(\w+)Options: (\w+)")
+"""Beginning of a message about a field of a class of options, as in "WeightsOptions: contact"."""
 
 
 def parse(command: type[Command], program: str, arguments: Sequence[str]) -> Command:
@@ -69,6 +71,8 @@ def parse(command: type[Command], program: str, arguments: Sequence[str]) -> Com
     try:
         with contextlib.redirect_stderr(stderr):
             parsed = tyro.cli(command, prog=program, args=arguments)
+    except GraspRefineError as error:
+        raise GraspRefineError(_OPTIONS_CLASS.sub(_option_of_field, str(error))) from None
     except SystemExit as end:
         if not end.code:
             raise
@@ -76,6 +80,12 @@ def parse(command: type[Command], program: str, arguments: Sequence[str]) -> Com
         raise GraspRefineError(f"{complaint}{_grasps_hint(complaint, command)}; see {program} --help") from None
     sys.stderr.write(stderr.getvalue())
     return parsed
+
+
+def _option_of_field(found: re.Match[str]) -> str:
+    """Return the option of a field: "WeightsOptions: contact" -> "--weights.contact"."""
+    group = re.sub(r"(?<!^)(?=[A-Z])", "-", found[1]).lower()
+    return f"--{group}.{found[2].replace('_', '-')}"
 
 
 def _one_line(box: str) -> str:
