@@ -156,7 +156,7 @@ def highest(pieces: list[Piece], T: np.ndarray, n: np.ndarray) -> np.ndarray:
 @given(meetings(tuple(CONVEX)))
 def test_a_plane_across_the_normal_proves_the_distance(meeting: Meeting) -> None:
     """No body reaches beyond its plane, apart or not, and the planes are the signed distance apart."""
-    w, between = meeting.query(), meeting.T_b[..., :3, 3] - meeting.T_a[..., :3, 3]
+    w, between = meeting.ask(), meeting.T_b[..., :3, 3] - meeting.T_a[..., :3, 3]
     assert w.valid.all()
     np.testing.assert_allclose(np.linalg.norm(w.normal, axis=-1), 1.0, rtol=1e-12)
     front = highest(meeting.pairs.a[0].pieces, meeting.T_a, w.normal)
@@ -168,7 +168,7 @@ def test_a_plane_across_the_normal_proves_the_distance(meeting: Meeting) -> None
 
 @given(meetings(("ball",)))
 def test_two_balls_are_as_far_apart_as_their_centres_less_their_radii(meeting: Meeting) -> None:
-    w, between = meeting.query(), meeting.T_b[..., :3, 3] - meeting.T_a[..., :3, 3]
+    w, between = meeting.ask(), meeting.T_b[..., :3, 3] - meeting.T_a[..., :3, 3]
     expected = np.linalg.norm(between, axis=-1) - 0.6 * meeting.size
     np.testing.assert_allclose(w.distance, expected, rtol=0, atol=meeting.tolerance())
 
@@ -182,20 +182,20 @@ def test_the_whole_world_moved_is_the_same_world(
 ) -> None:
     M = transform(R, away * direction)
     T_a, T_b = M @ meeting.T_a, M @ meeting.T_b
-    w, moved = meeting.query(), query(meeting.pairs, T_a, T_b)
+    w, moved = meeting.ask(), query(meeting.pairs, T_a, T_b)
     np.testing.assert_allclose(moved.distance, w.distance, rtol=0, atol=2 * meeting.tolerance(T_a, T_b))
 
 
 @given(meetings())
 def test_bodies_in_the_other_order_are_as_far_apart(meeting: Meeting) -> None:
-    w, other = meeting.query(), query(meeting.swapped, meeting.T_b, meeting.T_a)
+    w, other = meeting.ask(), query(meeting.swapped, meeting.T_b, meeting.T_a)
     np.testing.assert_allclose(other.distance, w.distance, rtol=0, atol=2 * meeting.tolerance())
 
 
 @given(meetings(("ball", "capsule"), batch=6).filter(lambda meeting: meeting.a != meeting.b))
 def test_bodies_in_the_other_order_touch_at_the_same_points(meeting: Meeting) -> None:
     """Points of a ball and a capsule are unique while the centre of the ball is not on the axis of the capsule."""
-    w, other = meeting.query(), query(meeting.swapped, meeting.T_b, meeting.T_a)
+    w, other = meeting.ask(), query(meeting.swapped, meeting.T_b, meeting.T_a)
     rows = w.distance[:, 0] > -0.3 * meeting.size  # radii are 0.3 and 0.1
     assume(rows.sum() >= 2)
     atol = 10 * meeting.tolerance()
@@ -210,9 +210,9 @@ def test_bodies_in_the_other_order_touch_at_the_same_points(meeting: Meeting) ->
 @given(meetings(batch=5), st.lists(st.integers(0, 4), min_size=1, max_size=7))
 def test_each_answer_is_the_one_that_it_has_alone(meeting: Meeting, rows: list[int]) -> None:
     """In any order, alone, and with others asked twice: bit for bit."""
-    whole = meeting.query()
+    whole = meeting.ask()
     for chosen in (rows, rows[:1]):
-        part = meeting.query(chosen)
+        part = meeting.ask(chosen)
         for name in ("distance", "point_a", "point_b", "normal", "status", "winner"):
             np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[chosen], err_msg=name)
 
@@ -221,11 +221,11 @@ def test_each_answer_is_the_one_that_it_has_alone(meeting: Meeting, rows: list[i
 @given(meetings(batch=4), meetings(batch=2), seeds)
 def test_nothing_is_remembered_between_calls(first: Meeting, second: Meeting, seed: int) -> None:
     """Other poses, other bodies and other numbers of them in between: the answer is that of bodies never asked."""
-    one = first.query()
+    one = first.ask()
     for _ in range(2):
-        second.query()
-        first.query([3]), first.ask([1, 1, 0, 2, 3, 0])
-        again = first.query()
+        second.ask()
+        first.ask([3]), first.ask([1, 1, 0, 2, 3, 0])
+        again = first.ask()
         new = query(Pairs(first.pairs.a, first.pairs.b, engine=first.engine), first.T_a, first.T_b)
         for name in ("distance", "point_a", "point_b", "normal", "status", "winner", "num_queries"):
             np.testing.assert_array_equal(getattr(again, name), getattr(one, name), err_msg=name)
@@ -303,7 +303,7 @@ def test_each_gradient_is_the_one_that_it_has_alone(
 @given(meetings(batch=2), seeds)
 def test_the_distance_has_the_gradient_that_the_normal_says(meeting: Meeting, seed: int) -> None:
     """d' = n . (V_b(x_b) - V_a(x_a)): of b's body twist the force n and the moment x_b x n, seen from b."""
-    w = meeting.query()
+    w = meeting.ask()
     c = np.zeros((2, 1, 10))
     c[..., 9] = 1.0
     found = gradients(WitnessLayer(meeting.pairs, ContactKinematics()), meeting.poses, c)
