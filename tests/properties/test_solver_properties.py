@@ -185,13 +185,13 @@ class Hills:
         noise = np.random.default_rng(self.seed + 1).normal(size=self.A.shape)[member]
         return Linear(self.residual(member, point.q), J + self.wrong * noise * width[:, None, None])
 
-    def room(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
+    def step_bounds(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
         return np.maximum(-0.4, self.lower - point.q), np.minimum(0.4, self.upper - point.q)
 
     def integrate(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
         return Point(point.T, np.clip(point.q + dx, self.lower, self.upper))
 
-    def restarted(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
+    def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
         for m in member.tolist():
             self.begun[m].append(len(self.seen[m]))
         draws = [
