@@ -147,12 +147,7 @@ def __getattr__(name: str) -> Any:
     if name in _MODULE_OF:
         value = getattr(import_module(f"grasp_refine.{_MODULE_OF[name]}"), name)
     elif name == "__version__":
-        from importlib.metadata import PackageNotFoundError, version
-
-        try:
-            value = version("grasp-refine")
-        except PackageNotFoundError:
-            value = "0+not.installed"
+        value = import_module("grasp_refine.core.versions").own_version()
     else:
         raise AttributeError(f"module 'grasp_refine' has no attribute '{name}'")
     globals()[name] = value

@@ -1,4 +1,4 @@
-"""What tests of README.md share: its blocks, and running those of Python."""
+"""README.md and the pages of the documentation: their blocks, and running those of Python."""
 
 from __future__ import annotations
 
@@ -7,27 +7,41 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+GUIDES = "docs/pages/guides"
+
+PAGES = {
+    str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs" / "pages").rglob("*.md")))
+}
+"""Path of each page -> its text."""
+
+TEXT = "\n".join(PAGES.values())
 
 
 def blocks(language: str, text: str = TEXT) -> list[str]:
-    """The fenced blocks of README.md in a language, or those of a part of it."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    """Fenced blocks in a language, of all pages or of a text; those that several pages share come once."""
+    found = re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    return list(dict.fromkeys(found))
 
 
-def section(heading: str) -> str:
-    """What stands below a heading of the second level."""
-    return TEXT.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+def section(page: str, heading: str) -> str:
+    """Text of a page below a heading of the second level."""
+    return PAGES[page].partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+
+
+def facade_blocks() -> list[str]:
+    """Blocks of Python that use `import grasp_refine as gr`, in the order of the pages."""
+    return [block for block in blocks("python") if re.search(r"\bgr\.", block)]
 
 
 def python_block(mark: str) -> str:
-    """The one block of Python that contains `mark`."""
-    (block,) = (block for block in blocks("python") if mark in block)
+    """The one block of Python that contains `mark`, those of the facade left out."""
+    (block,) = (block for block in blocks("python") if mark in block and block not in facade_blocks())
     return block
 
 
 def run_python(mark: str, names: dict[str, Any] | None = None) -> dict[str, Any]:
-    """What the block of Python that contains `mark` has named in the end; `names` are known before."""
+    """Names that the block of Python that contains `mark` leaves behind; `names` are known before."""
     names = {} if names is None else names
-    exec(compile(python_block(mark), "README.md", "exec"), names)
+    exec(compile(python_block(mark), mark, "exec"), names)
     return names

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from readme import blocks
+
 pytest.importorskip("mypy", reason="the checker comes with the extra 'test'")
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -98,9 +100,9 @@ def undefined(code: str) -> set[str]:
 
 
 def examples() -> list[str]:
-    """The Python of the README: each block, with the one before where it goes on from there."""
+    """The Python of README.md and the documentation: each block, with the one before where it goes on from there."""
     found: list[str] = []
-    for block in re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), re.DOTALL | re.MULTILINE):
+    for block in blocks("python"):
         found.append(found[-1] + block if found and undefined(block) else block)
     return found
 

@@ -1,10 +1,10 @@
-"""The console script `refine-grasp`: finds the command, runs it, and turns errors into one line and an exit code.
+"""Console script `refine-grasp`: finds the command, runs it, and turns errors into one line and an exit code.
 
 Only names and one-line descriptions of the commands are known here, so that `--help` is instant. A command is a
-module of `commands`, loaded when it was chosen; its class of the same name holds the options and has `execute`.
+module of `commands`, loaded when it is chosen; its class of the same name holds the options and has `execute`.
 The module of a command of two words joins them: `bench align` is `commands/bench_align.py` with `BenchAlign`.
 
-Exit codes: 0 done, 1 nothing usable came out, 2 bad input, 130 interrupted, 141 nobody reads the output any more.
+Exit codes: 0 done, 1 no usable results, 2 bad input, 130 interrupted, 141 broken output pipe.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ PROGRAM = "refine-grasp"
 
 COMMANDS = {
     "run": "refine grasps of a hand on an object; without options, an embedded example",
-    "batch": "refine whole datasets of grasps, in processes or on a cluster, and go on where it stopped",
+    "batch": "refine whole datasets of grasps, in processes or on a cluster; resumes where it stopped",
     "validate": "test grasps of any file: geometry, and whether they hold in simulation",
-    "view": "grasps in a browser: refined before your eyes, steered, tested, compared, taken away",
-    "convert": "grasp files of other programs into ours and back, checked by fingertip positions",
-    "hands": "the hands that come with the program, or what a URDF is read as",
-    "assets list": "the hands, objects and grasps of others that can be fetched by name",
-    "assets fetch": "fetch some of them, each file checked; shows licence and citation",
-    "assets verify": "whether what was fetched is still whole",
+    "view": "view grasps in a browser: watch their refinement, edit, validate, compare and export them",
+    "convert": "convert grasp files of other programs to ours and back, checked by fingertip positions",
+    "hands": "list the hands that ship with the program, or check a URDF",
+    "assets list": "list the hands, objects and grasps of others that can be fetched by name",
+    "assets fetch": "fetch assets by name, each file checked; shows licence and citation",
+    "assets verify": "check that fetched assets are complete and unchanged",
     "bench align": "run time against error of witness derivatives: the experiments of the paper",
-    "bench grasp": "how accurate and how fast grasps are refined, by solver and batch size",
-    "bench queries": "what a witness query costs against coal and MuJoCo, and what skips save",
-    "bench stability": "how many witness queries and derivatives are wrong, by body, size, state and method",
-    "bench hold": "run time against success: how many grasps hold after refinement, by method",
-    "bench --gate": "is all as fast and as good as it was? ratios of one run against a committed baseline",
-    "doctor": "what is installed here, what is missing, and what this machine can do",
+    "bench grasp": "accuracy and speed of refinement, by solver and batch size",
+    "bench queries": "cost of a witness query against coal and MuJoCo, and savings by skipping",
+    "bench stability": "error counts of witness queries and derivatives, by body, size, state and method",
+    "bench hold": "run time against success rate of refined grasps in simulation, by method",
+    "bench --gate": "check for regressions: ratios of one run against a committed baseline",
+    "doctor": "check the installation, missing packages, and the capabilities of this machine",
 }
-"""Name of each command -> what it does."""
+"""Name of each command -> description."""
 
 WITH_MUJOCO = (
     "run", "batch", "validate", "view", "convert", "bench align", "bench grasp", "bench hold", "bench queries",
@@ -52,18 +52,18 @@ WITH_MUJOCO = (
 BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
 
 THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Matrices are small here, so that a second thread of linear algebra costs more than it brings. Not
-OMP_NUM_THREADS: the child process that decomposes meshes would inherit it, and it does gain by threads."""
+"""Environment variables set to 1: matrices are small here, and a second thread of linear algebra costs more than it
+gains. Not OMP_NUM_THREADS: the child process that decomposes meshes would inherit it, and it does gain by threads."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line; returns its exit code.
+    """Run a command line; return its exit code.
 
-    By default that of the process, which then ends at once when interrupted, without returning.
+    By default the arguments of the process, which then ends at once when interrupted, without returning.
     """
     of_process, arguments = arguments is None, sys.argv[1:] if arguments is None else list(arguments)
     if isinstance(sys.stdout, TextIOWrapper):
-        # Where the terminal has no such letter, an arrow is not worth an error.
+        # An arrow that the terminal cannot show is not worth an error.
         sys.stdout.reconfigure(errors="replace")
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_usage())
@@ -97,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(name: str, rest: Sequence[str]) -> int:
-    """The exit code of a command with the options `rest`."""
+    """Run a command with the options `rest`; return its exit code."""
     try:
         if name in WITH_MUJOCO:
             from grasp_refine.validation.replay.offscreen import check_setting
@@ -117,7 +117,7 @@ def _run(name: str, rest: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return _fail("interrupted", INTERRUPTED)
     except BrokenPipeError:
-        # Or Python would complain once more when it flushes at exit.
+        # Otherwise Python would complain once more when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except OSError as error:
@@ -127,7 +127,7 @@ def _run(name: str, rest: Sequence[str]) -> int:
 
 
 def _command(arguments: Sequence[str]) -> tuple[str, list[str]]:
-    """The command that the first words of a command line name, or the words that look like one, and the rest."""
+    """Split a command line into the command, known or not, and the remaining arguments."""
     first, *rest = arguments
     if first in _groups() and rest and not rest[0].startswith("-"):
         return f"{first} {rest[0]}", rest[1:]
@@ -150,7 +150,7 @@ def _usage(group: str = "") -> str:
         [
             f"usage: {PROGRAM} COMMAND [OPTIONS]",
             "",
-            "Refine grasps of robot hands: a hand that almost grasps goes in, a hand that grasps comes out.",
+            "Refine grasps of robot hands: from grasps that are almost right to grasps that hold.",
             "",
             "commands:",
             *(f"  {name:<{width}}  {what}" for name, what in shown.items()),
@@ -171,7 +171,7 @@ def _unknown(name: str) -> str:
 
 
 def _end_interrupted() -> NoReturn:
-    """End the process without the main thread, which is deep in compiled code."""
+    """End the process without the main thread, which may be deep in compiled code."""
     with suppress(OSError):
         _fail("interrupted", INTERRUPTED)
     _end(INTERRUPTED)

@@ -1,7 +1,7 @@
-"""The folder where fetched assets lie: nothing is read from it unchecked, and nothing is written outside of it.
+"""Cache folder of fetched assets: nothing is read from it unchecked, and nothing is written outside of it.
 
 One folder for each asset, origin and state of the manifest, named by the hashes in it: `hands/leap/mirror-<digest>/`.
-So files of upstream and of a mirror never mix, and those of an older manifest are never taken for newer ones.
+So files of upstream and of a mirror never mix, and those of an older manifest are never used for a newer one.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from grasp_refine.geometry.cache import default_cache
 
 LAYOUTS: tuple[Layout, ...] = ("upstream", "mirror")
 
-DIGITS = 12
-"""Of the hash in the name of a folder."""
+HASH_DIGITS = 12
+"""Hexadecimal digits of the hash in the name of a folder."""
 
 
 @dataclass(frozen=True)
@@ -28,33 +28,33 @@ class FileState:
     """A file of an asset in the cache."""
 
     path: Path
-    """Where it lies, or should."""
+    """Absolute path of the file, whether it exists or not."""
     place: str
-    """Its path in the asset's folder."""
+    """Path in the asset's folder."""
     state: Literal["ok", "missing", "damaged"]
-    """Whether it is there and is what the manifest says."""
+    """State of the file; damaged: its hash differs from the manifest's."""
 
 
 def asset_folder(asset: Asset, layout: Layout) -> Path:
-    """Where the files of an asset from one origin lie, or will lie."""
+    """Folder of an asset's files from one origin; it may not exist yet."""
     files = [wanted(file, layout) for file in asset.files]
     text = "\n".join(sorted(f"{file.place} {file.sha256}" for file in files))
-    digest = hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
+    digest = hashlib.sha256(text.encode()).hexdigest()[:HASH_DIGITS]
     return default_cache("assets") / asset.kind / asset.name / f"{layout}-{digest}"
 
 
 def main_path(asset: Asset, layout: Layout) -> Path:
-    """Where the main file of an asset from one origin lies, or the folder of a grasp set, or will lie."""
+    """Path of an asset's main file from one origin, or the folder of a grasp set; it may not exist yet."""
     folder = asset_folder(asset, layout)
     return folder if asset.main is None else folder / wanted(asset.main, layout).place
 
 
-def inside(folder: Path, place: str) -> Path:
-    """The path of `place` in a folder of the cache.
+def path_inside(folder: Path, place: str) -> Path:
+    """Return the path of `place` in a folder of the cache.
 
     Raises:
-        AssetError: it would lie elsewhere: it is no plain relative path, or a link or a folder is in the way; or it
-            cannot be a path at all.
+        AssetError: the path would leave the cache: `place` is not a plain relative path, or a link or a folder is in
+            the way; or it cannot be a path at all.
     """
     root = default_cache("assets")
     path = folder / place
@@ -74,15 +74,15 @@ def inside(folder: Path, place: str) -> Path:
 
 
 def file_states(asset: Asset, layout: Layout) -> Iterator[FileState]:
-    """Each file of an asset from one origin, its hash computed anew.
+    """Yield the state of each file of an asset from one origin; hashes are computed anew.
 
     Raises:
-        AssetError: a link or a folder lies where a file should.
+        AssetError: a link or a folder is in the place of a file.
         OSError: a file cannot be read.
     """
     folder = asset_folder(asset, layout)
     for file in (wanted(file, layout) for file in asset.files):
-        path = inside(folder, file.place)
+        path = path_inside(folder, file.place)
         if not path.is_file():
             yield FileState(path, file.place, "missing")
         else:
@@ -90,12 +90,12 @@ def file_states(asset: Asset, layout: Layout) -> Iterator[FileState]:
 
 
 def is_whole(asset: Asset, layout: Layout) -> bool:
-    """Whether all files of an asset are in the cache and are what the manifest says."""
+    """Return whether all files of an asset are in the cache with the hashes of the manifest."""
     return all(state.state == "ok" for state in file_states(asset, layout))
 
 
 def seems_here(asset: Asset, layout: Layout) -> bool:
-    """Whether all files of an asset are in the cache, by name and size alone, which is quick."""
+    """Return whether all files of an asset are in the cache, by name and size alone, which is fast."""
     folder = asset_folder(asset, layout)
     for file in (wanted(file, layout) for file in asset.files):
         path = folder / file.place
@@ -105,6 +105,6 @@ def seems_here(asset: Asset, layout: Layout) -> bool:
 
 
 def sha256_of(path: Path) -> str:
-    """The hash of a file."""
+    """SHA-256 of a file, in hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,4 +1,4 @@
-"""Where the files live that come with the program: robots and asset manifests."""
+"""Folders of the files that come with the program: robots and asset manifests."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from grasp_refine.core.errors import AssetError
 
 
 def resource_dir(name: Literal["robots", "assets_manifest"]) -> Path:
-    """The folder `name` that comes with the program: inside the package, or beside it in a checkout.
+    """Return the folder `name` that comes with the program: inside the package, or beside it in a checkout.
 
     Raises:
-        AssetError: the folder is in neither place, so the installation is incomplete.
+        AssetError: neither folder exists: the installation is incomplete.
     """
     package = Path(__file__).resolve().parents[1]
     places = [package / f"{name}", package.parent / f"{name}"]

@@ -1,4 +1,4 @@
-"""All files of an asset, from upstream or a mirror into the cache, each checked; what is there already stays."""
+"""Fetching of all files of an asset, from upstream or a mirror into the cache; intact files there are kept."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from grasp_refine.assets.cache import asset_folder, file_states
-from grasp_refine.assets.download import PAUSE, download
+from grasp_refine.assets.download import RETRY_PAUSE_S, download
 from grasp_refine.assets.licence import accept, check_accepted
 from grasp_refine.assets.manifest import Asset
 from grasp_refine.assets.origin import Origin, chosen_origin, total_bytes, wanted
@@ -14,7 +14,7 @@ from grasp_refine.core.errors import AssetError
 from grasp_refine.geometry.cache import default_cache
 
 Progress = Callable[[str, int, int | None], None]
-"""Hears which file is fetched, how many bytes of the whole asset are here, and of how many, where that is known."""
+"""Called with the file, the bytes of the asset received so far, and its total bytes, where known."""
 
 
 def fetch_asset(
@@ -23,22 +23,22 @@ def fetch_asset(
     *,
     accept_license: bool = False,
     progress: Progress = lambda place, done, total: None,
-    pause: float = PAUSE,
+    pause: float = RETRY_PAUSE_S,
 ) -> Path:
-    """The folder with all files of an asset, fetched where they are missing or damaged.
+    """Fetch missing and damaged files of an asset, and return its folder.
 
-    What was fetched before stays when a file fails, so that the next try goes on there; a file itself starts again.
+    When a file fails, files fetched before it stay, so that the next call resumes there; a file itself starts again.
 
     Args:
-        asset: What to fetch.
-        origin: From where; None: as `GRASP_REFINE_ASSETS` says.
-        accept_license: The person has accepted a licence that restricts use; that is remembered.
-        progress: Hears how far it is.
+        asset: Asset to fetch.
+        origin: Source of the files; None: set by `GRASP_REFINE_ASSETS`.
+        accept_license: The user has accepted a licence that restricts use; this is recorded.
+        progress: Called as files are fetched.
         pause: Seconds before the second attempt at a file.
 
     Raises:
-        AssetError: the licence is not accepted, a source is missing, unreachable or gives other files, or the cache
-            cannot be written to.
+        AssetError: the licence is not accepted, a source is missing, unreachable or provides other files, or the cache
+            is not writable.
     """
     if accept_license:
         accept(asset)
@@ -49,9 +49,9 @@ def fetch_asset(
         states = list(file_states(asset, origin.layout))
     except OSError as error:
         raise AssetError(f"{folder}: cannot be read ({error.strerror or error})") from error
-    lacking = [i for i, state in enumerate(states) if state.state != "ok"]
-    # All of them before the first is fetched: half an asset helps nobody.
-    sources = {i: origin.source(asset, asset.files[i]) for i in lacking}
+    missing = [i for i, state in enumerate(states) if state.state != "ok"]
+    # Checked for all before the first is fetched: half an asset is useless.
+    sources = {i: origin.source(asset, asset.files[i]) for i in missing}
     files = [wanted(file, origin.layout) for file in asset.files]
     sizes = [file.size for file in files]
     total = total_bytes(asset, origin.layout)
@@ -61,12 +61,12 @@ def fetch_asset(
             place, before = files[i].place, done
             progress(place, before, total)
 
-            def tell(count: int, place: str = place, before: int = before) -> None:
+            def on_bytes(count: int, place: str = place, before: int = before) -> None:
                 progress(place, before + count, total)
 
             what, size, sha256 = f"{asset.full_name}, {place}", sizes[i], files[i].sha256
             assert sha256 is not None  # or there is no source
-            download(source, states[i].path, sha256, what=what, size=size, tell=tell, pause=pause)
+            download(source, states[i].path, sha256, what=what, size=size, on_bytes=on_bytes, pause=pause)
             done += states[i].path.stat().st_size if size is None else size
     except BaseException:
         _remove_empty(folder)

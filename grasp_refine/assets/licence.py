@@ -1,4 +1,4 @@
-"""Licences that restrict use, or are not clear: a person accepts them once, by name, before anything is fetched."""
+"""Licences that restrict use, or are unclear: the user accepts them once, by name, before anything is fetched."""
 
 from __future__ import annotations
 
@@ -6,46 +6,46 @@ import json
 from datetime import UTC, datetime
 from pathlib import Path
 
-from grasp_refine.assets.cache import inside
+from grasp_refine.assets.cache import path_inside
 from grasp_refine.assets.manifest import Asset
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import AssetError
 from grasp_refine.geometry.cache import default_cache
 
 RECORD = "accepted.json"
-"""Beside the files of an asset: the words that were accepted, and when."""
+"""Record beside the files of an asset: the accepted wording of its licence, and the time."""
 
 
 def is_accepted(asset: Asset) -> bool:
-    """Whether an asset may be fetched without asking: its licence is open, or was accepted in its present words."""
+    """Return whether an asset may be fetched: its licence is open, or was accepted in its present wording."""
     if asset.terms == "open":
         return True
     try:
-        record = json.loads(inside(_folder(asset), RECORD).read_text(encoding="utf-8"))
+        record = json.loads(path_inside(_folder(asset), RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return False
     return isinstance(record, dict) and record.get("licence") == asset.licence
 
 
 def accept(asset: Asset) -> None:
-    """Remember that the licence of an asset was accepted.
+    """Record that the licence of an asset was accepted.
 
     Raises:
-        AssetError: the cache cannot be written to.
+        AssetError: the cache is not writable.
     """
     if asset.terms == "open":
         return
     record = {"asset": asset.full_name, "licence": asset.licence, "terms": asset.terms}
     record["accepted"] = datetime.now(UTC).isoformat(timespec="seconds")
-    with written_whole(inside(_folder(asset), RECORD), AssetError) as partial:
+    with written_whole(path_inside(_folder(asset), RECORD), AssetError) as partial:
         partial.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
 def check_accepted(asset: Asset) -> None:
-    """Nothing, when the asset may be fetched.
+    """Refuse an asset whose licence is not accepted.
 
     Raises:
-        AssetError: its licence has to be accepted first; says its words and how.
+        AssetError: the licence has to be accepted first; names its wording and the command.
     """
     if not is_accepted(asset):
         what = "restricts use" if asset.terms == "non-commercial" else "is not clear"

@@ -1,4 +1,4 @@
-"""The path of an asset on this machine, fetched when it is not here and may be."""
+"""Local path of an asset, fetched where it is missing and its licence allows it."""
 
 from __future__ import annotations
 
@@ -6,26 +6,30 @@ from collections.abc import Callable
 from pathlib import Path
 
 from grasp_refine.assets.cache import asset_folder, is_whole, main_path
-from grasp_refine.assets.download import PAUSE
+from grasp_refine.assets.download import RETRY_PAUSE_S
 from grasp_refine.assets.fetching import Progress, fetch_asset
 from grasp_refine.assets.manifest import Asset
 from grasp_refine.assets.origin import chosen_origin
 from grasp_refine.core.errors import AssetError
 
 
-def located(
-    asset: Asset, *, fetch: bool = True, progress: Progress = lambda place, done, total: None, pause: float = PAUSE
+def locate_asset(
+    asset: Asset,
+    *,
+    fetch: bool = True,
+    progress: Progress = lambda place, done, total: None,
+    pause: float = RETRY_PAUSE_S,
 ) -> Path:
-    """The main file of an asset, or the folder of a grasp set; all its files are here and checked.
+    """Return the main file of an asset, or the folder of a grasp set; all its files are in the cache and checked.
 
     Args:
-        asset: What to locate.
-        fetch: Fetch what is missing or damaged, when the licence is open or was accepted.
-        progress: Hears how far that is.
+        asset: Asset to locate.
+        fetch: Fetch missing and damaged files, when the licence is open or was accepted.
+        progress: Called as files are fetched.
         pause: Seconds before the second attempt at a file.
 
     Raises:
-        AssetError: it is not here and may not or cannot be fetched; says what to do.
+        AssetError: the asset is not in the cache and may not or cannot be fetched; names the remedy.
     """
     origin = chosen_origin()
     folder = asset_folder(asset, origin.layout)
@@ -41,17 +45,18 @@ def located(
 
 
 def fetched(asset: Asset, say: Callable[[str], None]) -> Path:
-    """As `located`; `say` hears once when something has to be fetched.
+    """Locate an asset as `locate_asset`; calls `say` once with a line when files have to be fetched.
 
     Raises:
-        AssetError: as `located`.
+        AssetError: as in `locate_asset`.
     """
-    told: list[str] = []
+    announced = False
 
-    def tell(place: str, done: int, total: int | None) -> None:
-        if not told:
+    def announce(place: str, done: int, total: int | None) -> None:
+        nonlocal announced
+        if not announced:
             size = "" if total is None else f", {total / 1e6:.1f} MB"
-            told.append(f"fetching {asset.full_name} (licence: {asset.licence}{size}) ...")
-            say(told[0])
+            announced = True
+            say(f"fetching {asset.full_name} (licence: {asset.licence}{size}) ...")
 
-    return located(asset, progress=tell)
+    return locate_asset(asset, progress=announce)

@@ -1,4 +1,4 @@
-"""What `assets_manifest/` says: which hands, objects and grasp sets of others can be fetched, and on what terms."""
+"""Manifests in `assets_manifest/`: third-party hands, objects and grasp sets that can be fetched, and their terms."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from grasp_refine.core.toml_file import UNREADABLE, read_toml
 
 Kind = Literal["hands", "objects", "grasps"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-"""The manifests, one file each."""
+"""Kinds of assets; each has a manifest file."""
 
 Terms = Literal["open", "non-commercial", "unclear"]
 TERMS: tuple[Terms, ...] = get_args(Terms)
-"""Whether a licence restricts use, by its own words."""
+"""Terms of a licence: open, restricted to non-commercial use, or unclear."""
 
-PATHS = ("path", "folder", "place", "mirror")
-"""Keys whose texts are judged as paths."""
+PATH_KEYS = ("path", "folder", "place", "mirror")
+"""Keys whose values are checked as paths."""
 
 _NAME = re.compile(r"[A-Za-z0-9][\w-]*(\.[\w-]+)*", re.ASCII)
 _SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -35,73 +35,73 @@ _FORBIDDEN = re.compile(r"[\\:*?\"<>|\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff
 
 @dataclass(frozen=True)
 class AssetFile:
-    """One file of an asset: what upstream has, and what a mirror has."""
+    """One file of an asset, upstream and in a mirror."""
 
     path: str
-    """Place in the upstream folder, or in the Python package that it comes with."""
+    """Path in the upstream folder, or in the Python package that provides it."""
     package: str | None
     """The Python package, name==version; None: it comes from the asset's repository."""
     sha256: str | None
-    """Hash of upstream's file; None where upstream has it only in a form that cannot be used as it is."""
+    """Hash of upstream's file; None where upstream has it only in a form that cannot be used directly."""
     size: int | None
     """Bytes of upstream's file, where known."""
     place: str
-    """Where upstream's file lies in the asset's folder, so that the files find each other."""
+    """Path of upstream's file in the asset's folder, such that references between files resolve."""
     mirror: str
-    """Place in a mirror."""
+    """Path in a mirror."""
     mirror_place: str
-    """Where the mirror's file lies in the asset's folder."""
+    """Path of the mirror's file in the asset's folder."""
     mirror_sha256: str
     """Hash of the mirror's file."""
     mirror_size: int
     """Bytes of the mirror's file."""
     changed: str
-    """How the mirror's file differs from upstream's; empty: not at all."""
+    """Difference of the mirror's file from upstream's; empty: none."""
 
 
 @dataclass(frozen=True)
 class Asset:
-    """A hand, an object or a grasp set of someone else."""
+    """A third-party hand, object or grasp set."""
 
     kind: Kind
-    """Which manifest it is in."""
+    """Kind of asset, which names its manifest."""
     name: str
     """Unique name among those of its kind; also a folder name."""
     repository: str | None
-    """Where it comes from; None: from a Python package."""
+    """Repository of its files; None: they come from a Python package."""
     commit: str | None
-    """Its state there, 40 digits."""
+    """Commit in the repository, 40 hexadecimal digits."""
     folder: str
     """The upstream folder of its files; empty: the root."""
     files: tuple[AssetFile, ...]
     """All its files."""
     licence: str
-    """SPDX identifier, or what the source says."""
+    """SPDX identifier, or the source's own wording."""
     terms: Terms
-    """Whether the licence restricts use."""
+    """Terms of the licence."""
     citation: str
     """Paper or project to cite."""
     unit: str
     """Unit of the lengths in its files."""
     scale: float
-    """Times a length of the files: metres. Where the source has no unit, the result fits a hand."""
+    """Factor from lengths in the files to metres; chosen to fit a hand where the source has no unit."""
     main: AssetFile | None
-    """What is loaded: a hand's URDF or MJCF, an object's mesh; None of grasps, which are a folder."""
+    """File to load: a hand's URDF or MJCF, an object's mesh; None for grasps, which are a folder."""
     hand: str | None
     """The hand of a grasp set, a name in the manifest of hands."""
     format: str | None
     """The file format of a grasp set."""
     note: str
-    """Anything else worth knowing."""
+    """Further remarks."""
 
     @property
     def full_name(self) -> str:
-        """Kind and name, which no other asset has."""
+        """Unique name: kind/name."""
         return f"{self.kind}/{self.name}"
 
     @property
     def source(self) -> str:
-        """Where it comes from, for people."""
+        """Description of the source, for people."""
         packages = sorted({file.package for file in self.files if file.package is not None})
         if self.repository is None:
             return f"Python package {', '.join(packages)}"
@@ -110,10 +110,10 @@ class Asset:
 
 
 def read_manifest(kind: Kind, folder: Path | None = None) -> dict[str, Asset]:
-    """The assets of a kind by name; `folder` holds the manifests, by default those that come with the program.
+    """Return the assets of a kind by name; `folder` holds the manifests, by default those of the program.
 
     Raises:
-        AssetError: the file is missing or malformed, or an entry in it is, or names a path that leaves its folder.
+        AssetError: the file or an entry is missing or malformed, or names a path that leaves its folder.
     """
     return _read(kind, resource_dir("assets_manifest") if folder is None else folder)
 
@@ -129,7 +129,7 @@ def _read(kind: Kind, folder: Path) -> dict[str, Asset]:
 
 
 class _Entry:
-    """An entry of a manifest, or a file of one: its values, checked when they are asked for."""
+    """An entry of a manifest, or a file of one; its values are checked when they are read."""
 
     def __init__(self, values: Mapping[str, Any], where: str) -> None:
         self.values, self.where = values, where
@@ -139,15 +139,15 @@ class _Entry:
         if not (isinstance(value, str) and value) or (form is not None and not form.fullmatch(value)):
             needed = "a text" if form is None else f"like {form.pattern}"
             raise self.wrong(key, needed)
-        if form is None and key not in PATHS and not is_valid(value):
-            raise self.wrong(key, "a text of letters that a terminal only shows")
+        if form is None and key not in PATH_KEYS and not is_valid(value):
+            raise self.wrong(key, "a text of printable characters")
         return value
 
     def optional(self, key: str, form: re.Pattern[str] | None = None) -> str | None:
         return self.text(key, form) if key in self.values else None
 
     def relative(self, key: str, default: str | None = None) -> str:
-        """A path that stays in its folder."""
+        """Return a path that stays in its folder."""
         if default is not None and key not in self.values:
             return default
         value = self.text(key)
@@ -169,7 +169,7 @@ class _Entry:
 def _asset(kind: Kind, name: str, values: Any, path: Path) -> Asset:
     where = f"{path}: {kind}/{name}"
     if not _NAME.fullmatch(name):
-        raise AssetError(f"{where}: a name must be letters, digits, '_', '-' and single '.'")
+        raise AssetError(f"{where}: a name must consist of letters, digits, '_', '-' and single '.'")
     if not isinstance(values, dict):
         raise AssetError(f"{where}: must be a table [{name}]")
     entry = _Entry(values, where)
@@ -217,32 +217,32 @@ def _files(entry: _Entry, kind: Kind, name: str) -> tuple[AssetFile, ...]:
     else:
         raise AssetError(f"{entry.where}: files must be a list of tables that is not empty")
     for places in ([file.place for file in files], [file.mirror_place for file in files]):
-        # Also whatever the case: a folder on Windows or macOS does not tell the two apart.
+        # Case does not count: folders on Windows and macOS ignore it.
         twice = next((place for i, place in enumerate(places) if place.lower() in map(str.lower, places[:i])), None)
         if twice is not None:
-            raise AssetError(f"{entry.where}: two files are to lie at '{twice}'")
+            raise AssetError(f"{entry.where}: two files have the same path '{twice}'")
     return files
 
 
 def _file(file: _Entry, entry: _Entry) -> AssetFile:
     path = file.relative("path")
     place, mirror_place = file.relative("place", path), file.relative("mirror", path)
-    return _described(file, entry, path, place, mirror_place, f"{entry.relative('mirror')}/{mirror_place}")
+    return _asset_file(file, entry, path, place, mirror_place, f"{entry.relative('mirror')}/{mirror_place}")
 
 
 def _object_file(entry: _Entry, name: str) -> AssetFile:
-    """The one file of an object, which is called like the object wherever it comes from."""
+    """Return the single file of an object, named after the object whatever its origin."""
     path, mirror = entry.relative("path"), entry.relative("mirror")
     place, mirror_place = (name + PurePosixPath(file).suffix.lower() for file in (path, mirror))
-    return _described(entry, entry, path, place, mirror_place, mirror)
+    return _asset_file(entry, entry, path, place, mirror_place, mirror)
 
 
-def _described(file: _Entry, entry: _Entry, path: str, place: str, mirror_place: str, mirror: str) -> AssetFile:
+def _asset_file(file: _Entry, entry: _Entry, path: str, place: str, mirror_place: str, mirror: str) -> AssetFile:
     sha256 = file.optional("sha256", _SHA256)
     size = file.size("bytes") if "bytes" in file.values else None
     changed = file.optional("changed") or ""
     if not changed and (sha256 is None or size is None):
-        raise AssetError(f"{file.where}: needs sha256 and bytes, or says in `changed` how the mirror's copy differs")
+        raise AssetError(f"{file.where}: needs sha256 and bytes, or `changed`, the difference of the mirror's copy")
     return AssetFile(
         path=path,
         package=file.optional("package", _PACKAGE) or entry.optional("package", _PACKAGE),

@@ -1,4 +1,4 @@
-"""Whether what lies in the cache of assets is still what the manifests say."""
+"""Verification of cached assets against the manifests."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ State = Literal["whole", "incomplete", "damaged"]
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was found of an asset from one origin in the cache."""
+    """State of an asset from one origin in the cache."""
 
     asset: Asset
     """The asset."""
     layout: Layout
-    """Where its files came from."""
+    """Origin of its files."""
     folder: Path
-    """Where they lie."""
+    """Folder of its files."""
     state: State
-    """Whole; incomplete: some files were never fetched; damaged: some are not what the manifest says."""
+    """Whole; incomplete: some files are missing; damaged: some have other hashes than the manifest."""
     files: int
-    """How many files it has in all."""
+    """Number of files of the asset."""
     missing: tuple[str, ...]
-    """Files that are not there."""
+    """Files that are missing."""
     damaged: tuple[str, ...]
     """Files with another hash."""
     reason: str
-    """What keeps it from being read at all; empty: nothing."""
+    """Error that prevents reading it; empty: none."""
 
 
 def verify(assets: Iterable[Asset]) -> Iterator[Verdict]:
-    """A verdict for each origin from which an asset is in the cache, however little of it; all hashes are computed."""
+    """Yield a verdict for each asset and origin with any file in the cache; all hashes are computed."""
     for asset in assets:
         for layout in LAYOUTS:
             folder = asset_folder(asset, layout)

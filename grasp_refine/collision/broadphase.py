@@ -1,14 +1,14 @@
-"""The broad phase: signed lower bounds that tell which piece pairs can be the closest of a body pair.
+"""The broad phase: signed lower bounds that select the piece pairs that can be the closest of a body pair.
 
-For convex sets inside balls (c, r) and for every unit direction u the signed distance d (negative: minus the
+For convex sets inside spheres (c, r) and for every unit direction u the signed distance d (negative: minus the
 penetration depth) obeys
 
-    d >= |c_b - c_a| - r_a - r_b            (translating along c_b - c_a separates the balls), and
+    d >= |c_b - c_a| - r_a - r_b            (translating along c_b - c_a separates the spheres), and
     d >= min_b u . y - max_a u . x          (d is the largest such gap over all u),
 
-apart and in penetration alike. So a piece pair whose bound is not below the distance of another can never win.
-The first bound is one matrix product for all piece pairs of two bodies; the second is taken with oriented boxes
-along seven directions, for the few pairs that all else leaves (see `search`).
+separated and in penetration alike. So a piece pair whose bound is not below the distance of another is never the
+closest. The first bound is one matrix product for all piece pairs of two bodies; the second uses oriented boxes
+along seven directions, for the few pairs that remain (see `search`).
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from grasp_refine.geometry.pieces import Piece
 
 @dataclass(frozen=True, eq=False)
 class BoundingSpheres:
-    """The bounding balls of K pieces of each of some bodies, in the frames of these."""
+    """Bounding spheres of K pieces of each body, in the frames of the bodies."""
 
     center: np.ndarray
     """Centres (..., K, 3) in metres."""
@@ -31,16 +31,16 @@ class BoundingSpheres:
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Bounding balls and oriented boxes of K convex pieces, in the frame of their body; pieces are the last axis."""
+    """Bounding spheres and oriented boxes of K convex pieces, in the frame of their body; pieces are the last axis."""
 
     center: np.ndarray
-    """Centres (3, K) of balls and boxes, in metres."""
+    """Centres (3, K) of spheres and boxes, in metres."""
     radius: np.ndarray
-    """Radii (K,) of the balls."""
+    """Radii (K,) of the spheres, in metres."""
     axes: np.ndarray
     """Unit axes of the boxes (3, 3, K), one a row."""
     half: np.ndarray
-    """Half side lengths of the boxes (3, K)."""
+    """Half side lengths of the boxes (3, K), in metres."""
 
     def take(self, index: np.ndarray) -> "Bounds":
         """The bounds of the pieces `index`, in any shape."""
@@ -48,12 +48,12 @@ class Bounds:
 
     @property
     def bounding_spheres(self) -> BoundingSpheres:
-        """The balls alone."""
+        """The spheres only."""
         return BoundingSpheres(np.moveaxis(self.center, 0, -1), self.radius)
 
 
 def bounds_of(pieces: Sequence[Piece]) -> Bounds:
-    """Bounding balls and boxes of convex pieces; boxes are aligned with the pieces' principal axes."""
+    """Return bounding spheres and boxes of convex pieces; boxes are aligned with the pieces' principal axes."""
     centers, radii, axes, halves = [], [], [], []
     for piece in pieces:
         centered = piece.vertices - piece.vertices.mean(axis=0)
@@ -69,9 +69,9 @@ def bounds_of(pieces: Sequence[Piece]) -> Bounds:
 
 
 def sphere_bound(a: BoundingSpheres, b: BoundingSpheres, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lower bounds (..., K_a, K_b) of the signed distance of all piece pairs from their balls, and the likeliest.
+    """Lower bounds (..., K_a, K_b) of the signed distance of all piece pairs by their spheres, and the likeliest.
 
-    The likeliest piece pair (...), an index into the K_a K_b of them, is the closest one with balls of half the
+    The likeliest piece pair (...), an index into the K_a K_b pairs, is the closest one with spheres of half the
     size: pieces seldom fill theirs.
 
     Args:
@@ -97,7 +97,7 @@ def sphere_bound(a: BoundingSpheres, b: BoundingSpheres, R: np.ndarray, t: np.nd
 def box_bound(a: Bounds, b: Bounds, R: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Lower bounds (N,) of the signed distance of N piece pairs: the largest gap of their oriented boxes.
 
-    Directions tried: the three axes of either box and the line between the centres.
+    Directions: the three axes of either box and the line between the centres.
 
     Args:
         a: First pieces (N,).
@@ -114,6 +114,6 @@ def box_bound(a: Bounds, b: Bounds, R: np.ndarray, t: np.ndarray) -> np.ndarray:
     along_b = offset_b - b.half - np.einsum("ijn,in->jn", cosines, a.half)
     length = np.sqrt((offset * offset).sum(axis=0))
     reach = (offset_a * a.half).sum(axis=0) + (offset_b * b.half).sum(axis=0)
-    # Boxes with one centre have no such line.
+    # Concentric boxes have no such line.
     along_line = np.where(length > 0, length - reach / np.maximum(length, np.finfo(np.float64).tiny), -np.inf)
     return np.maximum(np.maximum(along_a.max(axis=0), along_b.max(axis=0)), along_line)

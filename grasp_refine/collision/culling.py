@@ -1,4 +1,4 @@
-"""Queries in the loop of a solver: what is surely apart is not asked, and not asked again before it can have met."""
+"""Queries in the loop of a solver: certainly separated pairs are skipped until their motion could bring contact."""
 
 from dataclasses import fields
 
@@ -17,14 +17,14 @@ def query_near(
     cutoff: np.ndarray,
     previous: Witness | None,
 ) -> Witness:
-    """The answers (M, P) of the pairs that may penetrate, or have no cutoff; the others are FAR, at their bounds.
+    """Query the pairs (M, P) that may penetrate, or have no cutoff; the others are FAR, at their bounds.
 
     Args:
         pairs: The P pairs.
         bound: Lower bounds (M, P) of the signed distances; NaN where a pose is not finite.
         T_a: Poses (M, P, 4, 4) of the first bodies.
-        T_b: Those of the second bodies.
-        cutoff: How far apart (M, P) pairs may be to be worth an answer.
+        T_b: Poses of the second bodies.
+        cutoff: Largest distances (M, P) in metres of interest.
         previous: The last answers.
     """
     M, P = bound.shape
@@ -46,29 +46,30 @@ def query_near(
 
 
 def nothing_near(bound: np.ndarray) -> Witness:
-    """Pairs (M, P) that were not asked, because they are farther apart than their bounds."""
-    (point_a, point_b, normal), (winner, asked) = np.zeros((3, *bound.shape, 3)), np.zeros((2, *bound.shape), np.int64)
+    """Return the FAR answers of pairs (M, P) that are not queried, with their lower bounds as distances."""
+    point_a, point_b, normal = np.zeros((3, *bound.shape, 3))
+    winner, num_queries = np.zeros((2, *bound.shape), np.int64)
     status = np.full(bound.shape, QueryStatus.FAR, dtype=np.int8)
-    return Witness(point_a, point_b, normal, bound.copy(), status, winner - 1, asked)
+    return Witness(point_a, point_b, normal, bound.copy(), status, winner - 1, num_queries)
 
 
 def bounding_sphere(body: Body) -> np.ndarray:
-    """Centre and radius (4,) of a ball around all pieces of a body, in its frame."""
+    """Centre and radius (4,) in metres of a bounding sphere of all pieces of a body, in its frame."""
     center = 0.5 * (body.centers.min(axis=0) + body.centers.max(axis=0))
     radius = (np.linalg.norm(body.centers - center, axis=1) + body.radii).max()
     return np.append(center, radius)
 
 
-def motion(balls: np.ndarray, T_before: np.ndarray, T_now: np.ndarray) -> np.ndarray:
-    """How far (M, L) any point of each of L bodies moved at most, in metres.
+def motion(spheres: np.ndarray, T_before: np.ndarray, T_now: np.ndarray) -> np.ndarray:
+    """Upper bounds (M, L) of the displacement of any point of each of L bodies, in metres.
 
     Args:
-        balls: Their bounding balls (L, 4).
+        spheres: Their bounding spheres (L, 4).
         T_before: Poses (M, L, 4, 4).
         T_now: Later ones.
     """
-    moved = transform_points(T_now, balls[:, :3]) - transform_points(T_before, balls[:, :3])
+    moved = transform_points(T_now, spheres[:, :3]) - transform_points(T_before, spheres[:, :3])
     turned = (T_now - T_before)[..., :3, :3]
-    # A turn by theta moves a point at distance r by 2 r sin(theta / 2), and |R - R'| is sqrt(8) sin(theta / 2).
+    # A rotation by theta moves a point at distance r by 2 r sin(theta / 2), and |R - R'| is sqrt(8) sin(theta / 2).
     chord = np.sqrt(0.5 * (turned * turned).sum(axis=(-1, -2)))
-    return np.sqrt((moved * moved).sum(axis=-1)) + balls[:, 3] * chord
+    return np.sqrt((moved * moved).sum(axis=-1)) + spheres[:, 3] * chord

@@ -1,17 +1,17 @@
-"""The narrow phase: closest or deepest points of convex pieces, asked from coal (GJK and EPA).
+"""The narrow phase: closest or deepest points of convex pieces, from coal (GJK and EPA).
 
-With `certified_distance`, the only file that imports coal; `native/narrow_phase.h` is the same in C++. What both guard
-against (measured with coal 3.0.3):
+With `certified_distance`, the only file that imports coal; `native/narrow_phase.h` is the same in C++. Both guard
+against these traps (measured with coal 3.0.3):
 
 - `ComputeDistance` does not keep its geometries alive, so this object does.
 - `DistanceResult.normal` is a view into the reused result; it is copied before the next query.
-- EPA at tight tolerances sometimes ends with a wild number: an answer that is not finite or lies below the
-  signed bounding-sphere bound is asked again with a looser tolerance, and reported as failed if that fails too.
+- EPA at tight tolerances sometimes returns an absurd number: a query whose answer is not finite or lies below the
+  signed bounding-sphere bound is repeated with a looser tolerance, and reported as failed if that fails too.
 - More than 255 neighbours at a vertex raise, and tolerances suit bodies of one size only (see `shapes`).
-- Answers that are not proven are mended (see `certified_distance`).
-- A query object looks for support points where its last query found some, so that an answer depends on what was
-  asked before, by millimetres where witness points are not unique. Only a request with cached guesses says where
-  to begin, so every request has them; the query writes its own over them, so they are set before each one.
+- Answers that are not certified are resolved (see `certified_distance`).
+- A query object searches for support points where its last query found some, so that an answer depends on earlier
+  queries, by millimetres where witness points are not unique. Only a request with cached guesses sets the start, so
+  every request has them; the query overwrites them with its own, so they are set before each one.
 """
 
 from collections.abc import Sequence
@@ -27,26 +27,26 @@ from grasp_refine.geometry.pieces import Piece
 
 
 def coal_version() -> str:
-    """The version of coal's library, as it says itself."""
+    """Version of coal's library, as it reports itself."""
     return getattr(coal, "__version__", "of an unknown version")
 
 
 @dataclass(frozen=True, eq=False)
 class Closest:
-    """What the narrow phase found for M items, in the frame of each item's body a."""
+    """Closest piece pairs of M items, in the frame of each item's body a."""
 
     distance: np.ndarray
-    """Signed distance (M,) in metres; infinite where no piece pair beat the given limit."""
+    """Signed distance (M,) in metres; infinite where no piece pair is below the limit."""
     point: np.ndarray
-    """Witness point (M, 3) on body a."""
+    """Witness point (M, 3) on body a, in metres."""
     normal: np.ndarray
     """Unit normal (M, 3), from body a to body b."""
     winner: np.ndarray
-    """The piece pair (M,) that is closest; -1 where none was found."""
+    """Index (M,) of the closest piece pair; -1 where none was found."""
     num_queries: np.ndarray
-    """Number of queries (M,) that were asked."""
+    """Number of queries (M,)."""
     failed: np.ndarray
-    """Items (M,) for which at least one query could not be answered, so that the minimum is not certain."""
+    """Mask (M,) of items with a query that could not be answered, so that the minimum is not certain."""
 
 
 class NarrowPhase:
@@ -54,10 +54,10 @@ class NarrowPhase:
 
     def __init__(self, pieces_a: Sequence[Piece], pieces_b: Sequence[Piece], tolerances: Tolerances) -> None:
         """Prepare the pairs (pieces_a[k], pieces_b[k]), k = 0 .. K - 1."""
-        # The pieces keep their shapes alive.
+        # The pieces keep coal's shapes alive.
         self._keep_alive = (tuple(pieces_a), tuple(pieces_b))
         self._pairs = [_piece_pair(a, b) for a, b in zip(pieces_a, pieces_b, strict=True)]
-        self._asker = CertifiedQuery(tolerances)
+        self._query = CertifiedQuery(tolerances)
 
     @stage("narrow phase")
     def closest(
@@ -71,27 +71,27 @@ class NarrowPhase:
         guess: np.ndarray | None = None,
         guess_valid: np.ndarray | None = None,
     ) -> Closest:
-        """The closest piece pair of each item, asking no pair whose lower bound cannot beat the best so far.
+        """Return the closest piece pair of each item; pairs whose lower bounds exceed the best so far are not queried.
 
         Args:
             R: Rotation (M, 3, 3) of body b in the frame of body a.
-            t: Its origin (M, 3).
-            starts: Item i may ask the entries starts[i] .. starts[i + 1] of `pair` and `bound`.
+            t: Its origin (M, 3), in metres.
+            starts: Item i may query the entries starts[i] .. starts[i + 1] of `pair` and `bound`.
             pair: Piece pairs, for each item in ascending order of `bound`.
-            bound: Lower bound of the signed distance of each entry.
-            limit: Signed distance (M,) that an answer has to beat.
-            guess: Last seen x_a - x_b in the frame of a (M, 3): a warm start for GJK.
-            guess_valid: Items (M,) whose guess is used (they were last seen apart).
+            bound: Lower bound of the signed distance of each entry, in metres.
+            limit: Signed distance (M,) in metres that an answer has to be below.
+            guess: Last known x_a - x_b in the frame of a (M, 3): a warm start for GJK.
+            guess_valid: Mask (M,) of items whose guess is used (they were separated).
 
         Returns:
-            The minimum over the listed pieces of each item.
+            The minimum over the listed piece pairs of each item.
         """
         count = len(R)
         distance = np.full(count, np.inf)
         point, normal = np.zeros((count, 3)), np.zeros((count, 3))
-        winner, asked = np.full(count, -1), np.zeros(count, dtype=np.int64)
+        winner, num_queries = np.full(count, -1), np.zeros(count, dtype=np.int64)
         failed = np.zeros(count, dtype=bool)
-        asker = self._asker
+        query = self._query
         start_list, pair_list, bound_list, limit_list = (
             starts.tolist(),
             pair.tolist(),
@@ -109,52 +109,54 @@ class NarrowPhase:
                 if bound_list[j] >= best:
                     stop = j
                     break
-                asked_pair = self._pairs[pair_list[j]]
-                unit = asked_pair.unit
+                piece_pair = self._pairs[pair_list[j]]
+                unit = piece_pair.unit
                 guess_j = None if guess_i is None else guess_i / unit
-                d = unit * asker.distance(asked_pair, R_i, t_i / unit, bound_list[j] / unit, guess_j)
+                d = unit * query.distance(piece_pair, R_i, t_i / unit, bound_list[j] / unit, guess_j)
                 if d != d:
                     failed[i] = True
                 elif d < best:
                     best = d
                     distance[i] = d
-                    point[i] = unit * asker.point
-                    normal[i] = asker.normal
+                    point[i] = unit * query.point
+                    normal[i] = query.normal
                     winner[i] = pair_list[j]
-            asked[i] = stop - first
-        return Closest(distance, point, normal, winner, asked, failed)
+            num_queries[i] = stop - first
+        return Closest(distance, point, normal, winner, num_queries, failed)
 
 
 @dataclass(frozen=True, eq=False)
-class _Shaped:
-    """A piece in a unit of length."""
+class _ScaledPiece:
+    """A piece in a unit of length, for coal."""
 
     geometry: coal.CollisionGeometry
+    """Shape of coal, in the unit."""
     placement: coal.Transform3s | None
-    """In the frame of the body; None: that frame itself."""
+    """Pose of the shape in the frame of the body; None: identity."""
     core: Core
+    """The piece, in the unit."""
 
 
 def _piece_pair(a: Piece, b: Piece) -> PiecePair:
     unit = unit_of(a, b)
-    first, second = _shaped(a, unit), _shaped(b, unit)
+    first, second = _scaled_piece(a, unit), _scaled_piece(b, unit)
     compute = coal.ComputeDistance(first.geometry, second.geometry)
     T_a = coal.Transform3s() if first.placement is None else first.placement
     return PiecePair(compute, T_a, second.placement, first.core, second.core, unit)
 
 
-def _shaped(piece: Piece, unit: float) -> _Shaped:
-    """The piece as coal sees it, built once for each unit."""
+def _scaled_piece(piece: Piece, unit: float) -> _ScaledPiece:
+    """Piece with its coal shape, built once for each unit."""
     built = piece.derived.setdefault("coal", {})
     if unit not in built:
         scaled = piece.scaled(1.0 / unit)
         core = Core(np.ascontiguousarray(scaled.vertices.T, dtype=np.float64), scaled.radius)
-        built[unit] = _Shaped(*build_shape(scaled, _Factory), core)
+        built[unit] = _ScaledPiece(*build_shape(scaled, _Factory), core)
     return built[unit]
 
 
 class _Factory:
-    """Shapes of coal with their placements."""
+    """Factory of coal's shapes with their placements."""
 
     @staticmethod
     def sphere(radius: float, center: np.ndarray) -> tuple[coal.CollisionGeometry, coal.Transform3s | None]:

@@ -1,6 +1,6 @@
-"""The compiled engine: the narrow phase and the whole search in C++ (see `native/`), behind the same calls.
+"""The compiled engine: the narrow phase and the whole search in C++ (see `native/`), with the same interface.
 
-It gives what the Python engine gives, to rounding, whatever the number of threads. The GIL is free meanwhile.
+Its answers equal those of the Python engine up to rounding, for any number of threads. It releases the GIL.
 """
 
 import hashlib
@@ -27,21 +27,21 @@ from grasp_refine.collision import _native  # type: ignore[attr-defined]  # comp
 _SOURCES = Path(__file__).with_name("native")
 
 _ITEMS_PER_THREAD = 512
-"""Fewer, about 2 ms of work, are not worth a thread, which also waits for more work for some milliseconds."""
+"""Fewest items for another thread: about 2 ms of work; a thread also waits some milliseconds for more work."""
 
 
 def built_for() -> str:
-    """The version of coal that the engine was built for."""
+    """Version of coal that the engine was built for."""
     return _native.coal_version
 
 
 def has_threads() -> bool:
-    """Whether the engine was built with OpenMP; without it, it works with one thread."""
+    """Return whether the engine was built with OpenMP; without it, it uses one thread."""
     return _native.openmp
 
 
 def mismatch() -> str:
-    """Why the engine must not be used; empty: it may."""
+    """Reason why the engine must not be used; empty: it may."""
     built, here = built_for(), coal_version()
     if here != built:
         return (
@@ -49,12 +49,12 @@ def mismatch() -> str:
             "again with --no-build-isolation"
         )
     if sources() not in (None, getattr(_native, "sources", None)):
-        return "built from other sources than those that are here: install grasp-refine again"
+        return "built from other sources than the present ones: install grasp-refine again"
     return ""
 
 
 def sources(folder: Path = _SOURCES) -> str | None:
-    """A hash of the engine's sources as `native/CMakeLists.txt` makes it; None: they are not here, as in a wheel."""
+    """Hash of the engine's sources as in `native/CMakeLists.txt`; None: there are no sources, as in a wheel."""
     files = sorted([*folder.glob("*.cpp"), *folder.glob("*.h")])
     hashes = "".join(hashlib.sha256(file.read_bytes()).hexdigest() for file in files)
     return hashlib.sha256(hashes.encode()).hexdigest() if files else None
@@ -81,10 +81,10 @@ class NativeNarrowPhase:
         guess: np.ndarray | None = None,
         guess_valid: np.ndarray | None = None,
     ) -> Closest:
-        """The closest piece pair of each item; arguments and answer as in `narrowphase.NarrowPhase.closest`."""
+        """Return the closest piece pair of each item, as in `narrowphase.NarrowPhase.closest`."""
         M = len(R)
-        winner, asked = np.empty((2, M), np.int64)
-        found = Closest(np.empty(M), np.empty((M, 3)), np.empty((M, 3)), winner, asked, np.empty(M, bool))
+        winner, num_queries = np.empty((2, M), np.int64)
+        found = Closest(np.empty(M), np.empty((M, 3)), np.empty((M, 3)), winner, num_queries, np.empty(M, bool))
         self.compiled.closest(
             R, t, starts, pair, bound, limit, guess, guess_valid,
             found.distance, found.point, found.normal, found.winner, found.num_queries, found.failed,
@@ -96,14 +96,14 @@ class NativeSearch:
     """The search among the piece pairs of P body pairs, compiled."""
 
     def __init__(self, table: PieceTable, narrow_phase: NativeNarrowPhase) -> None:
-        """Prepare the pairs of a table."""
+        """Prepare the piece pairs of a table."""
         self._narrow_phase = narrow_phase.compiled
         self._compiled = _native.Search(
             narrow_phase.compiled, _side(table.a), _side(table.b), np.ascontiguousarray(table.id[:, 0])
         )
 
     @stage("narrow phase")
-    def ask(
+    def query(
         self,
         pair: np.ndarray | None,
         T_a: np.ndarray,
@@ -112,15 +112,15 @@ class NativeSearch:
         previous: tuple[np.ndarray, ...] | None,
         threads: int | None = None,
     ) -> tuple[np.ndarray, ...]:
-        """The fields of a `query.Witness`, in its order and in the shape of `limit`, for M items in all.
+        """Return the fields of a `query.Witness`, in its order and in the shape of `limit`, for M items in all.
 
         Args:
-            pair: The body pair of each item (M,); None: all P of them, over and over.
+            pair: The body pair of each item (M,); None: all P pairs, repeated.
             T_a: Poses (M, 4, 4) of the first bodies in the world.
-            T_b: Those of the second bodies.
-            limit: Signed distance that an answer has to beat.
+            T_b: Poses of the second bodies.
+            limit: Signed distance in metres that an answer has to be below.
             previous: The winners, points on a, points on b and statuses of the last answer.
-            threads: How many; by default `OMP_NUM_THREADS`, or one a core, fewer where there is little to do.
+            threads: Number of threads; by default `OMP_NUM_THREADS`, or one a core, fewer for few items.
         """
         shape = limit.shape
         points = np.empty((3, *shape, 3))
@@ -139,16 +139,16 @@ class NativeSearch:
         previous: tuple[np.ndarray, ...] | None,
         threads: int | None = None,
     ) -> Callable[[], np.ndarray]:
-        """What asks the piece pairs that `ask` would, and does nothing else: a yardstick for benchmarks.
+        """Return a function that only makes the narrow-phase queries of `query`: a lower bound for benchmarks.
 
-        The call returns all distances (N,), item after item.
+        It returns all distances (N,), item after item.
         """
-        asked = np.array(
+        queries = np.array(
             self._compiled.trace(pair, T_a, T_b, limit, *(previous or (None,) * 4)), dtype=np.int64
         ).reshape(-1, 2)
-        # Stage by stage as in `ask`: items with the same pieces follow each other, and only first queries are warm.
-        asked = asked[np.argsort(pair[asked[:, 0]], kind="stable")]
-        item, piece_pair = np.ascontiguousarray(asked.T)
+        # As in `query`: items with the same pieces follow each other, and only first queries are warm-started.
+        queries = queries[np.argsort(pair[queries[:, 0]], kind="stable")]
+        item, piece_pair = np.ascontiguousarray(queries.T)
         R, t = relative(T_a, T_b)
         guess, valid = np.zeros((len(item), 3)), np.zeros(len(item), dtype=bool)
         if previous is not None:
@@ -165,7 +165,7 @@ class NativeSearch:
 
 
 def _shape_of(piece: Piece, unit: float) -> "_native.Shape":
-    """The shape of a piece in a unit of length, built once."""
+    """Shape of a piece in a unit of length, built once."""
     shapes = piece.derived.setdefault("native", {})
     if unit not in shapes:
         scaled = piece.scaled(1.0 / unit)
@@ -184,12 +184,12 @@ def _side(side: Side) -> "_native.Side":
 
 
 def _threads(items: int) -> int:
-    """How many threads these items are worth."""
+    """Number of threads for a number of items."""
     return max(1, min(items // _ITEMS_PER_THREAD, _available()))
 
 
 @cache
 def _available() -> int:
-    """The threads that we may use."""
-    told = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0]
-    return int(told) if told.isdecimal() and int(told) > 0 else usable_cores()
+    """Number of threads that this process may use."""
+    value = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0]
+    return int(value) if value.isdecimal() and int(value) > 0 else usable_cores()

@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 
 
 class QueryStatus(IntEnum):
-    """What a query found out about a body pair."""
+    """Result of a query of a body pair."""
 
     SEPARATED = 0
-    """The bodies are apart; the witness points are the closest ones."""
+    """The bodies are separated; the witness points are the closest ones."""
     PENETRATING = 1
     """The bodies touch or overlap; the witness points are the deepest ones."""
     FAR = 2
-    """Not asked: the bodies are at least the cutoff apart; `distance` is that bound, there are no points."""
+    """Not queried: the bodies are at least the cutoff apart; `distance` is that bound, there are no points."""
     FAILED = 3
-    """The narrow phase gave no usable answer at any tolerance."""
+    """The narrow phase found no usable answer at any tolerance."""
     NOT_FINITE = 4
     """A pose is NaN or infinite."""
 
@@ -44,23 +44,23 @@ class QueryStatus(IntEnum):
 class Witness:
     """Witness points of a batch of body pairs; NumPy arrays or torch tensors, shapes (batch, pair, ...).
 
-    Where `valid` is false the points and the normal are zero and mean nothing.
+    Where `valid` is false, the points and the normal are zero and have no meaning.
     """
 
     point_a: Any
     """Closest or deepest point on body a (batch, pair, 3), world frame, metres."""
     point_b: Any
-    """The same on body b."""
+    """Closest or deepest point on body b (batch, pair, 3), world frame, metres."""
     normal: Any
     """Unit normal (batch, pair, 3) from body a to body b, world frame."""
     distance: Any
-    """Signed distance n . (x_b - x_a) (batch, pair) in metres; negative when penetrating."""
+    """Signed distance n . (x_b - x_a) (batch, pair) in metres; negative in penetration."""
     status: Any
     """A `QueryStatus` for each pair (batch, pair)."""
     winner: Any
-    """The piece pair that is closest (batch, pair), an index into the table of the pairs; -1 without points."""
+    """Closest piece pair (batch, pair), an index into the table of the pairs; -1 without points."""
     num_queries: np.ndarray
-    """Number of narrow-phase queries that each pair took (batch, pair)."""
+    """Number of narrow-phase queries of each pair (batch, pair)."""
 
     def __repr__(self) -> str:
         known = tallied(QueryStatus(int(status)).name.lower().replace("_", " ") for status in self.status.reshape(-1))
@@ -69,15 +69,15 @@ class Witness:
 
     @property
     def valid(self) -> Any:
-        """Mask (batch, pair): the pair has witness points."""
+        """Mask (batch, pair) of the pairs that have witness points."""
         return self.status <= QueryStatus.PENETRATING
 
     def pairs(self, index: Any) -> "Witness":
-        """The columns `index` of the pair axis."""
+        """Return the columns `index` of the pair axis."""
         return Witness(*(getattr(self, field.name)[:, index] for field in fields(self)))
 
     def detached(self) -> "Witness":
-        """The same as NumPy arrays in double precision, without a graph."""
+        """Return the witness as NumPy arrays in double precision, without a graph."""
 
         def array(value: Any) -> np.ndarray:
             return value if isinstance(value, np.ndarray) else value.detach().double().cpu().numpy()
@@ -85,11 +85,11 @@ class Witness:
         return Witness(*(array(getattr(self, field.name)) for field in fields(self)))
 
     def rows(self, index: Any) -> "Witness":
-        """The rows `index` of the batch axis."""
+        """Return the rows `index` of the batch axis."""
         return Witness(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def reshape(self, *shape: int) -> "Witness":
-        """The same with other leading dimensions."""
+        """Return the witness with other leading dimensions."""
         lead = self.distance.ndim
 
         def reshaped(value: Any) -> Any:
@@ -100,26 +100,26 @@ class Witness:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """P body pairs (a[p], b[p]) that are asked together; built once, then only poses change."""
+    """P body pairs (a[p], b[p]) that are queried together; built once, then only poses change."""
 
     a: tuple[Body, ...]
     """First body of each pair; normals point away from it."""
     b: tuple[Body, ...]
     """Second body of each pair."""
     tolerances: Tolerances = Tolerances()
-    """Of the narrow phase."""
+    """Tolerances of the narrow phase."""
     engine: Engine = "auto"
-    """Who answers (see `collision.engine`)."""
+    """Engine of the queries (see `collision.engine`)."""
 
     def __repr__(self) -> str:
         names = [f"{a.name} - {b.name}" for a, b in zip(self.a[:3], self.b[:3], strict=True)]
         return f"Pairs({len(self)}: {', '.join(names)}{', ...' if len(self) > 3 else ''})"
 
     def __post_init__(self) -> None:
-        """Check what is given; lists become tuples.
+        """Check the fields; lists become tuples.
 
         Raises:
-            CollisionError: other things than bodies, or not equally many on both sides.
+            CollisionError: not bodies, or different numbers of them on the two sides.
         """
         for name in ("a", "b"):
             bodies = getattr(self, name)
@@ -140,7 +140,7 @@ class Pairs:
 
     @staticmethod
     def against(bodies: Sequence[Body], other: Body) -> "Pairs":
-        """Every one of `bodies` against one `other` body."""
+        """Return the pairs of each of `bodies` with one `other` body."""
         return Pairs(tuple(bodies), (other,) * len(bodies))
 
     def __len__(self) -> int:
@@ -152,12 +152,12 @@ class Pairs:
         return PieceTable.of(self.a, self.b)
 
     def take(self, index: np.ndarray) -> "Pairs":
-        """Some of the pairs."""
+        """Return the pairs `index`."""
         return Pairs(tuple(self.a[p] for p in index), tuple(self.b[p] for p in index), self.tolerances, self.engine)
 
     @property
     def piece_pairs(self) -> tuple[list[Piece], list[Piece]]:
-        """The pieces of both sides of every piece pair, which `Witness.winner` indexes."""
+        """Pieces of both sides of every piece pair, indexed by `Witness.winner`."""
         return self._table.pieces_a, self._table.pieces_b
 
     @property
@@ -168,7 +168,7 @@ class Pairs:
     @cached_property
     @stage("loading")
     def narrow_phase(self) -> "NarrowPhase | NativeNarrowPhase":
-        """The narrow phase over all piece pairs of all body pairs."""
+        """Narrow phase of all piece pairs of all body pairs."""
         table = self._table
         if chosen(self.engine) == "python":
             return NarrowPhase(table.pieces_a, table.pieces_b, self.tolerances)
@@ -179,7 +179,7 @@ class Pairs:
     @cached_property
     @stage("loading")
     def native(self) -> "NativeSearch | None":
-        """The compiled search, where it is the engine."""
+        """Compiled search; None for the Python engine."""
         if chosen(self.engine) == "python":
             return None
         from grasp_refine.collision.native_search import NativeSearch
@@ -197,24 +197,24 @@ def query(
     cutoff: np.ndarray | float = np.inf,
     previous: Witness | None = None,
 ) -> Witness:
-    """The closest or deepest points of each body pair, the minimum over all its pieces.
+    """Return the closest or deepest points of each body pair, the minimum over all its pieces.
 
     Args:
         pairs: The P body pairs.
         T_world_a: Poses of the first bodies (batch, P, 4, 4).
         T_world_b: Poses of the second bodies (batch, P, 4, 4).
-        cutoff: Pairs surely farther apart than this (metres; one number or one a pair) are not asked.
-        previous: The answer at nearby poses of the same batch. Its closest pieces are asked first and warm-start
-            GJK where they were apart, which changes the work, and the result by rounding only.
+        cutoff: Distance (metres; one number or one per pair) beyond which pairs are not queried.
+        previous: The answer at nearby poses of the same batch. Its closest pieces are queried first and warm-start
+            GJK where they were separated, which changes the work, and the result by rounding only.
 
     Returns:
         Witness points in world coordinates. Pairs with a pose that is not finite get the status NOT_FINITE.
 
     Raises:
-        CollisionError: poses, cutoffs or the previous answer have another shape or are no numbers. That poses are rigid
+        CollisionError: poses, cutoffs or the previous answer have another shape or are not numeric. Rigidity of poses
             is not checked.
     """
-    # A query of one pair takes ten microseconds: nothing is checked here that costs as much.
+    # A query of one pair takes ten microseconds: no check here may cost as much.
     if not isinstance(pairs, Pairs):
         check_kind("pairs", pairs, Pairs)
     if previous is not None and not isinstance(previous, Witness):
@@ -230,7 +230,7 @@ def query(
     except GraspRefineError as error:
         raise CollisionError(str(error)) from None
     if pairs.native is not None:
-        return _ask_native(pairs, None, T_world_a, T_world_b, np.full(shape, cutoff, dtype=np.float64), previous)
+        return _query_native(pairs, None, T_world_a, T_world_b, np.full(shape, cutoff, dtype=np.float64), previous)
     flat = None if previous is None else previous.reshape(-1)
     poses = np.reshape(T_world_a, (-1, 4, 4)), np.reshape(T_world_b, (-1, 4, 4))
     pair = np.tile(np.arange(shape[1]), shape[0])
@@ -243,7 +243,7 @@ def check_poses(pairs: int, T_world_a: Any, T_world_b: Any, previous: Witness | 
     """Refuse poses that are not (batch, pairs, 4, 4) both, and a previous answer of another batch.
 
     Raises:
-        CollisionError: says the shapes.
+        CollisionError: names the shapes.
     """
     shape = tuple(T_world_a.shape)
     if len(shape) != 4 or shape[1:] != (pairs, 4, 4) or shape != tuple(T_world_b.shape):
@@ -265,26 +265,26 @@ def query_items(
     cutoff: np.ndarray | float = np.inf,
     previous: Witness | None = None,
 ) -> Witness:
-    """The same for M items, each of which is one of the body pairs at some poses; all shapes (M, ...).
+    """Return the closest or deepest points of M items, each a body pair at some poses; all shapes (M, ...).
 
     Args:
         pairs: The P body pairs.
-        pair: Which of them each item is (M,).
+        pair: Body pair (M,) of each item.
         T_world_a: Poses of the first bodies (M, 4, 4).
         T_world_b: Poses of the second bodies (M, 4, 4).
-        cutoff: Items surely farther apart than this (metres; one number or one an item) are not asked.
+        cutoff: Distance (metres; one number or one per item) beyond which items are not queried.
         previous: The answer at nearby poses of the same items.
     """
     limit = np.full(len(pair), cutoff, dtype=np.float64)
     if pairs.native is not None:
-        return _ask_native(pairs, pair, T_world_a, T_world_b, limit, previous)
+        return _query_native(pairs, pair, T_world_a, T_world_b, limit, previous)
     T_a, T_b = (np.asarray(T, dtype=np.float64) for T in (T_world_a, T_world_b))
-    found = _ask(pairs, pair, T_a, T_b, limit, previous)
+    found = _query_python(pairs, pair, T_a, T_b, limit, previous)
     count_queries(found.num_queries)
     return found
 
 
-def _ask_native(
+def _query_native(
     pairs: Pairs,
     pair: np.ndarray | None,
     T_a: np.ndarray,
@@ -292,19 +292,19 @@ def _ask_native(
     limit: np.ndarray,
     previous: Witness | None,
 ) -> Witness:
-    """The answers of the compiled engine, in the shape of `limit`; without `pair` all pairs, over and over."""
+    """Answers of the compiled engine, in the shape of `limit`; without `pair` all pairs, repeated."""
     last = None if previous is None else (previous.winner, previous.point_a, previous.point_b, previous.status)
     T_a, T_b = (np.ascontiguousarray(T, dtype=np.float64) for T in (T_a, T_b))
     assert pairs.native is not None
-    found = Witness(*pairs.native.ask(pair, T_a, T_b, limit, last))
+    found = Witness(*pairs.native.query(pair, T_a, T_b, limit, last))
     count_queries(found.num_queries)
     return found
 
 
-def _ask(
+def _query_python(
     pairs: Pairs, pair: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, limit: np.ndarray, previous: Witness | None
 ) -> Witness:
-    """The answers of the Python engine."""
+    """Answers of the Python engine."""
     table, narrow_phase = pairs._table, pairs.narrow_phase
     assert isinstance(narrow_phase, NarrowPhase)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -312,7 +312,7 @@ def _ask(
     finite = np.isfinite(R).all(axis=(1, 2)) & np.isfinite(t).all(axis=1)
     if not finite.all():
         R[~finite], t[~finite] = np.eye(3), 0.0
-    # Where a body pair is one piece pair and wanted at any distance, nothing can be pruned.
+    # For a body pair of one piece pair without a cutoff, nothing can be pruned.
     single = (table.id.shape[1] == 1) & np.isinf(limit)
     if single.all():
         bound, column = np.full((len(pair), 1), -np.inf), np.zeros(len(pair), dtype=np.int64)
@@ -327,7 +327,7 @@ def _ask(
 
 
 def _warm(previous: Witness | None, T_a: np.ndarray, table: PieceTable) -> WarmStart | None:
-    """What the last answer tells the search."""
+    """Warm start of the search from the last answer."""
     if previous is None:
         return None
     guess = in_frame(T_a, previous.point_a - previous.point_b)
@@ -337,7 +337,7 @@ def _warm(previous: Witness | None, T_a: np.ndarray, table: PieceTable) -> WarmS
 
 
 def _witness(found: Closest, T_a: np.ndarray, limit: np.ndarray, finite: np.ndarray) -> Witness:
-    """World coordinates and a status for each item."""
+    """Witness in world coordinates, with the status of each item."""
     distance = found.distance
     status = (distance <= 0).astype(np.int8)  # SEPARATED or PENETRATING
     valid = (found.winner >= 0) & ~found.failed & finite

@@ -1,8 +1,8 @@
-"""The minimum over the piece pairs of each body pair: which ones are asked, and in what order.
+"""Search for the closest piece pair of each body pair: selection and order of the queries.
 
-One piece pair is asked first. Its answer is an upper bound, and along its normal u every other pair is known to be
-at least min_b u . y - max_a u . x apart, which rules out nearly all of them at the price of one number a piece.
-Boxes are compared for those that remain; then they are asked, best bound first.
+One piece pair is queried first. Its answer is an upper bound, and along its normal u every other pair is at least
+min_b u . y - max_a u . x apart, which rules out nearly all of them at the cost of one number a piece.
+Boxes are compared for those that remain; then they are queried, best bound first.
 """
 
 from dataclasses import dataclass
@@ -12,20 +12,20 @@ import numpy as np
 from grasp_refine.collision.narrowphase import Closest, NarrowPhase
 from grasp_refine.collision.table import PieceTable
 
-_BLOCK = 1024
-"""Boxes that are compared at a time, so that what is computed on the way stays in the cache."""
+_BLOCK_BOXES = 1024
+"""Boxes that are compared at a time, so that intermediate results stay in the cache."""
 
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """Where the last answer at nearby poses was."""
+    """Last answer at nearby poses."""
 
     column: np.ndarray
-    """Column (M,) of its winner; -1 for none."""
+    """Column (M,) of the closest piece pair; -1 for none."""
     guess: np.ndarray
-    """x_a - x_b (M, 3) in the frames of bodies a: a warm start for GJK."""
+    """x_a - x_b (M, 3) in metres, in the frames of bodies a: a warm start for GJK."""
     apart: np.ndarray
-    """Where (M,) the guess may be used."""
+    """Mask (M,) of the items whose guess may be used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,32 +33,32 @@ class Remaining:
     """N piece pairs that may still be the closest of their items."""
 
     item: np.ndarray
-    """Item (N,) of each, ascending."""
+    """Item (N,) of each piece pair, ascending."""
     column: np.ndarray
-    """Its column (N,) in the piece table."""
+    """Column (N,) in the piece table."""
     bound: np.ndarray
-    """Lower bound (N,) of its signed distance."""
+    """Lower bound (N,) of the signed distance, in metres."""
 
     @staticmethod
     def below(best: np.ndarray, bound: np.ndarray) -> "Remaining":
-        """All columns with a bound (M, K) below the best distance (M,) of their items."""
+        """Return all columns with a bound (M, K) below the best distance (M,) of their items."""
         place = np.flatnonzero(bound < best[:, None])
         item = place // bound.shape[1]
         return Remaining(item, place - item * bound.shape[1], bound.take(place))
 
     def raised(self, bound: np.ndarray, best: np.ndarray) -> "Remaining":
-        """Those that another lower bound (N,), too, leaves below the best distance (M,) of their items."""
+        """Raise the bounds to a second lower bound (N,), and drop pairs not below the best (M,) of their items."""
         higher = np.maximum(self.bound, bound)
         index = np.flatnonzero(higher < best.take(self.item))
         return Remaining(self.item.take(index), self.column.take(index), higher.take(index))
 
     def ascending(self) -> "Remaining":
-        """The same, those of each item in ascending order of their bounds."""
+        """Sort the piece pairs of each item in ascending order of their bounds."""
         order = np.lexsort((self.bound, self.item))
         return Remaining(self.item.take(order), self.column.take(order), self.bound.take(order))
 
     def runs(self, items: int) -> tuple[np.ndarray, np.ndarray]:
-        """The A items of which any piece pairs are left, and where those of each begin, and end (A + 1,)."""
+        """Return the A items that have piece pairs left, and the starts of their rows with the end (A + 1,)."""
         counts = np.bincount(self.item, minlength=items)
         active = np.flatnonzero(counts)
         return active, np.concatenate([[0], np.cumsum(counts[active])])
@@ -71,35 +71,35 @@ class Search:
     table: PieceTable
     """The piece pairs."""
     narrow_phase: NarrowPhase
-    """What answers for a piece pair."""
+    """Narrow phase that answers the queries."""
     pair: np.ndarray
     """The body pairs (M,)."""
     R: np.ndarray
     """Rotations (M, 3, 3) of bodies b in the frames of bodies a."""
     t: np.ndarray
-    """Their origins (M, 3)."""
+    """Their origins (M, 3), in metres."""
     limit: np.ndarray
-    """Signed distance (M,) that an answer has to beat."""
+    """Signed distance (M,) in metres that an answer has to be below."""
 
     def minimum(self, bound: np.ndarray, column: np.ndarray, warm: WarmStart | None = None) -> Closest:
-        """The closest piece pair of each item, none where none is below its limit.
+        """Return the closest piece pair of each item, none where none is below its limit.
 
         Args:
             bound: Lower bounds (M, K) of the signed distances of all columns; overwritten.
-            column: The columns (M,) to ask first.
-            warm: The last answer, if any. Where it has a column, that one is asked first.
+            column: The columns (M,) to query first.
+            warm: The last answer, if any. Where it has a column, that one is queried first.
         """
-        found = self._ask_first(bound, column, warm)
+        found = self._query_first(bound, column, warm)
         if bound.shape[1] > 1:
-            self._ask_rest(bound, found)
+            self._query_rest(bound, found)
         beyond = found.distance >= self.limit
         if beyond.any():
             found.distance[beyond], found.winner[beyond] = np.inf, -1
             found.point[beyond], found.normal[beyond] = 0.0, 0.0
         return found
 
-    def _ask_first(self, bound: np.ndarray, column: np.ndarray, warm: WarmStart | None) -> Closest:
-        """The answers for one column of each item, whose bounds turn infinite; none where they reach the limit."""
+    def _query_first(self, bound: np.ndarray, column: np.ndarray, warm: WarmStart | None) -> Closest:
+        """Query one column of each item, and set its bound to infinity; none where the bound reaches the limit."""
         items = np.arange(len(bound))
         guess = apart = None
         if warm is not None:
@@ -112,7 +112,7 @@ class Search:
             np.arange(len(items) + 1),
             self.table.id[self.pair, column],
             np.where(first < self.limit, first, np.inf),
-            # Beyond the limit, too, an answer has a normal that is worth having.
+            # Even beyond the limit, the normal of an answer is useful.
             np.full(len(items), np.inf),
             guess,
             apart,
@@ -128,8 +128,8 @@ class Search:
             first[left] = np.maximum(first[left], raised)
         return first
 
-    def _ask_rest(self, bound: np.ndarray, found: Closest) -> None:
-        """Ask all that can still beat what was found first, and put what does in its place."""
+    def _query_rest(self, bound: np.ndarray, found: Closest) -> None:
+        """Query all columns that can be closer than the first answers, and update `found` with closer ones."""
         best = np.minimum(found.distance, self.limit)
         left = Remaining.below(best, bound)
         if len(left.item):
@@ -156,20 +156,20 @@ class Search:
         found.failed[active] |= more.failed
 
     def _gap_bound(self, left: Remaining, normal: np.ndarray) -> np.ndarray:
-        """Lower bounds (N,) of what is left, along the normals (M, 3) of the items."""
+        """Lower bounds (N,) of the remaining pairs, along the normals (M, 3) of the items."""
         active, starts = left.runs(len(normal))
         u = normal[active]
-        # Any unit direction gives a bound: without an answer there is none that is better than others.
+        # Any unit direction gives a bound: without an answer all are equally good.
         u[~(np.abs((u * u).sum(axis=1) - 1.0) <= 1e-12)] = [1.0, 0.0, 0.0]
         run = np.repeat(np.arange(len(active)), np.diff(starts))
         return self.table.gap_bound(run, left.column, self.pair.take(active), u, self.R[active], self.t[active])
 
     def _box_bound(self, left: Remaining) -> np.ndarray:
-        """Lower bounds (N,) of what is left, from boxes."""
+        """Lower bounds (N,) of the remaining pairs, from boxes."""
         R, t = np.ascontiguousarray(np.moveaxis(self.R, 0, -1)), np.ascontiguousarray(self.t.T)
         bound = np.empty(len(left.item))
-        for start in range(0, len(bound), _BLOCK):
-            block = slice(start, start + _BLOCK)
+        for start in range(0, len(bound), _BLOCK_BOXES):
+            block = slice(start, start + _BLOCK_BOXES)
             item = left.item[block]
             bound[block] = self.table.box_bound(
                 self.pair.take(item), left.column[block], R.take(item, axis=-1), t.take(item, axis=-1)

@@ -1,7 +1,7 @@
-"""What coal is given for a convex piece, by whichever engine: one recipe, so that both ask about the same bodies.
+"""Shapes of coal for convex pieces, built alike for both engines, so that both query the same bodies.
 
-coal's tolerances are lengths, and right for bodies about as large as the unit of length: on a plate of 0.1 mm, EPA
-at 1e-8 m is off by the thickness. So each pair of pieces is asked about in a unit of its own.
+coal's tolerances are lengths, and suit bodies about as large as the unit of length: on a plate of 0.1 mm, EPA
+at 1e-8 m is off by the thickness. So each pair of pieces is queried in a unit of its own.
 
 coal counts the neighbours of a hull's vertex in one byte. A hull with too many is triangulated again with few edges
 at each vertex.
@@ -17,37 +17,37 @@ from grasp_refine.geometry.pieces import Piece
 _MAX_NEIGHBOURS = 255
 
 Shape = TypeVar("Shape", covariant=True)
-"""A shape and its placement in the frame of its body."""
+"""Shape with its placement in the frame of its body."""
 
 
 @runtime_checkable
 class Factory(Protocol[Shape]):
-    """Who makes the shapes."""
+    """Factory of shapes."""
 
     def sphere(self, radius: float, center: np.ndarray) -> Shape:
-        """A sphere about `center` (3,)."""
+        """Return a sphere about `center` (3,)."""
 
     def capsule(self, radius: float, length: float, frame: np.ndarray, center: np.ndarray) -> Shape:
-        """A capsule along the third column of `frame` (3, 3), with its middle at `center` (3,)."""
+        """Return a capsule along the third column of `frame` (3, 3), with its middle at `center` (3,)."""
 
     def hull(self, vertices: np.ndarray, radius: float) -> Shape:
-        """The hull of `vertices` (V, 3), which Qhull finds, and all within `radius` of it."""
+        """Return the hull of `vertices` (V, 3), computed by Qhull, inflated by `radius`."""
 
     def polytope(self, vertices: np.ndarray, faces: np.ndarray, radius: float) -> Shape:
-        """The polytope with these triangles (F, 3), and all within `radius` of it."""
+        """Return the polytope with these triangles (F, 3), inflated by `radius`."""
 
 
 def unit_of(a: Piece, b: Piece) -> float:
-    """The unit of length in which two pieces are asked about, in metres: the larger one is 1/8 to 1 of it long.
+    """Unit of length for queries of two pieces, in metres: the larger piece is 1/8 to 1 of it long.
 
-    A power of 8, so that changing units rounds nothing, and pieces that belong together mostly share one.
+    A power of 8, so that changing units is exact, and pieces of one body mostly share a unit.
     """
     _, exponent = math.frexp(max(a.diagonal, b.diagonal))
     return math.ldexp(1.0, 3 * math.ceil(exponent / 3))
 
 
 def build_shape(piece: Piece, make: Factory[Shape]) -> Shape:
-    """The shape of a piece; that of a hull takes some milliseconds."""
+    """Build the shape of a piece; a hull takes some milliseconds."""
     vertices = np.ascontiguousarray(piece.vertices, dtype=np.float64)
     if len(vertices) == 1:
         return make.sphere(piece.radius, vertices[0])
@@ -65,14 +65,14 @@ def build_shape(piece: Piece, make: Factory[Shape]) -> Shape:
 
 
 def _frame(z: np.ndarray) -> np.ndarray:
-    """A rotation (3, 3) whose third column is the unit vector z."""
+    """Rotation (3, 3) whose third column is the unit vector z."""
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
 def few_neighbours(piece: Piece) -> np.ndarray:
-    """Triangles (F, 3) of the same hull in which flat many-sided faces are zigzag strips, not fans."""
+    """Triangles (F, 3) of the same hull, with flat many-sided faces as zigzag strips, not fans."""
     corners = piece.vertices[piece.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -99,7 +99,7 @@ def few_neighbours(piece: Piece) -> np.ndarray:
 
 
 def _groups(rows: np.ndarray) -> list[np.ndarray]:
-    """Indices of equal rows, a group each."""
+    """Groups of indices of equal rows."""
     _, group = np.unique(rows, axis=0, return_inverse=True)
     order = np.argsort(group, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)

@@ -1,4 +1,4 @@
-"""The piece pairs of some body pairs, and what bounds the signed distance of each of them."""
+"""Piece pairs of body pairs, with lower bounds of their signed distances."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ class Side:
     """The bodies on one side of P body pairs, at most K pieces each."""
 
     bodies: tuple[Body, ...]
-    """Each of the B bodies once."""
+    """The B distinct bodies."""
     body: np.ndarray
     """Index (P,) into them."""
 
     @staticmethod
     def of(bodies: Sequence[Body]) -> "Side":
-        """The side with these P bodies, of which some may be the same."""
+        """Return the side with these P bodies, some of which may be the same."""
         distinct = {id(body): body for body in bodies}
         place = {key: index for index, key in enumerate(distinct)}
         return Side(tuple(distinct.values()), np.array([place[id(body)] for body in bodies]))
@@ -38,7 +38,7 @@ class Side:
         return self.piece_bounds.take(self.first.take(self.body.take(pair)) + piece)
 
     def bounding_spheres(self, pair: np.ndarray) -> BoundingSpheres:
-        """The balls of all pieces (M, K) of the bodies in the pairs (M,); where one has fewer, radii are -inf."""
+        """Spheres of all pieces (M, K) of the bodies in the pairs (M,); radii are -inf where a body has fewer."""
         body = self.body.take(pair)
         return BoundingSpheres(
             self._bounding_spheres.center.take(body, axis=0), self._bounding_spheres.radius.take(body, axis=0)
@@ -46,11 +46,11 @@ class Side:
 
     @cached_property
     def _bounding_spheres(self) -> BoundingSpheres:
-        """Of all bodies (B, K)."""
+        """Bounding spheres of the pieces of all bodies (B, K)."""
         piece = np.arange(self.width)
         present = piece < np.array([len(body.pieces) for body in self.bodies])[:, None]
-        balls = self.piece_bounds.take(self.first[:-1, None] + np.where(present, piece, 0)).bounding_spheres
-        return BoundingSpheres(np.ascontiguousarray(balls.center), np.where(present, balls.radius, -np.inf))
+        spheres = self.piece_bounds.take(self.first[:-1, None] + np.where(present, piece, 0)).bounding_spheres
+        return BoundingSpheres(np.ascontiguousarray(spheres.center), np.where(present, spheres.radius, -np.inf))
 
     def reach(self, pair: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Upper bounds (M, K) of max u . x over the pieces of the bodies in the pairs (M,), for u (M, 3)."""
@@ -58,17 +58,17 @@ class Side:
 
     @cached_property
     def first(self) -> np.ndarray:
-        """Where in `piece_bounds` the pieces of each body begin, and end (B + 1,)."""
+        """Start of each body's pieces in `piece_bounds`, and the end of the last (B + 1,)."""
         return np.cumsum([0, *(len(body.pieces) for body in self.bodies)])
 
     @cached_property
     def piece_bounds(self) -> Bounds:
-        """Of the pieces of all bodies, one body after the other."""
+        """Bounds of the pieces of all bodies, body by body."""
         return bounds_of([piece for body in self.bodies for piece in body.pieces])
 
     @cached_property
     def supports(self) -> Supports:
-        """How far the pieces of the bodies (B, ...) reach."""
+        """Support functions of the pieces of the bodies (B, ...)."""
         return Supports.of([body.pieces for body in self.bodies])
 
 
@@ -95,7 +95,7 @@ class PieceTable:
 
     @staticmethod
     def of(bodies_a: Sequence[Body], bodies_b: Sequence[Body]) -> "PieceTable":
-        """The table of the body pairs (bodies_a[p], bodies_b[p])."""
+        """Return the table of the body pairs (bodies_a[p], bodies_b[p])."""
         a, b = Side.of(bodies_a), Side.of(bodies_b)
         ids = np.full((len(bodies_a), a.width, b.width), -1)
         pieces_a: list[Piece] = []
@@ -113,7 +113,7 @@ class PieceTable:
         return len(self.id)
 
     def sphere_bound(self, pair: np.ndarray, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lower bounds (M, K_a K_b) from the balls, infinite in empty columns, and the likeliest columns (M,).
+        """Lower bounds (M, K_a K_b) from spheres, infinite in empty columns, and the likeliest columns (M,).
 
         Args:
             pair: Body pairs (M,).
@@ -147,6 +147,6 @@ class PieceTable:
         return box_bound(self.a.bounds(pair, i), self.b.bounds(pair, j), R, t)
 
     def _split(self, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The pieces i and j of some columns."""
+        """Pieces i and j of columns."""
         i = column // self.b.width
         return i, column - i * self.b.width

@@ -1,4 +1,4 @@
-"""Arguments of public functions, checked once where they come in: kinds of values, arrays of numbers, shapes."""
+"""Checks of the arguments of public functions, once at the boundary: types, numeric arrays, shapes."""
 
 from __future__ import annotations
 
@@ -24,36 +24,36 @@ SOURCES = MappingProxyType(
         "Witness": "query(pairs, T_world_a, T_world_b)",
     }
 )
-"""Kind of argument -> the call that returns one, given a name or a path."""
+"""Type of an argument -> call that returns one, given a name or a path."""
 
 
 def check_kind(name: str, value: object, kind: Any) -> None:
-    """Refuse an argument that is not of a kind.
+    """Refuse an argument of another type.
 
     Args:
         name: Name of the argument, for the message.
-        value: What was given.
-        kind: A class or an annotation such as `float | None`, `Literal["a", "b"]` or `tuple[float, ...]`. NaN is no
-            float, and True no number.
+        value: The argument.
+        kind: A class or an annotation such as `float | None`, `Literal["a", "b"]` or `tuple[float, ...]`. NaN is not
+            a float, and True not a number.
 
     Raises:
-        GraspRefineError: says what is wanted, what was given, and which function returns such a thing.
+        GraspRefineError: names the required type, the value given, and the function that returns such a value.
     """
-    if not _is_of(value, kind):
+    if not _is_kind(value, kind):
         source = SOURCES.get(getattr(next(iter(get_args(kind)), kind), "__name__", ""))
         given = f'"{value}"' if isinstance(value, str) else "..."
         advice = f"; {source.format(given)} returns one" if source else ""
-        raise GraspRefineError(f"{name} must be {_described(kind)}, got {shown(value)}{advice}")
+        raise GraspRefineError(f"{name} must be {_describe(kind)}, got {shown(value)}{advice}")
 
 
 def check_fields(settings: Any) -> None:
-    """Refuse fields of a dataclass that are not of their annotated kinds; lists become tuples.
+    """Refuse fields of a dataclass that are not of their annotated types; lists become tuples.
 
     Raises:
         GraspRefineError: names the class and the field.
     """
     settings_class: type = type(settings)
-    for name, kind in _kinds(settings_class):
+    for name, kind in _field_kinds(settings_class):
         value = getattr(settings, name)
         if isinstance(value, list) and get_origin(kind) is tuple:
             value = tuple(value)
@@ -62,7 +62,7 @@ def check_fields(settings: Any) -> None:
 
 
 def check_positive(settings: Any, *names: str) -> None:
-    """Check the fields as `check_fields` does, and refuse those of `names` that are not above 0 and finite.
+    """Check the fields as in `check_fields`, and refuse those of `names` that are not above 0 and finite.
 
     Raises:
         GraspRefineError: names the class and the field.
@@ -75,29 +75,29 @@ def check_positive(settings: Any, *names: str) -> None:
 
 
 def as_numbers(name: str, value: Any, *shape: int | str, why: str = "") -> np.ndarray:
-    """An argument as a float64 array: numbers, nested lists of them, NumPy arrays and torch tensors, on a graph or not.
+    """Return an argument as float64 array: numbers, nested lists, NumPy arrays, torch tensors with or without a graph.
 
     Args:
         name: Name of the argument, for the message.
-        value: What was given.
-        shape: Its shape, where letters stand for any number; nothing: any shape.
-        why: Added to the message about a wrong shape.
+        value: The argument.
+        shape: Required shape; a string stands for any length; empty: any shape.
+        why: Reason, added to the message about a wrong shape.
 
     Raises:
-        GraspRefineError: no numbers, or another shape.
+        GraspRefineError: not numeric, or another shape.
     """
     if not (isinstance(value, np.ndarray) and value.dtype == np.float64):
-        value = _converted(name, value)
+        value = _to_float64(name, value)
     if shape and not _has_shape(value, shape):
         raise shape_error(name, value, shape, why)
     return value
 
 
 def check_shape(name: str, array: Any, *shape: int | str, why: str = "") -> None:
-    """Refuse an array or tensor of another shape; letters stand for any number, "..." for any leading dimensions.
+    """Refuse an array or tensor of another shape; a string stands for any length, "..." for any leading dimensions.
 
     Raises:
-        GraspRefineError: says both shapes, or that it is no array.
+        GraspRefineError: names both shapes; or it is not an array.
     """
     if not hasattr(array, "shape"):
         raise GraspRefineError(f"{name} must be a NumPy array or a torch tensor, got {shown(array)}")
@@ -106,29 +106,29 @@ def check_shape(name: str, array: Any, *shape: int | str, why: str = "") -> None
 
 
 def check_alike(*arrays: Any) -> None:
-    """Refuse NumPy arrays and torch tensors together.
+    """Refuse a mix of NumPy arrays and torch tensors.
 
     Raises:
-        GraspRefineError: there are both.
+        GraspRefineError: both are given.
     """
     if len({isinstance(array, np.ndarray) for array in arrays}) > 1:
         raise GraspRefineError("NumPy arrays and torch tensors cannot be mixed: give all as one or the other")
 
 
 def shape_error(name: str, array: Any, shape: tuple[int | str, ...], why: str = "") -> GraspRefineError:
-    """The error that an array has another shape than it must have."""
+    """Return the error for an array of another shape than required."""
     wanted = ", ".join(map(str, shape)) + ("," if len(shape) == 1 else "")
     return GraspRefineError(f"{name} must have shape ({wanted}), got {tuple(array.shape)}{why and f': {why}'}")
 
 
 def is_number(value: object) -> bool:
-    """Whether it is one number, and not NaN."""
+    """Return whether a value is a single number other than NaN."""
     number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
     return bool(number and value == value)
 
 
 def shown(value: object) -> str:
-    """A given value, for a message: small ones as they are, of others their kind."""
+    """Return a value for a message: small ones in full, others by type and size."""
     if isinstance(value, type):
         return f"the class {value.__name__} itself"
     if hasattr(value, "shape"):
@@ -140,7 +140,7 @@ def shown(value: object) -> str:
     return f"{type(value).__name__} {told(str(value))}" if hasattr(value, "__fspath__") else type(value).__name__
 
 
-def _converted(name: str, value: Any) -> np.ndarray:
+def _to_float64(name: str, value: Any) -> np.ndarray:
     if hasattr(value, "detach"):  # a tensor; torch is not loaded to find out
         value = value.detach().cpu()
         value = value.double() if value.is_floating_point() else value
@@ -149,8 +149,8 @@ def _converted(name: str, value: Any) -> np.ndarray:
     except (TypeError, ValueError, RuntimeError):
         array = np.asarray(None)
     if array.dtype.kind not in "fiu":
-        held = f" of {array.dtype}" if isinstance(value, np.ndarray) else ""
-        raise GraspRefineError(f"{name} must be an array of numbers, got {shown(value)}{held}")
+        dtype = f" of {array.dtype}" if isinstance(value, np.ndarray) else ""
+        raise GraspRefineError(f"{name} must be an array of numbers, got {shown(value)}{dtype}")
     return array.astype(np.float64)
 
 
@@ -164,23 +164,23 @@ def _has_shape(array: Any, shape: tuple[int | str, ...]) -> bool:
 
 
 @lru_cache
-def _kinds(settings: type) -> tuple[tuple[str, Any], ...]:
+def _field_kinds(settings: type) -> tuple[tuple[str, Any], ...]:
     hints = get_type_hints(settings)
     return tuple((field.name, hints[field.name]) for field in fields(settings))
 
 
-def _is_of(value: Any, kind: Any) -> bool:
+def _is_kind(value: Any, kind: Any) -> bool:
     origin, parts = get_origin(kind), get_args(kind)
     if kind in (Any, object):
         return True
     if origin in (Union, UnionType):
-        return any(_is_of(value, part) for part in parts)
+        return any(_is_kind(value, part) for part in parts)
     if origin is Literal:
         return isinstance(value, str) and value in parts
     if origin is tuple:
         if parts[-1] is Ellipsis:
-            return isinstance(value, tuple) and all(_is_of(item, parts[0]) for item in value)
-        return isinstance(value, tuple) and len(value) == len(parts) and all(map(_is_of, value, parts))
+            return isinstance(value, tuple) and all(_is_kind(item, parts[0]) for item in value)
+        return isinstance(value, tuple) and len(value) == len(parts) and all(map(_is_kind, value, parts))
     if origin is Callable:
         return callable(value)
     if kind is float:
@@ -189,22 +189,22 @@ def _is_of(value: Any, kind: Any) -> bool:
         return isinstance(value, int | np.integer) and not isinstance(value, bool)
     if kind is bool:
         return isinstance(value, bool | np.bool_)
-    # A class has the methods of its instances, which is all that a protocol asks for.
+    # A class has the methods of its instances, which is all that a protocol checks.
     return isinstance(value, origin or kind) and not isinstance(value, type)
 
 
-def _described(kind: Any) -> str:
-    """A kind in words."""
+def _describe(kind: Any) -> str:
+    """Return a type in words."""
     origin, parts = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
-        return " or ".join(map(_described, parts))
+        return " or ".join(map(_describe, parts))
     if origin is Literal:
         return f"one of {', '.join(map(repr, parts))}"
     if origin is tuple:
-        described = [_described(part) for part in parts if part is not Ellipsis]
+        described = [_describe(part) for part in parts if part is not Ellipsis]
         return f"a tuple, each {described[0]}" if parts[-1] is Ellipsis else f"a tuple of {', '.join(described)}"
-    if kind in _WORDS:
-        return _WORDS[kind]
+    if kind in _KIND_WORDS:
+        return _KIND_WORDS[kind]
     if origin is Callable:
         return "a function"
     name = getattr(origin or kind, "__name__", str(kind))
@@ -212,6 +212,6 @@ def _described(kind: Any) -> str:
     return f"{article} {'torch.' if kind.__module__ == 'torch' else ''}{name}"
 
 
-_WORDS = MappingProxyType(
+_KIND_WORDS = MappingProxyType(
     {float: "a number", int: "an integer", bool: "True or False", str: "a string", type(None): "None"}
 )

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Atomic files: written completely or not at all."""
 
 from __future__ import annotations
 
@@ -11,44 +11,44 @@ from pathlib import Path
 
 from grasp_refine.core.errors import GraspRefineError
 
-_BETWEEN = ".partial."
-"""What stands in the names of files that are being written between the process and the machine."""
+_PARTIAL_MARK = ".partial."
+"""Separator between process and machine in the names of partial files."""
 
 
 def half_written_path(path: Path) -> Path:
-    """Where this process writes what shall lie at `path`."""
-    return path.with_name(f".{os.getpid()}{_BETWEEN}{_here()}.{path.name}")
+    """Path of the partial file that this process writes before it becomes `path`."""
+    return path.with_name(f".{os.getpid()}{_PARTIAL_MARK}{_machine_id()}.{path.name}")
 
 
 def half_written(name: str) -> tuple[int | None, str]:
-    """The process of this machine that wrote such a file, and what it would be called; None: it is none."""
-    pid, between, rest = name.removeprefix(".").partition(_BETWEEN)
+    """Process of this machine that wrote a partial file, and the final file name; None: not such a file."""
+    pid, between, rest = name.removeprefix(".").partition(_PARTIAL_MARK)
     host, _, whole = rest.partition(".")
-    ours = name.startswith(".") and between and pid.isdecimal() and host == _here()
+    ours = name.startswith(".") and between and pid.isdecimal() and host == _machine_id()
     return (int(pid), whole) if ours else (None, name)
 
 
-def _here() -> str:
-    """This machine: several may write into one folder, and have processes of the same number."""
+def _machine_id() -> str:
+    """Identifier of this machine: several may write into one folder, with equal process ids."""
     return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
 
 
 @contextmanager
 def written_whole(path: str | Path, error: type[GraspRefineError] = GraspRefineError) -> Iterator[Path]:
-    """Give the path of a file beside `path`, with the same ending, that replaces it once the block is done.
+    """Yield the path of a file beside `path`, with the same suffix, that replaces it when the block ends.
 
-    Missing folders are made, and nothing is left beside `path` when the block fails. A link, a pipe or /dev/stdout
-    is written to, never replaced: then `path` itself is given.
+    Missing folders are made, and no partial file remains when the block fails. A link, a pipe or /dev/stdout is
+    written to, never replaced: then `path` itself is yielded.
 
     Args:
-        path: What is to be written.
-        error: What is raised.
+        path: File to write.
+        error: Class of the error raised.
 
     Raises:
-        GraspRefineError: It cannot be written.
+        GraspRefineError: the file cannot be written.
     """
     path = Path(path)
-    # Beside the target, so that os.replace stays within one file system; not by tempfile, whose files nobody else
+    # Beside the target, so that os.replace stays within one file system; not by tempfile, whose files only their owner
     # may read.
     partial = half_written_path(path)
     try:

@@ -1,8 +1,8 @@
-"""The processor cores that this process may use."""
+"""Processor cores that this process may use."""
 
 import os
 
 
 def usable_cores() -> int:
-    """How many: those that it may run on, where the system tells (macOS does not), else all of the machine."""
+    """Number of cores in the process's affinity mask; of the whole machine where there is none, as on macOS."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,26 +1,28 @@
-"""The errors that a user can cause, each with a message that says what to do about it.
+"""Errors that a user can cause, each with a message that names the remedy.
 
-Whatever a file, an argument or a mesh can get wrong is raised as a `GraspRefineError`; the command line
-prints its message in one line and exits with code 2. Anything else that escapes is a defect of ours.
+Every fault of a file, an argument or a mesh is raised as a `GraspRefineError`; the command line prints its message in
+one line and exits with code 2. Any other exception that escapes is a bug of this package.
 """
 
 import unicodedata
 from reprlib import Repr
 
-LONGEST = 4000
-"""Letters of a message that are kept; what is cut off are lists and numbers without end out of files."""
+MAX_MESSAGE_CHARACTERS = 4000
+"""Most characters of a message; cuts off endless lists and numbers out of files."""
 
 
 class GraspRefineError(Exception):
     """An input or a request that cannot be used; the message names the value and the valid choices.
 
-    Whatever is in it of a file that may come from anyone, the message is one line that a terminal only shows.
+    The message is one printable line, even where it quotes an untrusted file.
     """
 
     def __init__(self, message: str) -> None:
-        """Keep the message, with spaces for line breaks and escapes for other letters that nobody can see."""
+        """Store the message, with spaces for line breaks and escapes for other unprintable characters."""
         message = visible(" ".join(str(message).splitlines()))
-        super().__init__(message if len(message) <= LONGEST else f"{message[: LONGEST - 4]} ...")
+        super().__init__(
+            message if len(message) <= MAX_MESSAGE_CHARACTERS else f"{message[: MAX_MESSAGE_CHARACTERS - 4]} ..."
+        )
 
 
 class MeshError(GraspRefineError):
@@ -44,20 +46,20 @@ class CollisionError(GraspRefineError):
 
 
 def told(value: object) -> str:
-    """A value out of a file, for a message: like `repr`, but of bounded length and depth."""
+    """Return a value out of a file for a message: its `repr`, of bounded length and depth."""
     try:
-        return _TOLD.repr(value)
+        return _SHORT_REPR.repr(value)
     except ValueError:
-        return "a whole number of thousands of digits"
+        return "an integer of thousands of digits"
 
 
-_TOLD = Repr()
-_TOLD.maxstring = _TOLD.maxother = 200
-_TOLD.maxlevel = 3
+_SHORT_REPR = Repr()
+_SHORT_REPR.maxstring = _SHORT_REPR.maxother = 200
+_SHORT_REPR.maxlevel = 3
 
 
 def visible(text: str) -> str:
-    """Return `text` as a terminal may be sent it: spaces for tabs and wide spaces, escapes for what cannot be seen."""
+    """Return `text` safe for a terminal: spaces for tabs and wide spaces, escapes for unprintable characters."""
     return text if text.isprintable() else "".join(map(_visible_character, text))
 
 

@@ -16,13 +16,13 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that interrupt."""
 
 NOTICE_S = 2.0
-"""How long (s) compiled code may keep the main thread from raising KeyboardInterrupt."""
+"""Time (s) that compiled code may keep the main thread from raising KeyboardInterrupt."""
 
-_AGAIN_S = 0.05
-"""How long (s) an interruption waits that arrives during an import, until it tries again."""
+_RETRY_S = 0.05
+"""Delay (s) before an interruption that arrives during an import is retried."""
 
 _POLL_S = 0.5
-"""How often (s) a child looks for its parent where the kernel does not end both."""
+"""Interval (s) at which a child checks for its parent where the kernel does not end both."""
 
 _PR_SET_PDEATHSIG = 1
 
@@ -32,7 +32,7 @@ def interruptible(end: Callable[[], None]) -> Iterator[Event]:
     """Let SIGNALS raise KeyboardInterrupt in the main thread; yields an event that is set once one did.
 
     Signals that the caller of this process ignores, as nohup does, stay ignored. During an import nothing is raised:
-    some packages catch whatever is raised while they are loaded, and go on.
+    some packages catch every exception while they are loaded, and go on.
 
     Args:
         end: Called in another thread if the main thread is still in compiled code, or imports, NOTICE_S after the first
@@ -41,14 +41,14 @@ def interruptible(end: Callable[[], None]) -> Iterator[Event]:
     noticed = Event()
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        importing = _imports(frame)
-        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S if importing else 0.0)
+        importing = _is_importing(frame)
+        signal.setitimer(signal.ITIMER_REAL, _RETRY_S if importing else 0.0)
         if not importing:
             noticed.set()
             raise KeyboardInterrupt
 
     def watch() -> None:
-        # Where the main thread blocks them for a moment, they wait.
+        # Signals wait while the main thread blocks them.
         signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         while number := os.read(read, 1):
             if number[0] in SIGNALS:
@@ -77,8 +77,8 @@ def interruptible(end: Callable[[], None]) -> Iterator[Event]:
         os.close(read)
 
 
-def _imports(frame: FrameType | None) -> bool:
-    """Whether a frame is part of an import."""
+def _is_importing(frame: FrameType | None) -> bool:
+    """Return whether a frame is part of an import."""
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
             return True
@@ -87,13 +87,13 @@ def _imports(frame: FrameType | None) -> bool:
 
 
 def end_with(parent: int) -> None:
-    """Let this process end with the process that started it, whatever ends that one.
+    """Make this process end with the process that started it, however that one ends.
 
-    On Linux the kernel kills it, also in the midst of compiled code, when the thread that started it ends. Elsewhere a
-    thread finds out, once compiled code lets it run.
+    On Linux the kernel kills it, even in compiled code, when the thread that started it ends. Elsewhere a thread polls
+    for the parent, as soon as compiled code releases the GIL.
 
     Args:
-        parent: Process that started this one.
+        parent: Id of the process that started this one.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
@@ -104,7 +104,7 @@ def end_with(parent: int) -> None:
 
 
 def _watch(parent: int) -> None:
-    """End this process when it has another parent."""
+    """End this process once its parent has changed."""
     while os.getppid() == parent:
         time.sleep(_POLL_S)
     os._exit(1)

@@ -1,4 +1,4 @@
-"""Files for programs: JSON documents, written whole or not at all."""
+"""JSON documents and other files for programs, written atomically."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ SCHEMA = 1
 
 
 def check_writable(*paths: Path | None, overwrite: bool, inside: Path | None = None) -> None:
-    """Nothing, when files can be made at `paths`; found out before the work, not after it, and nothing is left there.
+    """Refuse paths that cannot be written, before the work starts; leaves no file behind.
 
     Args:
-        paths: The files; None is passed over.
-        overwrite: Whether files that exist may be replaced.
-        inside: A folder that the command makes itself; other folders have to exist.
+        paths: The files; None is skipped.
+        overwrite: Whether existing files may be replaced.
+        inside: A folder that the command creates itself; other folders have to exist.
 
     Raises:
-        GraspRefineError: one is a folder, exists, is named twice, or lies where nothing can be written.
+        GraspRefineError: a path is a folder, exists, is named twice, or is not writable.
     """
     named: set[str] = set()
     for path in filter(None, paths):
-        _check_place(path)
+        _check_target(path)
         if _is_device(path):
             continue
         if not overwrite and path.is_file():
@@ -47,28 +47,28 @@ def check_writable(*paths: Path | None, overwrite: bool, inside: Path | None = N
 
 
 def _is_device(path: Path) -> bool:
-    """Whether a file is written to and never replaced, such as /dev/stdout, also where that is sent to a file."""
+    """Return whether a file is written to and never replaced: /dev/stdout, even when redirected to a file."""
     return path.absolute().parts[1:2] in (("dev",), ("proc",))
 
 
-def _check_place(path: Path) -> None:
-    """Nothing, when a file can be made or replaced at `path`.
+def _check_target(path: Path) -> None:
+    """Refuse a path at which no file can be created or replaced.
 
     Raises:
-        GraspRefineError: it cannot.
+        GraspRefineError: the path is not writable.
     """
     try:
         if path.is_dir():
             raise GraspRefineError(f"{path}: is a folder, a file is to be written there")
         if path.exists() and not os.access(path, os.W_OK):
             raise GraspRefineError(f"{path}: cannot be written, no permission")
-        # A link or a pipe is written to, everything else is replaced by a new file.
+        # A link or a pipe is written to; any other file is replaced by a new one.
         if path.exists() and (path.is_symlink() or not path.is_file()):
             return
         folder = next(parent for parent in path.absolute().parents if parent.exists())
         if not folder.is_dir():
             raise GraspRefineError(f"{path}: cannot be written, {folder} is no folder")
-        # Who asks for permission alone is told that root may write to /proc.
+        # Permission bits alone would allow root to write to /proc.
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
@@ -76,17 +76,17 @@ def _check_place(path: Path) -> None:
 
 
 def check_no_input(path: Path, inputs: Iterable[Path], say: str) -> None:
-    """Nothing, when what is written to `path` takes the place of no input.
+    """Refuse an output `path` that would replace an input.
 
     Raises:
-        GraspRefineError: it would; `say` is how that ends.
+        GraspRefineError: it would; `say` is the rest of the message.
     """
     if path.exists() and any(file.exists() and path.samefile(file) for file in inputs):
         raise GraspRefineError(f"{path}: {say}")
 
 
 def dumps(document: Any, indent: int | None = None) -> str:
-    """The text of a document, in which whatever is not finite is null."""
+    """Text of a document; values that are not finite become null."""
     return json.dumps(_plain(document), indent=indent, allow_nan=False, ensure_ascii=False)
 
 
@@ -105,7 +105,7 @@ def _plain(value: Any) -> Any:
 
 
 def save_json(path: Path, document: Any) -> None:
-    """Write a document; the file appears whole or not at all, and missing folders are made.
+    """Write a document atomically; missing folders are made.
 
     Raises:
         GraspRefineError: the file cannot be written.
@@ -114,7 +114,7 @@ def save_json(path: Path, document: Any) -> None:
 
 
 def save_text(path: Path, text: str) -> None:
-    """Write a text as `save_bytes` writes bytes; what UTF-8 cannot say, such as odd file names, is escaped.
+    """Write a text as `save_bytes`; characters that UTF-8 cannot encode, as in odd file names, are escaped.
 
     Raises:
         GraspRefineError: the file cannot be written.
@@ -123,7 +123,7 @@ def save_text(path: Path, text: str) -> None:
 
 
 def save_bytes(path: Path, content: bytes) -> None:
-    """Write a file as `written_whole` does.
+    """Write a file atomically, see `written_whole`.
 
     Raises:
         GraspRefineError: the file cannot be written.

@@ -1,6 +1,6 @@
-"""Arrays in `.npz` files without pickle: read with a named error for every defect, written whole or not.
+"""Arrays in `.npz` files without pickle: read with a named error for every defect, written atomically.
 
-What an archive says of its sizes is looked at before anything is unpacked, so that a small file cannot fill the memory.
+The sizes in an archive's headers are checked before anything is unpacked, so that a small file cannot fill the memory.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 DAMAGED = (OSError, EOFError, MemoryError, NotImplementedError, RuntimeError)
-"""How a damaged archive shows, besides the errors of zipfile: an absurd array size is MemoryError, an unknown
+"""Errors that a damaged archive raises, besides those of zipfile: an absurd array size is MemoryError, an unknown
 compression NotImplementedError, an encrypted entry RuntimeError."""
 
-LARGEST = 2**31
-"""How many bytes the arrays of a file may have together: 2 GiB, or eight million grasps of 32 numbers."""
-ROOM = 2**26
-"""How many bytes what is read may take, with numbers as float64, however small its file is: 64 MiB."""
-SPREAD = 16
-"""How many times the size of its file it may take beyond that. Poses that are packed tightly as float32 take 3 times,
-those with long object names and empty targets 10 times; zeros are packed to a thousandth."""
+MAX_UNPACKED_BYTES = 2**31
+"""Most bytes of all arrays of a file together: 2 GiB, or eight million grasps of 32 numbers."""
+MEMORY_ALLOWANCE_BYTES = 2**26
+"""Bytes that the arrays read may take as float64, however small the file: 64 MiB."""
+MAX_MEMORY_RATIO = 16
+"""Most bytes beyond that, as a multiple of the file's size. Tightly packed float32 poses take 3 times, those with long
+object names and empty targets 10 times; zeros are packed to a thousandth."""
 MAGIC = b"\x93NUMPY"
-"""What array files begin with."""
-BAD_HEADER = (ValueError, SyntaxError, TypeError, RecursionError, MemoryError, tokenize.TokenError)
-"""What reading a damaged header ends in; a deep one is a RecursionError or MemoryError of Python's parser."""
-LONGEST_HEADER = 2**16
-"""How many bytes are unpacked to read what shape an array has."""
+"""First bytes of an array file."""
+HEADER_ERRORS = (ValueError, SyntaxError, TypeError, RecursionError, MemoryError, tokenize.TokenError)
+"""Errors that a damaged header raises; a deeply nested one is a RecursionError or MemoryError of Python's parser."""
+MAX_HEADER_BYTES = 2**16
+"""Bytes that are unpacked to read the shape of an array."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +50,12 @@ class NpzFile:
     """The entries of one file; its accessors raise GraspFileError in one line that starts with the path."""
 
     path: Path
-    """Where the file lies."""
+    """Path of the file."""
     entries: Mapping[str, np.ndarray]
-    """All its arrays by name."""
+    """Arrays of the file by name."""
 
     def error(self, message: str) -> GraspFileError:
-        """Return the error that says `message` about this file."""
+        """Return the error with `message` about this file."""
         return GraspFileError(f"{self.path}: {message}")
 
     def text(self, key: str) -> np.ndarray:
@@ -66,7 +66,7 @@ class NpzFile:
             raise self.error(f"{key} must hold text; it holds {value.dtype}")
         value = value.astype(str, copy=False)
         if not are_valid(value):
-            raise self.error(f"{key} holds letters that no text has, or that control a terminal")
+            raise self.error(f"{key} holds invalid characters, or characters that control a terminal")
         return value
 
     def name(self, key: str) -> str:
@@ -84,7 +84,7 @@ class NpzFile:
         return tuple(value.tolist())
 
     def numbers(self, key: str, *, allowed: Literal["finite", "nan", "any"] = "finite") -> np.ndarray:
-        """Return the entry as float64, of its own shape; with "nan" allowed, NaN may stand for "none"."""
+        """Return the entry as float64, of its own shape; with "nan" allowed, NaN may mean "none"."""
         value = self.entries[key]
         if value.dtype.kind not in "fiu":
             raise self.error(f"{key} must hold numbers; it holds {value.dtype}")
@@ -96,9 +96,9 @@ class NpzFile:
         return value
 
     def per_row(self, key: str, value: np.ndarray, n: int) -> np.ndarray:
-        """Return `value` of the entry `key` as (n,), a single value repeated."""
+        """Return `value` of the entry `key` as (n,); a single value is repeated."""
         if value.size == 1:
-            _check_room(self.path, n * value.itemsize, f"{key}, once for each of {n} grasps,")
+            _check_memory(self.path, n * value.itemsize, f"{key}, once for each of {n} grasps,")
             return np.repeat(value.reshape(1), n)
         if value.shape != (n,):
             raise self.error(f"{key} must be one value or one per grasp, ({n},); it has {value.shape}")
@@ -106,11 +106,11 @@ class NpzFile:
 
 
 def load_npz(path: str | Path, *, only: Collection[str] | None = None) -> NpzFile:
-    """Return the arrays of an `.npz` file, or `only` those of some names that are there, none of them unpickled.
+    """Return the arrays of an `.npz` file, or `only` those of some names that it has; none is unpickled.
 
-    Raises GraspFileError when the file is missing, not an `.npz`, damaged, or holds a pickle or anything else
-    that is no plain array, or would unpack to more than `LARGEST` bytes or to other sizes than it says, or take more
-    than `ROOM` bytes and `SPREAD` times its size as float64.
+    Raises GraspFileError when the file is missing, not an `.npz`, damaged, or holds a pickle or anything else but plain
+    arrays, or would unpack to more than `MAX_UNPACKED_BYTES` or to other sizes than its headers state, or take more
+    than `MEMORY_ALLOWANCE_BYTES` and `MAX_MEMORY_RATIO` times its size as float64.
     """
     path = Path(path)
     if not is_file(path):
@@ -120,7 +120,7 @@ def load_npz(path: str | Path, *, only: Collection[str] | None = None) -> NpzFil
     try:
         # NumPy leaves a file open that it opened itself and could not read.
         with path.open("rb") as file, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of heads that Python 2 wrote, or nobody
+            warnings.simplefilter("ignore")  # about headers from Python 2, or damaged ones
             if not zipfile.is_zipfile(file):
                 raise GraspFileError(f"{path}: not an .npz grasp file")
             _check_sizes(path, only)
@@ -143,21 +143,21 @@ def load_npz(path: str | Path, *, only: Collection[str] | None = None) -> NpzFil
 
 
 def _check_sizes(path: Path, only: Collection[str] | None) -> None:
-    """Nothing, when an archive unpacks to what memory has room for, and each array to what its shape needs.
+    """Refuse an archive that would unpack to too many bytes, or whose entries are smaller than their shapes need.
 
-    Numbers count as float64, which they become.
+    Numbers count as float64, to which they are converted.
     """
     with zipfile.ZipFile(path) as archive:
         total = sum(entry.file_size for entry in archive.infolist())
-        if total > LARGEST:
+        if total > MAX_UNPACKED_BYTES:
             raise GraspFileError(
                 f"{path}: would unpack to {total / 2**20:.0f} MiB, as an archive bomb does; at most "
-                f"{LARGEST // 2**20} MiB are read"
+                f"{MAX_UNPACKED_BYTES // 2**20} MiB are read"
             )
-        room = 0
+        memory_bytes = 0
         for entry in archive.infolist():
             with archive.open(entry) as stream:
-                head = stream.read(LONGEST_HEADER)
+                head = stream.read(MAX_HEADER_BYTES)
             if not head.startswith(MAGIC):
                 continue
             key = entry.filename.removesuffix(".npy")
@@ -172,23 +172,24 @@ def _check_sizes(path: Path, only: Collection[str] | None) -> None:
                     f"{entry.file_size}"
                 )
             if only is None or key in only:
-                room += prod(shape) * max(dtype.itemsize, 8 if dtype.kind in "fiu" else 1)
-    _check_room(path, room, "as float64 it")
+                memory_bytes += prod(shape) * max(dtype.itemsize, 8 if dtype.kind in "fiu" else 1)
+    _check_memory(path, memory_bytes, "as float64 it")
 
 
-def _check_room(path: Path, room: int, what: str) -> None:
-    """Nothing, when so many bytes are not out of all proportion to a file."""
+def _check_memory(path: Path, memory_bytes: int, what: str) -> None:
+    """Refuse `memory_bytes` where they are out of all proportion to the file."""
     size = path.stat().st_size
-    if room > max(ROOM, SPREAD * size):
+    if memory_bytes > max(MEMORY_ALLOWANCE_BYTES, MAX_MEMORY_RATIO * size):
         raise GraspFileError(
-            f"{path}: {what} would take {room / 2**20:.0f} MiB of memory, {room / max(size, 1):.0f} times the size of "
-            f"the file; above {ROOM // 2**20} MiB at most {SPREAD} times is read: split it, or save it without "
-            "compression"
+            f"{path}: {what} would take {memory_bytes / 2**20:.0f} MiB of memory, "
+            f"{memory_bytes / max(size, 1):.0f} times the size of the file; above "
+            f"{MEMORY_ALLOWANCE_BYTES // 2**20} MiB at most {MAX_MEMORY_RATIO} times is read: split it, or save it "
+            "without compression"
         )
 
 
 def array_header(data: bytes) -> tuple[tuple[int, ...], np.dtype, int]:
-    """Shape, type and where the numbers begin, of what an array file begins with; nothing is allocated for it.
+    """Shape, type and offset of the data, from the first bytes of an array file; allocates nothing.
 
     Raises:
         ValueError: the header is damaged.
@@ -198,9 +199,9 @@ def array_header(data: bytes) -> tuple[tuple[int, ...], np.dtype, int]:
         version = np.lib.format.read_magic(stream)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of heads that Python 2 wrote, or nobody
+            warnings.simplefilter("ignore")  # about headers from Python 2, or damaged ones
             shape, _, dtype = read(stream)
-    except BAD_HEADER as error:
+    except HEADER_ERRORS as error:
         raise ValueError(" ".join(str(error).split())[:80]) from None
     if min(shape, default=0) < 0:
         raise ValueError(f"its shape is {shape}")
@@ -208,7 +209,7 @@ def array_header(data: bytes) -> tuple[tuple[int, ...], np.dtype, int]:
 
 
 def save_npz(path: str | Path, arrays: Mapping[str, ArrayLike]) -> None:
-    """Write `arrays` as an `.npz` without pickle; the file appears whole or not at all.
+    """Write `arrays` atomically as an `.npz` without pickle.
 
     Missing folders are made. Raises GraspFileError when the file cannot be written, or an array could only be stored as
     a pickle.

@@ -1,11 +1,8 @@
-"""CPU and wall seconds by stage: where the time of a refinement goes.
+"""CPU and wall seconds of a refinement by stage.
 
 A stage is a `with stage("solver"):` or a decorator `@stage("solver")` at a boundary of the program. It counts for the
-stopwatch that runs in its context (`with Stopwatch() as watch:`), and does next to nothing where none does. Stages may
-lie inside each other: a second counts for the innermost one only, so that all stages sum to the whole.
-
-Another thread has a context, and so a stopwatch, of its own. CPU time is that of the process: of all its threads, and
-of its child processes once they ended.
+stopwatch that runs in its context (`with Stopwatch() as watch:`), and costs next to nothing where none runs. Stages may
+be nested: a second counts for the innermost one only, so that all stages sum to the whole.
 """
 
 from __future__ import annotations
@@ -25,16 +22,16 @@ Stage = Literal[
     "loading", "kinematics", "broad phase", "narrow phase", "derivative", "solver", "forces", "measuring",
     "simulating", "other",
 ]  # fmt: skip
-"""What the program is at.
+"""Stage of the program.
 
-- loading: files, convex pieces, and what is built once for a hand and an object.
+- loading: files, convex pieces, and structures built once for a hand and an object.
 - kinematics: poses and joint axes of links.
-- broad phase: which pieces can matter, and what goes into the narrow phase and comes out of it.
-- narrow phase: coal; of the compiled engine, with the choice of pieces in its loop.
+- broad phase: choice of the pieces, input and output of the narrow phase.
+- narrow phase: coal; for the compiled engine, including the choice of pieces in its loop.
 - derivative: residuals with their Jacobians, and gradients.
-- solver: loss, steps and accounts of the loop.
+- solver: loss, steps and bookkeeping of the loop.
 - forces: quadratic programs of contact forces.
-- measuring: what is reported of grasps before and after, but for its queries.
+- measuring: metrics of grasps before and after, without their queries.
 - simulating: MuJoCo.
 - other: everything else, such as writing files.
 """
@@ -45,28 +42,28 @@ Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 
-TICK = 0.01
-"""No child process ended within so many seconds that needs to be looked for: that is how finely their time is told."""
+CHILD_TIME_RESOLUTION_S = 0.01
+"""Resolution (s) of the CPU time of child processes: within a shorter interval it is not read again."""
 
 
 @dataclass
-class Spent:
-    """What a stage took."""
+class StageTime:
+    """Time and calls of a stage."""
 
     cpu_s: float = 0.0
-    """CPU seconds, without those of stages inside it."""
+    """CPU seconds, without those of nested stages."""
     wall_s: float = 0.0
-    """Seconds of the clock likewise."""
+    """Wall seconds, without those of nested stages."""
     calls: int = 0
-    """How often it began."""
+    """Number of times that it began."""
 
 
 @dataclass
 class Stopwatch:
-    """Seconds by stage while it runs; may run again, and then counts on."""
+    """Seconds by stage while it runs; may run again, and then accumulates."""
 
-    spent: dict[Stage, Spent] = field(default_factory=lambda: {name: Spent() for name in STAGES})
-    """What each stage took; "other" is what passed outside all of them."""
+    spent: dict[Stage, StageTime] = field(default_factory=lambda: {name: StageTime() for name in STAGES})
+    """Time of each stage; "other" is the time outside all of them."""
     queries: int = 0
     """Narrow-phase queries."""
     _open: list[Stage] = field(default_factory=list)
@@ -75,17 +72,17 @@ class Stopwatch:
     _token: Token[Stopwatch | None] | None = None
 
     def __enter__(self) -> Stopwatch:
-        """Begin to count what happens in this context, instead of another one that runs in it already."""
+        """Start to count in this context, in place of a stopwatch that already runs in it."""
         assert not self.running, "it runs already"
         self._token = _RUNNING.set(self)
-        self._since, self._children = _now(), _of_children()
+        self._since, self._children = _now(), _children_cpu_seconds()
         self._open.append("other")
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop, also in mid-stage."""
+        """Stop, even in mid-stage."""
         assert self._token is not None, "it does not run"
         self._count(last=True)
         self._open.clear()
@@ -94,12 +91,12 @@ class Stopwatch:
 
     @property
     def running(self) -> bool:
-        """Whether it counts now."""
+        """Whether the stopwatch counts now."""
         return self._token is not None
 
     @property
     def profile(self) -> dict[str, list[float]]:
-        """Stage -> [CPU seconds, wall seconds, calls]: what other processes can add up."""
+        """Stage -> [CPU seconds, wall seconds, calls], which other processes can add up."""
         return {name: [one.cpu_s, one.wall_s, one.calls] for name, one in self.spent.items()}
 
     @property
@@ -113,26 +110,26 @@ class Stopwatch:
         return sum(one.wall_s for one in self.spent.values())
 
     def begin(self, name: Stage) -> None:
-        """A stage begins inside the present one."""
+        """Begin a stage inside the present one."""
         self._count()
         self._open.append(name)
         self.spent[name].calls += 1
 
     def end(self) -> None:
-        """The stage ends that began last, unless the stopwatch stopped in the middle of it."""
+        """End the stage that began last, unless the stopwatch stopped in the middle of it."""
         if len(self._open) > 1:
             self._count()
             self._open.pop()
 
     def _count(self, *, last: bool = False) -> None:
-        """What passed since the last time counts for the present stage."""
+        """Add the time since the last call to the present stage."""
         now, spent = _now(), self.spent[self._open[-1]]
         wall = now[1] - self._since[1]
         spent.cpu_s += now[0] - self._since[0]
         spent.wall_s += wall
         self._since = now
-        if last or wall > TICK:
-            children = _of_children()
+        if last or wall > CHILD_TIME_RESOLUTION_S:
+            children = _children_cpu_seconds()
             spent.cpu_s += children - self._children
             self._children = children
 
@@ -140,17 +137,17 @@ class Stopwatch:
 _RUNNING: ContextVar[Stopwatch | None] = ContextVar("stopwatch", default=None)
 
 
-class stage:  # noqa: N801 - reads as what it is, a context manager and a decorator
-    """Counts what happens inside, or in a function, for a stage of the stopwatch that runs, if any does."""
+class stage:  # noqa: N801 - a context manager and a decorator
+    """Counts the time inside a block or function for a stage of the running stopwatch, if any."""
 
     __slots__ = ("_name", "_watch")
 
     def __init__(self, name: Stage) -> None:
-        """The stage's name, one of `STAGES`."""
+        """Name the stage, one of `STAGES`."""
         self._name = name
 
     def __enter__(self) -> None:
-        """Begin."""
+        """Begin the stage."""
         self._watch = _RUNNING.get()
         if self._watch is not None:
             self._watch.begin(self._name)
@@ -158,12 +155,12 @@ class stage:  # noqa: N801 - reads as what it is, a context manager and a decora
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End, also by an error."""
+        """End the stage, also after an error."""
         if self._watch is not None:
             self._watch.end()
 
     def __call__(self, function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-        """The function, whose calls count for the stage."""
+        """Return the function, with its calls counted for the stage."""
         name = self._name
 
         @wraps(function)
@@ -180,16 +177,16 @@ class stage:  # noqa: N801 - reads as what it is, a context manager and a decora
         return counted
 
 
-def count_queries(asked: Any) -> None:
-    """Add narrow-phase queries, numbers of any shape, to the stopwatch that runs, if any does."""
+def count_queries(num_queries: Any) -> None:
+    """Add numbers of narrow-phase queries, of any shape, to the running stopwatch, if any."""
     watch = _RUNNING.get()
     if watch is not None:
-        watch.queries += int(np.sum(asked))
+        watch.queries += int(np.sum(num_queries))
 
 
 def cpu_seconds() -> float:
-    """CPU time of this process so far: of all its threads, and of the child processes that have ended."""
-    return time.process_time() + _of_children()
+    """CPU seconds of this process so far: of all its threads, and of child processes that have ended."""
+    return time.process_time() + _children_cpu_seconds()
 
 
 def _now() -> tuple[float, float]:
@@ -197,7 +194,7 @@ def _now() -> tuple[float, float]:
     return time.process_time(), time.perf_counter()
 
 
-def _of_children() -> float:
-    """CPU seconds of the child processes that ended."""
+def _children_cpu_seconds() -> float:
+    """CPU seconds of child processes that have ended."""
     times = os.times()
     return times.children_user + times.children_system

@@ -1,4 +1,4 @@
-"""Rotations and rigid transforms, written once for NumPy arrays and torch tensors (array API).
+"""Rotations and rigid transforms of NumPy arrays and torch tensors alike (array API).
 
 Twists are (v, w), linear part first. A *spatial* twist moves the point p (world frame) with velocity
 V(p) = v + w x p, so T(t) = exp(t xi) T(0); a *body* twist moves T(t) = T(0) exp(t xi).
@@ -23,40 +23,41 @@ if TYPE_CHECKING:
 
     Same = TypeVar("Same", np.ndarray, Tensor)
 else:
-    # Importing torch takes a second, which only checkers of types need.
+    # Importing torch takes a second, and only type checkers need it here.
     Same = Any
 
 SKEWED = 1e-3
-"""How far a rotation matrix may be from its cofactors, and a unit vector from length 1: rounding passes, a mix-up does
-not."""
+"""Largest deviation of a rotation matrix from its cofactors, and of a unit vector from length 1: rounding passes, a
+mix-up does not."""
 
 _ROTATION = np.array([0, 1, 2, 4, 5, 6, 8, 9, 10])
-"""Places of the rotation's entries among the 16 of a transform."""
+"""Indices of the rotation's entries among the 16 of a transform."""
 _LAST_ROW = np.array([[0.0], [0.0], [0.0], [1.0]])
-"""Of every rigid transform."""
+"""Last row (4, 1) of every rigid transform."""
 _COFACTORS = tuple(
     np.array([3 * ((row + down) % 3) + (column + right) % 3 for row in range(3) for column in range(3)])
     for down, right in ((1, 1), (2, 2), (1, 2), (2, 1))
 )
-"""Places of entries of a 3 x 3 matrix: that of (i, j) has the cofactor R[i + 1, j + 1] R[i + 2, j + 2] -
+"""Indices of entries of a 3 x 3 matrix: entry (i, j) has the cofactor R[i + 1, j + 1] R[i + 2, j + 2] -
 R[i + 1, j + 2] R[i + 2, j + 1], indices modulo 3."""
 
 UNIT = 1e-3
-"""How far the squared length of a quaternion may be from 1: rounding to float32 passes, a mix-up does not."""
+"""Largest deviation of a quaternion's squared length from 1: rounding to float32 passes, a mix-up does not."""
 
 _SMALL_ANGLE_SQUARED = 1e-8
 """Below this squared angle (rad^2) the maps use their Taylor series; its error is then below 1e-16."""
 
 _SHIFT_ANGLE_SQUARED = 1e-2
-"""The same for the coefficient (x - sin x)/x^3, which cancels: its derivative would lose eps/x^4."""
+"""Squared angle (rad^2) below which (x - sin x)/x^3, which cancels, uses its series: its derivative would lose
+eps/x^4."""
 
 _SHIFT_SERIES = tuple((-1.0) ** k / factorial(2 * k + 3) for k in reversed(range(4)))
-"""Its Taylor coefficients in x^2, the highest power first."""
+"""Taylor coefficients of that function in x^2, the highest power first."""
 
 
 def array_namespace(array: Array) -> ModuleType:
     """The array API of an array: NumPy itself, which conforms since version 2, or a wrapped library."""
-    # The shortcut matters: small steps ask this some twenty times, at 5 us each otherwise.
+    # The shortcut matters: small steps call this some twenty times, at 5 us each otherwise.
     return np if isinstance(array, np.ndarray) else array_api_compat.array_namespace(array)
 
 
@@ -96,7 +97,7 @@ def _sinc_coefficients(angle_squared: Same) -> tuple[Same, Same]:
     """The coefficients sin(x)/x and (1 - cos x)/x^2 as functions of x^2, smooth at zero."""
     xp = array_namespace(angle_squared)
     small = angle_squared < _SMALL_ANGLE_SQUARED
-    # The guarded angle keeps the branch that is not taken finite, and with it its gradient.
+    # The guarded angle keeps the branch that is not taken, and its gradient, finite.
     angle = xp.sqrt(xp.where(small, xp.ones_like(angle_squared), angle_squared))
     half = xp.sin(0.5 * angle)
     a = xp.where(small, 1.0 - angle_squared / 6.0, xp.sin(angle) / angle)
@@ -145,7 +146,7 @@ def exp_se3(twist: Same) -> Same:
     Raises:
         GraspRefineError: another shape.
     """
-    twist = _given("twist", twist, "...", 6)
+    twist = _as_array("twist", twist, "...", 6)
     xp = array_namespace(twist)
     v, w = twist[..., :3], twist[..., 3:]
     angle_squared = xp.sum(w * w, axis=-1)
@@ -186,7 +187,7 @@ def inverse(T: Same) -> Same:
 
 
 def distances(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far (metres) and by what angle (radians) poses (N, 4, 4) differ, (N,) each; NaN where one is not finite."""
+    """Distances (N,) in metres and angles (N,) in radians between poses (N, 4, 4); NaN where one is not finite."""
     finite = np.isfinite(before).all(axis=(-2, -1)) & np.isfinite(after).all(axis=(-2, -1))
     before, after = (np.where(finite[:, None, None], T, np.eye(4)) for T in (before, after))
     moved = np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=-1)
@@ -195,7 +196,7 @@ def distances(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def is_rigid(T: np.ndarray) -> np.ndarray:
-    """Which transforms (..., 4, 4) are rigid motions, up to rounding (...); none that is not finite.
+    """Mask (...) of the transforms (..., 4, 4) that are rigid motions up to rounding; false where not finite.
 
     A rotation matrix, and no other but 0, is its own matrix of cofactors.
     """
@@ -288,7 +289,7 @@ def transform_from_pose(pose: Same) -> Same:
     Raises:
         GraspRefineError: another shape, or a quaternion that is not of unit length.
     """
-    pose = _given("pose", pose, "...", 7)
+    pose = _as_array("pose", pose, "...", 7)
     squared = (pose[..., 3:] * pose[..., 3:]).sum(-1).reshape(-1)
     wrong = abs(squared - 1) > UNIT
     if wrong.any():
@@ -301,12 +302,12 @@ def transform_from_pose(pose: Same) -> Same:
 def pose_from_transform(T: Same) -> Same:
     """Pose (x, y, z, qw, qx, qy, qz) (..., 7) of a transform (..., 4, 4), with qw >= 0.
 
-    Transforms that are not rigid give poses that mean nothing.
+    Transforms that are not rigid give meaningless poses.
 
     Raises:
         GraspRefineError: another shape.
     """
-    T = _given("transform", T, "...", 4, 4)
+    T = _as_array("transform", T, "...", 4, 4)
     xp = array_namespace(T)
     quaternion = quaternion_from_matrix(T[..., :3, :3])
     sign = xp.where(quaternion[..., :1] < 0, -xp.ones_like(quaternion[..., :1]), xp.ones_like(quaternion[..., :1]))
@@ -327,7 +328,7 @@ def ambient_gradient(T: Same, wrench: Same) -> Same:
 
 
 def body_gradient(T: Same, G: Same) -> Same:
-    """The body twist (v, w) (..., 6) for a gradient G (..., 4, 4) in the entries of a transform T, as torch gives it.
+    """Body twist (v, w) (..., 6) for a gradient G (..., 4, 4) in the entries of a transform T, as torch returns it.
 
     It is Proj(T^-1 G): v = R^T G_p and w = vee(skew(R^T G_R)), which is *half* the derivative of the loss along a body
     rotation (arXiv 2511.06267 uses the same projection).
@@ -335,15 +336,15 @@ def body_gradient(T: Same, G: Same) -> Same:
     Raises:
         GraspRefineError: another shape.
     """
-    T, G = _given("transform", T, "...", 4, 4), _given("gradient", G, "...", 4, 4)
+    T, G = _as_array("transform", T, "...", 4, 4), _as_array("gradient", G, "...", 4, 4)
     check_alike(T, G)
     xp = array_namespace(T)
     R_transposed = xp.matrix_transpose(T[..., :3, :3])
     return xp.concat([matvec(R_transposed, G[..., :3, 3]), vee(R_transposed @ G[..., :3, :3])], axis=-1)
 
 
-def _given(name: str, value: Same, *shape: int | str) -> Same:
-    """An argument of a public function, of the shape; lists become arrays."""
+def _as_array(name: str, value: Same, *shape: int | str) -> Same:
+    """Return an argument of a public function with its shape checked; lists become arrays."""
     if isinstance(value, list | tuple):
         value = as_numbers(name, value)
     check_shape(name, value, *shape)

@@ -8,29 +8,29 @@ from typing import Any
 
 import numpy as np
 
-LONGEST_TEXT, LONGEST_REPR = 40, 300
-"""Characters that are shown of one text, and about how many of all fields together."""
+MAX_TEXT_CHARACTERS, MAX_REPR_CHARACTERS = 40, 300
+"""Most characters of one text, and about the most of all fields together."""
 
 
 def brief(record: Any) -> str:
-    """The `repr` of a dataclass in a few lines at most: arrays by type and shape, long tuples by how many they hold.
+    """Short `repr` of a dataclass, a few lines at most: arrays by type and shape, long tuples by their length.
 
-    A class takes it by `__repr__ = brief`. Fields that have their default None or () are left out.
+    A class uses it by `__repr__ = brief`. Fields at their default None or () are left out.
     """
     parts: list[str] = []
     for field in fields(record):
         value = getattr(record, field.name)
         if field.default is not MISSING and (value is None or value == ()):
             continue
-        if sum(map(len, parts)) > LONGEST_REPR:
+        if sum(map(len, parts)) > MAX_REPR_CHARACTERS:
             parts.append("...")
             break
-        parts.append(f"{field.name}={_value(value)}")
+        parts.append(f"{field.name}={_short_value(value)}")
     return f"{type(record).__name__}({', '.join(parts)})"
 
 
 def tallied(labels: Iterable[str]) -> str:
-    """How often each label comes, the most frequent first: "3 converged, 1 stalled"."""
+    """Count of each label, the most frequent first: "3 converged, 1 stalled"."""
     names, counts = np.unique(list(labels), return_counts=True)
     return ", ".join(f"{counts[i]} {names[i]}" for i in np.argsort(-counts, kind="stable"))
 
@@ -42,7 +42,7 @@ def labels(kind: Callable[[int], Any], codes: np.ndarray) -> np.ndarray:
 
 
 def spread(values: np.ndarray, digits: int = 3) -> str:
-    """The smallest and the largest of numbers that need not be known: "0.912 to 0.985", or "unknown"."""
+    """Smallest and largest of the finite numbers: "0.912 to 0.985"; "unknown" if there is none."""
     known = np.asarray(values)[np.isfinite(values)]
     if not known.size:
         return "unknown"
@@ -50,16 +50,16 @@ def spread(values: np.ndarray, digits: int = 3) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _value(value: Any) -> str:
+def _short_value(value: Any) -> str:
     if hasattr(value, "shape") and hasattr(value, "dtype"):
         kind = "str" if str(value.dtype).startswith("<U") else str(value.dtype).removeprefix("torch.")
         return f"{kind}{list(value.shape)}"
     if is_dataclass(value) and not isinstance(value, type):
         text = repr(value)
-        return text if len(text) <= 2 * LONGEST_TEXT else f"{type(value).__name__}(...)"
+        return text if len(text) <= 2 * MAX_TEXT_CHARACTERS else f"{type(value).__name__}(...)"
     if isinstance(value, tuple | list | Mapping) and len(value) > 3:
         return f"({len(value)} of them)"
     if isinstance(value, tuple | list):
-        return f"({', '.join(map(_value, value))}{',' if len(value) == 1 else ''})"
+        return f"({', '.join(map(_short_value, value))}{',' if len(value) == 1 else ''})"
     text = repr(value)
-    return text if len(text) <= LONGEST_TEXT else f"{text[: LONGEST_TEXT - 3]}..."
+    return text if len(text) <= MAX_TEXT_CHARACTERS else f"{text[: MAX_TEXT_CHARACTERS - 3]}..."

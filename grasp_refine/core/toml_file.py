@@ -1,4 +1,4 @@
-"""What a TOML file holds, read with bounded memory whoever wrote it."""
+"""TOML files from untrusted sources, read with bounded memory."""
 
 from __future__ import annotations
 
@@ -7,43 +7,44 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-LARGEST = 2**24
-"""Bytes of a file: 16 MiB, or 100,000 jobs."""
+MAX_FILE_BYTES = 2**24
+"""Most bytes of a file: 16 MiB, or 100,000 jobs."""
 
-DEEPEST = 64
-"""Parts of a key like a.b.c. Python's reader takes memory and time with their square: 3 GB for a line of 60 KB."""
+MAX_KEY_PARTS = 64
+"""Most parts of a key like a.b.c. Memory and time of Python's parser grow with their square: 3 GB for a line of
+60 KB."""
 
-ENDS = frozenset(",=[]{}\n")
-"""What a key does not go on behind."""
+KEY_END_CHARACTERS = frozenset(",=[]{}\n")
+"""Characters that end a key."""
 
-QUOTED = re.compile(
+QUOTED_TEXT = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5}|\\?\Z)|"(?:[^"\\\n]|\\.)*+"?'
     r"|'''(?:[^']|'(?!''))*+(?:'{3,5}|\Z)|'[^'\n]*+'?"
     r"|#[^\n]*+",
     re.DOTALL,
 )
-"""Texts, of several lines first, and comments. Behind a text without end nothing counts: reading ends there."""
+"""Strings, multi-line ones first, and comments. An unterminated string extends to the end: parsing fails there."""
 
 UNREADABLE = (OSError, ValueError)
-"""What `read_toml` raises."""
+"""Errors that `read_toml` raises."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables and values of a TOML file.
+    """Return the tables and values of a TOML file.
 
     Raises:
         OSError: it cannot be read.
-        ValueError: it is no TOML, too large, or nested too deep; says which.
+        ValueError: it is not TOML, too large, or nested too deep; the message names which.
     """
-    if (size := path.stat().st_size) > LARGEST:
-        raise ValueError(f"has {size / 2**20:.0f} MiB; at most {LARGEST // 2**20} are read")
+    if (size := path.stat().st_size) > MAX_FILE_BYTES:
+        raise ValueError(f"has {size / 2**20:.0f} MiB; at most {MAX_FILE_BYTES // 2**20} are read")
     text = path.read_text(encoding="utf-8")
     parts = 0
-    for part in QUOTED.sub(lambda found: "" if found[0][0] == "#" else "quoted", text).split("."):
+    for part in QUOTED_TEXT.sub(lambda found: "" if found[0][0] == "#" else "quoted", text).split("."):
         parts += 1
-        if parts > DEEPEST:
-            raise ValueError(f"a key has more than {DEEPEST} parts")
-        if ENDS & set(part):
+        if parts > MAX_KEY_PARTS:
+            raise ValueError(f"a key has more than {MAX_KEY_PARTS} parts")
+        if KEY_END_CHARACTERS & set(part):
             parts = 1
     try:
         return tomllib.loads(text)

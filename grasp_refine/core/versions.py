@@ -1,4 +1,4 @@
-"""Versions: which packages the program needs, and which are installed."""
+"""Versions of the packages that the program needs, and of those installed."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ import tomllib
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
-
-from grasp_refine import __version__
 
 NAME = "grasp-refine"
 
@@ -24,13 +22,13 @@ class Requirement:
     name: str
     """Name of the distribution."""
     range: str
-    """Versions that will do, such as ">=2.6,<2.14"."""
+    """Supported versions, such as ">=2.6,<2.14"."""
     extra: str | None = None
-    """The extra that asks for it; None: it is always needed."""
+    """The extra that requires it; None: it is always needed."""
 
     @property
     def installed(self) -> str | None:
-        """The version that is installed; None: none is."""
+        """Installed version; None: not installed."""
         try:
             return version(self.name)
         except PackageNotFoundError:
@@ -38,7 +36,7 @@ class Requirement:
 
     @property
     def problem(self) -> str:
-        """What is wrong with the installed version: "missing", "too old", "too new"; empty when nothing is."""
+        """Fault of the installed version: "missing", "too old", "too new"; empty: none."""
         installed = self.installed
         if installed is None:
             return "missing"
@@ -52,11 +50,11 @@ class Requirement:
 
 
 def requirements() -> tuple[Requirement, ...]:
-    """What the program needs, as its installed metadata or, in a checkout that is not installed, pyproject.toml say."""
+    """Packages that the program needs, by its installed metadata or, in a checkout not installed, by pyproject.toml."""
     try:
         lines = requires(NAME) or []
     except PackageNotFoundError:
-        lines = _checkout()
+        lines = _checkout_requirements()
     found = []
     for line in lines:
         name, bounds, marker = _REQUIREMENT.match(line).groups()  # type: ignore[union-attr]  # ours all match
@@ -67,17 +65,25 @@ def requirements() -> tuple[Requirement, ...]:
     return tuple(found)
 
 
+def own_version() -> str:
+    """Return the version of the program from its installed metadata."""
+    try:
+        return version(NAME)
+    except PackageNotFoundError:
+        return "0+not.installed"
+
+
 def versions() -> dict[str, str]:
-    """Name -> installed version of Python, the program and what it always needs; for results."""
+    """Name -> installed version of Python, the program and its required packages; for results."""
     packages = {need.name: need.installed for need in requirements() if need.extra is None}
     return {
-        NAME: __version__,
+        NAME: own_version(),
         "python": platform.python_version(),
         **{name: installed for name, installed in packages.items() if installed is not None},
     }
 
 
-def _checkout() -> list[str]:
+def _checkout_requirements() -> list[str]:
     file = Path(__file__).resolve().parents[2] / "pyproject.toml"
     if not file.is_file():
         return []
@@ -89,7 +95,7 @@ def _checkout() -> list[str]:
 
 
 def _release(text: str) -> tuple[int, ...]:
-    """The numbers of a version, those of a pre-release or local version left out: "2.6.0+cpu" -> (2, 6)."""
+    """Release numbers of a version, without pre-release and local parts: "2.6.0+cpu" -> (2, 6)."""
     numbers = [int(number) for number in re.match(r"[0-9.]*", text.strip())[0].split(".") if number]  # type: ignore[index]
     while numbers and numbers[-1] == 0:
         numbers.pop()

@@ -1,9 +1,9 @@
-"""Equilibrium of a grasp as a term of least squares: forces that balance, found anew wherever the hand is.
+"""Equilibrium of a grasp as a term of least squares: forces that balance, solved anew at each configuration.
 
 The residual of a grasp is that of the best contact forces, a small quadratic program of its own (`wrench`). Its value
 is differentiated at the forces that solve it (Danskin 1967), with contact points and normals sliding on both surfaces
-(`witness.contact_kinematics`); how the forces give way while the hand moves makes the residual softer: what they can
-balance, within the constraints that are active, counts next to nothing (variable projection, Golub and Pereyra 1973).
+(`witness.contact_kinematics`); the change of the forces while the hand moves makes the residual softer: what they can
+balance within the active constraints counts almost nothing (variable projection, Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from grasp_refine.collision.query import Witness
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import cross, hat, matvec
 from grasp_refine.forces.wrench import (
-    EDGES,
-    LENGTH,
-    MOST,
+    LEVER_M,
+    MAX_PRESSURE_SHARE,
+    NUM_EDGES,
     PLANNING_FRICTION,
     RIDGE,
     basis_spin,
@@ -30,56 +30,56 @@ from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
 
-LEVER = 0.06
-"""A torque that the joints of one actuator cannot share counts like the force that makes it at this lever, metres."""
+COUPLING_LEVER_M = 0.06
+"""Lever in metres: a torque that the joints of one actuator cannot share counts like the force making it there."""
 
-ACTIVE = 1e-7
-"""A constraint on forces is active where it holds with equality to within this, per unit of total pressure."""
+ACTIVE_TOLERANCE = 1e-7
+"""Tolerance, per unit of total pressure, within which a constraint on forces is active."""
 
-PUSH = 0.2
+PUSH_SHARE = 0.2
 """Outer force that contacts should balance too, per unit of total pressure."""
 
 LOADS = np.concatenate(
-    [PUSH / np.sqrt(3.0) * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]), np.zeros((4, 3))], 1
+    [PUSH_SHARE / np.sqrt(3.0) * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]), np.zeros((4, 3))], 1
 )
 """Loads (4, 6) under which forces should balance: pushes to the corners of a tetrahedron.
 
 Their mean is no load: what is balanced under all of them is balanced without any, too."""
 
-HOPELESS = 1.0
-"""Value of a grasp without contacts, or whose program is not solved: that of a single contact."""
+UNSOLVED_VALUE = 1.0
+"""Value of a grasp without contacts, or whose quadratic program is not solved: that of a single contact."""
 
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """The best contact forces of M grasps under each of P loads, over L links; what they leave is unbalanced."""
+    """The best contact forces of M grasps under each of P loads, over L links, and what remains unbalanced."""
 
     unbalanced: np.ndarray
-    """[F, tau / `LENGTH`] with the load, then the torques that no actuator can make (M, P, 6 + E)."""
+    """[F, tau / `LEVER_M`] with the load, then the torques that no actuator can make (M, P, 6 + E)."""
     force: np.ndarray
     """Force of each link on the object (M, P, L, 3), world frame."""
     local: np.ndarray
-    """The same along the normal and its tangents."""
+    """Force of each link along the normal and its tangents (M, P, L, 3)."""
     solved: np.ndarray
-    """Where there are forces (M, P)."""
+    """True where the forces were found (M, P)."""
 
     @property
     def pressed(self) -> Bool[np.ndarray, "M L"]:
-        """Links (M, L) that press under any of the loads; no derivative looks at the others."""
+        """Mask (M, L) of the links that press under any of the loads; derivatives leave out the others."""
         return np.any(self.local[..., 0] > 0, axis=1)
 
     @property
     def value(self) -> Float[np.ndarray, " M"]:
-        """Mean over the loads of the squares of what is unbalanced and, times `RIDGE`, of the forces (M,)."""
+        """Mean over the loads of the squares of the unbalanced part and, times `RIDGE`, of the forces (M,)."""
         squares = (self.unbalanced**2).sum(axis=-1) + RIDGE * (self.local**2).sum(axis=(-2, -1))
-        return np.where(self.solved, squares, HOPELESS).mean(axis=1)
+        return np.where(self.solved, squares, UNSOLVED_VALUE).mean(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """The best contact forces of grasps on one object, and how what they leave changes as the hand moves.
+    """The best contact forces of grasps on one object, and the derivative of their unbalanced part as the hand moves.
 
-    Torques of joints that share an actuator (`Hand.coupled`) should be in its ratio: what they lack is unbalanced too.
+    Torques of joints that share an actuator (`Hand.coupled`) should be in its ratio: the deviation is unbalanced too.
     """
 
     chain: Chain
@@ -87,25 +87,25 @@ class Equilibrium:
     center: Float[np.ndarray, " 3"]
     """The object's centre of mass, world frame."""
     forms: Float[np.ndarray, "E m"]
-    """Combinations of torques (about the chain's joints, in N m) that the actuators cannot make, over `LEVER`."""
+    """Combinations of the chain's joint torques, in N m, that the actuators cannot make, over `COUPLING_LEVER_M`."""
     loads: Float[np.ndarray, "P 6"]
-    """What pushes at the object, as for `contact_forces`."""
+    """Outer loads on the object, as for `contact_forces`."""
     friction: float = PLANNING_FRICTION
     """Coefficient of sliding friction of all contacts."""
 
     @staticmethod
     def of(hand: Hand, chain: Chain, center: np.ndarray, friction: float = PLANNING_FRICTION) -> Equilibrium:
-        """That of a hand's grasps."""
-        return Equilibrium(chain, center, _impossible(hand, chain) / LEVER, LOADS, friction)
+        """Return the equilibrium of a hand's grasps."""
+        return Equilibrium(chain, center, _infeasible_torques(hand, chain) / COUPLING_LEVER_M, LOADS, friction)
 
     @stage("forces")
     def forces(self, touching: Bool[np.ndarray, "M L"], witness: Witness, frames: Frames) -> Balance:
         """The best forces of the links that touch, over the columns of all links.
 
         Args:
-            touching: Which links (M, L) push.
+            touching: Mask (M, L) of the links that push.
             witness: Witness points of all links and the object, world frame.
-            frames: Where the links are.
+            frames: Poses of the links.
         """
         there = (touching & witness.valid)[..., None]
         point, normal = (np.where(there, side, np.nan) for side in (witness.point_b, witness.normal))
@@ -127,10 +127,10 @@ class Equilibrium:
         """Residuals (M, P (6 + E)) and their derivative (..., 6 + n) in root twist and joint values.
 
         Args:
-            balance: What `forces` gave.
+            balance: Result of `forces`.
             columns: The links (C,) that push in any of the grasps.
             witness: Witness points of these (M, C).
-            frames: Where the links are.
+            frames: Poses of the links.
             E: Tangents (M, C, 3, 2) at the normals.
             K_link: Curvatures (M, C, 2, 2) of the links in that basis, 1/m.
             K_object: Curvatures of the object.
@@ -140,12 +140,12 @@ class Equilibrium:
         local, f = balance.local[:, :, columns], balance.force[:, :, columns]
         there = (witness.valid & balance.pressed[:, columns])[..., None]
         p, n = (np.where(there, side, fill) for side, fill in ((witness.point_b, 0.0), (witness.normal, [0, 0, 1.0])))
-        sliding = (np.where(there[..., None], part, 0.0) for part in _sliding(witness, E, K_link, K_object, n))
+        sliding = (np.where(there[..., None], part, 0.0) for part in _contact_motion(witness, E, K_link, K_object, n))
         point, turn = (part[:, None] for part in sliding)
         # df = Omega x f, d(r x f) = dr x f + r x df
         force = -hat(f) @ turn
         moment = hat(p - self.center)[:, None] @ force - hat(f) @ point
-        covector = np.concatenate([force, moment / LENGTH], axis=-2).reshape(M, P * C * 6, 6)
+        covector = np.concatenate([force, moment / LEVER_M], axis=-2).reshape(M, P * C * 6, 6)
         J = (
             self.chain.to_joint_space(frames, covector, np.tile(np.repeat(columns, 6), P))
             .reshape(M, P, C, 6, -1)
@@ -155,7 +155,7 @@ class Equilibrium:
             changed = np.concatenate([force, hat(p)[:, None] @ force - hat(f) @ point], axis=-2)
             J = np.concatenate([J, self._torque_rows(frames, columns, p, f, changed)], axis=2)
         G, _ = grasp_map(np.where(there, p, np.nan), n, self.center, self.torque_forms(p, frames, columns))
-        values, vectors = np.linalg.eigh(_given_way(G, local, self.friction))
+        values, vectors = np.linalg.eigh(_compliance(G, local, self.friction))
         root = np.sqrt(1.0 + np.maximum(values, 0.0) / RIDGE)[..., None, :]
         share = 1.0 / np.sqrt(P)
         residual = matvec((vectors * root) @ vectors.mT, balance.unbalanced)
@@ -167,11 +167,11 @@ class Equilibrium:
     def torque_forms(
         self, p: Float[np.ndarray, "M C 3"], frames: Frames, columns: np.ndarray | None = None
     ) -> Float[np.ndarray, "M E C 3"] | None:
-        """What of the torques no actuator can make, as forms of forces at points of links; None: they make all.
+        """Torques that no actuator can make, as linear forms of forces at points of links; None: actuators make all.
 
         Args:
             p: Points (M, C, 3), world frame.
-            frames: Where the links are.
+            frames: Poses of the links.
             columns: The links (C,); None: all.
         """
         if not len(self.forms):
@@ -180,7 +180,7 @@ class Equilibrium:
         axes = frames.axes[..., 6:]
         # Velocity of each point per joint.
         velocity = axes[:, None, :3] - hat(p) @ axes[:, None, 3:]
-        velocity = velocity * self.chain.followed(links)[:, None, 6:]
+        velocity = velocity * self.chain.joint_mask(links)[:, None, 6:]
         return np.einsum("ej,mcij->meci", self.forms, velocity)
 
     def _torque_rows(
@@ -193,11 +193,11 @@ class Equilibrium:
         chain, m = self.chain, len(self.chain.joints)
         M, P, C = f.shape[:3]
         S = frames.axes[..., 6:].mT
-        follows = chain.followed(columns)[:, 6:]
+        follows = chain.joint_mask(columns)[:, 6:]
         W = np.concatenate([f, np.cross(p[:, None], f)], axis=-1)
         force, moment = np.split((follows.T @ W).reshape(M, P, m, 6), 2, axis=-1)
         linear, angular = S[:, None, :, :3], S[:, None, :, 3:]
-        # An axis moves with what carries it: d(S . W) = (angular x f) . v + (linear x f + angular x m) . w.
+        # An axis moves with its link: d(S . W) = (angular x f) . v + (linear x f + angular x m) . w.
         turned = np.cross(linear, force) + np.cross(angular, moment)
         by_axis = np.concatenate([np.cross(angular, force), turned], axis=-1)
         carried = np.tile(len(chain.links) + np.arange(m), P)
@@ -208,10 +208,10 @@ class Equilibrium:
         return self.forms @ by_axes + weight @ pulled.reshape(M, P, C * 6, -1)
 
 
-def _sliding(
+def _contact_motion(
     witness: Witness, E: np.ndarray, K_link: np.ndarray, K_object: np.ndarray, n: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How contact points move and how the local bases at them turn, both (M, C, 3, 6), in the twists of the links.
+    """Derivatives of contact points and rotations of their local bases, both (M, C, 3, 6), in the twists of the links.
 
     The bases are those of `basis_tangents`; they turn by n x dn and about the normal.
     """
@@ -223,9 +223,9 @@ def _sliding(
     return -(E @ U_object), hat(n) @ normal + n[..., :, None] * basis_spin(n, normal)[..., None, :]
 
 
-def _given_way(G: np.ndarray, local: np.ndarray, friction: float) -> np.ndarray:
-    """G N G^T (M, P, R, R): what changes of the forces balance within the active constraints, N projects on these."""
-    N = _free(local, friction)
+def _compliance(G: np.ndarray, local: np.ndarray, friction: float) -> np.ndarray:
+    """Compliance G N G^T (M, P, R, R) of the forces: N projects onto changes that keep the active constraints."""
+    N = _free_changes(local, friction)
     M, P, C = local.shape[:3]
     R = G.shape[2]
     free = np.moveaxis(G[:, None] @ N, 2, 3).reshape(M, P, R, 3 * C)
@@ -236,22 +236,22 @@ def _given_way(G: np.ndarray, local: np.ndarray, friction: float) -> np.ndarray:
     return free @ free.mT - scale * (lost @ lost.mT)
 
 
-def _free(local: np.ndarray, friction: float) -> np.ndarray:
-    """Projectors (..., C, 3, 3) on the changes of each force that keep its active constraints."""
-    angle = (np.arange(EDGES) + 0.5) * 2.0 * np.pi / EDGES
-    rim = friction * np.cos(np.pi / EDGES)
-    face = np.stack([np.full(EDGES, -rim), np.cos(angle), np.sin(angle)], axis=1)
+def _free_changes(local: np.ndarray, friction: float) -> np.ndarray:
+    """Projectors (..., C, 3, 3) onto the changes of each force that keep its active constraints."""
+    angle = (np.arange(NUM_EDGES) + 0.5) * 2.0 * np.pi / NUM_EDGES
+    rim = friction * np.cos(np.pi / NUM_EDGES)
+    face = np.stack([np.full(NUM_EDGES, -rim), np.cos(angle), np.sin(angle)], axis=1)
     pressure = local[..., 0]
-    held = local @ face.T > -ACTIVE
+    held = local @ face.T > -ACTIVE_TOLERANCE
     rows = np.where(held[..., None], face, 0.0)
-    capped = pressure > MOST - ACTIVE
+    capped = pressure > MAX_PRESSURE_SHARE - ACTIVE_TOLERANCE
     rows = np.concatenate([rows, np.where(capped[..., None], [1.0, 0.0, 0.0], 0.0)[..., None, :]], axis=-2)
     values, vectors = np.linalg.eigh(rows.mT @ rows)
-    kept = (values < 1e-6) & (pressure > ACTIVE)[..., None]
+    kept = (values < 1e-6) & (pressure > ACTIVE_TOLERANCE)[..., None]
     return (vectors * kept[..., None, :]) @ vectors.mT
 
 
-def _impossible(hand: Hand, chain: Chain) -> Float[np.ndarray, "E m"]:
+def _infeasible_torques(hand: Hand, chain: Chain) -> Float[np.ndarray, "E m"]:
     """Unit combinations of torques that no actuator can make, as forms of those of the chain's joints."""
     rows = [np.zeros((0, len(hand.joint_names)))]
     for group in hand.coupled:

@@ -1,4 +1,4 @@
-"""Quality of grasps: a verdict on whether they will hold, from contact points and normals alone, without simulation."""
+"""Quality of grasps: an estimate of whether they hold, from contact points and normals alone, without simulation."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from jaxtyping import Float
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.short_repr import brief
-from grasp_refine.forces.equilibrium import PUSH, Equilibrium
+from grasp_refine.forces.equilibrium import PUSH_SHARE, Equilibrium
 from grasp_refine.forces.squeeze import contacts
 from grasp_refine.forces.wrench import center_of_mass, contact_forces, contact_forces_under
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 
-SLIPPERY = 0.1
-"""Friction with which the forces should still balance: less than what they are planned with."""
+LOW_FRICTION = 0.1
+"""Friction with which the forces should still balance: less than the planning friction."""
 
 DEEP = 0.01
 """Penetration, or gaps of contacts, in metres that count as much as forces that do not balance at all."""
 
-PUSHES = PUSH * np.concatenate([np.eye(3, 6), -np.eye(3, 6)])
+PUSHES = PUSH_SHARE * np.concatenate([np.eye(3, 6), -np.eye(3, 6)])
 """Outer forces (6, 6) that the contacts should balance too, as loads of `contact_forces`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """What speaks against each of N grasps, all without unit and 0 at best; NaN where a grasp has no forces."""
+    """Shortcomings of each of N grasps, all without unit and 0 at best; NaN where a grasp has no forces."""
 
     slippery: Float[np.ndarray, " N"]
-    """Wrench residual (N,) with friction `SLIPPERY`."""
+    """Wrench residual (N,) with friction `LOW_FRICTION`."""
     pushed: Float[np.ndarray, " N"]
     """Mean wrench residual (N,) under `PUSHES`, with `PLANNING_FRICTION`; joints that share an actuator make torques in
-    its ratio, as nearly as that goes with balance."""
+    its ratio, as nearly as balance allows."""
     deep: Float[np.ndarray, " N"]
     """Deepest penetration of hand and object (N,), over `DEEP`."""
     open: Float[np.ndarray, " N"]
@@ -56,13 +56,13 @@ class Quality:
 
 
 def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witness) -> Quality:
-    """How likely N grasps are to hold, told from contact points and normals without simulation; 1 at best.
+    """Quality of N grasps, an estimate from contact points and normals of how well they will hold; 1 at best.
 
     Args:
         hand: The hand.
         obj: The object, at the origin of the frame in which the witness points are.
-        chain: Kinematics of the L links; of a link that comes several times the first counts.
-        frames: Where the links are.
+        chain: Kinematics of the L links; of a link listed several times the first counts.
+        frames: Poses of the links.
         witness: Witness points (N, L) of links and object, at least of those that are near enough to be contacts.
     """
     check_kind("hand", hand, Hand)
@@ -74,7 +74,7 @@ def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witn
     center = center_of_mass(obj)
     forms = Equilibrium.of(hand, chain, center).torque_forms(np.nan_to_num(point), frames)
     pushed = [found.residual for found in contact_forces_under(PUSHES, point, normal, center, forms=forms)]
-    slippery = contact_forces(point, normal, center, friction=SLIPPERY)
+    slippery = contact_forces(point, normal, center, friction=LOW_FRICTION)
     distance = np.where(witness.valid, witness.distance, 0.0)
     return Quality(
         slippery=slippery.residual,

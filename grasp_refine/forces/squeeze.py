@@ -1,4 +1,4 @@
-"""Squeezes: where the position actuators of a hand are sent so that its contacts press on the object."""
+"""Squeezes: set points of a hand's position actuators at which its contacts press on the object."""
 
 from __future__ import annotations
 
@@ -14,27 +14,29 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
 CONTACTS = ContactSelection(farthest=0.0)
-"""Which links have a contact: those within reach, however few they are."""
+"""Selection of the links with a contact: those within reach, however few they are."""
 
-TOTAL = 30.0
+TOTAL_PRESSURE_N = 30.0
 """Sum of the pressures of a grasp, in newtons."""
 
 SQUEEZE_RIDGE = 4.0 * RIDGE
 """Weight of the squared forces: larger than for the residual, so that more contacts share the load."""
 
 
-def squeezed(scene: Scene, prepared: HandObject | None = None, *, total: float = TOTAL) -> Float[np.ndarray, "N n"]:
-    """Joint values (N, n) to which the actuators are sent from the grasps, q + J^T f / kp; the root stays.
+def squeezed(
+    scene: Scene, prepared: HandObject | None = None, *, total: float = TOTAL_PRESSURE_N
+) -> Float[np.ndarray, "N n"]:
+    """Set points (N, n) of the joints that squeeze the grasps, q + J^T f / kp; the root stays.
 
     The forces f on the object are those that balance best, with pressures that sum to `total`. A position actuator
-    whose link is stopped by the object presses with kp times the way it lacks, up to its limit, and these torques J^T f
-    are what the forces ask of the joints. The values may lie beyond the limits of the joints, which they do not move
-    there: they press all the same. Grasps without contacts, or whose forces are not known, stay as they are; those
-    that are nowhere (`Scene.posed`) become NaN.
+    whose link is stopped by the object presses with kp times its position error, up to its limit, and the torques J^T f
+    make these forces. The values may lie beyond the limits of the joints, which they do not move there: they press all
+    the same. Grasps without contacts, or whose forces are not known, are kept; those with an invalid pose
+    (`Scene.posed`) become NaN.
 
     Args:
-        scene: Hand, object and grasps. It must be the hand's own `actuator` that moves it: in a simulation with
-            other ones (`HandModel.actuator`), the hand with these.
+        scene: Hand, object and grasps. The hand's `actuator` must be the one that moves it: in a simulation with
+            other ones (`HandModel.actuator`), give the hand with these.
         prepared: Of this hand and object; None: built here.
         total: Sum of the pressures in newtons.
     """
@@ -51,13 +53,13 @@ def squeezed(scene: Scene, prepared: HandObject | None = None, *, total: float =
     # A force at the contact does work on the twist of the link: f . V(x) = f . v + (x x f) . w.
     covector = np.concatenate([force, np.cross(witness.point_a, force)], axis=-1)
     torque = chain.to_joint_space(frames, covector, np.arange(len(scene.links)))[..., 6:].sum(axis=1)
-    return np.where(posed[:, None], q + actuated(hand, torque), np.nan)
+    return np.where(posed[:, None], q + set_point_offsets(hand, torque), np.nan)
 
 
 def grasp_forces(
     hand: Hand, obj: Object, links: tuple[str, ...], witness: Witness, *, ridge: float = RIDGE
 ) -> ContactForces:
-    """What the contacts of N grasps do at best, torques taken about the object's centre of mass.
+    """Best contact forces of N grasps, torques taken about the object's centre of mass.
 
     Args:
         hand: The hand.
@@ -77,19 +79,19 @@ def contacts(
 
     Args:
         hand: The hand.
-        links: Links with collision geometry; of one that comes several times the first counts.
+        links: Links with collision geometry; of one listed several times the first counts.
         witness: Witness points (N, L) of links and object.
     """
     touching = CONTACTS.choose(hand, links, witness)[..., None]
     return np.where(touching, witness.point_b, np.nan), np.where(touching, witness.normal, np.nan)
 
 
-def actuated(hand: Hand, torque: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N n"]:
-    """How far (N, n) the set points of the joints are ahead for torques (N, n), in rad or m, where nothing moves.
+def set_point_offsets(hand: Hand, torque: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N n"]:
+    """Offsets (N, n) of the joints' set points that make torques (N, n), in rad or m, where nothing moves.
 
-    Each actuator makes what it can of them: nothing without stiffness, else up to its limit; and where it drives
-    several joints through a tendon, those torques in the ratio of the joints that come nearest, which is for equal
-    ratios the mean for each. The stiffness and the limit of a tendon are those of its first joint. Its set point is
+    Each actuator makes as much of them as it can: nothing without stiffness, else up to its limit; and where it drives
+    several joints through a tendon, the nearest torques in the ratio of the joints, which is for equal ratios the mean
+    for each. The stiffness and the limit of a tendon are those of its first joint. Its set point is
     the sum of ratio x set point over its joints, which share it in proportion to their ratios.
     """
     kp, limit = hand.actuator.kp, hand.actuator.force_limit

@@ -1,7 +1,7 @@
 """Contact forces: how well pushes at the contacts of a grasp can balance each other.
 
-Links push the object along the contact normals and, within the friction, across them. Of all ways to share out a
-total pressure of 1 that one is sought whose forces and torques cancel best, as a small quadratic program per grasp.
+Links push the object along the contact normals and, within the friction, across them. Of all ways to share a
+total pressure of 1, a small quadratic program per grasp finds the one whose forces and torques cancel best.
 What is left is the wrench residual: 0 where the hand can squeeze the object without moving it.
 """
 
@@ -23,26 +23,26 @@ if TYPE_CHECKING:
     from grasp_refine.objects.object import Object
 
 PLANNING_FRICTION = 0.15
-"""Friction that forces are planned with: less than any that they will meet, so that they hold with some to spare."""
+"""Friction that forces are planned with: less than any expected friction, so that they hold with a margin."""
 
-LENGTH = 0.05
-"""A torque counts like the force that makes it at this lever, in metres."""
+LEVER_M = 0.05
+"""Lever in metres: a torque counts like the force that makes it there."""
 
-MOST = 0.5
-"""Largest share of the total pressure at one contact: what pushes must be pushed against."""
+MAX_PRESSURE_SHARE = 0.5
+"""Largest share of the total pressure at one contact: every push needs a counter-push."""
 
-EDGES = 8
-"""Number of edges of the pyramids that stand for friction cones; they lie within the cones."""
+NUM_EDGES = 8
+"""Number of edges of the pyramids that approximate friction cones from within."""
 
-OPTIMAL, EQUALITY = 1, 5
-"""Daqp's numbers for a solution that is one, and for a constraint that always holds with equality."""
+DAQP_OPTIMAL, DAQP_EQUALITY = 1, 5
+"""Daqp's codes for an optimal solution, and for a constraint that always holds with equality."""
 
-POLE = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
-"""Rotation (3, 3) that takes the only normal at which `basis_tangents` turn abruptly to -z; no normal that things often
-have, such as an axis, comes near it."""
+POLE_ROTATION = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
+"""Rotation (3, 3) that takes the only normal at which `basis_tangents` turn abruptly to -z; no common normal, such as
+an axis, is near it."""
 
-NO_TURN = 1e-9
-"""Smallest 1 + z for which that is worked out."""
+MIN_POLE_OFFSET = 1e-9
+"""Smallest 1 + z for which that rotation is computed."""
 
 RIDGE = 1.25e-6
 """Weight of the squared forces: decides between forces that balance equally well, and changes little otherwise."""
@@ -50,20 +50,20 @@ RIDGE = 1.25e-6
 
 @dataclass(frozen=True, eq=False)
 class ContactForces:
-    """What the contacts of N grasps do at best, per unit of total pressure."""
+    """Best contact forces of N grasps, per unit of total pressure."""
 
     residual: Float[np.ndarray, " N"]
-    """Norm (N,) of [F, tau / `LENGTH`] of all contacts together, without unit; NaN where `solved` is not."""
+    """Norm (N,) of [F, tau / `LEVER_M`] of all contacts together, without unit; NaN where `solved` is not."""
     unbalanced: Float[np.ndarray, "N R"]
-    """[F, tau / `LENGTH`] itself, with the load if there is one, then what of the extra forms is not 0 (N, 6 + E)."""
+    """[F, tau / `LEVER_M`] itself, with the load if there is one, then the values of the extra forms (N, 6 + E)."""
     force: Float[np.ndarray, "N K 3"]
     """Force (N, K, 3) of each link on the object, in the frame of the contacts; 0 without a contact, or unsolved."""
     pressure: Float[np.ndarray, "N K"]
     """Its part along the normal (N, K), at least 0; the pressures of a grasp sum to 1."""
     local: Float[np.ndarray, "N K 3"]
-    """The same force along the normal and the two `basis_tangents` at it."""
+    """Force (N, K, 3) along the normal and the two `basis_tangents` at it."""
     solved: Bool[np.ndarray, " N"]
-    """Which grasps (N,) have forces: those with a contact, unless the solver gave up."""
+    """Mask (N,) of grasps that have forces: those with a contact, unless the solver failed."""
 
 
 def contact_forces(
@@ -76,20 +76,21 @@ def contact_forces(
     load: Float[np.ndarray, "N 6"] | Float[np.ndarray, " 6"] | None = None,
     forms: Float[np.ndarray, "N E K 3"] | None = None,
 ) -> ContactForces:
-    """The forces f_k that minimise |[F, tau / LENGTH]|^2 + ridge sum |f_k|^2, where F = sum f_k, tau = sum r_k x f_k.
+    """The forces f_k that minimise |[F, tau / LEVER_M]|^2 + ridge sum |f_k|^2, where F = sum f_k, tau = sum r_k x f_k.
 
-    The pressures n_k . f_k sum to 1 and none is above `MOST`, or, of a single contact, 1. Friction is at most that of
-    a pyramid of `EDGES` edges within the cone; its orientation about the normal is that of `basis_tangents`, so that
-    turning everything changes the result as little as a friction between that and cos(pi / EDGES) times it would.
+    The pressures n_k . f_k sum to 1 and none is above `MAX_PRESSURE_SHARE`, or, of a single contact, 1. Friction is at
+    most that of a pyramid of `NUM_EDGES` edges within the cone; its orientation about the normal is that of
+    `basis_tangents`, so that rotating everything changes the result as little as a friction between that and
+    cos(pi / NUM_EDGES) times it would.
 
     Args:
-        point: Contact points (N, K, 3) in metres; a contact with any NaN, in point or normal, is none.
+        point: Contact points (N, K, 3) in metres; a contact with any NaN, in point or normal, is ignored.
         normal: Unit normals (N, K, 3) from link to object, into the object.
         center: The point (3,) that torques are about, the object's centre of mass.
         friction: Coefficient of friction.
-        ridge: Weight of the squared forces, above 0: it makes the solution unique. What it costs is in the residual,
-            about as much as itself.
-        load: What pushes at the object besides, [F, tau / `LENGTH`] per unit of total pressure; None: nothing.
+        ridge: Weight of the squared forces, above 0: it makes the solution unique. Its cost is in the residual,
+            about as large as the weight itself.
+        load: Outer load on the object, [F, tau / `LEVER_M`] per unit of total pressure; None: none.
         forms: Other linear forms of the forces, sum a_ek . f_k, whose squares are minimised with the rest.
     """
     loads = [np.zeros(6) if load is None else load]
@@ -130,7 +131,7 @@ def contact_forces_under(
         rows = np.flatnonzero(there.sum(axis=1) == count)
         if count and len(rows):
             place = np.argsort(~there[rows], axis=1, kind="stable")[:, :count]
-            found, done = _balanced(G[rows[:, None], place], outer[:, rows], friction, ridge)
+            found, done = _solve_programs(G[rows[:, None], place], outer[:, rows], friction, ridge)
             local[:, rows[:, None], place], solved[:, rows] = found, done
     force = (basis @ local[..., None])[..., 0]
     unbalanced = outer + (G @ local[..., None])[..., 0].sum(axis=2)
@@ -145,10 +146,10 @@ def grasp_map(
     center: Float[np.ndarray, " 3"],
     forms: Float[np.ndarray, "N E K 3"] | None = None,
 ) -> tuple[Float[np.ndarray, "N K R 3"], Float[np.ndarray, "N K 3 3"]]:
-    """What local forces come to, G (N, K, 6 + E, 3), and their directions (N, K, 3, 3) as columns.
+    """Grasp map G (N, K, 6 + E, 3) of local forces, and their directions (N, K, 3, 3) as columns.
 
     Args:
-        point: As for `contact_forces`; what is no contact has a G of 0.
+        point: As for `contact_forces`; ignored contacts have a G of 0.
         normal: As for `contact_forces`.
         center: As for `contact_forces`.
         forms: As for `contact_forces`.
@@ -157,29 +158,29 @@ def grasp_map(
     n = np.where(there[..., None], normal, [0.0, 0.0, 1.0])
     r = np.where(there[..., None], point - center, 0.0)
     basis = np.concatenate([n[..., None], basis_tangents(n)], axis=-1)
-    parts = [basis, hat(r) @ basis / LENGTH]
+    parts = [basis, hat(r) @ basis / LEVER_M]
     if forms is not None:
         parts.append(np.moveaxis(forms, 1, 2) @ basis)
     return np.concatenate(parts, axis=-2) * there[..., None, None], basis
 
 
 def basis_tangents(normal: Float[np.ndarray, "*K 3"]) -> Float[np.ndarray, "*K 3 2"]:
-    """Two unit tangents as columns of each unit normal that turn with it smoothly, but for one direction.
+    """Two unit tangents as columns of each unit normal that turn with it smoothly, except at one direction.
 
-    As `se3.tangents`, which jump where a normal crosses a coordinate plane; there normals of upright objects are.
+    Those of `se3.tangents` jump where a normal crosses a coordinate plane, where normals of upright objects lie.
     """
-    x, y, z = np.moveaxis(normal @ POLE.T, -1, 0)
-    a = -1.0 / np.maximum(1.0 + z, NO_TURN)
+    x, y, z = np.moveaxis(normal @ POLE_ROTATION.T, -1, 0)
+    a = -1.0 / np.maximum(1.0 + z, MIN_POLE_OFFSET)
     first = np.stack([1.0 + x * x * a, x * y * a, -x], axis=-1)
     second = np.stack([x * y * a, 1.0 + y * y * a, -y], axis=-1)
-    return np.stack([first @ POLE, second @ POLE], axis=-1)
+    return np.stack([first @ POLE_ROTATION, second @ POLE_ROTATION], axis=-1)
 
 
 def basis_spin(normal: Float[np.ndarray, "*K 3"], change: Float[np.ndarray, "*K 3 D"]) -> Float[np.ndarray, "*K D"]:
-    """How the `basis_tangents` turn about the normal, in radians, where the normals change by `change`."""
-    x, y, z = np.moveaxis(normal @ POLE.T, -1, 0)
-    turned = POLE @ change
-    return (y[..., None] * turned[..., 0, :] - x[..., None] * turned[..., 1, :]) / np.maximum(1.0 + z, NO_TURN)[
+    """Rotation of the `basis_tangents` about the normal, in radians, where the normals change by `change`."""
+    x, y, z = np.moveaxis(normal @ POLE_ROTATION.T, -1, 0)
+    turned = POLE_ROTATION @ change
+    return (y[..., None] * turned[..., 0, :] - x[..., None] * turned[..., 1, :]) / np.maximum(1.0 + z, MIN_POLE_OFFSET)[
         ..., None
     ]
 
@@ -187,18 +188,18 @@ def basis_spin(normal: Float[np.ndarray, "*K 3"], change: Float[np.ndarray, "*K 
 def center_of_mass(obj: Object) -> Float[np.ndarray, " 3"]:
     """Centre of mass (3,) of an object of uniform density in its own frame, metres.
 
-    That of its mesh, where this is closed; the pieces overlap a little and fill small hollows. An open surface, which
-    may come with given pieces, has none: there it is that of the pieces, each with its own volume.
+    It is that of the mesh, where this is closed: the pieces overlap a little and fill small hollows. An open surface,
+    which may come with given pieces, has none: there it is that of the pieces, each with its own volume.
     """
     if obj.mesh.is_volume:
         return np.asarray(obj.mesh.center_mass, dtype=np.float64)
     return Inertia.of(obj.body.pieces).centre
 
 
-def _balanced(
+def _solve_programs(
     G: Float[np.ndarray, "M C R 3"], outer: Float[np.ndarray, "P M R"], friction: float, ridge: float
 ) -> tuple[Float[np.ndarray, "P M C 3"], Bool[np.ndarray, "P M"]]:
-    """Forces (pressure and two tangents) of C contacts each, and whether they were found, one program per load."""
+    """Forces (pressure and two tangents) of C contacts each, and True where they were found, one program per load."""
     (P, M), C = outer.shape[:2], G.shape[1]
     G = np.ascontiguousarray(np.moveaxis(G, 1, 2)).reshape(M, -1, 3 * C)
     H = G.mT @ G + ridge * np.eye(3 * C)
@@ -207,7 +208,7 @@ def _balanced(
     local, solved = np.zeros((P, M, 3 * C)), np.zeros((P, M), dtype=bool)
     for p, m in np.ndindex(P, M):
         x, _, flag, _ = daqp.solve(H[m], g[p, m], rows, upper, lower, sense)
-        if flag == OPTIMAL:
+        if flag == DAQP_OPTIMAL:
             local[p, m], solved[p, m] = x, True
     return local.reshape(P, M, C, 3), solved
 
@@ -218,13 +219,13 @@ def _constraints(C: int, friction: float) -> tuple[np.ndarray, np.ndarray, np.nd
     The first bounds are those of the unknowns themselves: pressures from 0 to the cap, tangents without any. Then
     come the sum of the pressures and, for each contact, the faces of its pyramid, which lie between two edges.
     """
-    angle = (np.arange(EDGES) + 0.5) * 2.0 * np.pi / EDGES
-    face = np.stack([np.full(EDGES, -friction * np.cos(np.pi / EDGES)), np.cos(angle), np.sin(angle)], axis=1)
+    angle = (np.arange(NUM_EDGES) + 0.5) * 2.0 * np.pi / NUM_EDGES
+    face = np.stack([np.full(NUM_EDGES, -friction * np.cos(np.pi / NUM_EDGES)), np.cos(angle), np.sin(angle)], axis=1)
     rows = np.concatenate([np.tile([1.0, 0.0, 0.0], C)[None], np.kron(np.eye(C), face)])
-    none, cap = 1e30, max(MOST, 1.0 / C)  # 1e30 is infinity for daqp
-    faces = np.full(C * EDGES, none)
+    none, cap = 1e30, max(MAX_PRESSURE_SHARE, 1.0 / C)  # 1e30 is infinity for daqp
+    faces = np.full(C * NUM_EDGES, none)
     lower = np.concatenate([np.tile([0.0, -none, -none], C), [1.0], -faces])
     upper = np.concatenate([np.tile([cap, none, none], C), [1.0], 0.0 * faces])
     sense = np.zeros(len(lower), dtype=np.int32)
-    sense[3 * C] = EQUALITY
+    sense[3 * C] = DAQP_EQUALITY
     return rows, lower, upper, sense

@@ -1,4 +1,4 @@
-"""A rigid body as everything downstream sees it: convex pieces, surface candidates and bounding spheres."""
+"""Rigid body: convex pieces, surface candidates and bounding spheres."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Body:
     pieces: tuple[Piece, ...]
     """Convex pieces whose union is the body."""
     candidates: Candidates
-    """Points that stand for the exposed surface."""
+    """Samples of the exposed surface."""
 
     def __repr__(self) -> str:
         parts = (len(self.pieces), "convex piece"), (len(self.candidates.points), "surface point")
@@ -57,11 +57,11 @@ class Body:
 
 
 def build_body(name: str, pieces: Sequence[Piece], *, candidates: int = 1024, seed: int = 0) -> Body:
-    """The body made of `pieces`, with `candidates` seeded surface points.
+    """Return the body made of `pieces`, with `candidates` seeded surface points.
 
     Raises:
         MeshError: there are no pieces, or none of their surface is exposed.
-        GraspRefineError: an argument of another kind.
+        GraspRefineError: an argument of another type.
     """
     check_kind("name", name, str)
     check_kind("candidates", candidates, int)

@@ -1,6 +1,6 @@
-"""What is costly to find, on disk: one .npz file for each geometry and settings, named by their hash.
+"""Disk cache of costly results: one .npz file for each geometry and settings, named by their hash.
 
-Convex decompositions are the main kind; others keep arrays of their own.
+Most entries are convex decompositions; others hold arrays of their own.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from typing import Any
 import numpy as np
 import platformdirs
 
-BROKEN: tuple[type[Exception], ...]
-BROKEN = (OSError, EOFError, LookupError, ValueError, TypeError, SyntaxError, RuntimeError, MemoryError)
-BROKEN += (zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
-"""How an entry shows that something else has written it, or only half of it."""
+READ_ERRORS: tuple[type[Exception], ...]
+READ_ERRORS = (OSError, EOFError, LookupError, ValueError, TypeError, SyntaxError, RuntimeError, MemoryError)
+READ_ERRORS += (zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
+"""Errors from reading an entry that is incomplete or foreign."""
 
 SCHEMA = 1
-"""Layout of an entry and of what goes into its name; a new one leaves all old entries unused."""
+"""Version of an entry's layout and of its name's hash; a new one leaves all old entries unused."""
 
 Polytope = tuple[np.ndarray, np.ndarray]
 """Vertices (V, 3) and triangles (F, 3)."""
 
 
 def default_cache(kind: str = "pieces") -> Path:
-    """The folder of one kind of entries: $GRASP_REFINE_CACHE/kind, else `kind` in the user's cache folder."""
+    """Folder of one kind of entries: $GRASP_REFINE_CACHE/kind, else `kind` in the user's cache folder."""
     root = os.environ.get("GRASP_REFINE_CACHE") or platformdirs.user_cache_dir("grasp-refine")
     return Path(root) / kind
 
 
 def entry_name(vertices: np.ndarray, faces: np.ndarray, settings: str) -> str:
-    """File name of the entry for a geometry and the text of all `settings` that what is kept depends on."""
+    """File name of the entry for a geometry and the text of all `settings` that affect the result."""
     digest = hashlib.sha256(f"{SCHEMA} {vertices.shape} {faces.shape} {settings}".encode())
     digest.update(vertices.astype("<f8").tobytes())
     digest.update(faces.astype("<i8").tobytes())
@@ -47,10 +47,10 @@ def entry_name(vertices: np.ndarray, faces: np.ndarray, settings: str) -> str:
 
 
 def save(entry: Path, polytopes: Sequence[Polytope]) -> None:
-    """Nothing; the polytopes are kept as `save_arrays` does.
+    """Save polytopes as one entry, see `save_arrays`.
 
     Raises:
-        OSError: the folder cannot be written to.
+        OSError: the folder is not writable.
     """
     vertices, faces = zip(*polytopes, strict=True)
     save_arrays(
@@ -63,10 +63,10 @@ def save(entry: Path, polytopes: Sequence[Polytope]) -> None:
 
 
 def save_arrays(entry: Path, **arrays: Any) -> None:
-    """Nothing; the entry appears complete or not at all, also when several processes write it.
+    """Save an entry atomically, also when several processes write it.
 
     Raises:
-        OSError: the folder cannot be written to.
+        OSError: the folder is not writable.
     """
     entry.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=entry.parent, suffix=".tmp")
@@ -80,9 +80,9 @@ def save_arrays(entry: Path, **arrays: Any) -> None:
 
 
 def load(entry: Path) -> list[Polytope] | None:
-    """The polytopes of an entry; None when there is no such entry, or it is broken."""
+    """Return the polytopes of an entry; None when there is no such entry, or it is broken."""
     arrays = load_arrays(entry, "vertices", "faces", "vertex_counts", "face_counts")
-    if arrays is None or not _sound(*arrays):
+    if arrays is None or not _is_valid(*arrays):
         return None
     vertices, faces, *counts = arrays
     per_vertex, per_face = (np.cumsum(count)[:-1] for count in counts)
@@ -90,20 +90,20 @@ def load(entry: Path) -> list[Polytope] | None:
 
 
 def load_arrays(entry: Path, *names: str) -> list[np.ndarray] | None:
-    """The arrays of an entry with these names; None when there is no such entry, or it cannot be read."""
+    """Return the arrays of an entry by name; None when there is no such entry, or it cannot be read."""
     try:
-        # numpy leaves a file open that it opened itself and could not read.
+        # NumPy leaves a file open that it opened itself and could not read.
         with open(entry, "rb") as file, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of heads that Python 2 wrote, or nobody
+            warnings.simplefilter("ignore")  # about headers from Python 2, or damaged ones
             with np.load(file, allow_pickle=False) as arrays:
                 found = [arrays[name] for name in names]
-    except BROKEN:
+    except READ_ERRORS:
         return None
     return found if all(isinstance(array, np.ndarray) for array in found) else None
 
 
-def _sound(vertices: np.ndarray, faces: np.ndarray, per_vertex: np.ndarray, per_face: np.ndarray) -> bool:
-    """Whether the arrays of an entry are of the right kind and fit each other."""
+def _is_valid(vertices: np.ndarray, faces: np.ndarray, per_vertex: np.ndarray, per_face: np.ndarray) -> bool:
+    """Return whether the arrays of an entry have the right types and consistent shapes."""
     if [a.dtype for a in (vertices, faces, per_vertex, per_face)] != [
         np.float64,
         np.int64,

@@ -1,4 +1,4 @@
-"""Convex pieces that cover a mesh and stand out of it by little more than a limit: its hull where that will do."""
+"""Convex pieces that cover a mesh and protrude from it by little more than a limit: its hull where that suffices."""
 
 from __future__ import annotations
 
@@ -16,45 +16,46 @@ from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.holes import find_holes
 from grasp_refine.geometry.mesh import FlatMeshError
 from grasp_refine.geometry.nearest_triangle import Triangles
-from grasp_refine.geometry.over_cover import PRECISION, over_cover
+from grasp_refine.geometry.over_cover import MAX_OVERESTIMATE, over_cover
 from grasp_refine.geometry.pieces import Piece, convex_pieces, hull
 
 if TYPE_CHECKING:
     import trimesh
 
-MOST = 16
-"""Most pieces of a mesh; beyond that the smallest are joined with those near them."""
+MAX_PIECES = 16
+"""Most pieces of a mesh; beyond that the smallest are merged with their neighbours."""
 
-MOST_CUTS = 8
+MAX_PIECES_PER_BODY = 8
 """Most pieces that CoACD cuts one connected body into."""
 
-SIMPLER = 0.05
-"""How far what CoACD cuts may lie from the mesh, as a share of the limit; CoACD's time grows with the triangles."""
+SIMPLIFICATION_RATIO = 0.05
+"""Distance of the simplified input of CoACD from the mesh, as a fraction of the limit; CoACD's time grows with the
+triangles."""
 
-NOTICED = 2e-3
-"""Pieces that stand out by less than this, in metres, or 1 % of the diagonal of the mesh, do so unnoticed."""
+MIN_PROTRUSION_M = 2e-3
+"""Protrusions below this, in metres, or below 1 % of the diagonal of the mesh, are ignored."""
 
-OUTSIDE = 1e-5
-"""No vertex of the mesh is farther outside all pieces than this, in metres."""
+OUTSIDE_TOLERANCE_M = 1e-5
+"""Largest distance of a vertex of the mesh outside all pieces, in metres."""
 
 _SCHEMA = 1
-"""Of what is measured; a new one leaves all old cache entries unused."""
+"""Version of the measured distances; a new one leaves all old cache entries unused."""
 
 
 @dataclass(frozen=True, eq=False)
 class Covering:
-    """Convex pieces that cover a mesh, and how far they stand out of it."""
+    """Convex pieces that cover a mesh, and the distances by which they protrude from it."""
 
     pieces: tuple[Piece, ...]
-    """The hull of the mesh, or several pieces that do better."""
+    """The hull of the mesh, or several pieces that fit better."""
     hull_stands_out: float
-    """How far the hull of the whole mesh stands out of it, in metres; 0 where that is no more than `least`."""
+    """Largest distance from the mesh to the surface of its hull, in metres; 0 where it is at most `least`."""
     stands_out: float
-    """How far the pieces do, likewise."""
+    """Largest distance from the mesh to the exposed surface of the pieces, in metres; 0 where it is at most `least`."""
     least: float
-    """What was looked for, in metres; infinite: nothing was measured."""
+    """Smallest distance that was measured, in metres; infinite: nothing was measured."""
     trouble: str = ""
-    """Why a part of the mesh was not cut, if that was meant."""
+    """Reason why a part of the mesh was not cut although it should be; empty: none."""
 
 
 def covering(
@@ -65,19 +66,19 @@ def covering(
     progress: Callable[[str], None] | None = None,
     name: str = "mesh",
 ) -> Covering:
-    """The hull of `mesh` if it stands out of it by no more than `limit` metres, else several pieces.
+    """Return the hull of `mesh` if it protrudes from it by at most `limit` metres, else several pieces.
 
-    These are the hulls of its connected bodies and, where such a hull stands out by more than the limit, what CoACD
-    cuts the body into: at most `MOST_CUTS` pieces a body, `MOST` in all, even if they stand out by more. Pieces inside
-    another one are dropped. Each vertex of the mesh is in a piece, and no piece goes beyond the hull, to within
-    `OUTSIDE`. Where all this gains nothing that can be measured, the hull stays.
+    These are the hulls of its connected bodies and, where such a hull protrudes by more than the limit, the pieces that
+    CoACD cuts the body into: at most `MAX_PIECES_PER_BODY` a body, `MAX_PIECES` in all, even if they protrude by more.
+    Pieces inside another one are dropped. Each vertex of the mesh is in a piece, and no piece goes beyond the hull, to
+    within `OUTSIDE_TOLERANCE_M`. Without a measurable gain the hull is kept.
 
     Args:
         mesh: Closed or open, one body or several.
-        limit: In metres; infinite: always the hull, and nothing is measured.
-        cache: Folder of what was cut and measured before; None keeps nothing.
-        progress: Gets a line before and one after CoACD cuts.
-        name: For messages.
+        limit: Largest protrusion in metres; infinite: always the hull, and nothing is measured.
+        cache: Folder of earlier cuts and measurements; None: no cache.
+        progress: Called with a line before and one after CoACD cuts.
+        name: Name in messages.
 
     Raises:
         MeshError: the mesh has no thickness, or the limit is not positive.
@@ -88,18 +89,18 @@ def covering(
     whole = hull(vertices[np.unique(mesh.faces)], name=name)
     if np.isinf(limit):
         return Covering((whole,), 0.0, 0.0, least=np.inf)
-    # To look for 2 mm all over a long arm would take long.
-    least = min(limit, max(NOTICED, 0.01 * float(np.linalg.norm(np.ptp(vertices, axis=0)))))
+    # Searching a long arm for 2 mm would take long.
+    least = min(limit, max(MIN_PROTRUSION_M, 0.01 * float(np.linalg.norm(np.ptp(vertices, axis=0)))))
     mesh = _without_small_holes(mesh, least)
     triangles = Triangles(vertices[mesh.faces])
-    before = _measured([whole], triangles, least, cache)
+    before = _measure_cached([whole], triangles, least, cache)
     if before <= limit:
         return Covering((whole,), before, before, least)
     found, troubles = _body_pieces(mesh, limit, cache, progress, name)
-    pieces = _joined(_outermost(found)) or [whole]
-    pieces = [_within(whole, piece) for piece in _reaching(pieces, vertices[np.unique(mesh.faces)])]
-    after = _measured(pieces, triangles, least, cache)
-    if after > (1 - 2 * PRECISION) * before:
+    pieces = _merge_smallest(_outermost(found)) or [whole]
+    pieces = [_clip_to_hull(whole, piece) for piece in _extend_to(pieces, vertices[np.unique(mesh.faces)])]
+    after = _measure_cached(pieces, triangles, least, cache)
+    if after > (1 - 2 * MAX_OVERESTIMATE) * before:
         return Covering(
             (whole,),
             before,
@@ -111,9 +112,9 @@ def covering(
 
 
 def _without_small_holes(mesh: trimesh.Trimesh, size: float) -> trimesh.Trimesh:
-    """A mesh without missing triangles, and without holes of four edges no wider than `size` metres.
+    """Mesh with its holes of three edges, and those of four edges no wider than `size` metres, filled.
 
-    What a small hole lets in is no place where the hull stands out. A wide hole of four edges may be meant.
+    The hull does not protrude over a small hole. A wide hole of four edges may be intended.
     """
     import trimesh
 
@@ -133,9 +134,9 @@ def _without_small_holes(mesh: trimesh.Trimesh, size: float) -> trimesh.Trimesh:
 def _body_pieces(
     mesh: trimesh.Trimesh, limit: float, cache: Path | None, progress: Callable[[str], None] | None, name: str
 ) -> tuple[list[Piece], list[str]]:
-    """The hulls of the connected bodies of a mesh, or what CoACD cuts them into, and what went wrong in that.
+    """Hulls of the connected bodies of a mesh, or the pieces that CoACD cuts them into, and the errors of CoACD.
 
-    Those whose hulls stand out the most are cut first, until there are `MOST` pieces: more would be joined again.
+    Bodies whose hulls protrude the most are cut first, until there are `MAX_PIECES` pieces: more would be merged again.
     """
     solid, flat, troubles = [], [], []
     for body in mesh.split(only_watertight=False, repair=False):
@@ -144,14 +145,14 @@ def _body_pieces(
         except FlatMeshError:
             flat.append(np.asarray(body.vertices, dtype=np.float64))
     measured = [
-        _measured([whole], Triangles(np.asarray(body.vertices, dtype=np.float64)[body.faces]), limit, cache)
+        _measure_cached([whole], Triangles(np.asarray(body.vertices, dtype=np.float64)[body.faces]), limit, cache)
         for body, whole in solid
     ]
-    pieces = _patches(flat)
+    pieces = _flat_hulls(flat)
     for index in np.argsort(-np.array(measured), kind="stable"):
         body, whole = solid[index]
         found = [whole]
-        if measured[index] > 0 and len(pieces) < MOST:
+        if measured[index] > 0 and len(pieces) < MAX_PIECES:
             try:
                 found = _cut(body, limit, cache, progress, name)
             except MeshError as error:
@@ -163,44 +164,48 @@ def _body_pieces(
 def _cut(
     body: trimesh.Trimesh, limit: float, cache: Path | None, progress: Callable[[str], None] | None, name: str
 ) -> list[Piece]:
-    """What CoACD cuts a connected mesh into.
+    """Cut a connected mesh with CoACD.
 
     Raises:
         MeshError: CoACD fails.
     """
-    # CoACD's threshold is about how far its pieces stand out, the mesh being 2 long.
+    # CoACD's threshold is about the protrusion of its pieces, the mesh being 2 long.
     threshold = float(np.clip(limit / (np.ptp(body.vertices, axis=0).max() / 2), 0.01, 1.0))
-    settings = Decomposition(threshold, MOST_CUTS, mcts_nodes=10, mcts_iterations=60, mcts_max_depth=2)
-    return list(convex_pieces(_simplified(body, SIMPLER * limit), settings, cache=cache, progress=progress, name=name))
+    settings = Decomposition(threshold, MAX_PIECES_PER_BODY, mcts_nodes=10, mcts_iterations=60, mcts_max_depth=2)
+    return list(
+        convex_pieces(
+            _simplify(body, SIMPLIFICATION_RATIO * limit), settings, cache=cache, progress=progress, name=name
+        )
+    )
 
 
-def _patches(flat: Sequence[np.ndarray]) -> list[Piece]:
-    """The hulls of flat bodies, whose points these are; those whose boxes touch are the sides of one body."""
+def _flat_hulls(flat: Sequence[np.ndarray]) -> list[Piece]:
+    """Hulls of flat bodies, given their points; those whose boxes touch are the sides of one body."""
     groups: list[np.ndarray] = []
     for points in flat:
         near = [group for group in groups if _boxes_touch(group, points)]
         groups = [group for group in groups if not any(group is other for other in near)]
         groups.append(np.concatenate([*near, points]))
-    return [piece for group in groups for piece in _sheet(group)]
+    return [piece for group in groups for piece in _thin_hull(group)]
 
 
 def _boxes_touch(one: np.ndarray, other: np.ndarray) -> bool:
     gap = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
-    return bool(gap.max() <= OUTSIDE)
+    return bool(gap.max() <= OUTSIDE_TOLERANCE_M)
 
 
-def _sheet(points: np.ndarray) -> list[Piece]:
-    """The hull of some points; `OUTSIDE` thick on either side if they lie in a plane, nothing if on a line."""
+def _thin_hull(points: np.ndarray) -> list[Piece]:
+    """Hull of some points; `OUTSIDE_TOLERANCE_M` thick on either side if they lie in a plane, none if on a line."""
     with suppress(MeshError):
         return [hull(points)]
-    step = OUTSIDE * np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
+    step = OUTSIDE_TOLERANCE_M * np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
     with suppress(MeshError):
         return [hull(np.concatenate([points - step, points + step]))]
     return []
 
 
-def _simplified(mesh: trimesh.Trimesh, tolerance: float) -> trimesh.Trimesh:
-    """A mesh with fewer triangles, no farther from `mesh` than `tolerance`; itself if it is not a closed manifold."""
+def _simplify(mesh: trimesh.Trimesh, tolerance: float) -> trimesh.Trimesh:
+    """Mesh with fewer triangles, at most `tolerance` from `mesh`; `mesh` itself if it is not a closed manifold."""
     import manifold3d
     import trimesh
 
@@ -213,10 +218,10 @@ def _simplified(mesh: trimesh.Trimesh, tolerance: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(simpler.vert_properties[:, :3], simpler.tri_verts.astype(np.int64), process=False)
 
 
-def _measured(pieces: Sequence[Piece], mesh: Triangles, least: float, cache: Path | None) -> float:
-    """How far pieces stand out of a mesh, 0 if by no more than `least`; looked up where it was measured before."""
+def _measure_cached(pieces: Sequence[Piece], mesh: Triangles, least: float, cache: Path | None) -> float:
+    """Protrusion of pieces from a mesh in metres, 0 if at most `least`; from the cache where possible."""
     corners = np.concatenate([piece.vertices for piece in pieces])
-    settings = f"over-cover {_SCHEMA} {least!r} {PRECISION} {[len(piece.vertices) for piece in pieces]}"
+    settings = f"over-cover {_SCHEMA} {least!r} {MAX_OVERESTIMATE} {[len(piece.vertices) for piece in pieces]}"
     faces = np.concatenate([piece.faces for piece in pieces])
     entry = cache and cache / disk.entry_name(np.concatenate([corners, mesh.corners.reshape(-1, 3)]), faces, settings)
     known = disk.load_arrays(entry, "over_cover") if entry else None
@@ -224,24 +229,24 @@ def _measured(pieces: Sequence[Piece], mesh: Triangles, least: float, cache: Pat
         return float(known[0])
     found = over_cover(pieces, mesh, least=least)
     if entry:
-        with suppress(OSError):  # it is measured again the next time
+        with suppress(OSError):  # measured again the next time
             disk.save_arrays(entry, over_cover=np.array(found))
     return found
 
 
 def _outermost(pieces: Sequence[Piece]) -> list[Piece]:
-    """The pieces that do not lie inside another one; of two that are the same, the first."""
+    """Pieces that do not lie inside another one; of two equal ones, the first."""
     kept: list[Piece] = []
     for piece in sorted(pieces, key=lambda piece: -_box_volume([piece])):
-        if not any((_beyond(piece.vertices, other) <= OUTSIDE).all() for other in kept):
+        if not any((_plane_distance(piece.vertices, other) <= OUTSIDE_TOLERANCE_M).all() for other in kept):
             kept.append(piece)
     return kept
 
 
-def _joined(pieces: Sequence[Piece]) -> list[Piece]:
-    """At most `MOST` pieces: the smallest is joined with that one with which it fills the smallest box, and so on."""
+def _merge_smallest(pieces: Sequence[Piece]) -> list[Piece]:
+    """Merge down to `MAX_PIECES` pieces: repeatedly the smallest, with the piece whose box it enlarges least."""
     pieces = list(pieces)
-    while len(pieces) > MOST:
+    while len(pieces) > MAX_PIECES:
         small = min(range(len(pieces)), key=lambda index: _box_volume([pieces[index]]))
         piece = pieces.pop(small)
         near = min(
@@ -252,10 +257,10 @@ def _joined(pieces: Sequence[Piece]) -> list[Piece]:
     return _outermost(pieces)
 
 
-def _reaching(pieces: Sequence[Piece], points: np.ndarray) -> list[Piece]:
-    """The pieces, each grown to those `points` that are more than `OUTSIDE` out of all of them and nearest to it."""
-    beyond = np.stack([_beyond(points, piece) for piece in pieces])
-    nearest, lost = beyond.argmin(axis=0), beyond.min(axis=0) > OUTSIDE
+def _extend_to(pieces: Sequence[Piece], points: np.ndarray) -> list[Piece]:
+    """Extend each piece to the `points` nearest to it that are more than `OUTSIDE_TOLERANCE_M` outside all pieces."""
+    beyond = np.stack([_plane_distance(points, piece) for piece in pieces])
+    nearest, lost = beyond.argmin(axis=0), beyond.min(axis=0) > OUTSIDE_TOLERANCE_M
     grown = []
     for index, piece in enumerate(pieces):
         own = points[lost & (nearest == index)]
@@ -263,9 +268,9 @@ def _reaching(pieces: Sequence[Piece], points: np.ndarray) -> list[Piece]:
     return grown
 
 
-def _within(whole: Piece, piece: Piece) -> Piece:
-    """The part of a piece that lies in the hull of the mesh: remeshing makes bodies thicker."""
-    if (_beyond(piece.vertices, whole) <= OUTSIDE).all():
+def _clip_to_hull(whole: Piece, piece: Piece) -> Piece:
+    """Part of a piece inside the hull of the mesh: remeshing makes bodies thicker."""
+    if (_plane_distance(piece.vertices, whole) <= OUTSIDE_TOLERANCE_M).all():
         return piece
     import manifold3d
 
@@ -273,8 +278,8 @@ def _within(whole: Piece, piece: Piece) -> Piece:
     return hull((solids[0] ^ solids[1]).to_mesh64().vert_properties[:, :3])
 
 
-def _beyond(points: np.ndarray, piece: Piece) -> np.ndarray:
-    """How far each of `points` (N, 3) is beyond the worst of the planes of a piece, in metres."""
+def _plane_distance(points: np.ndarray, piece: Piece) -> np.ndarray:
+    """Largest plane distance (N,) of `points` (N, 3) outside a piece, in metres; negative inside."""
     normals, offsets = piece.planes
     return (points @ normals.T - offsets).max(axis=1)
 

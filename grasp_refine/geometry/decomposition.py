@@ -1,4 +1,4 @@
-"""CoACD in a process of its own: some meshes end the process that it runs in, and nothing interrupts it."""
+"""CoACD in a process of its own: some meshes crash the process that it runs in, and it cannot be interrupted."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ import numpy as np
 from grasp_refine.core.errors import MeshError
 from grasp_refine.core.interruption import end_with
 
-CHECKED_EVERY_S = 0.1
-"""Time between two looks at whether a decomposition is still wanted, in seconds."""
+POLL_INTERVAL_S = 0.1
+"""Time between two checks for cancellation of a decomposition, in seconds."""
 
 _RANGES = {
     "threshold": (0.01, 1),
@@ -33,14 +33,14 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Settings of CoACD (Wei et al. 2022, collision-aware convex decomposition); its own defaults."""
+    """Settings of CoACD (Wei et al. 2022, collision-aware convex decomposition), with its own defaults."""
 
     threshold: float = 0.05
     """Largest concavity of a piece, 0.01 to 1, the mesh being 2 long: lower is finer, with more pieces."""
     max_pieces: int = -1
     """Most pieces, merged beyond the threshold if need be; -1: as many as the threshold takes."""
     preprocess: Literal["auto", "on", "off"] = "auto"
-    """Whether the mesh is remeshed with voxels first; auto: if it has several parts or is not manifold."""
+    """Remeshing with voxels first; auto: if the mesh has several parts or is not manifold."""
     preprocess_resolution: int = 50
     """Voxels along a side of that remeshing, 20 to 100."""
     resolution: int = 2000
@@ -57,7 +57,7 @@ class Decomposition:
     """Seed of the search; same seed, same pieces."""
 
     def __post_init__(self) -> None:
-        """Nothing.
+        """Check the ranges of the settings.
 
         Raises:
             MeshError: a setting is outside its range.
@@ -79,12 +79,12 @@ def decompose(
     threads: int | None = None,
     check: Callable[[], None] = lambda: None,
 ) -> list[np.ndarray]:
-    """The corners (V, 3) of each part that CoACD cuts a mesh into; `single` says that it is one closed part.
+    """Return the corners (V, 3) of each part that CoACD cuts a mesh into.
 
-    It uses so many `threads` (None: one for each core), which changes nothing in the parts. `check` is called every
-    `CHECKED_EVERY_S`; what it raises ends the decomposition.
+    `single` is true for a mesh of one closed part. The number of `threads` (None: one for each core) does not change
+    the parts. `check` is called every `POLL_INTERVAL_S`; an exception from it ends the decomposition.
 
-    CoACD's own "auto" remeshes also where triangles of a single closed part cross. On scanned mugs and cans
+    CoACD's own "auto" also remeshes where triangles of a single closed part cross. On scanned mugs and cans
     that took 3 to 7 times as long and made walls up to 50 % thicker, so it is the second attempt only.
 
     Raises:
@@ -105,24 +105,24 @@ def _run(
     threads: int | None,
     check: Callable[[], None],
 ) -> tuple[list[np.ndarray] | None, str]:
-    """The parts, or None and what was wrong."""
+    """The parts, or None and the fault."""
     with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
         np.savez(Path(folder, "mesh.npz"), vertices=vertices, faces=faces)
         with _start(folder, settings, threads) as child:
             try:
-                said = _errors(child, check)
+                errors = _wait(child, check)
             except BaseException:
                 child.kill()
                 raise
         if child.returncode != 0:
-            return None, ": ".join([f"exit code {child.returncode}", *said.strip().splitlines()[-1:]])
+            return None, ": ".join([f"exit code {child.returncode}", *errors.strip().splitlines()[-1:]])
         with np.load(Path(folder, "parts.npz"), allow_pickle=False) as arrays:
             return [arrays[f"arr_{index}"] for index in range(len(arrays.files))], ""
 
 
 def _start(folder: str, settings: dict[str, float | str], threads: int | None) -> subprocess.Popen[str]:
-    """The child at work on `mesh.npz` of `folder`."""
-    # The child finds what this process finds, also where the package is not installed.
+    """Start the child process on `mesh.npz` of `folder`."""
+    # The child imports from the same places as this process, also where the package is not installed.
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     return subprocess.Popen(
         [sys.executable, "-m", "grasp_refine.geometry.decomposition", folder, json.dumps(settings), str(os.getpid())],
@@ -135,17 +135,17 @@ def _start(folder: str, settings: dict[str, float | str], threads: int | None) -
     )
 
 
-def _errors(child: subprocess.Popen[str], check: Callable[[], None]) -> str:
-    """The error output of a child that has ended."""
+def _wait(child: subprocess.Popen[str], check: Callable[[], None]) -> str:
+    """Wait for a child process to end, and return its error output."""
     while True:
         try:
-            return child.communicate(timeout=CHECKED_EVERY_S)[1]
+            return child.communicate(timeout=POLL_INTERVAL_S)[1]
         except subprocess.TimeoutExpired:
             check()
 
 
 def _main(folder: str, settings: str, parent: str) -> None:
-    """The child's part: `mesh.npz` of `folder` in, `parts.npz` out; ends with the process `parent`."""
+    """Run the child process: `mesh.npz` of `folder` in, `parts.npz` out; ends with the process `parent`."""
     end_with(int(parent))
     import coacd
 

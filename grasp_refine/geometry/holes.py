@@ -1,4 +1,4 @@
-"""Holes in the surface of a mesh: found, and closed with flat caps where they are flat."""
+"""Holes in the surface of a mesh: detection, and flat caps for flat holes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from grasp_refine.core.errors import MeshError
 if TYPE_CHECKING:
     import trimesh
 
-FLAT = 0.02
-"""Largest distance of a rim from its plane, as a fraction of its diagonal, of a hole that counts as flat."""
+FLATNESS_RATIO = 0.02
+"""Largest distance of a flat hole's rim from its plane, as a fraction of the rim's diagonal."""
 
-COPLANAR = 1e-3
-"""Largest distance between the planes of two rims, as a fraction of the mesh's diagonal, that belong to one cap."""
+COPLANARITY_RATIO = 1e-3
+"""Largest distance between the planes of two rims of one cap, as a fraction of the mesh's diagonal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +24,7 @@ class Hole:
     """A hole, seen from outside the mesh."""
 
     rim: np.ndarray
-    """Vertices (V,) in the order in which a face that closes the hole has them."""
+    """Vertices (V,) in the order of a face that closes the hole."""
     center: np.ndarray
     """Mean (3,) of the rim, in metres."""
     normal: np.ndarray
@@ -32,7 +32,7 @@ class Hole:
     bounds: np.ndarray
     """Lower and upper corner (2, 3) of the rim's bounding box, in metres."""
     flat: bool
-    """Whether the rim lies in that plane, see `FLAT`."""
+    """Whether the rim lies in that plane up to `FLATNESS_RATIO`."""
 
     @property
     def width(self) -> float:
@@ -41,10 +41,10 @@ class Hole:
 
 
 def find_holes(mesh: trimesh.Trimesh) -> tuple[Hole, ...]:
-    """The holes of `mesh`, whose faces are turned consistently, the widest first.
+    """Return the holes of `mesh`, whose faces are oriented consistently, the widest first.
 
     Raises:
-        MeshError: rims meet in a vertex, or more than two faces in an edge, so that it is not clear what is missing.
+        MeshError: rims meet in a vertex, or more than two faces in an edge, which leaves the holes ambiguous.
     """
     count = len(mesh.vertices)
     a, b = np.asarray(mesh.edges).T
@@ -52,7 +52,7 @@ def find_holes(mesh: trimesh.Trimesh) -> tuple[Hole, ...]:
     codes, amounts = np.unique(forth, return_counts=True)
     open_edges = ~np.isin(forth, back)
     if (amounts > 1).any() or len(np.unique(a[open_edges])) < open_edges.sum():
-        raise MeshError("its open edges are no simple rims")
+        raise MeshError("its open edges do not form simple rims")
     # A cap runs along each open edge the other way.
     following = dict(zip(b[open_edges].tolist(), a[open_edges].tolist(), strict=True))
     holes = []
@@ -64,8 +64,8 @@ def find_holes(mesh: trimesh.Trimesh) -> tuple[Hole, ...]:
     return tuple(sorted(holes, key=lambda hole: -hole.width))
 
 
-def capped(mesh: trimesh.Trimesh) -> tuple[trimesh.Trimesh, str]:
-    """`mesh` with its holes closed by flat faces between the vertices of their rims, and what was closed, in words.
+def cap_holes(mesh: trimesh.Trimesh) -> tuple[trimesh.Trimesh, str]:
+    """Close the holes of `mesh` with flat faces between the vertices of their rims; also returns a note in words.
 
     Two rims around each other in one plane are closed with a ring.
 
@@ -82,7 +82,7 @@ def capped(mesh: trimesh.Trimesh) -> tuple[trimesh.Trimesh, str]:
     caps, waiting = [], list(holes)
     while waiting:
         first = waiting[0]
-        together = [hole for hole in waiting if _within(hole, first, COPLANAR * diagonal)]
+        together = [hole for hole in waiting if _is_within(hole, first, COPLANARITY_RATIO * diagonal)]
         waiting = [hole for hole in waiting if not any(hole is other for other in together)]
         caps.append(_cap(mesh.vertices, together))
     closed = trimesh.Trimesh(mesh.vertices, np.concatenate([mesh.faces, *caps]), process=False)
@@ -99,12 +99,18 @@ def _hole(vertices: np.ndarray, rim: np.ndarray) -> Hole:
     normal = vector / length if length > 0 else np.zeros(3)
     bounds = np.stack([points.min(axis=0), points.max(axis=0)])
     bent = np.abs((points - center) @ normal).max()
-    return Hole(rim, center, normal, bounds, bool(length > 0 and bent <= FLAT * np.linalg.norm(np.ptp(bounds, axis=0))))
+    return Hole(
+        rim,
+        center,
+        normal,
+        bounds,
+        bool(length > 0 and bent <= FLATNESS_RATIO * np.linalg.norm(np.ptp(bounds, axis=0))),
+    )
 
 
-def _within(inner: Hole, outer: Hole, distance: float) -> bool:
-    """Whether a flat hole lies in the plane of another and, by its corners, inside it; a hole does in itself."""
-    parallel = abs(inner.normal @ outer.normal) > 1 - FLAT**2
+def _is_within(inner: Hole, outer: Hole, distance: float) -> bool:
+    """Return whether a flat hole lies in the plane of another and, by its box, inside it; a hole lies in itself."""
+    parallel = abs(inner.normal @ outer.normal) > 1 - FLATNESS_RATIO**2
     coplanar = abs((inner.center - outer.center) @ outer.normal) <= distance
     low, high = outer.bounds
     inside = (inner.bounds[0] >= low - distance).all() and (inner.bounds[1] <= high + distance).all()
@@ -112,7 +118,7 @@ def _within(inner: Hole, outer: Hole, distance: float) -> bool:
 
 
 def _cap(vertices: np.ndarray, holes: list[Hole]) -> np.ndarray:
-    """Triangles (F, 3) between the rims of coplanar `holes`, the widest of which comes first."""
+    """Triangles (F, 3) between the rims of coplanar `holes`, the widest first."""
     import manifold3d
 
     normal = holes[0].normal

@@ -1,4 +1,4 @@
-"""Triangle meshes from files: loaded, scaled to metres, checked, and closed or refused."""
+"""Triangle meshes from files: load, scale to metres, check, and close or refuse."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from grasp_refine.core.errors import MeshError
 from grasp_refine.core.names import is_file
-from grasp_refine.geometry.holes import capped
+from grasp_refine.geometry.holes import cap_holes
 
 if TYPE_CHECKING:
     import trimesh
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".off")
-"""File formats that are read."""
+"""Supported file formats."""
 
 Holes = Literal["refuse", "cap", "hull"]
-"""What becomes of a mesh with holes: an error, flat caps on flat holes, or its convex hull."""
+"""Treatment of a mesh with holes: an error, flat caps on flat holes, or its convex hull."""
 
-THINNEST = 1e-6
-"""Smallest extent along the principal axes, as a fraction of the diagonal, that does not count as flat."""
+MIN_THICKNESS_RATIO = 1e-6
+"""Smallest extent of a solid along its principal axes, as a fraction of the diagonal."""
 
-SMALLEST, LARGEST = 1e-15, 1e15
-"""Diagonals of solids are between these, in metres or the unit of a file: a nucleus, the way of light in a month."""
+MIN_DIAGONAL, MAX_DIAGONAL = 1e-15, 1e15
+"""Limits of a solid's diagonal, in metres or the unit of the file: a nucleus, a light-month."""
 
-MOST_BODIES = 64
-"""Beyond so many bodies a mesh is cut into fewer pieces even where all are convex."""
+MAX_BODIES = 64
+"""Most connected bodies taken as one piece each; a mesh of more is cut into fewer pieces, even if all are convex."""
 
 
 @contextmanager
 def quietly() -> Iterator[None]:
-    """Let trimesh log nothing within the block: of a broken file it tells in words for programmers."""
+    """Silence trimesh within the block: what it logs about broken files is for programmers."""
     logger = logging.getLogger("trimesh")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
@@ -50,25 +50,25 @@ def quietly() -> Iterator[None]:
 
 
 class FlatMeshError(MeshError):
-    """A mesh whose points span no volume: fewer than four, all in one place, or in one plane."""
+    """A mesh whose points span no volume: fewer than four, coincident, or coplanar."""
 
 
 def load_mesh(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
-    """The mesh of a file times `scale`, in metres: geometries joined, equal vertices merged, no materials.
+    """Load the mesh of a file times `scale`, in metres: geometries joined, equal vertices merged, no materials.
 
     Raises:
         MeshError: the file is missing, unreadable, or of another format; `scale` is not positive and finite;
             or the mesh fails `check_mesh`.
     """
     path = Path(path)
-    return _merged(_read(path, scale, lambda scene: scene.to_mesh()), scale, str(path))
+    return _merge(_read(path, scale, lambda scene: scene.to_mesh()), scale, str(path))
 
 
 def load_groups(path: Path, scale: float = 1.0) -> tuple[tuple[str, trimesh.Trimesh | None], ...]:
-    """Name and mesh of each object in an OBJ file, in the order of their names, each as `load_mesh`; None if flat.
+    """Load name and mesh of each object in an OBJ file, sorted by name, each as in `load_mesh`; None if flat.
 
     Raises:
-        MeshError: as `load_mesh`.
+        MeshError: as in `load_mesh`.
     """
 
     def groups(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh]]:
@@ -77,14 +77,14 @@ def load_groups(path: Path, scale: float = 1.0) -> tuple[tuple[str, trimesh.Trim
     found: list[tuple[str, trimesh.Trimesh | None]] = []
     for name, group in _read(path, scale, groups, split_objects=True):
         try:
-            found.append((name, _merged(group, scale, f"{path}: {name}")))
+            found.append((name, _merge(group, scale, f"{path}: {name}")))
         except FlatMeshError:
             found.append((name, None))
     return tuple(found)
 
 
 def _read(path: Path, scale: float, take: Callable[[trimesh.Scene], T], **options: Any) -> T:
-    """What `take` makes of the scene in a file that is to be multiplied by `scale`."""
+    """Load a file and return `take` of its scene; checks the file and the `scale` to be applied."""
     import trimesh
 
     if path.suffix.lower() not in SUFFIXES:
@@ -98,20 +98,20 @@ def _read(path: Path, scale: float, take: Callable[[trimesh.Scene], T], **option
     try:
         with quietly():
             return take(trimesh.load_scene(path, process=False, **options))
-    # The readers raise whatever a broken file makes them trip over.
+    # The readers may raise any exception on a broken file.
     except Exception as error:
         raise MeshError(f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})") from error
 
 
-def _merged(loaded: trimesh.Trimesh, scale: float, name: str) -> trimesh.Trimesh:
-    """The checked mesh in metres, its equal vertices merged."""
+def _merge(loaded: trimesh.Trimesh, scale: float, name: str) -> trimesh.Trimesh:
+    """Mesh in metres, checked, with equal vertices merged."""
     import trimesh
 
     with quietly():
         mesh = trimesh.Trimesh(np.asarray(loaded.vertices) * scale, loaded.faces, process=False)
     check_mesh(mesh, name)
     mesh.remove_unreferenced_vertices()
-    # The merge distance is 1e-8 of the mesh's own size: an absolute one would eat a mesh of 0.1 mm.
+    # The merge distance is 1e-8 of the mesh's own size: an absolute one would collapse a mesh of 0.1 mm.
     mesh.merge_vertices(digits_vertex=int(np.ceil(8 - np.log10(_diagonal(mesh.vertices[mesh.faces])))))
     a, b, c = mesh.faces.T
     mesh.update_faces((a != b) & (b != c) & (c != a))
@@ -120,27 +120,27 @@ def _merged(loaded: trimesh.Trimesh, scale: float, name: str) -> trimesh.Trimesh
 
 
 def check_mesh(mesh: trimesh.Trimesh, name: str) -> None:
-    """Nothing, when `mesh` has faces whose vertices are finite and span a volume.
+    """Refuse a mesh without faces, or whose vertices are not finite or span no volume.
 
     Raises:
         FlatMeshError: the vertices span no volume.
-        MeshError: says what else is wrong with `name`.
+        MeshError: any other fault of `name`.
     """
     if len(mesh.faces) == 0:
         raise MeshError(f"{name}: empty, it has no faces")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise MeshError(f"{name}: its faces refer to vertices beyond the {len(mesh.vertices)} that it has")
+        raise MeshError(f"{name}: its faces refer to vertices beyond its {len(mesh.vertices)}")
     check_solid(mesh.vertices[np.unique(mesh.faces)], name)
 
 
 def check_solid(points: np.ndarray, name: str) -> None:
-    """Nothing, when `points` (N, 3) are finite and span a volume.
+    """Refuse `points` (N, 3) that are not finite or span no volume.
 
-    Collision libraries take flat, collinear or non-finite points in silence, or crash.
+    Collision libraries accept flat, collinear or non-finite points silently, or crash.
 
     Raises:
         FlatMeshError: the points span no volume.
-        MeshError: says what else is wrong with `name`.
+        MeshError: any other fault of `name`.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4:
@@ -149,34 +149,34 @@ def check_solid(points: np.ndarray, name: str) -> None:
     if not finite.all():
         raise MeshError(f"{name}: {(~finite).sum()} of its {len(points)} vertices are not finite")
     diagonal = _diagonal(points)
-    if not SMALLEST < diagonal < LARGEST:
+    if not MIN_DIAGONAL < diagonal < MAX_DIAGONAL:
         error = FlatMeshError if diagonal < 1 else MeshError
         raise error(f"{name}: its diagonal is {diagonal:g} m, which no solid has")
     centered = (points - points.mean(0)) / diagonal
     thickness = np.ptp(centered @ np.linalg.svd(centered, full_matrices=False)[2].T, axis=0).min()
-    if thickness < THINNEST:
-        raise FlatMeshError(f"{name}: flat, {thickness:.1e} of its diagonal thick ({THINNEST:g} is needed)")
+    if thickness < MIN_THICKNESS_RATIO:
+        raise FlatMeshError(f"{name}: flat, {thickness:.1e} of its diagonal thick ({MIN_THICKNESS_RATIO:g} is needed)")
 
 
 def watertight(mesh: trimesh.Trimesh, name: str, holes: Holes = "refuse") -> tuple[trimesh.Trimesh, tuple[str, ...]]:
-    """`mesh` with a closed surface whose normals point outward, and a note on each change that this took.
+    """Close the surface of `mesh`, with normals outward; also returns a note on each change.
 
-    A closed mesh comes back as it is; otherwise duplicate faces are dropped, single triangles and quads that
-    are missing are filled, and the faces are turned consistently. What is still open is closed only if `holes` says
-    how: a cup of paper and a solid one without its top look the same. An inverted mesh is turned inside out.
+    A closed mesh is returned unchanged; otherwise duplicate faces are dropped, single missing triangles and quads
+    are filled, and the faces are oriented consistently. Remaining holes are closed only as `holes` specifies: a
+    paper cup and a solid one without its top look the same. An inverted mesh is turned inside out.
 
     Raises:
         MeshError: the surface is still open, or encloses nothing.
     """
     notes = []
-    if not _closed(mesh):
+    if not _is_closed(mesh):
         before = len(mesh.faces)
         mesh = mesh.copy()
         with quietly():
             mesh.update_faces(mesh.unique_faces())
             mesh.fill_holes()
             mesh.fix_normals()
-        closed = _closed(mesh)
+        closed = _is_closed(mesh)
         if closed or len(mesh.faces) != before:
             what = "repaired to be watertight" if closed else "repaired in part"
             notes.append(f"{name}: {what} ({before} faces before, {len(mesh.faces)} after)")
@@ -187,29 +187,29 @@ def watertight(mesh: trimesh.Trimesh, name: str, holes: Holes = "refuse") -> tup
     if volume < 0:
         mesh = mesh.copy()
         mesh.invert()
-        notes.append(f"{name}: was inside out; its faces are turned over")
+        notes.append(f"{name}: was inside out; its faces are flipped")
     if abs(volume) < 1e-12 * _diagonal(mesh.vertices) ** 3:
         raise MeshError(f"{name}: its surface encloses no volume (a sheet, or one folded onto itself)")
     return mesh, tuple(notes)
 
 
 def _without_holes(mesh: trimesh.Trimesh, name: str, holes: Holes) -> tuple[trimesh.Trimesh, str]:
-    """A closed mesh in place of the open `mesh`, and what was done.
+    """Return a closed mesh in place of the open `mesh`, and a note on the change.
 
     Raises:
-        MeshError: nothing is to be done, or the holes cannot be capped.
+        MeshError: holes are refused, or cannot be cap_holes.
     """
     open_edges = int((np.bincount(mesh.edges_unique_inverse) % 2).sum())
     if holes == "hull":
-        # In a size of its own: trimesh takes what is nearer than 1e-8 for one.
+        # Scaled to unit size: trimesh merges points closer than 1e-8.
         size = _diagonal(mesh.vertices)
         body = mesh.copy().apply_scale(1 / size).convex_hull.apply_scale(size)
         return body, f"{name}: not watertight, {open_edges} edges are open; its convex hull is used"
     reason = ""
     if holes == "cap":
         try:
-            closed, what = capped(mesh)
-            if _closed(closed):
+            closed, what = cap_holes(mesh)
+            if _is_closed(closed):
                 return closed, f"{name}: {what}"
             reason = ", also with flat caps"
         except MeshError as error:
@@ -222,20 +222,20 @@ def _without_holes(mesh: trimesh.Trimesh, name: str, holes: Holes) -> tuple[trim
 
 
 def is_convex(mesh: trimesh.Trimesh, tolerance: float = 1e-3) -> bool:
-    """Whether the closed `mesh` is one connected body that fills more than `1 - tolerance` of its hull."""
+    """Return whether the closed `mesh` is one connected body that fills more than `1 - tolerance` of its hull."""
     from scipy.spatial import ConvexHull
 
     return bool(mesh.body_count == 1 and _volume(mesh) > (1 - tolerance) * ConvexHull(mesh.vertices).volume)
 
 
 def convex_bodies(mesh: trimesh.Trimesh, tolerance: float = 1e-3) -> tuple[np.ndarray, ...]:
-    """The points (V, 3) of each connected body of the closed `mesh`, if all are convex as in `is_convex`; else none.
+    """Points (V, 3) of each connected body of the closed `mesh` if all are convex as in `is_convex`, else empty.
 
-    Bodies may overlap. A cavity is a body that is inside out, so that a hollow mesh has none.
+    Bodies may overlap. A cavity is an inverted body, so the result is empty for a hollow mesh.
     """
     from scipy.spatial import ConvexHull
 
-    if mesh.body_count > MOST_BODIES:
+    if mesh.body_count > MAX_BODIES:
         return ()
     bodies = []
     for body in mesh.split(only_watertight=False, repair=False):
@@ -244,16 +244,16 @@ def convex_bodies(mesh: trimesh.Trimesh, tolerance: float = 1e-3) -> tuple[np.nd
             check_solid(points, "body")
         except MeshError:
             return ()
-        if not _closed(body) or _volume(body) <= (1 - tolerance) * ConvexHull(points).volume:
+        if not _is_closed(body) or _volume(body) <= (1 - tolerance) * ConvexHull(points).volume:
             return ()
         bodies.append(points)
     return tuple(bodies)
 
 
-def _closed(mesh: trimesh.Trimesh) -> bool:
-    """Whether each directed edge is matched by its reverse.
+def _is_closed(mesh: trimesh.Trimesh) -> bool:
+    """Return whether each directed edge is matched by its reverse.
 
-    Unlike trimesh's own test this lets two closed parts touch along an edge; the volume is well defined.
+    Unlike trimesh's own test this allows two closed parts to touch along an edge; the volume is well defined.
     """
     a, b = np.asarray(mesh.edges).T
     count = len(mesh.vertices)

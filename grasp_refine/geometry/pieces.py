@@ -1,4 +1,4 @@
-"""Convex pieces: what every body of a scene is made of, and how a closed mesh is cut into them."""
+"""Convex pieces of bodies, and the decomposition of closed meshes into them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry.decomposition import Decomposition, decompose
-from grasp_refine.geometry.mesh import LARGEST, SMALLEST, check_solid, convex_bodies
+from grasp_refine.geometry.mesh import MAX_DIAGONAL, MIN_DIAGONAL, check_solid, convex_bodies
 from grasp_refine.geometry.rings import Rings
 
 if TYPE_CHECKING:
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 SHIPPED = Path(__file__).parent / "embedded_pieces"
 """Convex pieces of the embedded objects, written by `cut_embedded.py` of the application."""
 
-NEGLIGIBLE = 1e-9
-"""A piece of less than this volume, times the cubed diagonal of the mesh, is dropped."""
+MIN_VOLUME_RATIO = 1e-9
+"""Smallest volume of a piece, as a fraction of the cubed diagonal of the mesh; smaller ones are dropped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class Piece:
 
     @cached_property
     def diagonal(self) -> float:
-        """Diagonal in metres of these bounds."""
+        """Diagonal of the bounding box in metres."""
         return float(np.linalg.norm(np.ptp(self.bounds, axis=0)))
 
     @cached_property
@@ -89,18 +89,18 @@ class Piece:
     @cached_property
     def planes(self) -> tuple[np.ndarray, np.ndarray]:
         """Unit normals (P, 3) and offsets (P,) of the core's half-spaces `n . x <= offset`; 0 for V <= 2."""
-        # A sliver is left out: its half-space is implied by the faces around it.
+        # Slivers are left out: their half-spaces are implied by the faces around them.
         solid = self.normals.any(axis=1)
         normals, corners = self.normals[solid], self.vertices[self.faces[solid]]
         return normals, np.einsum("fij,fj->fi", corners, normals).max(1, initial=-np.inf)
 
     @cached_property
     def derived(self) -> dict[str, Any]:
-        """What other modules have built from the piece, each under a name of its own, so that they build it once."""
+        """Structures that other modules built from the piece, by name, so that each is built once."""
         return {}
 
     def __getstate__(self) -> dict[str, Any]:
-        """The piece for another process, which builds what it derives itself."""
+        """State of the piece for another process, without `derived`, which that process builds itself."""
         return {name: value for name, value in self.__dict__.items() if name != "derived"}
 
     def rings(self, edges: int) -> Rings:
@@ -115,7 +115,7 @@ class Piece:
         return {}
 
     def mesh(self) -> trimesh.Trimesh:
-        """A closed surface of the piece, for showing; round parts have their vertices on the true surface."""
+        """Closed surface of the piece for display; round parts have their vertices on the true surface."""
         import trimesh
 
         core = self
@@ -136,7 +136,7 @@ def hull(points: ArrayLike, *, name: str = "convex piece") -> Piece:
     center = (points.min(0) + points.max(0)) / 2
     size = np.ptp(points, axis=0).max()
     try:
-        # Qhull judges flatness by absolute coordinates: give it a unit-sized set about the origin.
+        # Qhull tests flatness in absolute coordinates: give it a unit-sized set about the origin.
         qhull = ConvexHull((points - center) / size, qhull_options="Qt")
     except QhullError as error:
         reason = str(error).splitlines()[0]
@@ -155,7 +155,7 @@ def sphere(radius: float, center: ArrayLike = (0.0, 0.0, 0.0)) -> Piece:
     Raises:
         MeshError: the radius is not positive and finite, or the centre is not finite.
     """
-    return _rounded(radius, [center], "sphere")
+    return _round_piece(radius, [center], "sphere")
 
 
 def capsule(radius: float, a: ArrayLike, b: ArrayLike) -> Piece:
@@ -164,7 +164,7 @@ def capsule(radius: float, a: ArrayLike, b: ArrayLike) -> Piece:
     Raises:
         MeshError: the radius is not positive and finite, or an end is not finite.
     """
-    return _rounded(radius, [a] if np.array_equal(a, b) else [a, b], "capsule")
+    return _round_piece(radius, [a] if np.array_equal(a, b) else [a, b], "capsule")
 
 
 def box(extents: ArrayLike, T: np.ndarray | None = None) -> Piece:
@@ -173,9 +173,9 @@ def box(extents: ArrayLike, T: np.ndarray | None = None) -> Piece:
     Raises:
         MeshError: a side length is not positive and finite.
     """
-    half = _positive(extents, "box: side lengths") / 2
+    half = _check_positive(extents, "box: side lengths") / 2
     corners = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    return hull(_placed(corners, T), name="box")
+    return hull(_transform(corners, T), name="box")
 
 
 def cylinder(radius: float, length: float, T: np.ndarray | None = None, sides: int = 96) -> Piece:
@@ -188,10 +188,10 @@ def cylinder(radius: float, length: float, T: np.ndarray | None = None, sides: i
     """
     if sides < 3:
         raise MeshError(f"cylinder: at least 3 sides are needed, got {sides}")
-    radius, length = _positive([radius, length], "cylinder: radius and length")
+    radius, length = _check_positive([radius, length], "cylinder: radius and length")
     angles = 2 * np.pi * np.arange(sides) / sides
     ring = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(sides, length / 2)], axis=1)
-    return hull(_placed(np.concatenate([ring, ring * [1, 1, -1]]), T), name="cylinder")
+    return hull(_transform(np.concatenate([ring, ring * [1, 1, -1]]), T), name="cylinder")
 
 
 def convex_pieces(
@@ -202,7 +202,7 @@ def convex_pieces(
     progress: Callable[[str], None] | None = None,
     name: str = "mesh",
 ) -> tuple[Piece, ...]:
-    """The convex pieces of one closed `mesh`, as `cut_meshes`."""
+    """Return the convex pieces of one closed `mesh`, see `cut_meshes`."""
     return cut_meshes([(name, mesh)], config, cache=cache, progress=progress)[0]
 
 
@@ -213,15 +213,15 @@ def cut_meshes(
     cache: Path | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> list[tuple[Piece, ...]]:
-    """The convex pieces of named closed meshes: the bodies of one when all are convex, else what CoACD cuts it into.
+    """Cut named closed meshes into convex pieces: the bodies of a mesh if all are convex, else its parts by CoACD.
 
-    What CoACD sees is the mesh divided by its diagonal and rounded to 1e-9, so that one decomposition, and an entry of
-    the folder `cache` (none: nothing is read or kept), serves the same mesh at every scale. Pieces of the embedded
-    objects come with the program. As many meshes as there are cores are decomposed at a time, which changes no piece,
-    and each is kept as soon as it is done. `progress` gets a line before and one after each decomposition.
+    CoACD's input is the mesh divided by its diagonal and rounded to 1e-9, so that one decomposition, and an entry of
+    the folder `cache` (None: no cache), serves the same mesh at every scale. Pieces of the embedded objects come with
+    the program. As many meshes as there are cores are decomposed at a time, which changes no piece, and each is saved
+    as soon as it is done. `progress` is called with a line before and one after each decomposition.
 
     Raises:
-        MeshError: CoACD fails on one, or nothing solid came out.
+        MeshError: CoACD fails on a mesh, or finds no solid piece.
     """
     config, report = config or Decomposition(), progress or (lambda line: None)
     pieces: dict[int, tuple[Piece, ...]] = {}
@@ -238,19 +238,19 @@ def cut_meshes(
             parts[unit.entry] = known
         else:
             waiting.setdefault(unit.entry, unit)
-    for done, (unit, found, seconds) in enumerate(_decomposed(list(waiting.values()), config, report), 1):
-        parts[unit.entry] = solid = _solid(found)
+    for done, (unit, found, seconds) in enumerate(_decompose_all(list(waiting.values()), config, report), 1):
+        parts[unit.entry] = solid = _solid_hulls(found)
         dropped = len(found) - len(solid)
         if not solid:
             raise MeshError(f"{unit.name}: CoACD found no solid piece in it ({dropped} flat ones)")
         flat = f", {dropped} flat ones dropped" if dropped else ""
-        of_all = f"; {done} of {len(waiting)} objects are cut" if len(waiting) > 1 else ""
+        of_all = f"; {done} of {len(waiting)} objects done" if len(waiting) > 1 else ""
         report(f"{unit.name}: {count_text(len(solid), 'convex piece')} in {seconds:.1f} s{flat}{of_all}")
         try:
             if cache:
                 disk.save(cache / unit.entry, solid)
         except OSError as error:
-            report(f"{unit.name}: the pieces could not be kept for the next time ({error})")
+            report(f"{unit.name}: the pieces could not be cached ({error})")
     for number, unit in concave.items():
         pieces[number] = tuple(Piece(corners * unit.diagonal, faces) for corners, faces in parts[unit.entry])
     return [pieces[number] for number in range(len(meshes))]
@@ -259,19 +259,19 @@ def cut_meshes(
 def unit_pieces(
     mesh: trimesh.Trimesh, config: Decomposition | None = None, *, name: str = "mesh"
 ) -> tuple[str, list[disk.Polytope]]:
-    """What the folder `SHIPPED` holds of a concave closed `mesh`: file name, and pieces for a diagonal of 1; cut anew.
+    """File name in `SHIPPED` and newly cut pieces, at a diagonal of 1, of a concave closed `mesh`.
 
     Raises:
         MeshError: CoACD fails on it.
     """
     config = config or Decomposition()
     unit = _UnitMesh.of(mesh, config, name)
-    return unit.shipped, _solid(decompose(unit.vertices, unit.faces, config, single=unit.single))
+    return unit.shipped, _solid_hulls(decompose(unit.vertices, unit.faces, config, single=unit.single))
 
 
 @dataclass(frozen=True, eq=False)
 class _UnitMesh:
-    """A concave mesh as CoACD sees it."""
+    """A concave mesh, normalised for CoACD."""
 
     name: str
     """Name in messages."""
@@ -282,15 +282,15 @@ class _UnitMesh:
     diagonal: float
     """Diagonal of the mesh in metres."""
     single: bool
-    """Whether it is one closed part."""
+    """Whether the mesh is one closed part."""
     entry: str
     """File name of its pieces in a cache."""
     shipped: str
-    """File name of its pieces among those that come with the program, whichever CoACD is installed."""
+    """File name of its pieces in `SHIPPED`, independent of the installed CoACD."""
 
     @staticmethod
     def of(mesh: trimesh.Trimesh, config: Decomposition, name: str) -> _UnitMesh:
-        """That of a closed mesh in metres, to be cut as `config` says."""
+        """Normalise a closed mesh in metres, to be cut with `config`."""
         diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
         # Adding 0 turns -0 into 0, which has other bytes.
         vertices = np.round(np.asarray(mesh.vertices, dtype=np.float64) / diagonal, 9) + 0.0
@@ -302,10 +302,10 @@ class _UnitMesh:
         return _UnitMesh(name, vertices, faces, diagonal, single, entry, shipped)
 
 
-def _decomposed(
+def _decompose_all(
     units: Sequence[_UnitMesh], config: Decomposition, report: Callable[[str], None]
 ) -> Iterator[tuple[_UnitMesh, list[np.ndarray], float]]:
-    """Each mesh with its parts and the seconds that they took, as they are done; all are ended when one fails.
+    """Yield each mesh with its parts and the seconds they took, in order of completion; one failure ends all.
 
     Raises:
         MeshError: CoACD ended without a result.
@@ -328,36 +328,36 @@ def _decomposed(
 
     if len(units) > 1:
         report(
-            f"cutting {len(units)} objects, {workers} at a time; each is kept when it is done "
-            "(--object-name NAME takes only the grasps of one)"
+            f"cutting {len(units)} objects, {workers} at a time; each is saved when it is done "
+            "(--object-name NAME selects the grasps of one)"
         )
     running: dict[Future[tuple[list[np.ndarray], float]], _UnitMesh] = {}
     with ThreadPoolExecutor(workers) as pool:
         try:
             for unit in units:
                 if len(running) == workers:
-                    yield from _ended(running)
+                    yield from _take_finished(running)
                 threshold = f"threshold {config.threshold:g}"
                 report(f"decomposing {unit.name} ({len(unit.faces)} faces) with CoACD, {threshold} ...")
                 running[pool.submit(timed, unit)] = unit
             while running:
-                yield from _ended(running)
+                yield from _take_finished(running)
         finally:
             ending.set()
 
 
-def _ended(
+def _take_finished(
     running: dict[Future[tuple[list[np.ndarray], float]], _UnitMesh],
 ) -> Iterator[tuple[_UnitMesh, list[np.ndarray], float]]:
-    """Those of `running` that end first, which are taken from it."""
+    """Wait for the first of `running` to finish, remove them from it, and yield their results."""
     for future in wait(running, return_when=FIRST_COMPLETED).done:
         yield running.pop(future), *future.result()
 
 
-def _solid(parts: Sequence[np.ndarray]) -> list[disk.Polytope]:
-    """The hulls of those parts of a mesh of diagonal 1 that have a volume.
+def _solid_hulls(parts: Sequence[np.ndarray]) -> list[disk.Polytope]:
+    """Hulls of the parts of a mesh of diagonal 1 that have a volume.
 
-    A cut along a wall can leave a sheet behind: nothing of the body is lost with it.
+    A cut along a wall can leave a flat sheet, which is no part of the body.
     """
     solid = []
     for corners in parts:
@@ -365,26 +365,26 @@ def _solid(parts: Sequence[np.ndarray]) -> list[disk.Polytope]:
             piece = hull(corners)
         except MeshError:
             continue
-        if piece.mesh().volume > NEGLIGIBLE:
+        if piece.mesh().volume > MIN_VOLUME_RATIO:
             solid.append((piece.vertices, piece.faces))
     return solid
 
 
-def _rounded(radius: float, points: Sequence[ArrayLike], name: str) -> Piece:
+def _round_piece(radius: float, points: Sequence[ArrayLike], name: str) -> Piece:
     vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
     if not np.isfinite(vertices).all():
         raise MeshError(f"{name}: its centre or an end is not finite: {vertices.tolist()}")
-    if 0 < radius < SMALLEST or LARGEST < radius < np.inf:
+    if 0 < radius < MIN_DIAGONAL or MAX_DIAGONAL < radius < np.inf:
         raise MeshError(f"{name}: its radius is {radius:g} m, which no solid has")
-    return Piece(vertices, np.zeros((0, 3), dtype=np.int64), float(_positive(radius, f"{name}: radius")))
+    return Piece(vertices, np.zeros((0, 3), dtype=np.int64), float(_check_positive(radius, f"{name}: radius")))
 
 
-def _positive(values: ArrayLike, what: str) -> np.ndarray:
+def _check_positive(values: ArrayLike, what: str) -> np.ndarray:
     values = np.asarray(values, dtype=np.float64)
     if not (np.isfinite(values) & (values > 0)).all():
         raise MeshError(f"{what} must be positive and finite, got {values.tolist()}")
     return values
 
 
-def _placed(points: np.ndarray, T: np.ndarray | None) -> np.ndarray:
+def _transform(points: np.ndarray, T: np.ndarray | None) -> np.ndarray:
     return points if T is None else points @ np.asarray(T)[:3, :3].T + np.asarray(T)[:3, 3]

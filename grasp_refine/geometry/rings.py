@@ -1,4 +1,4 @@
-"""Rings of a triangle mesh: which vertices lie within a few edges of each vertex."""
+"""Rings of a triangle mesh: the vertices within a few edges of each vertex."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Rings:
     normals: np.ndarray
     """Unit outward normals (V, 3): the mean of the faces around each vertex, weighted by their areas."""
     start: np.ndarray
-    """Where the row of each vertex starts in `members`, and its end (V + 1,)."""
+    """Start of each vertex's row in `members`, and the end of the last (V + 1,)."""
     members: np.ndarray
-    """Vertices within so many edges, itself included, one row after the other; each row in random (seeded) order."""
+    """Vertices within the given number of edges, itself included, row by row; each row in random (seeded) order."""
 
     @staticmethod
     def of(vertices: np.ndarray, faces: np.ndarray, edges: int) -> Rings:
@@ -34,14 +34,14 @@ class Rings:
         for _ in range(edges - 1):
             within = within @ step
         row = np.repeat(np.arange(count), np.diff(within.indptr))
-        # Sorted first: the order of a sparse product is nobody's promise.
+        # Sorted first: the order of a sparse product is not guaranteed.
         order = np.lexsort((within.indices, row))
         shuffled = order[np.lexsort((np.random.default_rng(0).random(len(row)), row))]
         return Rings(vertices, _vertex_normals(vertices, faces), within.indptr, within.indices[shuffled])
 
     @cached_property
     def tree(self) -> KDTree:
-        """Finds the vertex nearest to a point."""
+        """Search tree of the vertices."""
         return KDTree(self.points)
 
 

@@ -1,4 +1,4 @@
-"""Surface candidates of a body: seeded points that stand for its exposed surface, with normals and areas."""
+"""Surface candidates of a body: seeded samples of its exposed surface, with normals and areas."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry.pieces import Piece
 
 CLEARANCE = 1e-4
-"""A point closer than this fraction of the body's diagonal to another piece is internal."""
+"""Distance to another piece below which a point is internal, as a fraction of the body's diagonal."""
 
-ROUNDS = 8
-"""Draws of points, each twice the last, before a body counts as having no exposed surface."""
+MAX_DRAWS = 8
+"""Most draws of points, each twice as large as the last, before a body counts as having no exposed surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,19 +27,19 @@ class Candidates:
     normals: np.ndarray
     """Unit outward normals (N, 3); at a vertex the mean of the faces around it, weighted by their angles."""
     areas: np.ndarray
-    """Surface area (N,) in square metres that each point stands for."""
+    """Surface area (N,) in square metres that each point represents."""
 
     __repr__ = brief
 
 
 def sample(pieces: Sequence[Piece], count: int, seed: int) -> Candidates:
-    """Exactly `count` candidates of the union of `pieces`: the same for the same seed.
+    """Draw exactly `count` candidates of the union of `pieces`; deterministic for a seed.
 
     Up to `count // 2` are exposed vertices of the polytopes, the rest is uniform by area on the surfaces.
     A point inside another piece, or on a cut that faces another piece, is dropped, so that the internal cuts
-    of a decomposition carry none. Where two pieces are flush, the surface belongs to the first; vertices
+    of a decomposition carry none. Where two pieces are flush, the surface is counted to the first; vertices
     there are dropped, because the normal of one piece alone would be wrong for the union.
-    The areas add up to the exposed area, as estimated from the fraction of the drawn points that was kept.
+    The areas sum to the exposed area, estimated from the fraction of the drawn points that was kept.
 
     Raises:
         MeshError: `count` is below 1, the seed below 0, or (nearly) every point of every piece lies inside another
@@ -61,8 +61,8 @@ def sample(pieces: Sequence[Piece], count: int, seed: int) -> Candidates:
     areas = np.array([surface.area for surface in surfaces])
     missing = count - len(chosen)
     drawn = exposed = 0
-    for draw in range(ROUNDS):
-        # More than are needed, so that one draw nearly always does and the exposed area is known well.
+    for draw in range(MAX_DRAWS):
+        # More than needed, so that one draw nearly always suffices and the exposed area is estimated well.
         batch = max(2 * count, 1024) * 2**draw
         ladder = np.append(0.0, areas.cumsum()) / areas.sum()
         shares = np.diff(np.floor(ladder * batch + rng.random()).astype(int))
@@ -88,17 +88,17 @@ def sample(pieces: Sequence[Piece], count: int, seed: int) -> Candidates:
 
 @dataclass(frozen=True, eq=False)
 class _Surface:
-    """The surface of one piece, as in Steiner's formula: offset faces, edges swept by an arc, one ball."""
+    """Surface of one piece, as in Steiner's formula: offset faces, edges swept by an arc, one sphere."""
 
     piece: Piece
     ends: np.ndarray
-    """Edges (E, 2, 3) that carry a round part."""
+    """Edges (E, 2, 3) with a round part."""
     arcs: np.ndarray
     """Orthonormal start and side directions (E, 2, 3) of each edge's arc."""
     angles: np.ndarray
     """Opening (E,) of each arc, in radians."""
     weights: np.ndarray
-    """Area in square metres of each face, each edge's round part, and the ball (F + E + 1,)."""
+    """Areas (F + E + 1,) in square metres of the faces, the edges' round parts, and the sphere."""
 
     @property
     def area(self) -> float:
@@ -106,16 +106,16 @@ class _Surface:
 
     @classmethod
     def of(cls, piece: Piece) -> _Surface:
-        """The surface of `piece`: area = sum(face areas) + radius * sum(length * angle) + 4 pi radius^2."""
+        """Surface of `piece`: area = sum(face areas) + radius * sum(length * angle) + 4 pi radius^2."""
         face_areas = np.where(piece.normals.any(axis=1), piece.areas, 0.0)
         ends, arcs, angles = _round_edges(piece) if piece.radius > 0 else _NO_EDGES
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        ball = 4 * np.pi * piece.radius**2
-        weights = np.concatenate([face_areas, piece.radius * lengths * angles, [ball]])
+        sphere = 4 * np.pi * piece.radius**2
+        weights = np.concatenate([face_areas, piece.radius * lengths * angles, [sphere]])
         return cls(piece, ends, arcs, angles, weights)
 
     def draw(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """`count` points (count, 3) uniform by area and their unit outward normals (count, 3)."""
+        """Draw points (count, 3) uniform by area, with their unit outward normals (count, 3)."""
         ladder = self.weights.cumsum()
         # Evenly spaced with one random offset: each part gets its share to within one point.
         steps = (np.arange(count) + rng.random()) / max(count, 1) * ladder[-1]
@@ -132,12 +132,12 @@ class _Surface:
         angle = turn * self.angles[on_edge, None]
         edge_normals = np.cos(angle) * self.arcs[on_edge, 0] + np.sin(angle) * self.arcs[on_edge, 1]
 
-        # The round parts at the vertices make one ball: a direction belongs to the vertex that supports it.
-        ball_normals = rng.standard_normal((count - len(on_face) - len(on_edge), 3))
-        ball_normals /= np.linalg.norm(ball_normals, axis=1, keepdims=True)
-        supports = self.piece.vertices[np.argmax(ball_normals @ self.piece.vertices.T, axis=1)]
+        # The round parts at the vertices form one sphere: each direction goes with its support vertex.
+        sphere_normals = rng.standard_normal((count - len(on_face) - len(on_edge), 3))
+        sphere_normals /= np.linalg.norm(sphere_normals, axis=1, keepdims=True)
+        supports = self.piece.vertices[np.argmax(sphere_normals @ self.piece.vertices.T, axis=1)]
 
-        normals = np.concatenate([face_normals, edge_normals, ball_normals])
+        normals = np.concatenate([face_normals, edge_normals, sphere_normals])
         cores = np.concatenate([face_points, start + along * (stop - start), supports])
         return cores + self.piece.radius * normals, normals
 
@@ -170,7 +170,7 @@ def _round_edges(piece: Piece) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _vertices(pieces: Sequence[Piece]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """All vertices (V, 3) of the sharp polytopes, their angle-weighted unit normals (V, 3) and owners (V,).
 
-    Angles rather than areas, because they do not depend on how a flat face is cut into triangles.
+    Angles rather than areas, because they do not depend on the triangulation of a flat face.
     """
     points, normals, owners = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0, dtype=int)]
     for owner, piece in enumerate(pieces):
@@ -194,8 +194,8 @@ def internal(
 ) -> np.ndarray:
     """Mask (N,) of the points that are in another piece once moved out by `clearance`, or on an earlier one.
 
-    Exact for spheres and capsules; for polytopes distance is the largest plane distance, which near an edge
-    is less than the distance itself and so drops a little more.
+    Exact for spheres and capsules; for polytopes it uses the largest plane distance, which near an edge
+    is less than the distance itself and so drops slightly more.
     """
     internal = np.zeros(len(points), dtype=bool)
     for index, piece in enumerate(pieces):
@@ -207,7 +207,7 @@ def internal(
 
 
 def beside(points: np.ndarray, owners: np.ndarray, pieces: Sequence[Piece], clearance: float) -> np.ndarray:
-    """Mask (N,) of the points within `clearance` of, or inside, any other piece."""
+    """Mask (N,) of the points within `clearance` of any other piece, or inside it."""
     beside = np.zeros(len(points), dtype=bool)
     for index, piece in enumerate(pieces):
         near = _near(points, owners, piece, index, clearance)

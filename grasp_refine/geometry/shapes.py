@@ -1,4 +1,4 @@
-"""Objects made by code: the embedded examples, and primitives such as "box:0.06,0.05,0.09"."""
+"""Procedural objects: the embedded examples, and primitives such as "box:0.06,0.05,0.09"."""
 
 from __future__ import annotations
 
@@ -62,11 +62,11 @@ EMBEDDED: Mapping[str, Callable[[], trimesh.Trimesh]] = MappingProxyType(
 """Name -> function that makes the object."""
 
 PRIMITIVES: Mapping[str, int] = MappingProxyType({"box": 3, "sphere": 1, "cylinder": 2})
-"""Kind of primitive -> how many numbers it takes."""
+"""Kind of primitive -> number of its parameters."""
 
 
 def primitive(spec: str) -> trimesh.Trimesh:
-    """The mesh of a primitive about the origin: "box:x,y,z", "sphere:r" or "cylinder:r,h" (along z); metres.
+    """Return the mesh of a primitive about the origin: "box:x,y,z", "sphere:r" or "cylinder:r,h" (along z); metres.
 
     Raises:
         MeshError: another form, or a number that is not positive and finite.
@@ -76,7 +76,7 @@ def primitive(spec: str) -> trimesh.Trimesh:
 
 
 def primitive_pieces(spec: str) -> tuple[Piece, ...]:
-    """The exact convex piece of the primitive `spec` (see `primitive`).
+    """Return the exact convex piece of the primitive `spec` (see `primitive`).
 
     Raises:
         MeshError: another form, or a number that is not positive and finite.
@@ -97,14 +97,14 @@ def primitive_pieces(spec: str) -> tuple[Piece, ...]:
 
 
 def _lathe(profile: ArrayLike, sections: int) -> trimesh.Trimesh:
-    """The closed surface of `profile` (N, 2), radius and height: out from the axis, up, and back to it."""
+    """Surface of revolution of `profile` (N, 2), radius and height: out from the axis, up, and back to it."""
     import trimesh
 
     return trimesh.creation.revolve(profile, sections=sections)
 
 
 def _in_metres(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """A mesh drawn in centimetres, where its triangles are above the 1e-8 that trimesh drops, in metres."""
+    """Convert a mesh from centimetres, in which its triangles exceed the 1e-8 that trimesh drops, to metres."""
     import trimesh
 
     return trimesh.Trimesh(np.asarray(mesh.vertices) * 0.01, mesh.faces, process=False)

@@ -1,4 +1,4 @@
-"""Grasp sets: which hand, in which pose, with which joint angles, around which object.
+"""Grasp sets: poses and joint values of one hand around objects.
 
 A grasp file is one `.npz` without pickle. Version 1 holds
 
@@ -13,10 +13,10 @@ A grasp file is one `.npz` without pickle. Version 1 holds
 
 and optionally, all three or none, `target_link` (K,), `target_point_link` (N, K, 3) and
 `target_point_object` (N, K, 3) in metres; NaN points mean that this grasp has no such target. Two more stages of
-the motion that closes the hand may be there, each whole or not at all, in the form of `hand_pose` and `q`:
+the motion that closes the hand may be present, each whole or not at all, in the form of `hand_pose` and `q`:
 `pregrasp_pose` (N, 7) and `pregrasp_q` (N, n), the hand open, and `squeeze_pose` and `squeeze_q`, where its position
 actuators are sent so that it presses; those joint values may lie beyond the limits. Other entries (results,
-provenance) may stand beside them and are not read here.
+provenance) may be present too and are not read here.
 """
 
 from __future__ import annotations
@@ -48,17 +48,17 @@ SCHEMA = 1
 REQUIRED = ("hand", "base_link", "joint_names", "object", "scale", "hand_pose", "q")
 TARGET_KEYS = ("target_link", "target_point_link", "target_point_object")
 OTHER_STAGES = ("pregrasp", "squeeze")
-"""Stages beside the grasp itself: attributes of a set, and what their entries in a file begin with."""
+"""Stages beside the grasp itself: attributes of a set, and prefixes of their entries in a file."""
 QUATERNION_TOLERANCE = 1e-3
-"""How far from 1 the norm of a quaternion in a file may be: rounding to float32 passes, a mix-up does not."""
+"""Greatest distance from 1 of the norm of a quaternion in a file: rounding to float32 passes, a mix-up does not."""
 
 MIMIC_TOLERANCE = 1e-3
-"""How far a mimic joint in a file may be from where the joint that it follows puts it, in rad or m, without a note."""
+"""Greatest deviation of a mimic joint in a file from the joint that it follows, in rad or m, without a note."""
 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """Where links should touch the object; NaN where a grasp has no target for a link."""
+    """Contact targets of links on the object; NaN where a grasp has no target for a link."""
 
     links: tuple[str, ...]
     """Names of the K links that should touch."""
@@ -77,7 +77,7 @@ class Targets:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """Where the hand is, in N grasps, at one stage of the motion that closes it."""
+    """Poses and joint values of the hand in N grasps, at one stage of the motion that closes it."""
 
     hand_pose: Float[np.ndarray, "N 7"]
     """(N, 7) as in `GraspSet`."""
@@ -100,7 +100,7 @@ class GraspSet:
     """
 
     hand: str
-    """Name of the hand, as the file says it."""
+    """Name of the hand, as in the file."""
     base_link: str
     """Link of the hand's URDF whose pose `hand_pose` gives."""
     joint_names: tuple[str, ...]
@@ -114,11 +114,11 @@ class GraspSet:
     q: Float[np.ndarray, "N n"]
     """(N, n) joint values, radians or metres."""
     targets: Targets | None = None
-    """Where links should touch, when the file says so."""
+    """Contact targets, if the file has them."""
     pregrasp: Stage | None = None
-    """Where the hand is before it closes to the grasp, when the file says so."""
+    """The hand before it closes to the grasp, if the file has it."""
     squeeze: Stage | None = None
-    """Where it is sent after that, to press, when the file says so."""
+    """Set points of the hand after that, to press, if the file has them."""
 
     @classmethod
     def of(cls, hand: Hand, pose: ArrayLike, q: ArrayLike, *, object: str = "object", scale: float = 1.0) -> GraspSet:
@@ -192,7 +192,7 @@ class GraspSet:
 
     @property
     def finite(self) -> Bool[np.ndarray, " N"]:
-        """Which grasps (N,) have, at all stages, poses and joint values that are numbers."""
+        """Mask (N,) of grasps whose poses and joint values are finite at all stages."""
         others = (stage for stage in (self.pregrasp, self.squeeze) if stage is not None)
         stages: list[GraspSet | Stage] = [self, *others]
         return np.logical_and.reduce(
@@ -200,10 +200,10 @@ class GraspSet:
         )
 
     def select(self, indices: ArrayLike) -> GraspSet:
-        """Return the grasps in the rows `indices`, in that order; or where a mask (N,) holds.
+        """Return the grasps in the rows `indices`, in that order; or where a mask (N,) is True.
 
         Raises:
-            GraspFileError: no list of row numbers, or one that is not there.
+            GraspFileError: not a list of row numbers, or one out of range.
         """
         rows = row_numbers(indices, len(self))
         return replace(
@@ -218,7 +218,7 @@ class GraspSet:
         )
 
     def at(self, stage: Stage) -> GraspSet:
-        """Return the same grasps with the hands where they are at one of the stages, for `match_joints`."""
+        """Return the grasps with the poses and joint values of one of their stages, for `match_joints`."""
         return replace(self, hand_pose=stage.hand_pose, q=stage.q)
 
     def with_(
@@ -231,7 +231,7 @@ class GraspSet:
         pregrasp: Stage | None = None,
         squeeze: Stage | None = None,
     ) -> GraspSet:
-        """Return the same grasps with the given parts replaced; what is None stays as it is.
+        """Return the grasps with the given parts replaced; parts that are None are kept.
 
         Other `joint_names` need other columns of `q` and of the stages too.
         """
@@ -271,8 +271,8 @@ class GraspSet:
 def load_grasps(path: str | Path) -> GraspSet:
     """The grasps of an `.npz` file: float64, unit quaternions, one object name and scale per row.
 
-    Poses and joint values that are not finite come as they are, and a pose whose quaternion is 0 as NaN, because one
-    bad grasp should not cost the others.
+    Poses and joint values that are not finite are kept, and a pose whose quaternion is 0 becomes NaN, because one bad
+    grasp should not cost the others.
     Nothing in the file is unpickled. Raises GraspFileError, one line, when the file is missing, not an
     `.npz`, holds pickles, is of a newer version, lacks entries, or when an entry has the wrong type, shape
     or values.
@@ -310,11 +310,11 @@ def load_grasps(path: str | Path) -> GraspSet:
 
 
 def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"], tuple[str, ...]]:
-    """The joint values (N, n) of grasps in the order of `hand.joint_names`, and notes on what they lack or do not fit.
+    """The joint values (N, n) of grasps in the order of `hand.joint_names`, and notes on missing and deviating ones.
 
-    Columns are matched by name. Mimic joints in the file are ignored because the joint they follow says where they
-    are; where the file lacks that one, the first mimic joint that it names says where it is. Other joints that the
-    file lacks stay at the rest pose. A note tells of each, and of mimic joints that are not where they should be.
+    Columns are matched by name. Mimic joints in the file are ignored, because the joint that they follow determines
+    them; where the file lacks that one, the first mimic joint in the file determines it. Other joints that the file
+    lacks stay at the rest pose. Notes name each, and mimic joints that deviate from the joint that they follow.
     Raises GraspFileError when the file names joints that this hand cannot move.
     """
     check_kind("grasps", grasps, GraspSet)
@@ -332,20 +332,20 @@ def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"]
     for i, name in enumerate(hand.joint_names):
         if name in column:
             q[:, i] = grasps.q[:, column[name]]
-    notes, told = [], {}
+    notes, inferred = [], {}
     for follower in grasps.joint_names:
         leads = mimics.get(follower)
-        if leads is not None and leads.joint not in column and leads.joint not in told and leads.multiplier:
-            told[leads.joint] = follower
+        if leads is not None and leads.joint not in column and leads.joint not in inferred and leads.multiplier:
+            inferred[leads.joint] = follower
             values = (grasps.q[:, column[follower]] - leads.offset) / leads.multiplier
             q[:, hand.joint_names.index(leads.joint)] = values
-    if told:
-        pairs = ", ".join(f"{name} from {follower}" for name, follower in told.items())
-        notes.append(f"joints that the grasp file lacks are found by their mimic joints: {pairs}")
-    lacking = [name for name in hand.joint_names if name not in column and name not in told]
+    if inferred:
+        pairs = ", ".join(f"{name} from {follower}" for name, follower in inferred.items())
+        notes.append(f"joints that the grasp file lacks are computed from their mimic joints: {pairs}")
+    lacking = [name for name in hand.joint_names if name not in column and name not in inferred]
     if lacking:
         notes.append(f"joints that the grasp file lacks stay at their rest pose: {', '.join(lacking)}")
-    ignored = [name for name in grasps.joint_names if name in mimics and name not in told.values()]
+    ignored = [name for name in grasps.joint_names if name in mimics and name not in inferred.values()]
     if ignored:
         notes.append(f"mimic joints follow their joint, not the grasp file: {', '.join(ignored)}")
     for name in ignored:
@@ -392,7 +392,7 @@ def row_numbers(indices: ArrayLike, count: int) -> Int[np.ndarray, " chosen"]:
     """Numbers of rows of `count`, from numbers or a mask.
 
     Raises:
-        GraspFileError: neither, or a row that is not there.
+        GraspFileError: neither, or a row out of range.
     """
     rows = np.asarray(indices)
     if rows.dtype == bool and rows.shape == (count,):
@@ -405,9 +405,9 @@ def row_numbers(indices: ArrayLike, count: int) -> Int[np.ndarray, " chosen"]:
 
 
 def unit_poses(poses: Float[np.ndarray, "N 7"]) -> tuple[Float[np.ndarray, "N 7"], tuple[int, float] | None]:
-    """Return poses (N, 7) with quaternions of length 1, and row and length of the first that is none.
+    """Return poses (N, 7) with quaternions of length 1, and row and norm of the first that is not unit.
 
-    None: all are, up to rounding. Poses that are not finite stay as they are.
+    None: all are, up to rounding. Poses that are not finite are kept.
     """
     finite = np.isfinite(poses).all(axis=1)
     with np.errstate(over="ignore"):
@@ -419,14 +419,14 @@ def unit_poses(poses: Float[np.ndarray, "N 7"]) -> tuple[Float[np.ndarray, "N 7"
 
 
 def without_zero_quaternions(poses: Float[np.ndarray, "N 7"]) -> Float[np.ndarray, "N 7"]:
-    """The same poses (N, 7), with NaN for those whose quaternion is 0: programs write it where they know none."""
+    """Poses (N, 7) with NaN for those whose quaternion is 0: programs write it for unknown ones."""
     return np.where((poses[:, 3:] == 0.0).all(axis=1, keepdims=True), np.nan, poses)
 
 
 def _check_schema(file: NpzFile) -> None:
     schema = file.entries.get("schema", np.array(1))
     if schema.shape != () or schema.dtype.kind not in "iu" or schema < 1:
-        raise file.error(f"schema must be one whole number from 1 to {SCHEMA}")
+        raise file.error(f"schema must be one integer from 1 to {SCHEMA}")
     if schema > SCHEMA:
         raise file.error(f"schema {schema} is newer than this version of grasp-refine reads ({SCHEMA}); update it")
 

@@ -1,4 +1,4 @@
-"""The same grasps, with the hand beginning at another of its links."""
+"""Change of the base link of grasps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from grasp_refine.hands.hand import Hand
 
 
 def rebased(grasps: GraspSet, base_link: str, load: Callable[[str], Hand]) -> GraspSet:
-    """The same grasps, whose `hand_pose` is that of `base_link`, and which have the joints below it.
+    """Return the grasps with the `hand_pose` of `base_link` and the joints below it.
 
     Where `base_link` lies above the link that the grasps begin at, the joints between the two, which the grasps lack,
     are at rest; where it lies below, the joints between are left out. Either way every link that both hands have stays
@@ -38,7 +38,7 @@ def rebased(grasps: GraspSet, base_link: str, load: Callable[[str], Hand]) -> Gr
     if not upwards and base_link not in whole.links_by_name:
         raise GraspFileError(
             f"the grasps begin at link '{grasps.base_link}', from which link '{base_link}' does not hang, nor the "
-            "other way round: they cannot be told for it"
+            "other way round: they cannot be converted to it"
         )
     inner = Chain(whole, (grasps.base_link if upwards else base_link,))
     columns = [whole.joint_names.index(name) for name in new.joint_names]

@@ -1,4 +1,4 @@
-"""Where a hand begins when nobody says it: at its palm, so that an arm or a wrist above it does not move."""
+"""Base link of a hand where none is given: its palm, so that an arm or a wrist above it does not move."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Base:
-    """The link that a hand begins at, and why."""
+    """Base link of a hand, and the reason for its choice."""
 
     link: str
     """Its name."""
@@ -23,11 +23,11 @@ class Base:
     why: str
     """The reason, for people."""
     others: tuple[str, ...] = ()
-    """Links below it, other than itself, that several moving branches leave: each may be the palm that was meant."""
+    """Links below it, other than itself, that several moving branches leave: each may be the intended palm."""
 
 
 def guess_base(tree: Tree) -> Base:
-    """Where the hand in `tree` begins.
+    """Return the base link of the hand in `tree`, and the reason for it.
 
     Links that fixed joints connect are one part. From the root on, the first part with several moving branches that
     carry collision geometry is the palm's; what is fixed to an arm, such as a camera, is no branch. Where no movable

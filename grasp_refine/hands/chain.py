@@ -25,14 +25,14 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.hand import Hand
 
 Selection = Array | slice
-"""What to take along an axis: an array of indices or, where that says the same, a slice, which copies nothing."""
+"""Indices along an axis: an array or, where they are consecutive, a slice, which copies nothing."""
 
 
 class Chain:
-    """Poses of chosen links of a hand, and how they follow root and joints."""
+    """Poses of chosen links of a hand, and their Jacobian in root twist and joint values."""
 
     links: tuple[str, ...]
-    """The chosen links, in the order in which they were asked for."""
+    """The chosen links, in the given order."""
     joints: tuple[str, ...]
     """The m movable joints that move any of the links: by the independent joint that they follow, then as in `hand`."""
     dof: int
@@ -68,7 +68,7 @@ class Chain:
         check_shape("q", q, "batch", self.dof, why="one column for each of hand.joint_names")
         check_shape("T_world_root", T_world_root, len(q), 4, 4, why="one transform for each row of q")
         xp = array_namespace(q)
-        numbers = self._on(xp, q)
+        numbers = self._constants_on(xp, q)
         values = q @ numbers.values_matrix + numbers.values_offset
         # T_parent_joint is linear in the cosine, the sine and the value.
         T = numbers.T_constant + xp.cos(values)[..., None, None] * numbers.T_cos
@@ -97,31 +97,31 @@ class Chain:
     ) -> Array:
         """Covectors on root twist and joint values (batch, R, 6 + n), from those (batch, R, 6) on the twists of links.
 
-        Row r is the derivative of something that changes by covector[r] . (v, w) where (v, w) is the spatial twist
-        of link[r], less that of minus[r]: exact, by the geometric Jacobian. Root twists are those of `integrate`. What
-        joint i of `joints` carries has the place len(links) + i among the links.
+        Row r is the derivative of a quantity that changes by covector[r] . (v, w), where (v, w) is the spatial twist
+        of link[r], less that of minus[r]: exact, by the geometric Jacobian. Root twists are those of `integrate`. The
+        child of joint i of `joints` has the index len(links) + i among the links.
 
         Args:
-            frames: What the call gave.
-            covector: Forces and moments about the world's origin, or what else is linear in the twist.
-            link: Place (R,) of each row's link in `Chain.links`.
-            minus: Place (R,) of the link whose twist is taken off.
+            frames: Result of the call.
+            covector: Forces and moments about the world's origin, or any other linear form of the twist.
+            link: Index (R,) of each row's link in `Chain.links`.
+            minus: Index (R,) of the link whose twist is subtracted.
         """
-        numbers = self._on(array_namespace(covector), covector)
+        numbers = self._constants_on(array_namespace(covector), covector)
         follows = numbers.follows
         mask = follows[link] if minus is None else follows[link] - follows[minus]
         if not isinstance(covector, np.ndarray):
             xp = array_namespace(covector)
             mask = xp.asarray(mask, dtype=covector.dtype, device=covector.device)
-        pulled = (covector @ frames.axes) * mask
-        return pulled if numbers.gains is None else pulled @ numbers.gains
+        joint_covectors = (covector @ frames.axes) * mask
+        return joint_covectors if numbers.gains is None else joint_covectors @ numbers.gains
 
-    def followed(self, link: np.ndarray) -> np.ndarray:
-        """Which of the root's six twists and of `joints` links follow (R, 6 + m), 1 or 0; see `to_joint_space`."""
+    def joint_mask(self, link: np.ndarray) -> np.ndarray:
+        """Mask (R, 6 + m): 1 where a root twist or joint of `joints` moves the link, else 0; see `to_joint_space`."""
         return self._numbers.follows[link]
 
-    def _on(self, xp: ModuleType, like: Array) -> _Numbers:
-        """The constants in the library, with the number type and on the device of an array."""
+    def _constants_on(self, xp: ModuleType, like: Array) -> _Numbers:
+        """The constants in the array library `xp`, with the number type and on the device of `like`."""
         key = (like.dtype, like.device)
         if key not in self._converted:
             self._converted[key] = self._numbers.converted(xp, *key)
@@ -176,7 +176,7 @@ class _Numbers:
     T_value: Array
     """(m, 4, 4)"""
     levels: tuple[tuple[Selection, slice], ...]
-    """For each level of joints, their parents' places in the level above and which of the m they are."""
+    """For each level of joints: their parents' indices in the level above, and their slice of the m joints."""
     link_frames: Selection
     """Frame of each link: 0 is the root's, 1 + i that of joint i."""
     T_frame_link: Array
@@ -188,14 +188,14 @@ class _Numbers:
     hinge_twist: Array
     """(16, 6): a hinge's unit twist (p x z, z) as a linear form of the products (p, 1) (z, 0)^T."""
     slide_twist: Array
-    """(16, 6): the same of a prismatic joint, (z, 0)."""
+    """(16, 6): a prismatic joint's unit twist (z, 0) as a linear form of the same products."""
     slides: Array | None
-    """(m, 1): which of `Chain.joints` are prismatic; None if none is."""
+    """(m, 1): True where one of `Chain.joints` is prismatic; None if none is."""
     gains: Array | None
     """(6 + m, 6 + n): root twist and joint values per root twist and q; None for the identity."""
     follows: np.ndarray
-    """(links + m, 6 + m): 1 where the link, or what the joint carries, follows the root or joint, else 0; always a
-    NumPy array."""
+    """(links + m, 6 + m): 1 where the root twist or joint moves the link, or the joint's child, else 0; always a NumPy
+    array."""
 
     def converted(self, xp: ModuleType, dtype: Any, device: Any) -> _Numbers:
         def convert(value: Any) -> Any:
@@ -241,7 +241,7 @@ def _build(hand: Hand, links: tuple[str, ...]) -> tuple[tuple[str, ...], _Number
     height = dict.fromkeys([None, *parent], 0)
     for name in reversed(parent):
         height[parent[name]] = max(height[parent[name]], height[name] + 1)
-    # Where chains have different lengths the longest come first, so that parents are mostly the first of a level.
+    # Of chains of different lengths the longest come first, so that parents are mostly the first of a level.
     levels: list[list[str | None]] = [[None]]
     for level in range(1, height[None] + 1):
         place = {name: i for i, name in enumerate(levels[-1])}
@@ -309,7 +309,7 @@ def _twist_forms() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _selection(places: list[int]) -> Selection:
-    """The places as a slice if they are consecutive, else as an array."""
+    """The indices as a slice if they are consecutive, else as an array."""
     if places and places == list(range(places[0], places[0] + len(places))):
         return slice(places[0], places[0] + len(places))
     return np.array(places, dtype=np.int64)

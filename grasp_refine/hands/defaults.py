@@ -1,4 +1,4 @@
-"""What a hand.toml leaves open, filled in from the URDF; what it names, found in the URDF."""
+"""Settings that a hand.toml leaves open, filled in from the URDF, and lookup of the names in it."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from grasp_refine.hands.finger_names import finger_names
 from grasp_refine.hands.hand_toml import ACTUATOR, Contact, Coupled, HandToml
 from grasp_refine.hands.tree import Joint
 
-LEVER = 0.1
-"""A slide is driven like a joint that turns a lever of this length, in metres, where hand.toml does not say it."""
+SLIDE_LEVER_M = 0.1
+"""Lever in metres: without values in hand.toml, a prismatic joint is driven like a revolute one with such a lever."""
 
-SLIDE_UNITS = {"kp": 2, "damping": 2, "armature": 2, "frictionloss": 1}
-"""How often the unit of a slide has one more metre below the line: 5 Nm/rad at the lever are 500 N/m."""
+LEVER_POWERS = {"kp": 2, "damping": 2, "armature": 2, "frictionloss": 1}
+"""Powers of the lever by which settings of a prismatic joint are divided: 5 Nm/rad at the lever are 500 N/m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class Actuator:
     """Position actuators, one per independent joint: each field is (n,), in Nm and rad, or N and m."""
 
     kp: Float[np.ndarray, " n"]
-    """Stiffness: torque per error."""
+    """Stiffness: torque per position error."""
     force_limit: Float[np.ndarray, " n"]
     """Greatest torque; inf where unknown."""
     damping: Float[np.ndarray, " n"]
@@ -47,10 +47,10 @@ def contacts(
     named: list[Contact] = []
     notes: list[str] = []
     for contact in toml.contacts:
-        if not _has(contact.link, "link with collision geometry", solid, outside, where):
-            notes.append(f"contact link '{contact.link}' is left out: it does not hang from the base link")
+        if not _valid(contact.link, "link with collision geometry", solid, outside, where):
+            notes.append(f"contact link '{contact.link}' is left out: it is not below the base link")
         elif any((contact.link, contact.point) == (other.link, other.point) for other in named):
-            raise HandError(f"{where}: link '{contact.link}' comes twice with the same point")
+            raise HandError(f"{where}: link '{contact.link}' is listed twice with the same point")
         else:
             named.append(contact)
     guessed = not named
@@ -80,12 +80,12 @@ def _guess_contacts(solid: Collection[str], joints: Sequence[Joint]) -> list[Con
 
 
 def rest_pose(toml: HandToml, independent: Sequence[Joint], outside: Collection[str]) -> Float[np.ndarray, " n"]:
-    """Resting values (n,): as named, else in the middle of the range, 0 for continuous joints."""
+    """Rest values (n,): those of hand.toml, else the middle of the range, 0 for continuous joints."""
     rest = {j.name: 0.0 if j.kind == "continuous" else (j.lower + j.upper) / 2 for j in independent}
     limits = {joint.name: (joint.lower, joint.upper) for joint in independent}
     for name, value in toml.rest_pose.items():
         where = f"{toml.path}: [rest_pose]"
-        if not _has(name, "independent joint", limits, outside, where):
+        if not _valid(name, "independent joint", limits, outside, where):
             continue
         lower, upper = limits[name]
         if not lower <= value <= upper:
@@ -103,10 +103,12 @@ def actuator(toml: HandToml, independent: Sequence[Joint], outside: Collection[s
         given = dict(toml.actuator.get(key, {}))
         default = given.pop("default", ours)
         for name in given:
-            _has(name, "independent joint", names, outside, f"{toml.path}: [actuator] {key}")
+            _valid(name, "independent joint", names, outside, f"{toml.path}: [actuator] {key}")
         fallback = efforts if default is None else dict.fromkeys(names, default)
-        if key in SLIDE_UNITS and ours is not None and "default" not in toml.actuator.get(key, {}):
-            fallback |= {j.name: ours / LEVER ** SLIDE_UNITS[key] for j in independent if j.kind == "prismatic"}
+        if key in LEVER_POWERS and ours is not None and "default" not in toml.actuator.get(key, {}):
+            fallback |= {
+                j.name: ours / SLIDE_LEVER_M ** LEVER_POWERS[key] for j in independent if j.kind == "prismatic"
+            }
         columns[key] = np.array([given.get(name, fallback[name]) for name in names])
     return Actuator(**columns)
 
@@ -117,7 +119,7 @@ def coupled(toml: HandToml, independent: Sequence[Joint], outside: Collection[st
     groups = tuple(
         group
         for group in toml.coupled
-        if all([_has(name, "independent joint", names, outside, where) for name in group.joints])
+        if all([_valid(name, "independent joint", names, outside, where) for name in group.joints])
     )
     driven = [name for group in groups for name in group.joints]
     twice = [name for name in driven if driven.count(name) > 1]
@@ -127,19 +129,21 @@ def coupled(toml: HandToml, independent: Sequence[Joint], outside: Collection[st
 
 
 def mjcf_joints(toml: HandToml, movable: Collection[str], outside: Collection[str]) -> dict[str, str]:
-    """The joints of the hand whose name in the MJCF is given."""
+    """Joint of the hand -> its name in the MJCF, where hand.toml gives it."""
     where = f"{toml.path}: [mjcf_joints]"
     named = {
-        name: other for name, other in toml.mjcf_joints.items() if _has(name, "movable joint", movable, outside, where)
+        name: other
+        for name, other in toml.mjcf_joints.items()
+        if _valid(name, "movable joint", movable, outside, where)
     }
     twice = [other for other in named.values() if list(named.values()).count(other) > 1]
     if twice:
-        raise HandError(f"{where}: '{twice[0]}' comes twice")
+        raise HandError(f"{where}: '{twice[0]}' is listed twice")
     return named
 
 
-def _has(name: str, what: str, valid: Collection[str], outside: Collection[str], where: str) -> bool:
-    """True if `name` is valid, False if it is in the part of the URDF that the hand leaves out."""
+def _valid(name: str, what: str, valid: Collection[str], outside: Collection[str], where: str) -> bool:
+    """Return True if `name` is valid, False if it is in the part of the URDF that the hand leaves out."""
     if name not in valid and name not in outside:
         raise HandError(f"{where}: no {what} '{name}'; valid: {', '.join(valid)}")
     return name in valid

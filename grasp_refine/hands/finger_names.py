@@ -1,4 +1,4 @@
-"""What the fingers of a hand are called, read from the names of their links and joints."""
+"""Names of the fingers of a hand, read from the names of their links and joints."""
 
 from __future__ import annotations
 
@@ -6,30 +6,30 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
-WORDS = {
+FINGER_PATTERNS = {
     "thumb": r"thumb|^th(?=distal|tip|base|hub|middle|proximal|j?\d)",
     "index": r"index|fore_?finger|^(ff|if)(?=distal|tip|knuckle|middle|proximal|_|j?\d)",
     "ring": r"(?<![a-z])ring|^rf(?=distal|tip|knuckle|middle|proximal|_|j?\d)",
     "little": r"little|pinky|^(lf|pf)(?=distal|tip|knuckle|middle|proximal|_|j?\d)",
     "middle": r"middle|^mf(?=distal|tip|knuckle|middle|proximal|_|j?\d)",
 }
-"""Finger -> what its links and joints are called. The middle one is last: the bones of every finger have a middle."""
+"""Finger -> pattern of its links' and joints' names. The middle one is last: every finger has a middle phalanx."""
 
 
 def finger_names(branches: Sequence[Sequence[str]]) -> list[str | None]:
-    """The finger that each branch is; None where its names do not say it, or say it of several branches.
+    """The finger of each branch; None where its names give none, or several branches have the same.
 
     Args:
-        branches: Names of links and joints of each branch, from the tip on; the first name that tells a finger counts.
+        branches: Names of links and joints of each branch, from the tip on; the first match counts.
     """
-    told = [_told(names) for names in branches]
-    count = Counter(told)
-    return [finger if finger is not None and count[finger] == 1 else None for finger in told]
+    fingers = [_finger_of(names) for names in branches]
+    count = Counter(fingers)
+    return [finger if finger is not None and count[finger] == 1 else None for finger in fingers]
 
 
-def _told(names: Sequence[str]) -> str | None:
+def _finger_of(names: Sequence[str]) -> str | None:
     for name in names:
-        for finger, pattern in WORDS.items():
+        for finger, pattern in FINGER_PATTERNS.items():
             if re.search(pattern, name.lower()):
                 return finger
     return None

@@ -23,7 +23,7 @@ from grasp_refine.hands.defaults import Actuator, actuator, contacts, coupled, m
 from grasp_refine.hands.hand_toml import Contact, Coupled
 from grasp_refine.hands.inertia import Inertia
 from grasp_refine.hands.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
-from grasp_refine.hands.mimics import followed, within_followers
+from grasp_refine.hands.mimics import followed, limit_by_followers
 from grasp_refine.hands.source import HAND_TOML, hand_files, list_hands, needs_urdf
 from grasp_refine.hands.tree import Joint, Mimic, read_tree
 
@@ -45,7 +45,7 @@ class Link:
     mass: float | None
     """Mass in kg; None where the file gives none."""
     inertia: Inertia | None = None
-    """Mass, centre and moments as the file gives them, which need not be possible; None where it has no moments."""
+    """Mass, centre and moments as in the file, not necessarily physical; None where it has no moments."""
     solids: tuple[str, ...] = ()
     """The links of its hand that have collision geometry, for messages."""
 
@@ -53,7 +53,7 @@ class Link:
 
     @property
     def solid(self) -> Body:
-        """The collision geometry of a link that has some.
+        """The collision geometry of the link.
 
         Raises:
             HandError: it has none; names the links that have.
@@ -67,9 +67,9 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """A robot hand: links with their bodies, joints with their limits, and which links are meant to touch.
+    """A robot hand: links with their bodies, joints with their limits, and contact links.
 
-    It is checked: the joints are one tree below `base_link`, and every name in it means something.
+    It is checked: the joints form one tree below `base_link`, and every name in it exists.
     """
 
     name: str
@@ -93,23 +93,23 @@ class Hand:
     contacts: tuple[Contact, ...]
     """Links that are meant to touch the object."""
     notes: tuple[str, ...]
-    """What a user should know about how the files were read."""
+    """Remarks for the user on how the files were read."""
     actuator: Actuator
-    """How the independent joints are driven."""
+    """Position actuators of the independent joints."""
     coupled: tuple[Coupled, ...] = ()
     """Groups of independent joints that share an actuator."""
     mjcf: Path | None = None
-    """The same hand as an MJCF file, where there is one."""
+    """MJCF file of the same hand, where there is one."""
     mjcf_joints: Mapping[str, str] = field(default_factory=dict)
-    """Joint -> its name in that file, where hand.toml says it."""
+    """Joint -> its name in that file, where hand.toml gives it."""
     collision: Literal["urdf", "mjcf"] = "urdf"
-    """Which of the two files is simulated when a grasp is validated."""
+    """File that is simulated when a grasp is validated."""
     toml: Path | None = None
     """The hand.toml that was read; None where there was none."""
     contacts_guessed: bool = False
     """Whether the contact links are the program's choice, because no hand.toml names any."""
     base_why: str = ""
-    """Why the hand begins at its base link, for people."""
+    """Reason for the choice of the base link, for people."""
 
     def __repr__(self) -> str:
         parts = (len(self.joint_names), "joint"), (len(self.links), "link"), (len(self.contacts), "contact point")
@@ -156,18 +156,18 @@ def load_hand(
 
     Args:
         source: Name or path; a hand of ours wins over a folder of the same name, which is ./NAME.
-        base_link: The hand is what hangs from this link; by default hand.toml's base_link, or else `guess_base`'s: the
+        base_link: The hand is what hangs from this link; by default hand.toml's base_link, else `guess_base`'s: the
             palm of a hand on an arm, otherwise the root.
-        urdf: Taken instead of the URDF that hand.toml names; hands of others come without one, theirs is fetched.
-        mjcf: Taken instead of the MJCF that hand.toml names; a file, or an asset.
+        urdf: Used instead of the URDF that hand.toml names; hands that come without a URDF have theirs fetched.
+        mjcf: Used instead of the MJCF that hand.toml names; a file, or an asset.
         candidates: Surface points per link.
-        hull_limit: Where the hull of a mesh stands out of it by more, in metres, more pieces are used, which the user's
-            cache folder keeps; infinite: only hulls.
-        progress: Gets one line when something is fetched, and when a mesh is cut.
+        hull_limit: Greatest distance in metres by which the hull of a mesh may stand out of it; beyond, more pieces are
+            used, which the user's cache folder keeps; infinite: only hulls.
+        progress: Called with one line when something is fetched, and when a mesh is cut.
 
     Raises:
         AssetError: no such name, or an asset that cannot be fetched.
-        HandError: a file is missing or malformed, or names something that is not there.
+        HandError: a file is missing or malformed, or names something that does not exist.
         GraspRefineError: an argument of another kind.
     """
     check_kind("source", source, str | Path)
@@ -189,7 +189,7 @@ def load_hand(
     assert toml.urdf is not None  # `hand_files` gives one
     tree = read_tree(toml.urdf)
     notes: list[str] = []
-    base, why = (base_link, "--base-link says so") if base_link else (toml.base_link, f"{HAND_TOML} says so")
+    base, why = (base_link, "given by --base-link") if base_link else (toml.base_link, f"given by {HAND_TOML}")
     if base is None:
         guess = guess_base(tree)
         base, why = guess.link, guess.why
@@ -201,10 +201,10 @@ def load_hand(
         if guess.others:
             notes.append(
                 f"the hand begins at link '{base}', and several moving branches leave {', '.join(guess.others)}, too: "
-                "if one of these is the palm, say so with --base-link"
+                "if one of these is the palm, give it with --base-link"
             )
     raw_links, joints = tree.below(base)
-    joints, narrowed = within_followers(joints, tree.path)
+    joints, narrowed = limit_by_followers(joints, tree.path)
     meshes = LinkMeshes(tree.path, hull_limit, default_cache(), progress or (lambda line: None))
     links = tuple(_link(raw, meshes, candidates) for raw in raw_links)
     solids = tuple(link.name for link in links if link.body is not None)

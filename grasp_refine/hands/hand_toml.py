@@ -1,4 +1,4 @@
-"""The file hand.toml: what a hand is that its URDF does not say. Every key may be left out."""
+"""The file hand.toml: properties of a hand that its URDF does not hold. Every key may be left out."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from grasp_refine.core.toml_file import UNREADABLE, read_toml
 
 T = TypeVar("T")
 
-KINDS: dict[type, str] = {dict: "table", list: "list", str: "text"}
-"""What TOML calls the types that are asked for."""
+TOML_TYPES: dict[type, str] = {dict: "table", list: "list", str: "text"}
+"""TOML's names of the required types."""
 
 KEYS = ("name", "urdf", "base_link", "mjcf", "mjcf_joints", "collision", "rest_pose", "contact", "coupled", "actuator")
-"""What a hand.toml can hold."""
+"""Keys of a hand.toml."""
 
 ACTUATOR = {"kp": 5.0, "force_limit": None, "damping": 0.1, "armature": 2e-4, "frictionloss": 0.01}
-"""Keys of [actuator], and what holds for turning joints where a key is left out; a slide is then driven as hard as a
-lever of 0.1 m on such a joint. The force limit is the URDF's effort."""
+"""Keys of [actuator], and defaults for revolute joints; prismatic joints are driven by default as by a lever of 0.1 m
+on such a joint. The force limit is the URDF's effort."""
 
-MOST = 1e100
-"""Numbers beyond it mean nothing, and their squares are infinite."""
+MAX_MAGNITUDE = 1e100
+"""Largest magnitude of a number: squares of larger ones overflow."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Contact:
     group: str
     """Finger that it belongs to."""
     point: tuple[float, float, float] | None = None
-    """Where it should touch, in metres, link frame; None: wherever it comes nearest."""
+    """Contact point in metres, link frame; None: wherever the link comes nearest."""
     normal: tuple[float, float, float] | None = None
     """Unit outward normal there, link frame; None: the surface's own."""
 
@@ -55,7 +55,7 @@ class Coupled:
 
 @dataclass(frozen=True)
 class HandToml:
-    """The contents of a hand.toml: keys, types and numbers are checked; names mean nothing yet."""
+    """The contents of a hand.toml: keys, types and numbers are checked; names are not looked up yet."""
 
     path: Path
     """The file."""
@@ -66,11 +66,11 @@ class HandToml:
     name: str | None = None
     """Name of the hand in results and in grasp files; None: that of the folder."""
     mjcf: Path | None = None
-    """The same hand as an MJCF file, for simulation."""
+    """MJCF file of the same hand, for simulation."""
     mjcf_joints: dict[str, str] = field(default_factory=dict)
     """Joint in the URDF -> its name in the MJCF; the others are found by their names."""
     collision: Literal["urdf", "mjcf"] = "urdf"
-    """Which of the two files is simulated when a grasp is validated; refining looks at the URDF's geometry."""
+    """File that is simulated when a grasp is validated; refinement uses the URDF's geometry."""
     rest_pose: dict[str, float] = field(default_factory=dict)
     """Joint values in rad or m; joints that are not named rest in the middle of their range."""
     contacts: tuple[Contact, ...] = ()
@@ -194,15 +194,15 @@ def _file(value: Any, path: Path, key: str) -> Path:
 
 def _typed(value: Any, kind: type[T], where: str) -> T:
     if not isinstance(value, kind) or value == "":
-        raise HandError(f"{where} must be a {KINDS[kind]}, got {told(value)}")
+        raise HandError(f"{where} must be a {TOML_TYPES[kind]}, got {told(value)}")
     if isinstance(value, str) and not is_valid(value):
-        raise HandError(f"{where} holds letters that no name has: {value}")
+        raise HandError(f"{where} holds characters that no name may have: {value}")
     return value
 
 
 def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= MOST:
-        raise HandError(f"{where} must be a number, at most {MOST:g}, got {told(value)}")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= MAX_MAGNITUDE:
+        raise HandError(f"{where} must be a number, at most {MAX_MAGNITUDE:g}, got {told(value)}")
     return float(value)
 
 

@@ -1,4 +1,4 @@
-"""How mass is spread in a link: as a URDF says it, made possible where it is not, or from the link's geometry."""
+"""Mass distribution of a link: as the URDF gives it, corrected where it is impossible, or from the link's geometry."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry.pieces import Piece
 
 DENSITY = 1000.0
-"""Of links whose file gives no mass, in kg/m^3."""
+"""Density in kg/m^3 of links whose file gives no mass."""
 
-ROUNDING = 1e-6
-"""Moments that break the bound on moments by this share of the largest one keep it but for rounding."""
+MOMENT_ROUNDING = 1e-6
+"""Share of the largest moment by which moments may break the triangle inequality: rounding."""
 
-SLACK = 1e-9
-"""Balanced moments keep this share of the largest one away from the bound, so that rounding does not break it."""
+MOMENT_MARGIN = 1e-9
+"""Share of the largest moment by which balanced moments stay off the bound, so that rounding does not break it."""
 
-LEAST = 1e-13
-"""A largest principal moment below this, in kg m^2, is no moment: MuJoCo refuses those below 1e-15."""
+MIN_MOMENT_KG_M2 = 1e-13
+"""Smallest valid value of the largest principal moment, in kg m^2: MuJoCo refuses those below 1e-15."""
 
 
 @dataclass(frozen=True, eq=False)
 class Inertia:
-    """Mass of a rigid body, where its centre is, and its moments there."""
+    """Mass, centre of mass and moments of inertia of a rigid body."""
 
     mass: float
-    """In kg."""
+    """Mass in kg."""
     centre: Float[np.ndarray, " 3"]
     """Centre of mass (3,) in metres, link frame."""
     matrix: Float[np.ndarray, "3 3"]
@@ -39,20 +39,20 @@ class Inertia:
 
     @classmethod
     def about(cls, mass: float, T_link_inertial: np.ndarray, matrix: np.ndarray) -> Inertia:
-        """The moments `matrix` (3, 3) about the origin and along the axes of the frame `T_link_inertial` (4, 4)."""
+        """Inertia with moments `matrix` (3, 3) about the origin and along the axes of `T_link_inertial` (4, 4)."""
         turn = np.asarray(T_link_inertial)[:3, :3]
         return cls(float(mass), np.array(T_link_inertial[:3, 3], dtype=float), turn @ np.asarray(matrix) @ turn.T)
 
     @classmethod
     def join(cls, parts: Sequence[Inertia]) -> Inertia:
-        """All parts as one body; they are in one frame, and the sum of their masses is above 0."""
+        """Inertia of all parts as one body; they are in one frame, and the sum of their masses is above 0."""
         mass = sum(part.mass for part in parts)
         centre = sum((part.mass * part.centre for part in parts), np.zeros(3)) / mass
         return cls(mass, centre, sum((part.matrix + _offset(part.mass, part.centre - centre)) for part in parts))
 
     @classmethod
     def of(cls, pieces: Sequence[Piece], density: float = DENSITY) -> Inertia:
-        """Solid pieces of one density in kg/m^3; where they overlap, mass counts twice."""
+        """Inertia of solid pieces of one density in kg/m^3; where they overlap, mass counts twice."""
         return cls.join([_of_piece(piece, density) for piece in pieces])
 
     def principal(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
@@ -61,44 +61,44 @@ class Inertia:
         return moments, axes * np.linalg.det(axes)
 
     def positive(self) -> bool:
-        """Whether there is mass, and all principal moments are above 0."""
+        """Return True if the mass and all principal moments are above 0."""
         moments, _ = self.principal()
-        return self.mass > 0 and bool(moments[0] > 0) and bool(moments[2] > LEAST)
+        return self.mass > 0 and bool(moments[0] > 0) and bool(moments[2] > MIN_MOMENT_KG_M2)
 
     def possible(self) -> bool:
-        """Whether no principal moment is above the sum of the two others, which no distribution of mass breaks."""
+        """Return True if no principal moment exceeds the sum of the two others, as holds for any mass distribution."""
         moments, _ = self.principal()
         # Moments of thin bodies are at the bound, and were rounded when they were written.
-        return bool(moments[2] - moments[0] - moments[1] <= ROUNDING * moments[2])
+        return bool(moments[2] - moments[0] - moments[1] <= MOMENT_ROUNDING * moments[2])
 
     def balanced(self) -> Inertia:
-        """The same where it is possible, else with the two smaller moments raised by what lacks, shared evenly."""
+        """Return it with the two smaller moments raised equally to the bound, where it is impossible."""
         moments, axes = self.principal()
-        lack = moments[2] * (1 + SLACK) - moments[0] - moments[1]
+        lack = moments[2] * (1 + MOMENT_MARGIN) - moments[0] - moments[1]
         moments = moments + max(lack, 0.0) / 2 * np.array([1, 1, 0])
         return Inertia(self.mass, self.centre, axes @ np.diag(moments) @ axes.T)
 
 
 def _of_piece(piece: Piece, density: float) -> Inertia:
     if len(piece.vertices) == 1:
-        return _ball(piece.vertices[0], piece.radius, density)
+        return _sphere(piece.vertices[0], piece.radius, density)
     if len(piece.vertices) == 2:
         return _capsule(piece, density)
     mesh = piece.mesh()
-    # About the centre of its box, so that far from the origin no digits are lost.
+    # About the centre of its bounding box, so that far from the origin no digits are lost.
     middle = mesh.bounds.mean(axis=0)
     mesh.apply_translation(-middle)
     mesh.density = density
     return Inertia(float(mesh.mass), middle + mesh.center_mass, np.array(mesh.moment_inertia, dtype=float))
 
 
-def _ball(centre: np.ndarray, radius: float, density: float) -> Inertia:
+def _sphere(centre: np.ndarray, radius: float, density: float) -> Inertia:
     mass = density * 4 / 3 * np.pi * radius**3
     return Inertia(float(mass), np.array(centre, dtype=float), 0.4 * mass * radius**2 * np.eye(3))
 
 
 def _capsule(piece: Piece, density: float) -> Inertia:
-    """A cylinder and two half balls, whose centres are 3/8 r from their flat sides."""
+    """Inertia of a cylinder and two hemispheres, whose centres of mass are 3/8 r from their flat sides."""
     (a, b), r = piece.vertices, piece.radius
     length = float(np.linalg.norm(b - a))
     axis, middle = (b - a) / length, (a + b) / 2

@@ -1,4 +1,4 @@
-"""Forward kinematics of a hand: where its links are, and how they move with root and joints.
+"""Forward kinematics of a hand: poses of its links as a differentiable function of root pose and joint values.
 
 pytorch-kinematics computes the poses and their derivatives. Its chain is built here from the parsed hand and
 not from a URDF file, because its own reader rounds rotations to single precision, ignores mimic joints and has
@@ -89,14 +89,14 @@ class Kinematics:
         Raises:
             GraspRefineError: other shapes, or another device than that of the kinematics.
         """
-        T_world_root, q = self._given("T_world_root", T_world_root), self._given("q", q)
+        T_world_root, q = self._as_tensor("T_world_root", T_world_root), self._as_tensor("q", q)
         joints = f"one column for each joint in joint_names of hand '{self._name}'"
         check_shape("q", q, "batch", len(self._matrix), why=joints)
         check_shape("T_world_root", T_world_root, len(q), 4, 4, why="one transform for each row of q")
         T_root_frame = self._chain.forward_kinematics_tensor(q @ self._matrix + self._offset)
         return T_world_root[:, None] @ T_root_frame[self._index].transpose(0, 1)
 
-    def _given(self, name: str, value: Tensor) -> Tensor:
+    def _as_tensor(self, name: str, value: Tensor) -> Tensor:
         """An argument as a tensor of the number type of the chain, on its graph if it has one."""
         if not isinstance(value, Tensor):
             value = torch.as_tensor(as_numbers(name, value), device=self._matrix.device)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import yourdfpy
 
 HULL_LIMIT = 5e-3
-"""How far the hull of a link's mesh may stand out of it before more pieces are used, in metres.
+"""Greatest distance in metres by which the hull of a link's mesh may stand out of it; beyond, more pieces are used.
 
 Meshes made for collision queries keep within 0.3 mm, on five hands. Detailed ones of fingertips and knuckles stand out
 by 1 to 4 mm, but in sockets and behind nails: by less than 0.05 mm where objects touch, so that cutting them changes no
@@ -37,11 +37,11 @@ class LinkMeshes:
     urdf: Path
     """The file that names the meshes."""
     limit: float = HULL_LIMIT
-    """How far a hull may stand out of its mesh before more pieces are used, in metres; infinite: only hulls."""
+    """Greatest distance in metres by which a hull may stand out of its mesh; infinite: only hulls."""
     cache: Path | None = None
-    """Folder of what was cut and measured before; None keeps nothing."""
+    """Folder of earlier decompositions and measurements; None: no cache."""
     progress: Callable[[str], None] = lambda line: None
-    """Gets a line before and one after a mesh is cut by CoACD."""
+    """Called with a line before and one after a mesh is cut by CoACD."""
     _read: dict[Path, trimesh.Trimesh] = field(default_factory=dict)
     _cut: dict[tuple[Path, Scale], Covering] = field(default_factory=dict)
     _users: dict[tuple[Path, Scale], list[str]] = field(default_factory=dict)
@@ -69,24 +69,24 @@ class LinkMeshes:
         return self._cut[key].pieces
 
     def notes(self) -> list[str]:
-        """A line on each mesh whose hull stands out of it noticeably: by how much, of which links, what is used."""
+        """A line on each mesh whose hull stands out of it noticeably: links, distance, and geometry used."""
         notes = []
         for (path, scale), cut in self._cut.items():
             if cut.hull_stands_out == 0:
                 continue
             links = ", ".join(self._users[path, scale])
-            said = f"{links}: the hull of {path.name} stands out of it by up to {_millimetres(cut.hull_stands_out)}"
+            note = f"{links}: the hull of {path.name} stands out of it by up to {_millimetres(cut.hull_stands_out)}"
             if len(cut.pieces) > 1:
                 by = f"up to {_millimetres(cut.stands_out)}"
                 if cut.stands_out == 0:
                     by = f"less than {_millimetres(cut.least)}"
-                said += f"; instead, {len(cut.pieces)} convex pieces stand out by {by}"
-                said += ", more than was meant" if cut.stands_out > self.limit else ""
+                note += f"; instead, {len(cut.pieces)} convex pieces stand out by {by}"
+                note += ", more than the limit" if cut.stands_out > self.limit else ""
             elif cut.hull_stands_out <= self.limit:
-                said += f", within the limit of {_millimetres(self.limit)}"
+                note += f", within the limit of {_millimetres(self.limit)}"
             else:
-                said += f"; it is used all the same ({cut.trouble})"
-            notes.append(said + (f" ({cut.trouble})" if cut.trouble and len(cut.pieces) > 1 else ""))
+                note += f"; it is used nevertheless ({cut.trouble})"
+            notes.append(note + (f" ({cut.trouble})" if cut.trouble and len(cut.pieces) > 1 else ""))
         return notes
 
 
@@ -139,7 +139,7 @@ def scaled(mesh: trimesh.Trimesh, scale: Scale) -> trimesh.Trimesh:
 
     faces = np.asarray(mesh.faces)
     mirrored = np.prod(np.sign(scale)) < 0
-    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused for it
+    with np.errstate(over="ignore", invalid="ignore"):  # an overflow is refused later
         vertices = np.asarray(mesh.vertices) * scale
     return trimesh.Trimesh(vertices, faces[:, ::-1] if mirrored else faces, process=False)
 

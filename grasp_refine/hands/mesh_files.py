@@ -1,4 +1,4 @@
-"""The mesh files that a URDF names: where they are, and what is in them."""
+"""Mesh files that a URDF names: finding and reading them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
         MeshError: the file is of another format, broken, empty or flat.
     """
     mesh = _read_collada(path) if path.suffix.lower() == ".dae" else load_mesh(path)
-    # The other side of a face is no other face: with both, nothing would hang together.
+    # A face and its reverse count once: with both, no faces would form a connected body.
     mesh.update_faces(mesh.unique_faces())
     return mesh
 
@@ -37,10 +37,10 @@ def _read_collada(path: Path) -> trimesh.Trimesh:
             loaded = scene.to_mesh()
         # As in ROS: the file's unit counts, its "up axis" does not.
         unit = trimesh.units.unit_conversion(scene.units or "meters", "meters")
-    # The reader raises whatever a broken file makes it trip over.
+    # On a broken file the reader raises exceptions of any type.
     except Exception as error:
         raise MeshError(f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})") from error
-    # Equal corners are one: what hangs together is one body.
+    # Equal vertices are merged, so that connected faces form one body.
     corners, faces = np.unique(np.asarray(loaded.triangles).reshape(-1, 3) * unit, axis=0, return_inverse=True)
     mesh = trimesh.Trimesh(corners, faces.reshape(-1, 3), process=False)
     check_mesh(mesh, str(path))
@@ -48,9 +48,9 @@ def _read_collada(path: Path) -> trimesh.Trimesh:
 
 
 def resolve_mesh(filename: str, urdf: Path) -> Path:
-    """The file that a mesh's `filename` in the URDF file `urdf` means; nothing is fetched from a network.
+    """Path of the file that a mesh's `filename` in the URDF file `urdf` refers to; nothing is fetched from a network.
 
-    A plain path is relative to the URDF. `package://NAME/REST` is looked for as NAME/REST and as REST in
+    A plain path is relative to the URDF. `package://NAME/REST` is searched as NAME/REST and as REST in
     the URDF's folder and in every folder above it, nearest first. `file://PATH` is PATH.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Joints that mimic others: which independent joint they follow in the end, and how far that one may then go."""
+"""Mimic joints: the independent joint that each follows in the end, and the limits of that one with its followers."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.tree import Joint, Mimic
 
-ROUNDED = {"revolute": 1e-3, "continuous": 1e-3, "prismatic": 1e-5}
-"""Limits that followers narrow by less, in rad or m, were rounded when they were written, and nobody is told."""
+LIMIT_ROUNDING = {"revolute": 1e-3, "continuous": 1e-3, "prismatic": 1e-5}
+"""Narrowing of limits by followers, in rad or m by kind of joint, up to which it is rounding and gets no note."""
 
 
 def followed(joint: Joint, joints: Mapping[str, Joint]) -> Mimic:
@@ -28,14 +28,14 @@ def followed(joint: Joint, joints: Mapping[str, Joint]) -> Mimic:
     return Mimic(joint.name, multiplier, offset)
 
 
-def within_followers(joints: Sequence[Joint], path: Path) -> tuple[list[Joint], list[str]]:
-    """The joints, independent ones with limits that keep their followers within theirs, and notes on what changed.
+def limit_by_followers(joints: Sequence[Joint], path: Path) -> tuple[list[Joint], list[str]]:
+    """Return the joints, independent ones with limits that keep their followers within theirs, and notes on changes.
 
     An independent joint keeps its own limits too. A continuous one whose followers have limits turns within limits, so
-    that it comes back as a revolute one.
+    that it is returned as a revolute one.
 
     Raises:
-        HandError: a joint is left nowhere to go, or a mimic joint that never moves is outside its limits.
+        HandError: a joint is left without a range, or a mimic joint that never moves is outside its limits.
     """
     by_name = {joint.name: joint for joint in joints}
     range_of = {joint.name: (joint.lower, joint.upper) for joint in joints}
@@ -54,8 +54,8 @@ def within_followers(joints: Sequence[Joint], path: Path) -> tuple[list[Joint], 
         allowed.setdefault(own.name, {})[follower.name] = ends
         lower, upper = range_of[own.name]
         lower, upper = max(lower, ends[0]), min(upper, ends[1])
-        if lower > upper and lower - upper <= ROUNDED[own.kind]:
-            # Limits that meet in one value, as written with so many digits.
+        if lower > upper and lower - upper <= LIMIT_ROUNDING[own.kind]:
+            # Limits that meet in one value, up to the digits written.
             lower = upper = min(max(lower, own.lower), own.upper)
         if lower > upper or (upper - lower < 1e-6 < own.upper - own.lower):
             raise HandError(
@@ -64,12 +64,12 @@ def within_followers(joints: Sequence[Joint], path: Path) -> tuple[list[Joint], 
             )
         range_of[own.name] = lower, upper
     notes = [_note(by_name[name], *range_of[name], of_followers) for name, of_followers in allowed.items()]
-    return [_limited(joint, *range_of[joint.name]) for joint in joints], [note for note in notes if note]
+    return [_with_limits(joint, *range_of[joint.name]) for joint in joints], [note for note in notes if note]
 
 
 def _note(own: Joint, lower: float, upper: float, allowed: Mapping[str, Sequence[float]]) -> str:
-    """Which followers narrow the range of `own`, for people; "" where none does by as much as matters."""
-    if max(lower - own.lower, own.upper - upper) <= ROUNDED[own.kind]:
+    """Note on the followers that narrow the range of `own`; "" where none narrows it beyond rounding."""
+    if max(lower - own.lower, own.upper - upper) <= LIMIT_ROUNDING[own.kind]:
         return ""
     who = [name for name, ends in allowed.items() if own.lower < ends[0] == lower or own.upper > ends[1] == upper]
     return (
@@ -79,7 +79,7 @@ def _note(own: Joint, lower: float, upper: float, allowed: Mapping[str, Sequence
     )
 
 
-def _limited(joint: Joint, lower: float, upper: float) -> Joint:
+def _with_limits(joint: Joint, lower: float, upper: float) -> Joint:
     if (lower, upper) == (joint.lower, joint.upper):
         return joint
     kind = "revolute" if joint.kind == "continuous" and np.isfinite([lower, upper]).all() else joint.kind

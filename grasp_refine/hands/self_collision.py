@@ -1,4 +1,4 @@
-"""Self-collision: which links of a hand can touch each other, and how deep they are in each other."""
+"""Self-collision: pairs of a hand's links that can touch each other, and their penetration."""
 
 import json
 from collections import Counter
@@ -23,25 +23,25 @@ LinkPair = tuple[str, str]
 """Names of two links."""
 
 SCHEMA = 2
-"""Which candidates there are, and how they are judged; a new one leaves all old cache entries unused."""
+"""Version of the candidates and of their classification; a new one leaves all old cache entries unused."""
 
-MOST_PAIRS = 20_000
-"""Most pairs of links that are looked at, which takes half a minute: those of 200 links that each move on their own."""
+MAX_PAIRS = 20_000
+"""Most pairs of links that are checked, which takes half a minute: those of 200 links that each move on their own."""
 
-_MEET = 1e-3
-"""Joints that turn about points closer than this, in metres, turn about the same point."""
+_SAME_POINT_M = 1e-3
+"""Distance in metres below which two joints turn about the same point."""
 
 _BLOCK, _BLOCK_POSES = 256, 2**20
-"""Configurations, and configurations times pairs, that are asked at a time, which bounds the memory."""
+"""Configurations, and configurations times pairs, that are queried at a time, which bounds the memory."""
 
-_ROUNDS = (256, 1280)
-"""Where the configurations are split: pairs that were near in one round are not asked in the next, which is cheap
-for those that remain, mostly far apart; a round costs up to 0.2 s on its own, for preparing its pairs."""
+_ROUND_STARTS = (256, 1280)
+"""Configurations at which a new round starts: pairs that were near in one round are not queried in the next, which is
+cheap for those that remain, mostly far apart; a round costs up to 0.2 s on its own, for preparing its pairs."""
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """How `touching_pairs` looks for pairs.
+    """Sampling of configurations by which `touching_pairs` finds pairs.
 
     Measured on five hands, against 30000 other configurations: with 3000 extreme ones no pair was missed that can
     overlap (5 seeds), with 1000 now and then one of 9 mm, with 300 several of up to 22 mm; uniform ones miss far
@@ -50,13 +50,13 @@ class Sampling:
     """
 
     uniform: int = 128
-    """Number of configurations, uniform within the limits, by which the share of overlaps is judged."""
+    """Number of configurations, uniform within the limits, by which the share of overlaps is estimated."""
     extreme: int = 3000
     """Number of configurations with each joint at one of its limits by even odds, else uniform within them."""
     seed: int = 0
     """Seed of both."""
     margin: float = 0.004
-    """Pairs that are nowhere closer than this are left out, in metres: makes up for what lies between samples."""
+    """Distance in metres that left-out pairs always keep; it allows for the configurations between samples."""
     always: float = 0.5
     """Share of uniform configurations; pairs that overlap in more of them do so by design (other pairs: < 0.2)."""
 
@@ -76,7 +76,7 @@ class Sampling:
 def touching_pairs(
     hand: Hand, sampling: Sampling = Sampling(), *, cache: Path | Literal["user"] | None = "user"
 ) -> tuple[LinkPair, ...]:
-    """The pairs of links that can touch each other without being made to, in the order of `hand.links`.
+    """The pairs of links that can touch each other, but do not by design, in the order of `hand.links`.
 
     Pairs are left out whose links
 
@@ -87,19 +87,19 @@ def touching_pairs(
     - overlap at `hand.rest`, or nearly always: so do hulls that cover more than the link, such as those of a
       knuckle's next but one. A rest pose that is itself in collision hides a pair here, so that a hand whose middle
       of the joint ranges is no sensible pose needs a `rest_pose` in its hand.toml;
-    - come nowhere near each other in the sampled configurations.
+    - never come near each other in the sampled configurations.
 
     These are the rules of MoveIt's Setup Assistant (adjacent, default, always, never in collision). Continuous
     joints are sampled within [-pi, pi], mimic joints follow.
 
     Args:
         hand: The hand.
-        sampling: How many configurations are looked at, and what counts as near.
-        cache: Folder of answers found before; "user" is the user's cache folder, None keeps none. An entry is named
-            by all that the answer depends on: pieces, joints, limits, rest pose and settings.
+        sampling: Number of configurations, and the distance that counts as near.
+        cache: Folder of earlier results; "user" is the user's cache folder, None: no cache. An entry is named
+            by all that the result depends on: pieces, joints, limits, rest pose and settings.
 
     Raises:
-        HandError: more than `MOST_PAIRS` pairs have a joint that can move between them.
+        HandError: more than `MAX_PAIRS` pairs have a joint that can move between them.
     """
     candidates, _ = _candidates(hand)
     if not candidates:
@@ -117,24 +117,24 @@ def touching_pairs(
 
 @dataclass(frozen=True)
 class Judged:
-    """What became of the pairs of solid links that are not moved alike."""
+    """Classification of the pairs of solid links that move relative to each other."""
 
     neighbours: int
-    """How many are connected by one joint, or by several that turn about one point: never looked at."""
+    """Number of pairs connected by one joint, or by several that turn about one point: not checked."""
     watched: tuple[LinkPair, ...]
-    """Those that can touch: what `touching_pairs` returns."""
+    """Pairs that can touch, as `touching_pairs` returns them."""
     at_rest: tuple[LinkPair, ...]
-    """Those that overlap at the rest pose: taken for hulls that cover more than the link, and ignored."""
+    """Pairs that overlap at the rest pose: taken for hulls that cover more than the link, and ignored."""
     nearly_always: tuple[LinkPair, ...]
-    """Others that overlap in most configurations: ignored for the same reason."""
+    """Other pairs that overlap in most configurations: ignored for the same reason."""
     never: int
-    """How many others come nowhere near each other."""
+    """Number of other pairs, which never come near each other."""
 
 
 def judged_pairs(
     hand: Hand, sampling: Sampling = Sampling(), *, cache: Path | Literal["user"] | None = "user"
 ) -> Judged:
-    """What `touching_pairs` found, and why it left out the other pairs."""
+    """Classification of all pairs: those of `touching_pairs`, and the reasons why it leaves out the others."""
     (candidates, neighbours), watched = _candidates(hand), touching_pairs(hand, sampling, cache=cache)
     at_rest, always = _by_design(_distances(hand, candidates, _first_draws(hand, sampling), 0.0), sampling)
     overlapping, others = (
@@ -150,7 +150,7 @@ def self_penetration(
 ) -> Float[np.ndarray, " batch"]:
     """Deepest penetration (batch,) in metres over `pairs` of links, 0 where none overlap.
 
-    NaN where `q` is not finite, or a query has no answer.
+    NaN where `q` is not finite, or a query has no result.
 
     Args:
         hand: The hand.
@@ -165,7 +165,7 @@ def self_penetration(
 
 
 def candidate_pairs(hand: Hand) -> tuple[LinkPair, ...]:
-    """The pairs of links that `touching_pairs` looks at: with bodies, not rigidly connected, and no neighbours."""
+    """The pairs of links that `touching_pairs` checks: with bodies, not rigidly connected, and no neighbours."""
     return tuple(_candidates(hand)[0])
 
 
@@ -173,7 +173,7 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
     """All pairs of solid links that neither are rigidly connected nor neighbours, and the number of neighbours.
 
     Raises:
-        HandError: there are more than `MOST_PAIRS` pairs.
+        HandError: there are more than `MAX_PAIRS` pairs.
     """
     matrix, _, movable = hand.mimic_map()
     lower, upper = _limits(hand)
@@ -187,7 +187,7 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
         if joint.name in moving:
             part[joint.child], place[joint.child] = joint.child, np.eye(4)
             carrier[joint.child] = part[joint.parent]
-            if joint.kind != "prismatic" and np.linalg.norm(T[:3, 3]) < _MEET and part[joint.parent] in carrier:
+            if joint.kind != "prismatic" and np.linalg.norm(T[:3, 3]) < _SAME_POINT_M and part[joint.parent] in carrier:
                 meeting.add(joint.child)
         else:
             part[joint.child], place[joint.child] = part[joint.parent], T
@@ -205,10 +205,10 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
             left_out |= {(own, carrier[inner]), (carrier[inner], own)}
     parts = np.array(list(Counter(part[name] for name in names).values()))
     count = (len(names) ** 2 - int((parts**2).sum())) // 2
-    if count > MOST_PAIRS:
+    if count > MAX_PAIRS:
         raise HandError(
             f"hand {hand.name}: {len(names)} links have collision geometry, of which {count} pairs move against each "
-            f"other, more than the {MOST_PAIRS} that are looked at; leave the collision geometry of some links out"
+            f"other, more than the {MAX_PAIRS} that are checked; leave the collision geometry of some links out"
         )
     apart = [(a, b) for a, b in combinations(names, 2) if part[a] != part[b]]
     pairs = [(a, b) for a, b in apart if (part[a], part[b]) not in left_out]
@@ -216,7 +216,7 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
 
 
 def _touching(hand: Hand, candidates: list[LinkPair], sampling: Sampling) -> Bool[np.ndarray, " pairs"]:
-    """Which of the candidates come near each other, but not by design."""
+    """Mask of the candidates that come near each other, but not by design."""
     lower, upper = _limits(hand)
     rng = np.random.default_rng(sampling.seed)
     first = _first_draws(hand, sampling, rng)
@@ -225,7 +225,7 @@ def _touching(hand: Hand, candidates: list[LinkPair], sampling: Sampling) -> Boo
     distance = _distances(hand, candidates, first, sampling.margin)
     by_design = np.logical_or(*_by_design(distance, sampling))
     near = np.any(distance < sampling.margin, axis=0)
-    for q in np.split(extreme, _ROUNDS):
+    for q in np.split(extreme, _ROUND_STARTS):
         left = np.flatnonzero(~near)
         distance = _distances(hand, [candidates[p] for p in left], q, sampling.margin)
         near[left] = (distance < sampling.margin).any(axis=0)
@@ -235,7 +235,7 @@ def _touching(hand: Hand, candidates: list[LinkPair], sampling: Sampling) -> Boo
 def _first_draws(
     hand: Hand, sampling: Sampling, rng: np.random.Generator | None = None
 ) -> Float[np.ndarray, "draws n"]:
-    """Joint values by which it is judged what overlaps by design: the rest pose, and uniform draws."""
+    """Joint values at which overlaps by design are found: the rest pose, and uniform draws."""
     lower, upper = _limits(hand)
     rng = np.random.default_rng(sampling.seed) if rng is None else rng
     return np.concatenate([hand.rest[None], rng.uniform(lower, upper, (sampling.uniform, len(lower)))])
@@ -244,14 +244,14 @@ def _first_draws(
 def _by_design(
     distance: Float[np.ndarray, "draws pairs"], sampling: Sampling
 ) -> tuple[Bool[np.ndarray, " pairs"], Bool[np.ndarray, " pairs"]]:
-    """Which pairs overlap at rest, and which nearly always: hulls that cover more than the links."""
+    """Masks of the pairs that overlap at rest, and of those that nearly always do: hulls larger than the links."""
     return distance[0] < 0, (distance[1:] < 0).mean(axis=0) > sampling.always
 
 
 def _distances(
     hand: Hand, pairs: Sequence[LinkPair], q: Float[np.ndarray, "batch n"], cutoff: float
 ) -> Float[np.ndarray, "batch pairs"]:
-    """Signed distances (batch, pairs) in metres; the cutoff where it is larger, NaN without an answer."""
+    """Signed distances (batch, pairs) in metres; the cutoff where it is larger, NaN without a result."""
     if not pairs:
         return np.zeros((len(q), 0))
     names = sorted({name for pair in pairs for name in pair})
@@ -266,7 +266,7 @@ def _distances(
     rows = max(min(_BLOCK, _BLOCK_POSES // len(pairs)), 1)
     for start in range(0, len(q), rows):
         block = q[start : start + rows]
-        # What is not finite has no answer.
+        # Configurations that are not finite have no result.
         with np.errstate(invalid="ignore"):
             T = chain(np.broadcast_to(np.eye(4), (len(block), 4, 4)), block).T_world_link
         distance[start : start + rows] = query(table, T[:, first], T[:, second], cutoff=cutoff).distance
@@ -279,7 +279,7 @@ def _limits(hand: Hand) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"
 
 
 def _entry_name(hand: Hand, sampling: Sampling) -> str:
-    """File name for the answer: links and joints count by their place, so that renaming them changes nothing."""
+    """File name of the cache entry: links and joints count by their index, so that renaming them changes nothing."""
     bodies = [link.body.pieces if link.body is not None else () for link in hand.links]
     pieces = [piece for body in bodies for piece in body]
     place = {link.name: i for i, link in enumerate(hand.links)}
@@ -299,6 +299,6 @@ def _entry_name(hand: Hand, sampling: Sampling) -> str:
 
 
 def _load(entry: Path, count: int) -> Bool[np.ndarray, " pairs"] | None:
-    """The answer for `count` candidates; None when there is no such entry, or it is broken."""
+    """The cached mask of `count` candidates; None when there is no such entry, or it is broken."""
     arrays = disk.load_arrays(entry, "touching")
     return arrays[0] if arrays and arrays[0].dtype == bool and arrays[0].shape == (count,) else None

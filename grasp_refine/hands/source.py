@@ -1,4 +1,4 @@
-"""Which files a hand's name means: a folder of robots/, a path of the user's, or an asset."""
+"""Files of a hand by its name: a folder of robots/, a path of the user's, or an asset."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from grasp_refine.core.names import exists, expand_user, is_file
 from grasp_refine.hands.hand_toml import HandToml, only_urdf, read_hand_toml
 
 HAND_TOML = "hand.toml"
-"""Name of the file beside a URDF that says what the URDF does not."""
+"""Name of the file beside a URDF that adds what the URDF does not hold."""
 
 
 def list_hands() -> tuple[str, ...]:
@@ -24,24 +24,24 @@ def list_hands() -> tuple[str, ...]:
 
 
 def needs_urdf(name: str) -> bool:
-    """Whether the hand `name` of `list_hands()` comes without a URDF, which is fetched or given by the user."""
+    """Return True if the hand `name` of `list_hands()` has no URDF of ours: it is fetched, or given by the user."""
     return read_hand_toml(resource_dir("robots") / name / HAND_TOML).urdf is None
 
 
 def is_known(name: str) -> bool:
-    """Whether `name` is one of `list_hands()`, or the full name of an asset such as hands/leap."""
+    """Return True if `name` is one of `list_hands()`, or the full name of an asset such as hands/leap."""
     return name in list_hands() or name in (asset.full_name for asset in read_manifest("hands").values())
 
 
 def check_known(name: str, file: Path) -> None:
-    """Nothing, when the hand `name` that a grasp file names is known.
+    """Refuse an unknown hand `name` of the grasp file `file`.
 
     Raises:
-        GraspFileError: it is not, so that it has to be given.
+        GraspFileError: the hand is unknown, so that the user has to give it.
     """
     if not is_known(name):
         ours = ", ".join(list_hands())
-        raise GraspFileError(f"{file}: its hand '{name}' is none of ours ({ours}); give it with --hand")
+        raise GraspFileError(f"{file}: its hand '{name}' is not one of ours ({ours}); give it with --hand")
 
 
 def hand_files(
@@ -51,16 +51,16 @@ def hand_files(
 
     Args:
         source: One of `list_hands()`, a folder, a .urdf file, a hand.toml, or an asset, as `hands/leap`: its files, and
-            what our hand.toml of that name says of them.
-        urdf: Taken instead of the URDF that hand.toml names. Where neither names one, that of the asset is taken.
-        mjcf: Taken instead of the MJCF that hand.toml names: a file, or an asset such as shadow_mjcf.
-        say: Hears what is fetched.
+            what our hand.toml of that name adds to them.
+        urdf: Used instead of the URDF that hand.toml names. Where neither gives one, that of the asset is used.
+        mjcf: Used instead of the MJCF that hand.toml names: a file, or an asset such as shadow_mjcf.
+        say: Called with a line on what is fetched.
 
     Raises:
         AssetError: no such name, or an asset that cannot be fetched.
         HandError: a file is missing or malformed.
     """
-    name, toml = _located(source, urdf, say)
+    name, toml = _locate(source, urdf, say)
     if toml.urdf is None:
         asset = find_asset(name, "hands")
         if asset is None:
@@ -79,8 +79,8 @@ def hand_files(
     return name, toml
 
 
-def _located(source: str | Path, urdf: Path | None, say: Callable[[str], None]) -> tuple[str, HandToml]:
-    """The same, but without a URDF where a hand of ours has none."""
+def _locate(source: str | Path, urdf: Path | None, say: Callable[[str], None]) -> tuple[str, HandToml]:
+    """Name and hand.toml as from `hand_files`, but without a URDF where a hand of ours has none."""
     if isinstance(source, str) and source in list_hands():
         source = resource_dir("robots") / source
     path = expand_user(Path(source))
@@ -92,14 +92,14 @@ def _located(source: str | Path, urdf: Path | None, say: Callable[[str], None]) 
             ours = resource_dir("robots") / asset.name / HAND_TOML
             urdf = fetched(asset, say) if urdf is None else urdf
             toml = replace(read_hand_toml(ours), urdf=urdf) if ours.is_file() else HandToml(urdf, urdf)
-            # Not the name of ours: grasps refined with the one are not to be judged with the other.
+            # Not the name of ours: grasps refined with the one must not be validated with the other.
             return asset.full_name, toml
         choices = (
             f"the hands here are {', '.join(list_hands())}; or give a folder, a .urdf file, a {HAND_TOML}, or an asset "
             "(refine-grasp assets list hands)"
         )
         if isinstance(source, str) and path.name == source and not path.suffix:
-            raise AssetError(f"no hand is called '{source}'; {choices}")
+            raise AssetError(f"no hand '{source}'; {choices}")
         raise HandError(f"{path}: no such file or folder; {choices}")
     folder = path if path.is_dir() else path.parent
     beside = folder / HAND_TOML

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Mimic:
-    """What makes a joint follow another: its value is `multiplier` x (value of `joint`) + `offset`."""
+    """Coupling of a joint to another: its value is `multiplier` x (value of `joint`) + `offset`."""
 
     joint: str
     """Name of the joint that is followed; it may follow a further one."""
@@ -38,7 +38,7 @@ class Joint:
     name: str
     """Unique name."""
     kind: Literal["revolute", "continuous", "prismatic", "fixed"]
-    """What the joint can do."""
+    """Type of motion."""
     parent: str
     """Link towards the base."""
     child: str
@@ -52,7 +52,7 @@ class Joint:
     upper: float
     """Greatest value in rad or m; inf if continuous, 0 if fixed."""
     mimic: Mimic | None
-    """What the joint follows; None if it moves on its own, or is fixed."""
+    """Coupling to another joint; None if it moves independently, or is fixed."""
     effort: float | None
     """Greatest torque (Nm) or force (N); None where the file names none above 0."""
 
@@ -60,11 +60,11 @@ class Joint:
 
     @property
     def movable(self) -> bool:
-        """Whether the joint moves, on its own or by following another."""
+        """Whether the joint moves, independently or by following another."""
         return self.kind != "fixed"
 
     def motion(self, value: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch 4 4"]:
-        """How the child has moved (..., 4, 4), in its own frame, where the joint is at `value` (...), rad or m."""
+        """Transforms (..., 4, 4) of the child, in its own frame, at joint values `value` (...), rad or m."""
         step = np.asarray(value)[..., None] * self.axis
         if self.kind == "prismatic":
             return transform(np.broadcast_to(np.eye(3), (*step.shape, 3)), step)
@@ -73,7 +73,7 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """The links and joints of a URDF, known to form one tree."""
+    """The links and joints of a URDF, checked to form one tree."""
 
     path: Path
     """The URDF file."""
@@ -87,7 +87,7 @@ class Tree:
     def below(self, base_link: str) -> tuple[list[yourdfpy.Link], list[Joint]]:
         """Links (the base first) and joints (parents before children) of what hangs from `base_link`.
 
-        The rest is not looked at further, so what is wrong with it does not matter.
+        The rest is not checked, so that errors in it do not matter.
 
         Raises:
             HandError: there is no such link, or a joint below it is not one that a hand can have.

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from lxml.etree import _Element
 
 SHAPES = ("box", "cylinder", "sphere", "mesh")
-"""What a <geometry> can hold."""
+"""Elements that a <geometry> can hold."""
 
 MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of <inertia>: the upper triangle of a symmetric matrix."""
 
-READ = {
+CHILDREN_READ = {
     "robot": ("link", "joint"),
     "link": ("inertial", "collision"),
     "inertial": ("mass", "origin", "inertia"),
@@ -32,16 +32,16 @@ READ = {
     "geometry": SHAPES,
     "joint": ("parent", "child", "origin", "axis", "limit", "mimic"),
 }
-"""What is read of an element; the rest (visuals, transmissions, simulator extensions) cannot break a hand."""
+"""Children of an element that are read; the rest (visuals, transmissions, simulator extensions) cannot break a hand."""
 
-MOST_LINKS = 1000
-"""Most links or joints of a URDF; a hand has thirty, one with an arm and hundreds of tactile cells some hundreds. What
-is worked out for pairs of joints and links takes minutes for ten times as many."""
+MAX_LINKS = 1000
+"""Most links or joints of a URDF; a hand has thirty, one with an arm and hundreds of tactile cells some hundreds. The
+computations for pairs of joints and links take minutes for ten times as many."""
 
-NEEDED = {"collision": ("geometry",), "visual": ("geometry",), "joint": ("parent", "child")}
+REQUIRED_CHILDREN = {"collision": ("geometry",), "visual": ("geometry",), "joint": ("parent", "child")}
 """Elements that an element must hold."""
 
-ATTRIBUTES = {
+REQUIRED_ATTRIBUTES = {
     "link": ("name",),
     "joint": ("name", "type"),
     "parent": ("link",),
@@ -56,7 +56,7 @@ ATTRIBUTES = {
 }
 """Attributes that an element must have."""
 
-NUMBERS: dict[str, dict[str, tuple[int, ...]]] = {
+NUMBER_COUNTS: dict[str, dict[str, tuple[int, ...]]] = {
     "origin": {"xyz": (3,), "rpy": (3,)},
     "axis": {"xyz": (3,)},
     "limit": {"lower": (1,), "upper": (1,), "effort": (1,), "velocity": (1,)},
@@ -69,26 +69,26 @@ NUMBERS: dict[str, dict[str, tuple[int, ...]]] = {
     "mesh": {"scale": (1, 3)},
     "color": {"rgba": (3, 4)},
 }
-"""Attributes that hold numbers, and how many."""
+"""Attributes that hold numbers, and their valid counts."""
 
 
 def read_urdf(path: Path) -> yourdfpy.Robot:
     """The links and joints of the URDF file `path` as yourdfpy's dataclasses, every number finite.
 
     Visuals are left out, meshes are not loaded, and no external entity is ever read. Whether links and
-    joints form a tree is not looked at here.
+    joints form a tree is not checked here.
 
     Raises:
-        HandError: the file is missing, not XML, not a URDF, or has more than `MOST_LINKS` links or joints, or an
-            element of it lacks or garbles something.
+        HandError: the file is missing, not XML, not a URDF, or has more than `MAX_LINKS` links or joints, or an
+            element of it is incomplete or malformed.
     """
     import yourdfpy
     from lxml import etree
 
     robot = _read_xml(path)
     for tag in ("link", "joint"):
-        if (count := len(robot.findall(tag))) > MOST_LINKS:
-            raise HandError(f"{path}: has {count} {tag}s, more than the {MOST_LINKS} that a hand may have")
+        if (count := len(robot.findall(tag))) > MAX_LINKS:
+            raise HandError(f"{path}: has {count} {tag}s, more than the {MAX_LINKS} that a hand may have")
     _check(robot, str(path))
     robot.set("name", robot.get("name", path.stem))
     # yourdfpy lets through whatever Python raises on a malformed element, so it is given a checked copy.
@@ -121,26 +121,26 @@ def _read_xml(path: Path) -> _Element:
 
 
 def _check(element: _Element, where: str) -> None:
-    """Nothing; drops what is not read from `element`, and writes its numbers as yourdfpy takes them."""
+    """Check `element`; drops what is not read from it, and writes its numbers as yourdfpy takes them."""
     tag = element.tag
     if tag in ("link", "joint") and element.get("name"):
         where = f"{where}: {tag} '{element.get('name')}'"
-    for name in ATTRIBUTES.get(tag, ()):
+    for name in REQUIRED_ATTRIBUTES.get(tag, ()):
         if not element.get(name):
             raise HandError(f"{where}: <{tag}> has no '{name}'")
         if not is_valid(element.get(name)):
-            raise HandError(f'{where}: <{tag} {name}="{element.get(name)}"> holds letters that no name has')
-    for name, counts in NUMBERS.get(tag, {}).items():
+            raise HandError(f'{where}: <{tag} {name}="{element.get(name)}"> holds characters that no name may have')
+    for name, counts in NUMBER_COUNTS.get(tag, {}).items():
         if name in element.attrib:
             element.set(name, _numbers(element, name, counts, where))
     if tag == "geometry" and [child.tag in SHAPES for child in element] != [True]:
         found = ", ".join(f"<{child.tag}>" for child in element) or "nothing"
         raise HandError(f"{where}: <geometry> holds {found}; it must hold one of {', '.join(SHAPES)}")
-    for name in NEEDED.get(tag, ()):
+    for name in REQUIRED_CHILDREN.get(tag, ()):
         if element.find(name) is None:
             raise HandError(f"{where}: <{tag}> has no <{name}>")
     for child in list(element):
-        if child.tag in READ.get(tag, ()):
+        if child.tag in CHILDREN_READ.get(tag, ()):
             _check(child, where)
         else:
             element.remove(child)
@@ -159,16 +159,16 @@ def _numbers(element: _Element, name: str, counts: tuple[int, ...], where: str) 
 
 
 def read_visuals(path: Path) -> dict[str, list[yourdfpy.Visual | HandError]]:
-    """What each link in the URDF file `path` shows, which `read_urdf` leaves out; instead of a broken one, its error.
+    """Visuals of each link in the URDF file `path`, which `read_urdf` leaves out; for a broken one, its error.
 
-    A material that is named at the robot is the visual's own here, its color as the file has it.
+    A visual whose material is defined elsewhere in the file gets that material, with the color in the file.
 
     Raises:
         HandError: the file is missing, or not a URDF.
     """
     robot = _read_xml(path)
     materials = {material.get("name"): material for material in robot.iterfind("material")}
-    # A name may stand where the material is described only at another visual.
+    # A visual may name a material that is described only at another visual.
     for material in robot.iterfind("link/visual/material"):
         if material.find("color") is not None:
             materials.setdefault(material.get("name"), material)
@@ -208,7 +208,7 @@ def links_with_visuals(path: Path) -> frozenset[str]:
 
 
 def joints_fixed_and_mimicking(path: Path) -> tuple[str, ...]:
-    """Names of the fixed joints in the URDF file `path` that hold a <mimic>, which means nothing there.
+    """Names of the fixed joints in the URDF file `path` that hold a <mimic>, which has no effect there.
 
     Raises:
         HandError: the file is missing, or not a URDF.

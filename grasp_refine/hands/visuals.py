@@ -1,4 +1,4 @@
-"""The visual geometry of links: what a hand looks like, rather than what of it collides."""
+"""Visual geometry of links, as opposed to their collision geometry."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """One thing that a link shows."""
+    """One <visual> of a link."""
 
     link: str
     """Name of the link."""
     mesh: trimesh.Trimesh
     """Its surface in the link frame, metres; it may be open."""
     color: tuple[float, float, float] | None
-    """Red, green and blue in [0, 1] as the URDF says; None where it says none."""
+    """Red, green and blue in [0, 1] from the URDF; None where it gives none."""
 
 
 def load_visuals(urdf: Path, links: Collection[str], say: Callable[[str], None] = lambda line: None) -> list[Visual]:
-    """What those of `links` show that have a <visual> in the file `urdf`, in the order of the file.
+    """Visuals of those of `links` that have any in the file `urdf`, in the order of the file.
 
-    What cannot be read is left out, and `say` gets a line about it. A mesh file is read once.
+    A visual that cannot be read is left out, and `say` is called with a line on it. A mesh file is read once.
 
     Raises:
         HandError: the file is missing, or not a URDF.
@@ -48,8 +48,8 @@ def load_visuals(urdf: Path, links: Collection[str], say: Callable[[str], None] 
                     raise visual
                 found.append(Visual(link, _mesh(visual, urdf, meshes), _color(visual)))
             except (HandError, MeshError) as error:
-                said = str(error).removeprefix(f"{urdf}: ").removeprefix(f"link '{link}': ")
-                say(f"link '{link}': something that it shows cannot be read: {said}")
+                reason = str(error).removeprefix(f"{urdf}: ").removeprefix(f"link '{link}': ")
+                say(f"link '{link}': a visual cannot be read: {reason}")
     return found
 
 

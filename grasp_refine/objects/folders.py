@@ -1,4 +1,4 @@
-"""Folders of objects as others lay them out: which object a name means, and its convex pieces where it has them.
+"""Folders of objects in the layouts of other programs: lookup of an object by name, and its convex pieces.
 
 The folder of an object holds its convex pieces, cut by someone else, in one of these ways:
 
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
     import trimesh
 
 PIECES = Path("urdf", "meshes")
-"""Where DexGraspBench and BODex keep the convex pieces in the folder of an object."""
+"""Convex pieces in the folder of an object of DexGraspBench and BODex."""
 
 SURFACE = Path("mesh", "simplified.obj")
-"""Where they keep its surface."""
+"""Surface in the same folder."""
 
 GROUPS = Path("coacd", "decomposed.obj")
-"""Where DexGraspNet keeps all convex pieces."""
+"""All convex pieces in the folder of an object of DexGraspNet."""
 
-MOST_EXCESS = 0.02
-"""Share of its own volume by which the hull of a convex piece may exceed it, before that is noted."""
+MAX_HULL_EXCESS = 0.02
+"""Share of a convex piece's volume by which its hull may exceed it without a note."""
 
 
 def find_object(name: str, folder: str | Path) -> Path:
-    """Return the mesh, or the folder of convex pieces, in `folder` that `name` means, as a grasp file may call it.
+    """Return the mesh, or the folder of convex pieces, in `folder` for the object that a grasp file calls `name`.
 
-    That is the one whose name is `name`, else the one whose name is it, else the one whose name ends with it from the
-    beginning of a word or number on, the last two whatever the case and without `-` and `_`. The name of a mesh is its
-    stem. Of a mesh and a folder of pieces with the same name the folder is meant: the mesh would only be cut again.
+    That is the one whose name is `name`, else the one whose name equals it, else the one whose name ends with it from
+    the beginning of a word or number on, the last two ignoring case, `-` and `_`. The name of a mesh is its stem. Of a
+    mesh and a folder of pieces with the same name the folder is used: the mesh would only be cut again.
 
     Raises:
         AssetError: the folder is missing, or none or several of its meshes and folders of pieces fit; lists them.
@@ -55,7 +55,7 @@ def find_object(name: str, folder: str | Path) -> Path:
         lambda own: _plain(own) == plain,
         lambda own: plain and plain in map(_plain, _ends(own)),
     ):
-        # The name comes first: to look into each of a thousand folders for each of a thousand names takes minutes.
+        # The name is checked first: looking into each of a thousand folders for each of a thousand names takes minutes.
         fits = [path for path, own in called.items() if rule(own) and _is_object(path)]
         cut = {called[path] for path in fits if path.is_dir()}
         fits = [path for path in fits if path.is_dir() or called[path] not in cut]
@@ -89,7 +89,7 @@ def given_pieces(folder: Path, scale: float) -> tuple[tuple[Piece, ...], tuple[s
 
 
 def surface(folder: Path, pieces: Sequence[Piece], scale: float) -> tuple[trimesh.Trimesh, tuple[str, ...]]:
-    """What is shown of an object with given pieces, in metres, and notes about it.
+    """Surface for display of an object with given pieces, in metres, and notes about it.
 
     Raises:
         MeshError: the surface in `folder` is unreadable, flat or empty.
@@ -108,7 +108,7 @@ def surface(folder: Path, pieces: Sequence[Piece], scale: float) -> tuple[trimes
     try:
         return watertight(mesh, path.name)
     except MeshError:
-        return mesh, (f"{path.name}: not watertight; it is only shown, the pieces are what is touched",)
+        return mesh, (f"{path.name}: not watertight; it is only displayed, contacts are with the pieces",)
 
 
 def _solids(folder: Path, scale: float) -> Iterator[tuple[str, trimesh.Trimesh | None]]:
@@ -124,7 +124,7 @@ def _solids(folder: Path, scale: float) -> Iterator[tuple[str, trimesh.Trimesh |
 
 
 def _piece(name: str, mesh: trimesh.Trimesh | None) -> tuple[Piece | None, str | None]:
-    """The hull of a mesh, None if that is flat; and what the user should know about it, if anything."""
+    """The hull of a mesh, None if that is flat; and a note for the user, if there is one."""
     try:
         piece = None if mesh is None else hull(mesh.vertices, name=name)
     except FlatMeshError:
@@ -136,7 +136,7 @@ def _piece(name: str, mesh: trimesh.Trimesh | None) -> tuple[Piece | None, str |
     except MeshError:
         return piece, f"{name}: not watertight, so not known to be convex; its hull is used"
     excess = piece.mesh().volume / volume - 1
-    if excess > MOST_EXCESS:
+    if excess > MAX_HULL_EXCESS:
         return piece, f"{name}: not convex; its hull is used, which has {excess:.1%} more volume"
     return piece, None
 
@@ -154,12 +154,12 @@ def _is_mesh(path: Path) -> bool:
 
 
 def _is_object(path: Path) -> bool:
-    """Whether `path` is a mesh or a folder of convex pieces."""
+    """Return True if `path` is a mesh or a folder of convex pieces."""
     return _has_pieces(path) if path.is_dir() else _is_mesh(path)
 
 
 def _ends(name: str) -> list[str]:
-    """What a name ends with from the beginning of a word or number on: an apple is no pineapple."""
+    """Endings of a name from the beginning of a word or number on: an apple is no pineapple."""
     return [name[match.start() :] for match in re.finditer(r"[0-9]+|[^\W\d_]+", name)]
 
 

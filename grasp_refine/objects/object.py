@@ -1,4 +1,4 @@
-"""Objects: a mesh in metres and the convex pieces that stand for it in collision queries."""
+"""Objects: a mesh in metres and the convex pieces that represent it in collision queries."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ class Object:
     name: str
     """Embedded name, primitive, stem of the mesh file, or name of the folder."""
     mesh: trimesh.Trimesh
-    """Surface, metres; what is shown. Watertight, unless a note says that the surface beside given pieces is not."""
+    """Surface for display, metres. Watertight, unless there is a note that the surface beside given pieces is not."""
     body: Body
-    """Convex pieces and surface candidates; what is touched."""
+    """Convex pieces and surface candidates, for contacts."""
     convex: bool
     """Whether it is one convex piece."""
     notes: tuple[str, ...]
-    """What was repaired in the mesh, or is wrong with given pieces, for the user."""
+    """Repairs of the mesh, or faults of given pieces, for the user."""
 
     def __repr__(self) -> str:
         size = " x ".join(f"{side * 1e3:.3g}" for side in self.mesh.extents)
@@ -51,18 +51,18 @@ class Object:
 
 @dataclass(frozen=True, eq=False)
 class UncutObject:
-    """An object that was read and found usable, and is still to be cut into convex pieces."""
+    """An object that was read and checked, but not yet cut into convex pieces."""
 
     name: str
-    """As `Object.name`."""
+    """Name, see `Object.name`."""
     mesh: trimesh.Trimesh
-    """As `Object.mesh`."""
+    """Surface, see `Object.mesh`."""
     pieces: tuple[Piece, ...]
     """Its convex pieces where they are given; empty: the mesh is to be cut."""
     convex: bool
-    """As `Object.convex`."""
+    """Whether it is one convex piece, see `Object.convex`."""
     notes: tuple[str, ...]
-    """As `Object.notes`."""
+    """Notes for the user, see `Object.notes`."""
 
 
 def load_object(
@@ -79,21 +79,21 @@ def load_object(
 ) -> Object:
     """The object, cut into convex pieces, that `source` names: embedded, a primitive, a mesh file, a folder of pieces.
 
-    The hulls of the meshes in a folder (see `folders`) are the convex pieces; nothing is decomposed. What is
-    shown is the folder's surface if it has one, else all pieces. A mesh file of convex bodies is not decomposed either,
-    and the pieces of the embedded objects come with the program.
+    The hulls of the meshes in a folder (see `folders`) are the convex pieces; nothing is decomposed. The
+    displayed surface is the folder's if it has one, else all pieces. A mesh file of convex bodies is not decomposed
+    either, and the pieces of the embedded objects come with the program.
 
     Args:
         source: name in EMBEDDED, "box:x,y,z", "sphere:r", "cylinder:r,h", or a path.
         scale: factor that takes the mesh, or the pieces, to metres.
-        unit: of what the scale makes of it. None is metres too, but a size that no hand grasps is then an error that
-            asks for the unit; "m" says that the numbers are metres, whatever the size.
-        decomposition: how a concave mesh is cut into convex pieces; the defaults when None.
-        holes: what becomes of a mesh with holes: an error, flat caps on flat holes, or its convex hull.
+        unit: of the mesh times the scale. None is metres too, but a size that no hand grasps is then an error that
+            asks for the unit; "m" accepts metres whatever the size.
+        decomposition: settings for cutting a concave mesh into convex pieces; None: the defaults.
+        holes: treatment of a mesh with holes: an error, flat caps on flat holes, or its convex hull.
         candidates: number of points on the surface.
         seed: of the surface points.
-        cache: folder of decompositions made before; "user" is the user's cache folder, None keeps none.
-        progress: gets one line when a decomposition starts and one when it is done.
+        cache: folder of earlier decompositions; "user" is the user's cache folder, None: no cache.
+        progress: called with one line when a decomposition starts and one when it is done.
 
     Raises:
         AssetError: no such name.
@@ -127,7 +127,7 @@ def read_object(
     scale *= (factor := UNITS[unit or "m"])
     pieces: Sequence[Piece] = ()
     notes: tuple[str, ...] = ()
-    # An empty path would be the present folder.
+    # An empty path would be the current folder.
     if text and (text not in EMBEDDED or isinstance(source, Path)) and is_folder(Path(text)):
         name = Path(os.path.abspath(text)).name
         pieces, notes = given_pieces(Path(text), scale)
@@ -152,7 +152,7 @@ def read_object(
     convex = len(pieces) == 1
     if not pieces:
         mesh, notes = watertight(mesh, name, holes)
-        # An object's notes are told after its name.
+        # An object's notes are printed after its name.
         notes = tuple(note.removeprefix(f"{name}: ") for note in notes)
         convex = is_convex(mesh)
     return UncutObject(name, mesh, tuple(pieces), convex, notes)

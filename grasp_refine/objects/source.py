@@ -1,4 +1,4 @@
-"""What an object's name means: an embedded object, a primitive, a mesh or folder of the user's, or an asset."""
+"""Lookup of an object by its name: an embedded object, a primitive, a mesh or folder of the user's, or an asset."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from grasp_refine.objects.object import PRIMITIVE_FORMS
 
 @dataclass(frozen=True)
 class ObjectSource:
-    """What `load_object` should load."""
+    """Source that `load_object` should load."""
 
     source: str | Path
     """Name or path."""
     asset: Asset | None = None
-    """Which asset it is; its `scale` makes it fit a hand."""
+    """The asset, if it is one; its `scale` makes it fit a hand."""
 
 
 def chosen_object(name: str, say: Callable[[str], None]) -> ObjectSource:
-    """What a user means by `name`; an asset that is not here is fetched, and `say` hears of it.
+    """Source of the object that a user calls `name`; a missing asset is fetched, and `say` called with a line on it.
 
     Raises:
         AssetError: the name could be several assets, or the one that it is cannot be fetched.
@@ -40,11 +40,11 @@ def chosen_object(name: str, say: Callable[[str], None]) -> ObjectSource:
 
 
 def check_object(name: str) -> None:
-    """Refuse a `name` that means no object, before anything is loaded or fetched.
+    """Refuse a `name` of no object, before anything is loaded or fetched.
 
     Raises:
-        AssetError: no object is called so, or several assets are.
-        MeshError: it is the path of a mesh file that is not there.
+        AssetError: no object has this name, or several assets have.
+        MeshError: it is the path of a mesh file that does not exist.
     """
     if ":" not in name and Path(name).suffix.lower() in SUFFIXES and not exists(Path(name)):
         raise MeshError(f"{name}: no such mesh file")
@@ -68,14 +68,14 @@ def _asset_meant(name: str) -> Asset | None:
 
 
 def named_object(name: str, objects: Path | None, file: Path, say: Callable[[str], None]) -> ObjectSource:
-    """What the grasps in `file` mean by the object `name`, which is never taken as a path.
+    """Source of the object that the grasps in `file` call `name`, which is never taken as a path.
 
     Args:
         name: The object's name in the file.
         objects: A folder of meshes or folders of pieces, or a TOML file that names them; None: it is one of ours, a
             primitive, or an asset of exactly this name.
         file: The grasp file, for messages.
-        say: Hears of what is fetched.
+        say: Called with a line on what is fetched.
 
     Raises:
         AssetError: there is no such object, or it cannot be fetched.
@@ -94,12 +94,12 @@ def named_object(name: str, objects: Path | None, file: Path, say: Callable[[str
         return ObjectSource(fetched(asset, say), asset)
     raise AssetError(
         f"{file}: its object '{name}' is none of the embedded ones ({', '.join(EMBEDDED)}); give its mesh with "
-        f"--object, a folder of meshes with --objects, or a primitive ({PRIMITIVE_FORMS}){_perhaps(name)}"
+        f"--object, a folder of meshes with --objects, or a primitive ({PRIMITIVE_FORMS}){_suggestion(name)}"
     )
 
 
 def is_known(name: str) -> bool:
-    """Whether an object that a grasp file names so needs no mesh from the user."""
+    """Return True if an object of this name in a grasp file needs no mesh from the user."""
     return name in EMBEDDED or _is_primitive(name) or name in read_manifest("objects")
 
 
@@ -111,8 +111,8 @@ def _is_primitive(name: str) -> bool:
     return True
 
 
-def _perhaps(name: str) -> str:
-    """Which asset a name in a grasp file may mean; it is not taken for it unasked."""
+def _suggestion(name: str) -> str:
+    """Suggestion of the asset that a name in a grasp file may mean; it is never used without the user's choice."""
     try:
         asset = find_asset(name, "objects")
     except AssetError:

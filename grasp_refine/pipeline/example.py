@@ -28,9 +28,9 @@ def example_grasps(spec: ProblemSpec) -> Path:
     hand = spec.hand or EXAMPLE_HAND
     if hand not in list_hands():
         load_hand(hand)
-        whole = [name for name in list_hands() if not needs_urdf(name)]
+        complete = [name for name in list_hands() if not needs_urdf(name)]
         raise GraspRefineError(
-            f"--grasps FILE is needed: only hands that come with the program ({', '.join(whole)}) "
+            f"--grasps FILE is needed: only hands that come with the program ({', '.join(complete)}) "
             f"have example grasps, '{hand}' has none"
         )
     examples: dict[str, Path] = {}

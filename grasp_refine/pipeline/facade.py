@@ -39,12 +39,12 @@ def problem_of(hand: Hand, obj: Object, grasps: GraspSet, *, table: float | None
 
     Args:
         hand: The hand.
-        obj: The object, in metres; scales that the grasps name are those of its mesh.
+        obj: The object, in metres; scales of the grasps are those of its mesh.
         grasps: Grasps on this object alone, joint values by name.
         table: Height (metres) of a table in the object's frame, z up; None: there is none.
 
     Raises:
-        GraspRefineError: an argument of another kind, grasps of several objects, or of other joints.
+        GraspRefineError: an argument of another type, grasps of several objects, or of other joints.
     """
     check_kind("hand", hand, Hand)
     check_kind("object", obj, Object)
@@ -68,8 +68,8 @@ def problem_of(hand: Hand, obj: Object, grasps: GraspSet, *, table: float | None
     scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q, *targets, table=plane)
     group = Group(names[0] if names else obj.name, float(np.mean(grasps.scale)), scene, grasps, rows, rows, rows)
     doubts = convention_notes([scene])
-    told = dict.fromkeys((*hand.notes, *obj.notes, *notes, *doubts))
-    return Problem(hand, (), (group,), tuple(told), convention_notes=doubts)
+    all_notes = dict.fromkeys((*hand.notes, *obj.notes, *notes, *doubts))
+    return Problem(hand, (), (group,), tuple(all_notes), convention_notes=doubts)
 
 
 def refine(
@@ -89,10 +89,10 @@ def refine(
         grasps: Grasps on it.
         config: Settings; the defaults when None.
         table: Height (metres) of a table in the object's frame, z up, that no link may go through.
-        listener: Hears of the progress.
+        listener: Callbacks of the progress.
 
     Raises:
-        GraspRefineError: an argument of another kind, grasps of another hand or of several objects.
+        GraspRefineError: an argument of another type, grasps of another hand or of several objects.
     """
     check_kind("config", config, Config | None)
     problem = _problem(hand, object, grasps, table)
@@ -107,10 +107,10 @@ def simulate(
     Args:
         refined: Result of `refine`.
         protocol: Name of a protocol of `refine-grasp validate`, or one of your own.
-        listener: Hears of the progress.
+        listener: Callbacks of the progress.
 
     Raises:
-        GraspRefineError: there is no such protocol, or MuJoCo cannot make the hand or the world.
+        GraspRefineError: there is no such protocol, or MuJoCo cannot compile the hand or the world.
     """
     check_kind("refined", refined, RefinedGrasps)
     return simulate_refined(refined, _protocol(protocol), listener=listener)
@@ -134,7 +134,7 @@ def evaluate(
         table: Height (metres) of a table in the object's frame, z up.
 
     Raises:
-        GraspRefineError: an argument of another kind, grasps of another hand or of several objects.
+        GraspRefineError: an argument of another type, grasps of another hand or of several objects.
     """
     problem = _problem(hand, object, grasps, table)
     chosen = None if protocol is None else _protocol(protocol)
@@ -181,7 +181,7 @@ class Evaluation:
     protocol: Protocol | None
     """Protocol of the simulation; None: not simulated."""
     validated: Validated
-    """Measures and trials, in the order in which the grasps were asked for."""
+    """Measures and trials, in the requested order of the grasps."""
 
     def __len__(self) -> int:
         """Return the number of grasps."""
@@ -194,7 +194,7 @@ class Evaluation:
 
     @property
     def held(self) -> np.ndarray:
-        """Which grasps (N,) held in simulation.
+        """True where a grasp (N,) held in simulation.
 
         Raises:
             GraspRefineError: they were not simulated.
@@ -214,7 +214,7 @@ class Evaluation:
         return text_of(self.table())
 
     def _repr_html_(self) -> str:
-        """The table, for a notebook."""
+        """Return the table as HTML, for a notebook."""
         return html_of(self.table())
 
 

@@ -7,13 +7,13 @@ from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
 
 MAX_ENTRIES = {"file": 2, "hand": 4, "uncut": 16, "object": 16}
-"""Entries of each kind that are held, the ones used last; of any other kind 4. They bound the memory of a worker."""
+"""Largest number of entries of each kind, of any other kind 4, which bounds the memory of a worker."""
 
 Value = TypeVar("Value")
 
 
 class InputCache:
-    """Values by kind and key; of each kind, those that were used last."""
+    """Cache of values by kind and key; of each kind, the last used ones are kept."""
 
     def __init__(self) -> None:
         """Begin empty."""
@@ -23,7 +23,7 @@ class InputCache:
         """Return the value of a key, made by `make` where it is not held."""
         known = self._kinds.setdefault(kind, OrderedDict())
         if key not in known:
-            # First, so that never more than the most are in memory.
+            # Before `make`, so that there are never more than `MAX_ENTRIES` in memory.
             while len(known) >= MAX_ENTRIES.get(kind, 4):
                 known.popitem(last=False)
             known[key] = make()

@@ -51,10 +51,10 @@ def load_problem(
 
     Args:
         spec: Names and files.
-        cache: Holds files, hands and objects for the next problem; None: nothing is held.
-        seed: Of decompositions and of sampled grasps.
-        on_message: Is called when something is fetched, and when a decomposition starts and ends.
-        on_wait: Is called with the name of what takes a while.
+        cache: Keeps files, hands and objects for the next problem; None: nothing is kept.
+        seed: Seed of decompositions and of sampled grasps.
+        on_message: Called when something is fetched, and when a decomposition starts and ends.
+        on_wait: Called with the name of a step that takes long.
 
     Raises:
         GraspRefineError: something is missing, cannot be used, or does not fit the rest.
@@ -70,13 +70,13 @@ class Loader:
     spec: ProblemSpec
     """Names and files."""
     seed: int = 0
-    """Of decompositions and of sampled grasps."""
+    """Seed of decompositions and of sampled grasps."""
     on_message: Callable[[str], None] = _ignore
-    """Is called when something is fetched, and when a decomposition starts and ends."""
+    """Called when something is fetched, and when a decomposition starts and ends."""
     on_wait: Callable[[str], None] = _ignore
-    """Is called with the name of what takes a while."""
+    """Called with the name of a step that takes long."""
     cache: InputCache = field(default_factory=NoCache)
-    """Holds files, hands and objects for the next problem."""
+    """Cache of files, hands and objects for the next problem."""
 
     @stage("loading")
     def draft(self) -> Draft:
@@ -132,8 +132,8 @@ class Loader:
                 found.append(Group(group.object, group.scale, scene, some, group.rows, group.index, group.place))
             cut = {group.key: obj for group, obj in zip(groups, objects, strict=True)}
             doubts = convention_notes([group.scene for group in found])
-            told = dict.fromkeys((*notes, *check_objects(read.files, cut, other=True), *doubts))
-            return Problem(hand, files, tuple(found), tuple(told), convention_notes=doubts)
+            all_notes = dict.fromkeys((*notes, *check_objects(read.files, cut, other=True), *doubts))
+            return Problem(hand, files, tuple(found), tuple(all_notes), convention_notes=doubts)
 
         names_of_grasps = tuple(name for name, rows in chosen.items() for _ in rows)
         return Draft(hand, files, names_of_grasps, targets is not None, tuple(groups), finish)
@@ -143,7 +143,7 @@ class Loader:
 
         Args:
             count: Number of grasps.
-            draw: Number of the draw, of several with one seed; each gives other grasps.
+            draw: Number of the draw, of several with one seed; each returns other grasps.
 
         Raises:
             GraspRefineError: hand or object cannot be used.
@@ -169,29 +169,29 @@ class Loader:
         return draft.finish(self._cut([group.uncut for group in draft.groups]))
 
     def read(self, path: Path) -> Reading:
-        """Return all grasps of the file `path`, with the targets that the specification asks for.
+        """Return all grasps of the file `path`, with the targets of the specification.
 
         Raises:
             GraspFileError: it cannot be read, or the targets cannot.
         """
 
-        def aimed() -> Reading:
+        def with_targets() -> Reading:
             read = self._read_file(path)
             return replace(read, grasps=replace(read.grasps, targets=self._targets(read.grasps, path)))
 
         spec = self.spec
-        return self.cache.get("file", (path, spec.format, spec.hand, spec.urdf, spec.targets), aimed)
+        return self.cache.get("file", (path, spec.format, spec.hand, spec.urdf, spec.targets), with_targets)
 
     def named_objects(self, grasps: GraspSet, path: Path) -> dict[str, ObjectSource]:
-        """Return the source of each object of the grasps that is meant, in the order of the file.
+        """Return the sources of the selected objects of the grasps, in the order of the file.
 
         Raises:
-            GraspRefineError: an object is not known, or cannot be told.
+            GraspRefineError: an object is not known, or ambiguous.
         """
         return {name: self._source(name, path) for name in self._names(grasps, path)}
 
     def load_hand(self, source: str, base_link: str | None) -> Hand:
-        """Return a hand, of the files that the specification names."""
+        """Return a hand, from the files of the specification."""
         spec = self.spec
         key = (source, base_link, spec.urdf, spec.mjcf, spec.hull_limit)
         load = partial(load_hand, base_link=base_link, urdf=spec.urdf, mjcf=spec.mjcf, hull_limit=spec.hull_limit)
@@ -228,32 +228,32 @@ class Loader:
     def _read_file(self, path: Path) -> Reading:
         """Return the grasps of a file, or of a folder, of any format."""
         spec = self.spec
-        # Ours name their joints; for others the hand may have to say what their columns are.
+        # Our files name their joints; for others the columns may follow from the hand.
         hand = None if spec.hand is None or path.suffix == ".npz" else self.load_hand(spec.hand, None)
         return reading(path, format=spec.format, hand=hand)
 
     def _files(self, path: Path, read: Reading) -> tuple[Path, ...]:
-        """Return the path that was given, the files in it if it is a folder, and the file of targets."""
+        """Return the given path, the files in it if it is a folder, and the file of targets."""
         files = tuple(dict.fromkeys((path, *read.files)))
         return files if self.spec.targets in (AUTO, NEAREST) else (*files, Path(self.spec.targets))
 
     def _targets(self, grasps: GraspSet, path: Path) -> Targets | None:
-        """Return the targets of all rows of the grasp file; None: they are to be found."""
+        """Return the targets of all rows of the grasp file; None: contacts are selected by distance."""
         wanted = self.spec.targets
         if wanted in (AUTO, NEAREST):
             return grasps.targets if wanted == AUTO else None
-        aimed = load_grasps(wanted)
-        if aimed.targets is None:
+        other = load_grasps(wanted)
+        if other.targets is None:
             raise GraspFileError(f"{wanted}: has no targets (target_link, target_point_link, target_point_object)")
-        if len(aimed) != len(grasps) or (aimed.object != grasps.object).any():
+        if len(other) != len(grasps) or (other.object != grasps.object).any():
             raise GraspFileError(
-                f"{wanted}: its rows must be those of {path}: {len(aimed)} against {len(grasps)} grasps"
-                + ("" if len(aimed) != len(grasps) else ", of other objects")
+                f"{wanted}: its rows must be those of {path}: {len(other)} against {len(grasps)} grasps"
+                + ("" if len(other) != len(grasps) else ", of other objects")
             )
-        return aimed.targets
+        return other.targets
 
     def _hand(self, grasps: GraspSet, path: Path) -> tuple[Hand, GraspSet, list[str]]:
-        """Return the hand below the base link that is asked for, the grasps expressed in its frame, and notes."""
+        """Return the hand below the requested base link, the grasps expressed in its frame, and notes."""
         spec = self.spec
         source = spec.hand or grasps.hand
         if spec.hand is None:
@@ -262,20 +262,20 @@ class Loader:
         try:
             hand = load(grasps.base_link)
         except HandError:
-            whole = load(None)
-            links = read_tree(whole.urdf).links
+            full = load(None)
+            links = read_tree(full.urdf).links
             if grasps.base_link in links:
                 raise
             raise GraspFileError(
                 f"{path}: the grasps are for another hand ('{grasps.hand}'): their base_link '{grasps.base_link}' "
-                f"is no link of hand '{whole.name}'; its links are {', '.join(links)}"
+                f"is no link of hand '{full.name}'; its links are {', '.join(links)}"
             ) from None
         notes = []
         if spec.base_link is not None:
-            told, hand = rebased(grasps, spec.base_link, load), load(spec.base_link)
-            resting = [name for name in told.joint_names if name not in grasps.joint_names]
+            moved, hand = rebased(grasps, spec.base_link, load), load(spec.base_link)
+            resting = [name for name in moved.joint_names if name not in grasps.joint_names]
             notes = [f"joints that the grasps lack begin at rest: {', '.join(resting)}"] if resting else []
-            grasps = told
+            grasps = moved
         if not any(link.body is not None for link in hand.links):
             raise GraspFileError(
                 f"{path}: the grasps are for another hand ('{grasps.hand}'): from their base_link "
@@ -285,12 +285,12 @@ class Loader:
 
     def _simulated(self, hand: Hand) -> Hand:
         """Return the hand as it will be simulated."""
-        # A file that is given is meant to be used.
+        # An MJCF of the specification takes precedence.
         hand = hand if self.spec.mjcf is None else replace(hand, collision="mjcf")
         return self.cache.get("simulated", (hand, self.spec.mjcf), partial(_with_actuators, hand))
 
     def _names(self, grasps: GraspSet, path: Path) -> list[str]:
-        """Return the names of the objects whose grasps are meant, in the order of the file."""
+        """Return the names of the objects whose grasps are selected, in the order of the file."""
         spec = self.spec
         if spec.object is not None and spec.objects is not None:
             raise GraspRefineError("--object and --objects exclude each other: give one of them")
@@ -315,17 +315,17 @@ class Loader:
         )
 
 
-def on_disk(path: Path, say: Callable[[str], None]) -> Path:
-    """Return a path, or the folder of the asset of this name, if nothing else is called so."""
+def on_disk(path: Path, on_message: Callable[[str], None]) -> Path:
+    """Return a path, or the folder of the asset of this name if there is no such path."""
     asset = None if exists(path) or path.suffix else find_asset(str(path), "grasps")
-    return path if asset is None else fetched(asset, say)
+    return path if asset is None else fetched(asset, on_message)
 
 
 def _other_urdf(path: Path, hand: Hand, *, chosen: bool) -> list[str]:
-    """Return a note where grasps were refined with another URDF than that of the hand.
+    """Return a note if grasps were refined with another URDF than that of the hand.
 
     Raises:
-        GraspFileError: they were, and this one was not `chosen` by the user, whose hand may be called like one of ours.
+        GraspFileError: they were, and this one was not `chosen` by the user, whose hand may be named as ours.
     """
     recorded = recorded_urdf(path)
     if recorded in (None, fingerprint(hand.urdf)["sha256"]):
@@ -339,10 +339,10 @@ def _other_urdf(path: Path, hand: Hand, *, chosen: bool) -> list[str]:
 
 
 def _with_actuators(hand: Hand) -> Hand:
-    """Return the hand with the actuators of its MJCF, if that is what will be simulated."""
+    """Return the hand with the actuators of its MJCF, if that is simulated."""
     if hand.collision != "mjcf" or hand.mjcf is None:
         return hand
     from grasp_refine.validation.mjcf_model import mjcf_model
 
-    # Squeezes are for the actuators that will press.
+    # Squeezes are set points of these actuators.
     return replace(hand, actuator=mjcf_model(hand, hand.mjcf).actuator)

@@ -1,4 +1,4 @@
-"""The grasps that a command was asked for, with hand and objects, by object and scale."""
+"""Problem: requested grasps with their hand and objects, grouped by object and scale."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from grasp_refine.scene.scene import Scene, links_of
 from grasp_refine.validation.motion import Motion, closing, motion_of
 
 StageSource = Literal["auto", "file", "own"]
-"""Where pregrasps and squeezes come from."""
+"""Source of pregrasps and squeezes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,34 +25,34 @@ class Group:
     """N grasps on one object at one scale."""
 
     object: str
-    """Name of the object, as the grasp file says it."""
+    """Name of the object in the grasp file."""
     scale: float
     """Factor that takes the object's mesh to metres."""
     scene: Scene
     """Hand, object and grasps."""
     grasps: GraspSet
-    """The same grasps as the file has them, pregrasps and squeezes too."""
+    """The grasps as in their file, with pregrasps and squeezes."""
     rows: np.ndarray
     """Rows of the grasps (N,) in their file."""
     index: np.ndarray
     """Numbers of the grasps (N,) among those of their object."""
     place: np.ndarray
-    """Where the grasps (N,) stand among all that were asked for."""
+    """Positions of the grasps (N,) among all requested ones."""
 
     def motion(self, source: StageSource = "auto") -> Motion:
-        """How the hand closes to the grasps.
+        """Return the motion that closes the hand to the grasps.
 
         Args:
-            source: Pregrasps and squeezes are those of the file, our own, or, stage by stage, those of the file where
-                it has them.
+            source: "file": pregrasps and squeezes of the file; "own": our own; "auto": stage by stage, those of the
+                file where it has them.
 
         Raises:
-            GraspFileError: they are to be those of the file, which lacks some.
+            GraspFileError: the source is "file", and the file lacks some.
         """
         if source == "own":
             return closing(self.scene)
-        whole = source == "file" or (self.grasps.pregrasp is not None and self.grasps.squeeze is not None)
-        return motion_of(self.grasps, self.scene.hand, None if whole else closing(self.scene))
+        complete = source == "file" or (self.grasps.pregrasp is not None and self.grasps.squeeze is not None)
+        return motion_of(self.grasps, self.scene.hand, None if complete else closing(self.scene))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,76 +60,76 @@ class UncutGroup:
     """N grasps on one object at one scale, before the object is cut; the fields are those of `Group`."""
 
     object: str
-    """As `Group.object`."""
+    """Name of the object, as `Group.object`."""
     scale: float
-    """As `Group.scale`."""
+    """Factor that takes the object's mesh to metres, as `Group.scale`."""
     uncut: UncutObject
     """The object."""
     file_scale: float
     """Scale of the grasps in their file."""
     rows: np.ndarray
-    """As `Group.rows`; of grasps to be sampled, none."""
+    """Rows of the grasps in their file, as `Group.rows`; empty for grasps to be sampled."""
     index: np.ndarray
-    """As `Group.index`."""
+    """Numbers of the grasps, as `Group.index`."""
     place: np.ndarray
-    """As `Group.place`."""
+    """Positions of the grasps, as `Group.place`."""
 
     @property
     def key(self) -> tuple[str, float]:
-        """Name and scale of the object as the grasp file says them."""
+        """Name and scale of the object in the grasp file."""
         return self.object, self.file_scale
 
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """All grasps that were asked for, when everything is read and checked and no object is cut yet."""
+    """All requested grasps, when everything is read and checked and no object is decomposed yet."""
 
     hand: Hand
-    """As `Problem.hand`."""
+    """The hand, as `Problem.hand`."""
     files: tuple[Path, ...]
-    """As `Problem.files`."""
+    """Input files, as `Problem.files`."""
     names: tuple[str, ...]
-    """Name of each grasp's object, in the order in which they were asked for; of grasps to be sampled, one."""
+    """Name of each grasp's object, in the requested order; one name for grasps to be sampled."""
     aimed: bool
     """Whether links have targets."""
     groups: tuple[UncutGroup, ...]
     """The grasps, by object and scale."""
     finish: Callable[[Sequence[Object]], Problem]
-    """Gives the problem, once the objects of the groups are cut."""
+    """Function that returns the problem, given the decomposed objects of the groups."""
     sampled: str = ""
-    """As `Problem.sampled`."""
+    """Request of sampled grasps, as `Problem.sampled`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """All grasps that were asked for."""
+    """Problem of refinement or validation: all requested grasps."""
 
     hand: Hand
-    """The hand, below the base link that the grasp file names."""
+    """The hand, below the base link of the grasp file."""
     files: tuple[Path, ...]
-    """The grasp file, or the folder and its files, and the file of the targets if it is another; of sampled grasps, the
-    hand's."""
+    """Grasp file, or the folder and its files, and the file of the targets if it is another; for sampled grasps, the
+    file of the hand."""
     groups: tuple[Group, ...]
     """The grasps, by object and scale."""
     notes: tuple[str, ...]
-    """What a user should know about how hand, objects and grasps were read."""
+    """Notes for the user on hand, objects and grasps as they were read."""
     sampled: str = ""
-    """What was asked for where the grasps were drawn and not read, such as sample:32."""
+    """Request of sampled grasps, such as sample:32; empty for grasps of a file."""
     convention_notes: tuple[str, ...] = ()
-    """Those of `notes` that say that the file most likely means something else than what was read."""
+    """Notes, also in `notes`, that suspect another convention in the file than the one that was read."""
 
     def __len__(self) -> int:
         """Return the number of grasps."""
         return sum(len(group.rows) for group in self.groups)
 
     def closing(self, source: StageSource = "auto") -> dict[str, str]:
-        """Whose pregrasps and squeezes `Group.motion` takes: stage -> "file" or "own"."""
+        """Return the source of pregrasps and squeezes of `Group.motion`: stage -> "file" or "own"."""
         grasps = self.groups[0].grasps
         return {name: "own" if source == "own" or getattr(grasps, name) is None else "file" for name in OTHER_STAGES}
 
     @property
     def order(self) -> np.ndarray:
-        """Takes the grasps from group after group to the order in which they were asked for."""
+        """Rows (N,) that bring the grasps from group after group into the requested order."""
         return np.argsort(np.concatenate([group.place for group in self.groups]))
 
 
@@ -147,8 +147,8 @@ def aim(hand: Hand, targets: Targets | None, rows: np.ndarray) -> tuple[np.ndarr
     for k, link in enumerate(targets.links):
         if link not in columns:
             raise GraspFileError(
-                f"target link '{link}' is no link with collision geometry of hand '{hand.name}', or comes more "
-                f"often than its contact points; there are {', '.join(links)}"
+                f"target link '{link}' is no link with collision geometry of hand '{hand.name}', or is listed more "
+                f"often than it has contact points; there are {', '.join(links)}"
             )
         at = columns.index(link)
         # A link with several contact points has as many columns.

@@ -1,4 +1,4 @@
-"""The objects that a result was refined on, as its provenance keeps them, and whether those of now are the same."""
+"""Objects of refined grasps in their provenance, and a check that the present ones are the same."""
 
 from __future__ import annotations
 
@@ -19,15 +19,14 @@ if TYPE_CHECKING:
     import trimesh
 
 GRID_M = 1e-9
-"""Coordinates are compared in steps of this many metres: far below any mesh, far above rounding."""
+"""Grid in metres on which coordinates are compared: far below any mesh, far above rounding."""
 
-
-ALIKE = 1e-5
-"""Share of the diagonal by which bounds, centroid, area and volume of a mesh may differ once it was exported anew."""
+MESH_TOLERANCE_SHARE = 1e-5
+"""Share of the diagonal by which bounds, centroid, area and volume may differ after a mesh was exported anew."""
 
 
 def object_entries(groups: Iterable[Group]) -> list[dict[str, Any]]:
-    """Entries for provenance, by name and scale: sha256 of mesh and convex pieces in metres, and measures.
+    """Return entries for provenance, by name and scale: sha256 of mesh and convex pieces in metres, and measures.
 
     Hashes depend on the geometry that was used, not on paths, units or the order of vertices.
     """
@@ -43,7 +42,7 @@ def object_entries(groups: Iterable[Group]) -> list[dict[str, Any]]:
 
 
 def surface_digest(mesh: trimesh.Trimesh) -> str:
-    """sha256 of the oriented triangles of a mesh on the grid, whatever the order of its vertices and faces."""
+    """Return the sha256 of the oriented triangles of a mesh on the grid, independent of the order of its elements."""
     corners = _on_grid(mesh.triangles)
     # Each triangle begins with its least corner, which keeps its orientation.
     first = np.lexsort(corners.transpose(2, 0, 1)[::-1])[:, 0]
@@ -52,7 +51,7 @@ def surface_digest(mesh: trimesh.Trimesh) -> str:
 
 
 def pieces_digest(pieces: Sequence[Piece]) -> str:
-    """sha256 of the vertices and radii of convex pieces on the grid, whatever their order."""
+    """Return the sha256 of the vertices and radii of convex pieces on the grid, independent of their order."""
     digests = sorted(_digest(_on_grid(piece.vertices), _on_grid(np.array([piece.radius]))) for piece in pieces)
     return hashlib.sha256("".join(digests).encode()).hexdigest()
 
@@ -60,17 +59,17 @@ def pieces_digest(pieces: Sequence[Piece]) -> str:
 def check_objects(
     files: Iterable[Path], present: Mapping[tuple[str, float], UncutObject | Object], *, other: bool
 ) -> tuple[str, ...]:
-    """Notes on grasps that were refined on another object, or other convex pieces of it, than the present one.
+    """Return notes on grasps that were refined on another object, or other convex pieces of it, than the present one.
 
     Args:
-        files: The grasp files; what is no result, or does not say what it was refined on, is passed over.
-        present: (name, scale) as in the files -> the present object; of one that is not cut yet, pieces are not
+        files: The grasp files; other files than results, and results without recorded objects, are skipped.
+        present: (name, scale) as in the files -> the present object; if it is not decomposed yet, pieces are not
             compared.
-        other: Whether another object is meant.
+        other: Whether another object is accepted.
 
     Raises:
         GraspFileError: the surface of an object is another one, as that of the same mesh at another scale is, and
-            that is not meant.
+            that is not accepted.
     """
     notes = []
     for file in files:
@@ -89,7 +88,10 @@ def check_objects(
                 notes.append(f"{made} other convex pieces of the same mesh")
                 continue
             if np.allclose(
-                measures, _measures(now.mesh), rtol=0.0, atol=ALIKE * float(np.linalg.norm(now.mesh.extents))
+                measures,
+                _measures(now.mesh),
+                rtol=0.0,
+                atol=MESH_TOLERANCE_SHARE * float(np.linalg.norm(now.mesh.extents)),
             ):
                 notes.append(f"{made} a mesh that differs from that of {now.name} no more than by rounding")
                 continue
@@ -109,7 +111,7 @@ def _digests(obj: UncutObject | Object) -> dict[str, str]:
 
 
 def _measures(mesh: trimesh.Trimesh) -> np.ndarray:
-    """Lengths (11,) in metres by which meshes are told apart: bounds, centroid, roots of area and of volume."""
+    """Return lengths (11,) in metres that identify meshes: bounds, centroid, roots of area and of volume."""
     return np.concatenate([mesh.bounds.ravel(), mesh.centroid, [np.sqrt(mesh.area), np.cbrt(mesh.volume)]])
 
 
@@ -122,7 +124,7 @@ def _on_grid(metres: np.ndarray) -> np.ndarray:
 
 
 def _digest(rows: np.ndarray, *more: np.ndarray) -> str:
-    """sha256 of rows of integers, whatever their order, and of further arrays."""
+    """Return the sha256 of rows of integers, independent of their order, and of further arrays."""
     ordered = rows[np.lexsort(rows.T[::-1])]
     return hashlib.sha256(
         b"".join(np.ascontiguousarray(part, dtype="<i8").tobytes() for part in (ordered, *more))

@@ -1,4 +1,4 @@
-"""Refinement of a problem: each group of grasps is refined and measured, then simulated where that is asked for."""
+"""Refinement of a problem: each group of grasps is refined and measured and, on request, simulated."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from grasp_refine.validation.trials import Trials
 
 
 class Listener:
-    """Hears of the progress of `refine_problem`; a subclass overrides what it wants to hear."""
+    """Callbacks of the progress of `refine_problem`; a subclass overrides the ones that it needs."""
 
     def refining(self, group: Group) -> Progress | None:
         """Return the progress callback of the refinement of a group, which begins now."""
         return None
 
     def note(self, line: str) -> None:
-        """Hear of what a user should know about the simulated hand."""
+        """Receive a note for the user on the simulated hand."""
 
     def simulating(self, group: Group) -> Callable[[str, float], None]:
-        """Return the callback of the simulation of a group: what is simulated, and how many grasps are done."""
+        """Return the callback of the simulation of a group: name of the simulation, number of finished grasps."""
         return lambda what, done: None
 
 
@@ -52,12 +52,12 @@ def refine_problem(
         problem: Hand, objects and grasps.
         config: All settings of the refinement; the defaults when None.
         protocol: Protocol of the simulation; None: nothing is simulated.
-        listener: Hears of the progress.
-        cache: Holds what is prepared of hands and objects for the next problem.
+        listener: Callbacks of the progress.
+        cache: Keeps prepared hands and objects for the next problem.
         threads: CPU threads of the simulation; by default as many as there are.
 
     Raises:
-        GraspRefineError: a link that should touch is not there, or MuJoCo cannot make the hand or the world.
+        GraspRefineError: a link that should touch does not exist, or MuJoCo cannot compile the hand or the world.
     """
     config, listener, cache = config or Config(), listener or Listener(), cache or NoCache()
 
@@ -87,13 +87,13 @@ def refine_group(
     Args:
         group: The grasps.
         config: All settings of the refinement.
-        prepared: Of their hand and object; None: built here.
+        prepared: Geometry of their hand and object; None: built here.
         progress: As for `refine`.
         on_iteration: As the `on_iteration` of `refine`.
         on_opening: As the `progress` of `closing`.
 
     Raises:
-        GraspRefineError: a link that should touch is not there.
+        GraspRefineError: a link that should touch does not exist.
     """
     scene, prepared = group.scene, prepared or HandObject.of(group.scene)
     refinement = refine(scene, config, progress, on_iteration, prepared=prepared)
@@ -121,7 +121,7 @@ def simulate_refined(
     """Simulate refined grasps as they were given and as they are now; arguments as of `refine_problem`.
 
     Raises:
-        GraspRefineError: MuJoCo cannot make the hand or the world.
+        GraspRefineError: MuJoCo cannot compile the hand or the world.
     """
     parts = [refined.outcome.select(group.place) for group in refined.problem.groups]
     return _simulate(refined.problem, parts, protocol, listener or Listener(), cache or NoCache(), threads)

@@ -1,4 +1,4 @@
-"""Refined grasps: what came of a problem, printed as a table, shown in a notebook, saved as a result file."""
+"""Refined grasps of a problem: printed as a table, shown in a notebook, saved as a result file."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from grasp_refine.validation.motion import STAGES
 
 @dataclass(frozen=True, eq=False)
 class RefinedGrasps:
-    """N grasps before and after their refinement, in the order in which they were asked for."""
+    """N grasps before and after their refinement, in the requested order."""
 
     problem: Problem
-    """Hand, objects and grasps as they were given."""
+    """Hand, objects and input grasps."""
     config: Config
     """Settings of the refinement."""
     outcome: Outcome
     """Poses, joint values and measures, before and after."""
     simulated: SimulatedGrasps | None = None
-    """The same grasps in simulation, before and after; None: not simulated."""
+    """Grasps in simulation, before and after; None: not simulated."""
 
     def __len__(self) -> int:
         """Return the number of grasps."""
@@ -47,7 +47,7 @@ class RefinedGrasps:
 
     @property
     def status(self) -> np.ndarray:
-        """How the refinement of each grasp ended (N,), in words."""
+        """Status of the refinement of each grasp (N,), in words."""
         return labels(Status, self.outcome.status)
 
     @property
@@ -57,24 +57,24 @@ class RefinedGrasps:
 
     @property
     def before(self) -> GraspSet:
-        """The grasps as they were given, joint values in the order of the hand."""
+        """Input grasps, joint values in the order of the hand."""
         hand, outcome = self.problem.hand, self.outcome
         pose, q = outcome.initial_pose, outcome.initial_q
         return GraspSet(hand.name, hand.base_link, hand.joint_names, outcome.object, outcome.scale, pose, q)
 
     @property
     def after(self) -> GraspSet:
-        """The refined grasps, with their targets, pregrasps and squeezes."""
+        """Refined grasps, with their targets, pregrasps and squeezes."""
         return refined_set(self.problem.hand, self.problem.groups[0].scene.links, self.outcome)
 
     @property
     def pregrasp(self) -> Stage:
-        """The open hand before each refined grasp, poses (N, 7) and joint values (N, n)."""
+        """Open hand before each refined grasp: poses (N, 7) and joint values (N, n)."""
         return self._stage("pregrasp")
 
     @property
     def squeeze(self) -> Stage:
-        """Poses (N, 7) and joint values (N, n) that position actuators are sent to so that the hand presses."""
+        """Set points of position actuators with which the hand presses: poses (N, 7) and joint values (N, n)."""
         return self._stage("squeeze")
 
     def table(self, *, verbose: bool = False) -> RenderableType:
@@ -84,11 +84,11 @@ class RefinedGrasps:
     def save(self, path: str | Path, *, overwrite: bool = False) -> tuple[Path, ...]:
         """Write a result file, or, of grasps on several objects, a folder with one for each; return the paths.
 
-        `refine-grasp validate` and `view` read them, and `load_grasps`.
+        `refine-grasp validate`, `refine-grasp view` and `load_grasps` read them.
 
         Args:
             path: The file, .npz; for several objects a folder.
-            overwrite: Whether files that exist are replaced.
+            overwrite: Whether existing files are replaced.
 
         Raises:
             GraspRefineError: a file exists, or cannot be written.
@@ -143,7 +143,7 @@ class RefinedGrasps:
         return text_of(self.table())
 
     def _repr_html_(self) -> str:
-        """The table, for a notebook."""
+        """Return the table as HTML, for a notebook."""
         return html_of(self.table())
 
     def _stage(self, name: str) -> Stage:

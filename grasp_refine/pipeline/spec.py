@@ -1,4 +1,4 @@
-"""Specification of a problem: which hand, which object and which grasps, by names and files."""
+"""Specification of a problem: hand, object and grasps, by names and files."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from grasp_refine.hands.link_geometry import HULL_LIMIT
 from grasp_refine.scene.plane import Plane
 
 AUTO, NEAREST = "auto", "nearest"
-"""Values of `targets`: those of the grasp file, if any; or the points where links are nearest to the object."""
+"""Values of `targets`: targets of the grasp file, if any; or the points where links are nearest to the object."""
 
 SAMPLE = "sample:"
-"""Prefix of `grasps` that asks for sampled grasps instead of a file, as in sample:32."""
+"""Prefix of `grasps` for sampled grasps instead of a file, as in sample:32."""
 
 
 @dataclass(frozen=True)
 class SourceSpec:
-    """Hand and objects of grasps whose file is named elsewhere."""
+    """Hand and objects of grasps whose file is given elsewhere."""
 
     hand: str | None = None
-    """A name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF, a .urdf file, or an asset such as
-    hands/leap."""
+    """Hand: a name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF, a .urdf file, or an asset
+    such as hands/leap."""
     urdf: Path | None = None
     """Another URDF for the hand, with the same names of joints and links; needed where a hand comes without one."""
     mjcf: Path | None = None
-    """The hand as an MJCF file, or an asset such as shadow_mjcf, which is then what is simulated."""
+    """The hand as an MJCF file, or an asset such as shadow_mjcf, which is then simulated."""
     base_link: str | None = None
-    """The link that the hand begins at; joints above it do not move. By default what the grasp file or the hand.toml
-    says, else the palm of a hand on an arm, else the root."""
+    """Base link of the hand; joints above it do not move. By default that of the grasp file or the hand.toml, else the
+    palm of a hand on an arm, else the root."""
     object: str | None = None
-    """An embedded object (mug, bottle, bowl, rounded_box), box:x,y,z, sphere:r, cylinder:r,h, a mesh file, a folder of
-    convex pieces, or an asset such as ycb/011_banana."""
+    """Object: an embedded one (mug, bottle, bowl, rounded_box), box:x,y,z, sphere:r, cylinder:r,h, a mesh file, a
+    folder of convex pieces, or an asset such as ycb/011_banana."""
     object_name: str | None = None
-    """Which object of the grasp file; needed when it holds several."""
+    """Name of the object in the grasp file; needed when it holds several."""
     objects: Path | None = None
     """All objects of the grasp file: a folder of meshes, or of folders of pieces, named like them, or a TOML file of
     lines name = "path"."""
     scale: float = 1.0
-    """Multiplies the scale that the grasp file gives for the mesh, which is 1 for sampled grasps."""
+    """Factor on the scale of the mesh in the grasp file, which is 1 for sampled grasps."""
     unit: Unit | None = None
     """Unit of the object's mesh after scaling."""
     holes: Holes = "refuse"
@@ -53,19 +53,19 @@ class SourceSpec:
     format: FormatName | None = None
     """Format of the grasp file, or of the files in the folder; `refine-grasp convert --help` describes them."""
     index: tuple[int, ...] = ()
-    """Which grasps of each object; 0 is its first one in the file."""
+    """Numbers of the grasps of each object; 0 is its first one in the file."""
     table: float | None = None
-    """A table at this height (metres) of the object's frame, z up, that no link may go through."""
+    """Height (metres) of a table in the object's frame, z up, that no link may go through."""
     hull_limit: float = HULL_LIMIT
     """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it; beyond it the mesh is
     split into its bodies, or cut. inf: hulls only."""
     threshold: float = Decomposition.threshold
     """Largest concavity, 0.01 to 1, of the pieces that CoACD cuts a concave object into; lower is finer."""
     other_object: bool = False
-    """Take results that were refined on another object, or on the same one in another size."""
+    """Whether to accept results that were refined on another object, or on the same one in another size."""
 
     def check(self) -> None:
-        """Refuse a scale, a table or a hull limit that can mean nothing.
+        """Refuse an invalid scale, table or hull limit.
 
         Raises:
             GraspRefineError: names the option.
@@ -78,7 +78,7 @@ class SourceSpec:
 
     @property
     def plane(self) -> Plane | None:
-        """The table, if there is one."""
+        """Plane of the table, if there is one."""
         return None if self.table is None else Plane(offset=self.table)
 
     def metres(self, scale: float) -> float:
@@ -98,12 +98,12 @@ class ProblemSpec(SourceSpec):
     """Grasp file, or a folder of them: ours (.npz), or of another program (see --format); or sample:N, as in sample:32,
     for N new grasps of --hand on --object, which --seed varies."""
     targets: str = AUTO
-    """Where links should touch: a grasp file with targets; auto: as --grasps says, else anywhere; or nearest: where
-    they are nearest to the object at first."""
+    """Target points of links: a grasp file with targets; auto: those of --grasps, else anywhere; or nearest: the points
+    where they are nearest to the object at first."""
 
 
 def check_hull_limit(metres: float) -> None:
-    """Refuse a limit of how far hulls stand out, in metres, that is not above 0; infinite: no limit.
+    """Refuse a hull limit in metres that is not above 0; infinite: no limit.
 
     Raises:
         GraspRefineError: it is not above 0.

@@ -21,42 +21,42 @@ class Config:
     """All settings of a refinement."""
 
     solver: LevenbergMarquardt | Descent | Adam = field(default_factory=LevenbergMarquardt)
-    """How the hand moves."""
+    """Solver that moves the hand."""
     derivative: Derivative = field(default_factory=ContactKinematics)
-    """How witness points are differentiated by descent; Levenberg-Marquardt has contact kinematics of its own."""
+    """Derivative of witness points that descent and Adam use; Levenberg-Marquardt has its own contact kinematics."""
     contact_selection: ContactSelection = field(default_factory=ContactSelection)
-    """Which links should touch the object where there are no targets."""
+    """Selection of the links that should touch the object where there are no targets."""
     nearest: bool = False
-    """Without targets, the links that should touch have their first witness points as targets."""
+    """Whether, without targets, the links that should touch take their initial witness points as targets."""
     weights: Weights = field(default_factory=Weights)
-    """How much each term of the loss counts."""
+    """Weights of the terms of the loss."""
     scales: Scales = field(default_factory=Scales)
-    """Which movements count the same where a grasp should stay near."""
+    """Movements of equal cost in the term that keeps a grasp near its start."""
     max_move: MaxMove = field(default_factory=MaxMove)
-    """How far a grasp may be moved."""
+    """Bounds on the movement of a grasp from its start."""
     starts: int = 6
-    """Without targets, Levenberg-Marquardt tries a grasp that may not hold from so many starts."""
+    """Number of starts from which, without targets, Levenberg-Marquardt tries a grasp that may not hold."""
     margin: float = 0.0
-    """Contact margin in metres: the gap that contact links should keep."""
+    """Contact margin in metres: the gap that contact links should keep from the object."""
     tolerance: float = 1e-10
     """A grasp has converged when its loss (m^2) is below this; 1e-10 is a hundredth of a millimetre."""
     seconds: float = inf
-    """Most CPU time for a grasp; what it has come to by then counts."""
+    """Largest CPU time per grasp in seconds; its best iterate by then is the result."""
     width: int = 256
-    """Most grasps that Levenberg-Marquardt works on at once; those that are done make room for others."""
+    """Largest number of grasps that Levenberg-Marquardt solves at once; finished ones are replaced by waiting ones."""
     seed: int = 0
-    """Seed of everything that is drawn."""
+    """Seed of all random numbers."""
     dtype: Literal["float64", "float32"] = "float64"
     """Number type of kinematics and losses; collision queries always run in double precision."""
     device: str = "cpu"
     """Torch device of kinematics and losses."""
 
     def __post_init__(self) -> None:
-        """Refuse what nothing could be done with.
+        """Refuse settings that cannot be used.
 
         Raises:
-            GraspRefineError: a field of another kind, a number out of its range, or a number type or device that
-                Levenberg-Marquardt does not have.
+            GraspRefineError: a field of another type, a number out of its range, or a number type or device that
+                Levenberg-Marquardt does not support.
         """
         check_fields(self)
         for name in ("width", "starts"):
@@ -74,5 +74,5 @@ class Config:
 
     @property
     def holds(self) -> bool:
-        """Whether grasps without targets should hold, and not just touch."""
+        """Whether grasps without targets should hold the object, and not only touch it."""
         return isinstance(self.solver, LevenbergMarquardt) and self.weights.wrench > 0.0

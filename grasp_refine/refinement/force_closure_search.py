@@ -1,8 +1,8 @@
-"""Grasps that hold: contacts that touch and whose forces balance, found from one start or several.
+"""Search for force closure: grasps whose contacts touch and whose forces balance, from one start or several.
 
-Each attempt goes through `PHASES`, which choose anew what touches. The best attempt by `quality.score` counts, without
-any simulation: first the grasp as it came with its contacts closed, then with forces that balance, and then, where it
-is still not good, from starts nearby.
+Each attempt goes through `PHASES`, which choose the contact links anew. The best attempt by `quality.score` counts,
+without any simulation: first the input grasp with its contacts closed, then with forces that balance, and then, where
+it is still not good, from starts nearby.
 """
 
 from __future__ import annotations
@@ -34,34 +34,34 @@ GOOD_QUALITY = 0.05
 """A grasp with at most this score is not tried from another start."""
 
 START_ROTATION_RAD, START_TRANSLATION_M, START_JOINTS_RAD = 0.25, 0.008, 0.1
-"""Standard deviations of other starts: about each axis through the contacts in radians, in metres, of joints."""
+"""Standard deviations of further starts: rotation about each axis through the contacts, translation, joint values."""
 
 STARTS_AT_ONCE = 16
-"""Several starts of few grasps are tried at once, for so many members in all."""
+"""Target number of members of a batch: of few grasps, several starts are tried at once."""
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of the way to a grasp."""
+    """Phase of an attempt, with its own contact links and weights."""
 
     name: str
-    """What contacts do in it, for people."""
+    """Name for people, such as "contacts slide"."""
     iterations: int
-    """Most iterations."""
+    """Largest number of iterations."""
     farther: tuple[float, float] = (0.0, 0.0)
-    """How much farther than in the end contact links, and other links, may be to be drawn in, in metres."""
+    """Distances in metres added to the reach of contact links, and of other links, when contacts are selected."""
     soft: float = 1.0
-    """Factor of the weights of what must not penetrate: while contacts slide, it may a little."""
+    """Factor of the penetration weights: while contacts slide, links may penetrate a little."""
     balance: bool = True
-    """Whether forces should balance."""
+    """Whether contact forces should balance."""
 
     def touching(self, touching: ContactSelection) -> ContactSelection:
-        """What touches, given what does in the end."""
+        """Return the contact selection of this phase, given that of the last phase."""
         tips, others = self.farther
         return replace(touching, reach=touching.reach + tips, other_link_distance=touching.other_link_distance + others)
 
     def weights(self, weights: Weights) -> Weights:
-        """The weights, given those of the end."""
+        """Return the weights of this phase, given those of the last phase."""
         return replace(
             weights,
             penetration=self.soft * weights.penetration,
@@ -79,29 +79,29 @@ PHASES = (SLIDE, SETTLE, CLOSE)
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """What came out for N grasps."""
+    """Result of the search for N grasps."""
 
     minimum: Minimum
     goal: Goal
-    """What touches at last."""
+    """Links that touch in the best attempts."""
     starts: np.ndarray
-    """From how many starts each grasp was tried (N,)."""
+    """Number of starts from which each grasp was tried (N,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    """M grasps after all stages."""
+    """M grasps after all phases of an attempt."""
 
     minimum: Minimum
     goal: Goal
     score: np.ndarray
-    """What speaks against them (M,), infinite where nothing came out."""
+    """Score (M,), lower is better; infinite where the attempt failed."""
 
 
 def most_iterations(config: Config) -> int:
-    """Most iterations of a grasp, over all its starts."""
+    """Return the largest number of iterations of a grasp, over all its starts."""
     most = config.solver.iterations
-    each = sum(min(stage.iterations, most) for stage in PHASES)
+    each = sum(min(phase.iterations, most) for phase in PHASES)
     return min(CLOSE.iterations, most) + config.starts * each
 
 
@@ -113,15 +113,15 @@ def search(
     progress: Progress | None = None,
     on_iteration: IterationCallback | None = None,
 ) -> SearchResult:
-    """Refine grasps so that they hold.
+    """Refine grasps towards force closure.
 
     Args:
         scene: Hand, object and grasps; without targets.
-        prepared: Of the hand and the object.
+        prepared: Geometry of the hand and the object.
         config: Settings, for Levenberg-Marquardt.
         status: Grasps (N,) with another status than RUNNING are left out.
         progress: As for `minimise`.
-        on_iteration: Sees all attempts.
+        on_iteration: Called after each iteration of all attempts.
     """
     search = _Search(scene, prepared, config, status, progress, on_iteration)
     rows = np.flatnonzero(status == Status.RUNNING)
@@ -132,22 +132,22 @@ def search(
     search.take(rows, search.attempt(rows, search.given(rows), PHASES))
     search.starts[status == Status.RUNNING] = 1
     while len(rows := search.unsatisfied(rows[search.starts[rows] < config.starts])):
-        # What one grasp comes to does not depend on how many starts are tried at once: the first good one counts.
+        # The result of a grasp does not depend on how many starts are tried at once: the first good one counts.
         first = search.starts[rows]
         each = np.minimum(config.starts - first, max(1, STARTS_AT_ONCE // len(rows)))
         member = np.repeat(rows, each)
         place = np.arange(len(member)) - np.repeat(np.cumsum(each) - each, each)
-        found = search.attempt(member, search.disturbed(member, np.repeat(first, each) + place), PHASES)
+        found = search.attempt(member, search.perturb(member, np.repeat(first, each) + place), PHASES)
         for k in range(int(each.max())):
             at = np.flatnonzero(place == k)
             at = at[search.best.score[member[at]] > GOOD_QUALITY]
             search.take(member[at], take(found, at))
             search.starts[member[at]] += 1
-    return search.held()
+    return search.result()
 
 
 class _Search:
-    """The best attempt at each grasp so far, and what all cost."""
+    """Best attempt at each grasp so far, and the cost of all attempts."""
 
     def __init__(
         self,
@@ -166,7 +166,7 @@ class _Search:
         self.cpu, self.wall = np.zeros((2, N))
         self.ticks = 0
         self.touching = np.zeros((N, L), dtype=bool)
-        """Which links touch in the grasps as they came."""
+        """Links (N, L) that touch in the input grasps."""
         point = Point(scene.T_world_root.copy(), self.q.copy())
         minimum = Minimum(
             point, np.full((N, 2), np.nan), status.copy(), self.iterations, self.queries, self.cpu, self.wall
@@ -175,11 +175,11 @@ class _Search:
         self.best = _Attempt(minimum, goal, np.full(N, np.inf))
 
     def given(self, rows: np.ndarray) -> Point:
-        """The grasps as they came."""
+        """Return the input grasps."""
         return Point(self.scene.T_world_root[rows], self.q[rows])
 
-    def disturbed(self, member: np.ndarray, number: np.ndarray) -> Point:
-        """Starts near the grasps: hands turned about the middle of their contacts, shifted, with other joint values."""
+    def perturb(self, member: np.ndarray, number: np.ndarray) -> Point:
+        """Return starts near the grasps: turned about the mean of their contact links, shifted, joints perturbed."""
         noise = sample_noise(self.scene, member, number, self.config.seed)
         given = self.given(member)
         T = self.prepared.chain(given.T, given.q).T_world_link
@@ -192,11 +192,11 @@ class _Search:
         return Point(T, given.q + START_JOINTS_RAD * noise[:, 6:])
 
     def unsatisfied(self, rows: np.ndarray) -> np.ndarray:
-        """Those of the grasps that could be better, and may still cost something."""
+        """Return the rows of grasps that are not good yet and have CPU time left."""
         return rows[(self.best.score[rows] > GOOD_QUALITY) & (self.cpu[rows] < self.config.seconds)]
 
     def take(self, rows: np.ndarray, found: _Attempt) -> None:
-        """Account for attempts at different grasps, and keep what is better than what there was."""
+        """Keep attempts at different grasps that are better than the best so far."""
         better = found.score < self.best.score[rows]
         never = self.best.minimum.status[rows] == Status.RUNNING
         kept = rows[better | never]
@@ -204,14 +204,14 @@ class _Search:
         place[kept] = len(place) + np.flatnonzero(better | never)
         self.best = take(join(self.best, found), place)
 
-    def attempt(self, rows: np.ndarray, start: Point, stages: tuple[Phase, ...]) -> _Attempt:
-        """The grasps `rows` from some starts, through some stages."""
+    def attempt(self, rows: np.ndarray, start: Point, phases: tuple[Phase, ...]) -> _Attempt:
+        """Return the grasps `rows` from some starts, through some phases."""
         scene, prepared = self._scene(rows), self.prepared
         everyone = np.arange(len(rows))
         free = GraspProblem(scene, Goal.nothing(len(rows), len(scene.links)), self.config, prepared)
         point = free.project(everyone, start)
-        for stage in stages:
-            found, goal = self._through(stage, scene, rows, point)
+        for phase in phases:
+            found, goal = self._run_phase(phase, scene, rows, point)
             point = found.point
         known = free.evaluate(everyone, point, None)
         frames, T = Frames(known.T_link, known.axes), known.T_link
@@ -223,17 +223,17 @@ class _Search:
         usable = ~np.isin(found.status, UNUSABLE)
         return _Attempt(found, goal, np.where(usable, score, np.inf))
 
-    def _through(self, stage: Phase, scene: Scene, rows: np.ndarray, start: Point) -> tuple[Minimum, Goal]:
-        """The grasps `rows`, which are those of the scene, after a stage, and what should touch in it."""
+    def _run_phase(self, phase: Phase, scene: Scene, rows: np.ndarray, start: Point) -> tuple[Minimum, Goal]:
+        """Return the grasps `rows`, which are those of the scene, after a phase, and its goal."""
         config, prepared = self.config, self.prepared
         assert isinstance(config.solver, LevenbergMarquardt)
         wall, cpu = time.perf_counter(), time.process_time()
         now = replace(scene, T_world_root=start.T, q=start.q)
-        goal = goal_of(now, stage.touching(config.contact_selection), prepared)
-        problem = GraspProblem(scene, goal, replace(config, weights=stage.weights(config.weights)), prepared)
-        solver = replace(config.solver, restarts=0, iterations=min(config.solver.iterations, stage.iterations))
+        goal = goal_of(now, phase.touching(config.contact_selection), prepared)
+        problem = GraspProblem(scene, goal, replace(config, weights=phase.weights(config.weights)), prepared)
+        solver = replace(config.solver, restarts=0, iterations=min(config.solver.iterations, phase.iterations))
         status = np.where(goal.touching.any(axis=1), Status.RUNNING, Status.NO_TARGET)
-        # Several starts of a grasp share what it has left.
+        # Several starts of a grasp share the CPU time that it has left.
         left = (config.seconds - self.cpu[rows]) / np.bincount(rows, minlength=len(self.cpu))[rows]
         found = minimise(
             problem,
@@ -243,8 +243,8 @@ class _Search:
             status=status,
             width=config.width,
             seconds=left,
-            progress=self._tell,
-            on_iteration=with_callback(self.on_iteration, goal, stage.name, rows),
+            progress=self._report,
+            on_iteration=with_callback(self.on_iteration, goal, phase.name, rows),
         )
         share = 1.0 / max(len(rows), 1)
         np.add.at(self.iterations, rows, found.iterations)
@@ -253,8 +253,8 @@ class _Search:
         np.add.at(self.wall, rows, (time.perf_counter() - wall) * share)
         return found, goal
 
-    def _tell(self, finished: int, iteration: int, loss: float) -> None:
-        """Which grasps are good is known after an attempt only."""
+    def _report(self, finished: int, iteration: int, loss: float) -> None:
+        """Report progress; which grasps are good is known after an attempt only."""
         self.ticks += 1
         if self.progress is not None:
             self.progress(int((self.best.score <= GOOD_QUALITY).sum()), self.ticks, loss)
@@ -264,8 +264,8 @@ class _Search:
         direction = None if scene.direction is None else scene.direction[rows]
         return replace(scene, T_world_root=scene.T_world_root[rows], q=self.q[rows], direction=direction)
 
-    def held(self) -> SearchResult:
-        """The best of all attempts, with the account of all; losses are those of the last stage."""
+    def result(self) -> SearchResult:
+        """Return the best attempts with the cost of all; losses are those of the last phase."""
         found, goal = self.best.minimum, self.best.goal
         rows = np.flatnonzero(np.isfinite(self.best.score))
         loss = np.full((len(self.starts), 2), np.nan)

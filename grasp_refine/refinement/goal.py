@@ -1,4 +1,4 @@
-"""What is wanted of the grasps of a scene: which links should touch the object, and where."""
+"""Goal of the grasps of a scene: the links that should touch the object, and their target points."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from grasp_refine.scene.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """Which of the L links of a scene should touch the object in each of N grasps, and where."""
+    """Goal of N grasps: which of the L links of a scene should touch the object, and where."""
 
     touching: np.ndarray
     """Links (N, L) that should touch."""
     target_link: np.ndarray
-    """Where on the link (N, L, 3), link frames, metres; NaN: anywhere."""
+    """Target points on the links (N, L, 3), link frames, metres; NaN: anywhere."""
     target_object: np.ndarray
-    """Where on the object (N, L, 3), object frame; NaN: anywhere."""
+    """Target points on the object (N, L, 3), object frame, metres; NaN: anywhere."""
     queries: np.ndarray
-    """Narrow-phase queries (N,) that it took to find out."""
+    """Narrow-phase queries (N,) that the selection took."""
     off_surface: np.ndarray
-    """Smallest loss (N,) in m^2 that targets can have which lie off their surfaces, by their distances from these."""
+    """Lower bound of the loss (N,) in m^2 from targets that lie off the surfaces of their bodies."""
     direction: np.ndarray | None = None
-    """Wanted unit normals from link to object (N, L, 3), object frame; NaN: any. None: none is wanted."""
+    """Target unit normals from link to object (N, L, 3), object frame; NaN: any. None: no target normals."""
 
     __repr__ = brief
 
     @staticmethod
     def nothing(count: int, links: int) -> Goal:
-        """No link should touch anything."""
-        nowhere = np.full((count, links, 3), np.nan)
+        """Return the goal of `count` grasps in which no link should touch anything."""
+        no_target = np.full((count, links, 3), np.nan)
         none = np.zeros((count, links), dtype=bool)
-        return Goal(none, nowhere, nowhere, np.zeros(count, dtype=np.int64), np.zeros(count))
+        return Goal(none, no_target, no_target, np.zeros(count, dtype=np.int64), np.zeros(count))
 
     @property
     def aimed(self) -> np.ndarray:
@@ -48,14 +48,14 @@ class Goal:
 def goal_of(
     scene: Scene, touching: ContactSelection, prepared: HandObject | None = None, *, nearest: bool = False
 ) -> Goal:
-    """The goal of a scene: its targets if it has any, else that the links which are near the object touch it.
+    """Return the goal of a scene: its targets if it has any, else that the links near the object touch it.
 
     Args:
         scene: Hand, object, grasps and, perhaps, targets.
-        touching: Which links touch where there are no targets.
-        prepared: Of the hand and the object; None: built here.
+        touching: Selection of the links that touch where there are no targets.
+        prepared: Geometry of the hand and the object; None: built here.
         nearest: Without targets, those links should touch at their present witness points, and not just anywhere;
-            links that are not near but should touch in some direction have none.
+            links that are not near but have a target normal get no target.
     """
     prepared = prepared or HandObject.of(scene)
     if scene.target_link is not None and scene.target_object is not None:
@@ -76,12 +76,12 @@ def goal_of(
 
 
 def _with_directions(touching: np.ndarray, scene: Scene) -> np.ndarray:
-    """The links (N, L) that should touch, with those that should do so in some direction."""
+    """Return the links (N, L) that should touch, including those with a target normal."""
     return touching if scene.direction is None else touching | ~np.isnan(scene.direction[..., 0])
 
 
 def _off_surface(prepared: HandObject, target_link: np.ndarray, target_object: np.ndarray) -> np.ndarray:
-    """Sums (N,) of the squared distances of all targets from the surfaces of their bodies, in m^2."""
+    """Return sums (N,) of the squared distances of all targets from the surfaces of their bodies, in m^2."""
     total = np.zeros(len(target_link))
     for pairs, target in zip(prepared.points, (target_link, target_object), strict=True):
         item = np.flatnonzero(~np.isnan(target[..., 0]))
@@ -94,7 +94,7 @@ def _off_surface(prepared: HandObject, target_link: np.ndarray, target_object: n
 
 
 def _at_start(scene: Scene, prepared: HandObject, touching: ContactSelection) -> tuple[Witness, np.ndarray]:
-    """Witness points of the links that may touch, and the poses (N, L, 4, 4) of all, at the initial grasps."""
+    """Return witness points of the links that may touch, and the poses (N, L, 4, 4) of all, at the initial grasps."""
     with np.errstate(invalid="ignore"):
         T = prepared.chain(scene.T_world_root, scene.q).T_world_link
     cutoff = touching.cutoff(scene.hand, scene.links)

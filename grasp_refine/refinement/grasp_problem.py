@@ -1,4 +1,4 @@
-"""The grasps of a scene as least-squares problems over root pose and joint values."""
+"""Least-squares problems over root pose and joint values, one per grasp of a scene."""
 
 from __future__ import annotations
 
@@ -33,51 +33,51 @@ from grasp_refine.refinement.losses import (
 )
 from grasp_refine.refinement.solvers.least_squares import Linear, Point
 from grasp_refine.refinement.solvers.levenberg_marquardt import bounded_step
-from grasp_refine.refinement.solvers.rows import NEAR, Rows
+from grasp_refine.refinement.solvers.rows import NEAR_DISTANCE_M, Rows
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
-RESTART_ROTATION_RAD, RESTART_JOINTS_RAD = 0.05, 0.04
-"""A radian of the root, and of a joint, is as much movement as so many metres of the root."""
+ROTATION_M_PER_RAD, JOINTS_M_PER_RAD = 0.05, 0.04
+"""Movement of the root in metres that counts as much as one radian of the root, and of a joint."""
 
-RESTART_BOX_SCALE = (0.05, 1.0, 0.5)
-"""Largest step: of the root, and of prismatic joints, in metres; of the root in radians; of joints in radians."""
+MAX_STEP = (0.05, 1.0, 0.5)
+"""Bounds of a step: of the root, and of prismatic joints, in metres; of the root in radians; of joints in radians."""
 
-NOISE = (0.01, 0.2, 0.1)
-"""Standard deviations of new starts, in the same order."""
+RESTART_NOISE = (0.01, 0.2, 0.1)
+"""Standard deviations of the noise on restarts, in the same order."""
 
 SMOOTH = 0.008
-"""Radius in metres of the neighbourhoods in which normals of surfaces tell their curvature for the equilibrium."""
+"""Radius in metres of the neighbourhoods in which surface normals determine curvature for the equilibrium."""
 
-REACHING, REACHING_DAMPING = 8, 1e-3
-"""Steps of the position-only inverse kinematics before the first query, and their lambda."""
+IK_ITERATIONS, IK_DAMPING = 8, 1e-3
+"""Iterations of the position-only inverse kinematics before the first query, and their damping lambda."""
 
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """M grasps at a point: where their links are, and what touches what."""
+    """M grasps at a point: poses of their links, witness points, contact forces."""
 
     loss: np.ndarray
     """Losses (M,) in m^2; NaN where a query could not be answered."""
     num_queries: np.ndarray
-    """Narrow-phase queries (M,) that this took."""
+    """Narrow-phase queries (M,) of this evaluation."""
     T_link: np.ndarray
     """Poses of the links (M, L, 4, 4)."""
     axes: np.ndarray
     """Unit twists of root and joints (M, 6, 6 + m)."""
     witness: Witness
-    """Links and object (M, L)."""
+    """Witness points of links and object (M, L)."""
     self_witness: Witness
-    """Pairs of links (M, S)."""
+    """Witness points of pairs of links (M, S)."""
     forces: Balance | None
-    """The best contact forces, where they count."""
+    """Optimal contact forces, where the equilibrium has a weight."""
 
 
 class GraspProblem:
-    """The grasps of a scene; the object rests at the world's origin."""
+    """Least-squares problems of the grasps of a scene; the object rests at the world's origin."""
 
     def __init__(self, scene: Scene, goal: Goal, config: Config, prepared: HandObject | None = None) -> None:
-        """The terms that the scene has; what is `prepared` of hand and object is used, or built here."""
+        """Set up the terms of the scene, with geometry that is `prepared` or built here."""
         prepared = prepared or HandObject.of(scene)
         self.scene, self.goal, self.config = scene, goal, config
         hand, weights = scene.hand, config.weights
@@ -102,22 +102,22 @@ class GraspProblem:
         self.aims = len(self.aimed_columns) > 0 or goal.direction is not None
         self.curvatures = prepared.curvatures if self.aims or self.equilibrium is not None else None
         prismatic = np.array([hand.joints_by_name[name].kind == "prismatic" for name in hand.joint_names], dtype=bool)
-        joints = np.where(prismatic, 1.0, RESTART_JOINTS_RAD**2)
-        self.scales = np.concatenate([np.ones(3), np.full(3, RESTART_ROTATION_RAD**2), joints])
+        joints = np.where(prismatic, 1.0, JOINTS_M_PER_RAD**2)
+        self.scales = np.concatenate([np.ones(3), np.full(3, ROTATION_M_PER_RAD**2), joints])
         self.step, self.noise = (
             np.concatenate([np.full(3, metres), np.full(3, root), np.where(prismatic, metres, joint)])
-            for metres, root, joint in (RESTART_BOX_SCALE, NOISE)
+            for metres, root, joint in (MAX_STEP, RESTART_NOISE)
         )
 
-    # what a solver asks
+    # interface of `least_squares.Problem`
 
     def evaluate(self, member: np.ndarray, point: Point, previous: Known | None) -> Known:
-        """Kinematics and queries; of links that should not touch only those that are near something are found."""
+        """Evaluate kinematics and queries; links that should not touch are queried only where something is near."""
         frames = self.chain(point.T, point.q)
         T = frames.T_world_link
         witness = self._against_object(member, T, previous)
         loss, weights = self._loss(member, point, T, witness), self.config.weights
-        # What will be rejected anyway need not be asked about the pairs of links.
+        # Points that will be rejected anyway need no queries of the pairs of links.
         rejected = np.zeros(len(member), dtype=bool) if previous is None else loss >= previous.loss
         forces = None
         if self.equilibrium is not None:
@@ -127,14 +127,14 @@ class GraspProblem:
         own = self._against_itself(T, previous, rejected)
         if self.self_collision_pairs is not None:
             loss = loss + weights.self_penetration * (penetration(own) ** 2).sum(axis=1)
-        asked = witness.num_queries.sum(axis=1) + own.num_queries.sum(axis=1)
+        num_queries = witness.num_queries.sum(axis=1) + own.num_queries.sum(axis=1)
         unknown = (witness.status > QueryStatus.FAR).any(axis=1) | (own.status > QueryStatus.FAR).any(axis=1)
         loss = np.where(unknown, np.nan, loss)
-        return Known(loss, asked, T, frames.axes, witness, own, forces)
+        return Known(loss, num_queries, T, frames.axes, witness, own, forces)
 
     @stage("derivative")
     def linearize(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> Linear:
-        """Residuals (M, m) and their derivatives; of what must not penetrate, only what is near has a row."""
+        """Return residuals (M, m) and their derivatives; penetration has rows only where bodies are near."""
         weights = self.config.weights
         rows = Rows(len(member))
         self._add_contacts(rows, member, known, width)
@@ -160,11 +160,11 @@ class GraspProblem:
         return linear
 
     def metric(self, member: np.ndarray) -> np.ndarray:
-        """1 for translations, `RESTART_ROTATION_RAD`^2 and `RESTART_JOINTS_RAD`^2 for rotations."""
+        """Return 1 for translations, `ROTATION_M_PER_RAD`^2 and `JOINTS_M_PER_RAD`^2 for rotations."""
         return np.broadcast_to(self.scales, (len(member), len(self.scales)))
 
     def step_bounds(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
-        """How far a step may go: joints to their limits, nothing farther than the box."""
+        """Return the bounds of a step: joints to their limits, nothing farther than `MAX_STEP`."""
         hand = self.scene.hand
         lower, upper = np.tile(-self.step, (len(member), 1)), np.tile(self.step, (len(member), 1))
         lower[:, 6:] = np.maximum(lower[:, 6:], hand.lower - point.q)
@@ -172,31 +172,31 @@ class GraspProblem:
         return lower, upper
 
     def integrate(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
-        """The grasps after steps; joints never leave their limits, and nothing goes farther than it may."""
+        """Return the grasps after steps, projected onto joint limits and movement bounds."""
         return self.project(member, Point(integrate(point.T, dx[:, :6]), point.q + dx[:, 6:]))
 
     def project(self, member: np.ndarray, point: Point) -> Point:
-        """The grasps nearest to some that are within the limits and no farther from the initial ones than they may."""
+        """Return the nearest grasps within the joint limits and the movement bounds from the initial grasps."""
         scene = self.scene
         T, q = self.config.max_move.project(point.T, point.q, scene.T_world_root[member], scene.q[member])
         return Point(T, np.minimum(np.maximum(q, scene.hand.lower), scene.hand.upper))
 
     def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
-        """Noise on the best grasp and, every other time, on the present one; then inverse kinematics."""
+        """Return the best grasp or, every other time, the present one with noise, after inverse kinematics."""
         noise = self.noise * sample_noise(self.scene, member, start, self.config.seed)
         return self.solve_position_ik(member, self.integrate(member, choose(start % 2 == 1, best, now), noise))
 
     def solve_position_ik(self, member: np.ndarray, point: Point) -> Point:
-        """Grasps whose target points on links come near those on the object: no query, no collision."""
+        """Solve inverse kinematics that brings target points on links to those on the object, without any query."""
         if not (len(self.aimed_columns) and len(member)):
             return point
         columns = self.aimed_columns
         aimed = self.goal.aimed[member][:, columns]
         on_link = np.nan_to_num(self.goal.target_link[member][:, columns])
         on_object = np.nan_to_num(self.goal.target_object[member][:, columns])
-        damping = np.full(len(member), REACHING_DAMPING)
+        damping = np.full(len(member), IK_DAMPING)
         link = np.repeat(columns, 3)
-        for _ in range(REACHING):
+        for _ in range(IK_ITERATIONS):
             frames = self.chain(point.T, point.q)
             p = transform_points(frames.T_world_link[:, columns], on_link)
             residual = np.where(aimed[..., None], p - on_object, 0.0).reshape(len(member), -1)
@@ -210,7 +210,7 @@ class GraspProblem:
         return point
 
     def other_depth(self, known: Known) -> np.ndarray:
-        """How deep links are in each other, or below the table, at most (M,), in metres."""
+        """Return the largest depth (M,) in metres of links in each other or below the table."""
         depth = penetration(known.self_witness).max(axis=1, initial=0.0)
         if self.table is not None:
             depth = np.maximum(depth, below_plane(self._lowest(known.T_link), *self.table).max(axis=1))
@@ -220,7 +220,7 @@ class GraspProblem:
 
     @stage("broad phase")
     def _against_object(self, member: np.ndarray, T: np.ndarray, previous: Known | None) -> Witness:
-        """Witness points of links and object; pairs that need no answer, or are surely apart, are FAR."""
+        """Return witness points of links and object; pairs that are not needed, or certainly apart, are FAR."""
         touching = self.goal.touching[member]
         center = transform_points(T, self.bounding_spheres[:, :3])
         low, high = self.box
@@ -233,11 +233,11 @@ class GraspProblem:
         if self.config.weights.penetration == 0:
             bound = np.where(np.isfinite(bound), np.inf, bound)
         T_object = np.broadcast_to(np.eye(4), T.shape)
-        return query_near(self.pairs, bound, T, T_object, np.where(touching, np.inf, NEAR), before)
+        return query_near(self.pairs, bound, T, T_object, np.where(touching, np.inf, NEAR_DISTANCE_M), before)
 
     @stage("broad phase")
     def _against_itself(self, T: np.ndarray, previous: Known | None, rejected: np.ndarray) -> Witness:
-        """Witness points of the pairs of links that are near, but for grasps that are rejected (M,)."""
+        """Return witness points of the pairs of links that are near, except for rejected grasps (M,)."""
         if self.self_collision_pairs is None:
             return nothing_near(np.zeros((len(T), 0)))
         first, second = self.own_first, self.own_second
@@ -250,13 +250,13 @@ class GraspProblem:
             bound = np.fmax(bound, before.distance - moves[:, first] - moves[:, second])
         bound = np.where(rejected[:, None], np.inf, bound)
         return query_near(
-            self.self_collision_pairs, bound, T[:, first], T[:, second], np.full(bound.shape, NEAR), before
+            self.self_collision_pairs, bound, T[:, first], T[:, second], np.full(bound.shape, NEAR_DISTANCE_M), before
         )
 
     # terms
 
     def _loss(self, member: np.ndarray, point: Point, T: np.ndarray, witness: Witness) -> np.ndarray:
-        """The weighted sum of squares (M,), without those of pairs of links."""
+        """Return the weighted sum of squares (M,), without those of pairs of links."""
         goal, config, weights = self.goal, self.config, self.config.weights
         touching = goal.touching[member]
         total = np.zeros(len(member))
@@ -285,7 +285,7 @@ class GraspProblem:
         return total
 
     def _lowest(self, T: np.ndarray) -> np.ndarray:
-        """The lowest point of each link (M, L, 3) over the table, world frame."""
+        """Return the lowest point of each link (M, L, 3) over the table, world frame."""
         assert self.scene.table is not None
         return transform_points(T, self.scene.table.lowest(self.pairs.a, T))
 
@@ -294,7 +294,7 @@ class GraspProblem:
         return stay_near(point.T, point.q, scene.T_world_root[member], scene.q[member], self.config.scales)
 
     def _add_contacts(self, rows: Rows, member: np.ndarray, known: Known, width: np.ndarray) -> None:
-        """Rows of targets, gaps and directions."""
+        """Add the rows of targets, gaps and target normals."""
         goal, config, weights = self.goal, self.config, self.config.weights
         if self.aims:
             columns = self.aimed_columns
@@ -307,12 +307,12 @@ class GraspProblem:
             miss_object = w.point_b - goal.target_object[member][:, columns]
             reach = np.stack([np.linalg.norm(miss, axis=-1) for miss in (miss_link, miss_object)])
             aimed = goal.aimed[member][:, columns] & w.valid
-            looked = aimed
+            needed = aimed
             if goal.direction is not None:
                 turned = contact_direction(w, goal.direction[member][:, columns])
                 wanted = (turned != 0).any(axis=-1)
-                looked = aimed | wanted
-            K_link, K_object = self._curvatures(looked, columns, T, w, E, reach, width)
+                needed = aimed | wanted
+            K_link, K_object = self._curvatures(needed, columns, T, w, E, reach, width)
             aimed = aimed[..., None]
             misses = [matvec(E.mT, np.where(aimed, miss, 0.0)) for miss in (miss_link, miss_object)]
             gap = np.where(aimed, w.distance[..., None] - config.margin, 0.0)
@@ -331,7 +331,7 @@ class GraspProblem:
             rows.add(gap[..., None], covector[..., None, :], weights.contact, columns)
 
     def _balance(self, member: np.ndarray, known: Known, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of the equilibrium."""
+        """Return the rows of the equilibrium."""
         assert known.forces is not None and self.equilibrium is not None
         columns = self.touching_columns
         w = known.witness.pairs(columns)
@@ -343,7 +343,7 @@ class GraspProblem:
 
     def _curvatures(
         self,
-        looked: np.ndarray,
+        needed: np.ndarray,
         columns: np.ndarray,
         T: np.ndarray,
         w: Witness,
@@ -351,13 +351,13 @@ class GraspProblem:
         reach: np.ndarray,
         width: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Curvatures (M, C, 2, 2) of links and object; where no one looks, or there are no witness points, none.
+        """Return the curvatures (M, C, 2, 2) of links and object, fitted where `needed` (M, C).
 
-        Only what is `looked` at (M, C) is fitted; elsewhere they are those of balls of 1 m, which mean nothing. Where
-        the `width` is 1, neighbourhoods have twice the radius `reach` (2, M, C), of links and object.
+        Elsewhere, and without witness points, they are those of spheres of 1 m and mean nothing. Where the `width` is
+        1, neighbourhoods have twice the radius `reach` (2, M, C), of links and object.
         """
         shape = w.distance.shape
-        item = np.flatnonzero((looked & w.valid).reshape(-1))
+        item = np.flatnonzero((needed & w.valid).reshape(-1))
         count = len(item)
         assert self.curvatures is not None
         K = self.curvatures.fit(
@@ -375,7 +375,7 @@ class GraspProblem:
 
 
 def sample_noise(scene: Scene, member: np.ndarray, number: np.ndarray, seed: int) -> np.ndarray:
-    """Standard normal numbers (M, 6 + n), the `number`-th (M,) of each grasp.
+    """Return standard normal numbers (M, 6 + n), the `number`-th (M,) sample of each grasp.
 
     They depend on the initial grasp, not on its place among others.
     """

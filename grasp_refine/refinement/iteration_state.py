@@ -1,4 +1,4 @@
-"""What can be seen of a refinement while it runs."""
+"""State of a refinement after an iteration, for callbacks."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ from grasp_refine.refinement.solvers.least_squares import Point
 
 @dataclass(frozen=True, eq=False)
 class IterationState:
-    """Where the hands of M grasps are after an iteration."""
+    """State of M grasps after an iteration."""
 
     row: np.ndarray
-    """Rows (M,) of the grasps in their scene; a grasp that is tried from several starts at once comes as often."""
+    """Rows (M,) of the grasps in their scene; one that is tried from several starts at once appears once per start."""
     point: Point
     """Poses of the base link (M, 4, 4) and joint values (M, n)."""
     loss: np.ndarray
-    """Losses (M,) in m^2, those of the present stage."""
+    """Losses (M,) in m^2, those of the present stage of the search."""
     touching: np.ndarray
     """Links (M, L) that should touch in the present stage."""
     stage: str
-    """What is being done, for people."""
+    """Name of the present stage, for people."""
 
 
 IterationCallback = Callable[[IterationState], None]
-"""Sees a refinement; what it raises ends it."""
+"""Called after each iteration; an exception that it raises ends the refinement."""
 
 
 def with_callback(
     on_iteration: IterationCallback | None, goal: Goal, stage: str, rows: np.ndarray | None = None
 ) -> least_squares.IterationCallback | None:
-    """What shows a solver's members to `on_iteration`.
+    """Return the callback of a solver that passes its members on to `on_iteration`.
 
     Args:
-        on_iteration: Whom; None: nobody.
-        goal: What is wanted of the members.
-        stage: What is being done.
-        rows: Which grasp of the scene each member is; None: they are the same.
+        on_iteration: Callback of the refinement; None: no callback.
+        goal: Goal of the members.
+        stage: Name of the stage.
+        rows: Grasp of the scene that each member is; None: their own numbers.
     """
     if on_iteration is None:
         return None
 
-    def see(member: np.ndarray, point: Point, loss: np.ndarray) -> None:
+    def callback(member: np.ndarray, point: Point, loss: np.ndarray) -> None:
         on_iteration(
             IterationState(member if rows is None else rows[member], point, loss, goal.touching[member], stage)
         )
 
-    return see
+    return callback

@@ -1,6 +1,6 @@
-"""What a grasp should satisfy: one pure function per term that returns residuals, and one their derivatives.
+"""Loss terms of a grasp: per term, one pure function that returns residuals, and one that returns their derivatives.
 
-Whether the forces of its contacts can balance is a term too, that of `equilibrium`.
+The balance of contact forces is a term too, that of `equilibrium`.
 
 A loss is the sum of squared residuals times weights, without a factor of one half, in square metres. Residuals are
 written against the array API: on torch tensors they keep their graph, which descent follows; least squares takes
@@ -20,32 +20,32 @@ from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
 
 @dataclass(frozen=True)
 class Weights:
-    """How much each term counts in the sum of squares."""
+    """Weights of the terms in the sum of squares."""
 
     contact: float = 1.0
-    """Of gaps and of misses of targets (metres), of the links that should touch."""
+    """Weight of gaps and of target misses (metres) of the links that should touch."""
     penetration: float = 100.0
-    """Of the depth of every link in the object (metres); descent and adam are faster with 10."""
+    """Weight of the depth of every link in the object (metres); descent and adam are faster with 10."""
     self_penetration: float = 100.0
-    """Of the depth of links in each other (metres); likewise."""
+    """Weight of the depth of links in each other (metres); likewise."""
     table: float = 100.0
-    """Of the depth of every link below the table, where there is one (metres)."""
+    """Weight of the depth of every link below the table, where there is one (metres)."""
     joint_limits: float = 0.01
-    """Of joint values beyond their limits (radians, or metres for prismatic joints), in m^2/rad^2; with
-    levenberg-marquardt, limits hold exactly and this means nothing."""
+    """Weight of joint values beyond their limits (radians, or metres for prismatic joints), in m^2/rad^2; with
+    levenberg-marquardt, limits hold exactly and it has no effect."""
     stay_near: float = 0.0
-    """Of the movement from the initial grasp, whose units are those of `Scales`, in m^2."""
+    """Weight of the movement from the initial grasp, whose units are those of `Scales`, in m^2."""
     wrench: float = 1.6e-3
-    """Of what the best contact forces leave unbalanced, per unit of total pressure, in m^2; with
+    """Weight of the wrench that the best contact forces leave unbalanced, per unit of total pressure, in m^2; with
     levenberg-marquardt and without targets only."""
     direction: float = 1e-3
-    """Of contact normals that differ from wanted ones (1 - their cosine is half the square), in m^2."""
+    """Weight of contact normals that differ from target normals (1 - their cosine is half the square), in m^2."""
 
     def __post_init__(self) -> None:
-        """Refuse what is no weight.
+        """Refuse weights that are negative or not finite.
 
         Raises:
-            GraspRefineError: names the one that is below 0 or no number.
+            GraspRefineError: names the weight that is below 0 or not a finite number.
         """
         check_fields(self)
         for field in fields(self):
@@ -57,17 +57,17 @@ class Weights:
 
 @dataclass(frozen=True)
 class Scales:
-    """Movements that count the same."""
+    """Movements of equal cost."""
 
     translation: float = 0.01
-    """Of the root, in metres."""
+    """Translation of the root, in metres."""
     rotation: float = 0.1
-    """Of the root, in radians."""
+    """Rotation of the root, in radians."""
     joints: float = 0.15
-    """Of a joint, in radians (metres for prismatic joints)."""
+    """Movement of a joint, in radians (metres for prismatic joints)."""
 
     def __post_init__(self) -> None:
-        """Refuse scales of nothing.
+        """Refuse scales that are not positive.
 
         Raises:
             GraspRefineError: a scale is not above 0.
@@ -86,7 +86,7 @@ def contact_targets(
     target_b: Array,
     margin: float = 0.0,
 ) -> Array:
-    """Contact residuals (..., pair, 7) in metres: gap, and miss of the target on either body.
+    """Return contact residuals (..., pair, 7) in metres: gap, and miss of the target on either body.
 
     r = [d - beta, x_a - t_a, x_b - t_b]. Its square is that of arXiv 2511.06267, Eq. 5, because
     |x_a - x_b + beta n|^2 = (d - beta)^2; written with the signed distance, the gap's gradient is exact and
@@ -96,9 +96,9 @@ def contact_targets(
         witness: Witness points of the contact pairs, world frame.
         T_world_a: Poses (..., pair, 4, 4) of the first bodies.
         T_world_b: Poses of the second bodies.
-        target_a: Where body a should be touched (..., pair, 3), its own frame, metres.
-        target_b: Where body b should be touched (..., pair, 3), its own frame, metres.
-        margin: Contact margin beta in metres: the signed distance that is aimed at.
+        target_a: Target points on body a (..., pair, 3), its own frame, metres.
+        target_b: Target points on body b (..., pair, 3), its own frame, metres.
+        margin: Contact margin beta in metres: the target signed distance.
     """
     xp = array_namespace(target_a)
     known = xp.asarray(witness.valid, device=target_a.device)
@@ -110,7 +110,7 @@ def contact_targets(
 
 
 def contact_targets_covectors(witness: Witness, E: Array, K_a: Array, K_b: Array) -> Array:
-    """Covectors (..., 5, 6) of the gap and of the misses along the tangents, [d, E^T (x_a - t_a), E^T (x_b - t_b)].
+    """Return covectors (..., 5, 6) of the gap and of the tangential misses, [d, E^T (x_a - t_a), E^T (x_b - t_b)].
 
     The misses along the normal have none: seen from its body, a witness point moves along its surface.
 
@@ -126,22 +126,22 @@ def contact_targets_covectors(witness: Witness, E: Array, K_a: Array, K_b: Array
 
 
 def contact_gap(witness: Witness, touching: Array, margin: float = 0.0) -> Array:
-    """D - beta (..., pair) in metres of the links that should touch; zero for others and without witness points."""
+    """Return d - beta (..., pair) in metres of links that should touch; zero for others and without witness points."""
     xp = array_namespace(witness.distance)
     wanted = xp.asarray(witness.valid, device=witness.distance.device) & touching
     return xp.where(wanted, witness.distance - margin, xp.zeros_like(witness.distance))
 
 
 def gap_covectors(witness: Witness) -> Array:
-    """Covectors (..., 6) of the signed distance: -(n, x_b x n) on the twist of body a, exact."""
+    """Return covectors (..., 6) of the signed distance: -(n, x_b x n) on the twist of body a, exact."""
     xp = array_namespace(witness.normal)
     return -xp.concat([witness.normal, cross(witness.point_b, witness.normal)], axis=-1)
 
 
 def penetration(witness: Witness) -> Array:
-    """Penetration depth max(0, -d) (..., pair) in metres; zero where a pair has no witness points.
+    """Return the penetration depth max(0, -d) (..., pair) in metres; zero where a pair has no witness points.
 
-    The derivative is that of -d where it is positive (see `gap_covectors`). Two links of a hand have the same one;
+    The derivative is that of -d where it is positive (see `gap_covectors`). It holds for two links of a hand too;
     then the covector acts on the twist of the first less that of the second.
     """
     xp = array_namespace(witness.distance)
@@ -150,41 +150,41 @@ def penetration(witness: Witness) -> Array:
 
 
 def joint_limits(q: Array, lower: Array, upper: Array) -> Array:
-    """How far joint values (..., n) are beyond their limits (n,), in their own unit (rad or m)."""
+    """Return the distances of joint values (..., n) beyond their limits (n,), in their own unit (rad or m)."""
     xp = array_namespace(q)
     zero = xp.zeros_like(q)
     return xp.maximum(q - upper, zero) + xp.maximum(lower - q, zero)
 
 
 def joint_limits_jacobian(q: Array, lower: Array, upper: Array) -> Array:
-    """Diagonal (..., n) of the derivative in q: 1 above, -1 below, 0 within."""
+    """Return the diagonal (..., n) of the derivative in q: 1 above, -1 below, 0 within."""
     xp = array_namespace(q)
     one, zero = xp.ones_like(q), xp.zeros_like(q)
     return xp.where(q > upper, one, zero) - xp.where(q < lower, one, zero)
 
 
 def plane_depth(points: Array, normal: Array, offset: float) -> Array:
-    """Depths offset - n . p (...) in metres of points (..., 3) below a plane, such as a table; negative above it."""
+    """Return depths offset - n . p (...) in metres of points (..., 3) below a plane, as of a table; negative above."""
     xp = array_namespace(points)
     return offset - xp.sum(points * normal, axis=-1)
 
 
 def plane_covectors(points: Array, normal: Array) -> Array:
-    """Covectors -(n, p x n) (..., 6) of those depths on the twists of what the points belong to."""
+    """Return covectors -(n, p x n) (..., 6) of `plane_depth` on the twists of the bodies of the points."""
     xp = array_namespace(points)
     spread = normal + xp.zeros_like(points)
     return -xp.concat([spread, cross(points, spread)], axis=-1)
 
 
 def below_plane(points: Array, normal: Array, offset: float) -> Array:
-    """Depths max(0, offset - n . p) (...) in metres of points (..., 3) below a plane."""
+    """Return depths max(0, offset - n . p) (...) in metres of points (..., 3) below a plane."""
     xp = array_namespace(points)
     depth = plane_depth(points, normal, offset)
     return xp.maximum(depth, xp.zeros_like(depth))
 
 
 def stay_near(T: Array, q: Array, T_first: Array, q_first: Array, scales: Scales) -> Array:
-    """Movement (..., 6 + n) from the first root pose and joint values, in `scales`: 1 is as much as one scale.
+    """Return the movement (..., 6 + n) from the initial root pose and joint values, in units of `scales`.
 
     [(p - p_0) / s_t, log(R R_0^T) / s_r, (q - q_0) / s_q], world frame.
     """
@@ -195,9 +195,9 @@ def stay_near(T: Array, q: Array, T_first: Array, q_first: Array, scales: Scales
 
 
 def stay_near_jacobian(residual: Array, scales: Scales) -> Array:
-    """Derivative (..., 6 + n, 6 + n) of `stay_near` in (v, w, q), the root turning about its own origin.
+    """Return the derivative (..., 6 + n, 6 + n) of `stay_near` in (v, w, q), the root turning about its own origin.
 
-    Exact but for the rotation, d log = J_l^-1(log) w, taken to second order of the angle.
+    Exact except for the rotation, d log = J_l^-1(log) w, taken to second order of the angle.
     """
     xp = array_namespace(residual)
     n = residual.shape[-1]
@@ -217,11 +217,11 @@ def stay_near_jacobian(residual: Array, scales: Scales) -> Array:
 
 
 def contact_direction(witness: Witness, wanted: Array) -> Array:
-    """N - n_wanted (..., pair, 3) of the contact normals, from link to object; zero where none is wanted (NaN).
+    """Return n - n_target (..., pair, 3) of the contact normals, from link to object; zero without a target (NaN).
 
     Args:
         witness: Witness points, world frame.
-        wanted: Unit normals (..., pair, 3), world frame. The force that a link exerts points along its normal.
+        wanted: Target unit normals (..., pair, 3), world frame. The force that a link exerts points along its normal.
     """
     xp = array_namespace(wanted)
     known = xp.asarray(witness.valid, device=wanted.device) & ~xp.any(xp.isnan(wanted), axis=-1)
@@ -230,7 +230,7 @@ def contact_direction(witness: Witness, wanted: Array) -> Array:
 
 
 def contact_direction_covectors(witness: Witness, E: Array, K_a: Array, K_b: Array) -> Array:
-    """Covectors (..., 3, 6) of the contact normal: dn = w_a x n + E K_a u (see `contact_kinematics`)."""
+    """Return covectors (..., 3, 6) of the contact normal: dn = w_a x n + E K_a u (see `contact_kinematics`)."""
     xp = array_namespace(E)
     U_a, _ = contact_slip_jacobian(witness.point_b, witness.normal, witness.distance, E, K_a, K_b)
     n = witness.normal

@@ -1,4 +1,4 @@
-"""How far a refinement may take a hand from the grasp that it was given."""
+"""Bounds on the movement of a hand from its initial grasp."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from grasp_refine.core.se3 import exp_so3, log_so3
 
 @dataclass(frozen=True)
 class MaxMove:
-    """The farthest that root and joints may be from where they were given."""
+    """Largest movement of root and joints from the initial grasp."""
 
     translation: float = inf
-    """Of the root, in metres."""
+    """Translation of the root, in metres."""
     rotation: float = inf
-    """Of the root, in radians."""
+    """Rotation of the root, in radians."""
     joints: float = inf
-    """Of each joint, in radians; of prismatic joints, in metres."""
+    """Movement of each joint, in radians; of prismatic joints, in metres."""
 
     def __post_init__(self) -> None:
-        """Refuse what is no distance.
+        """Refuse bounds that are negative or NaN.
 
         Raises:
-            GraspRefineError: names the one that is below 0 or no number.
+            GraspRefineError: names the bound that is below 0 or not a number.
         """
         check_fields(self)
         for name in ("translation", "rotation", "joints"):
@@ -42,23 +42,23 @@ class MaxMove:
         T_first: Float[np.ndarray, "M 4 4"],
         q_first: Float[np.ndarray, "M n"],
     ) -> tuple[Float[np.ndarray, "M 4 4"], Float[np.ndarray, "M n"]]:
-        """Root poses and joint values that are no farther away: where they are, or on the way there from the first."""
+        """Return root poses and joint values within the bounds; those beyond are moved back towards the first."""
         q = np.clip(q, q_first - self.joints, q_first + self.joints)
         if self.translation == inf and self.rotation == inf:
             return T, q
         T = T.copy()
         moved = T[:, :3, 3] - T_first[:, :3, 3]
-        T[:, :3, 3] = T_first[:, :3, 3] + _shortened(moved, self.translation)
+        T[:, :3, 3] = T_first[:, :3, 3] + _clip_length(moved, self.translation)
         R_first = T_first[:, :3, :3]
         turned = log_so3(T[:, :3, :3] @ R_first.mT)
-        short = _shortened(turned, self.rotation)
+        short = _clip_length(turned, self.rotation)
         changed = (short != turned).any(axis=1)
         T[changed, :3, :3] = exp_so3(short[changed]) @ R_first[changed]
         return T, q
 
 
-def _shortened(vector: Float[np.ndarray, "M 3"], most: float) -> Float[np.ndarray, "M 3"]:
-    """Vectors, those that are longer than the most at that length."""
+def _clip_length(vector: Float[np.ndarray, "M 3"], most: float) -> Float[np.ndarray, "M 3"]:
+    """Return vectors (M, 3), those longer than `most` shortened to that length."""
     length = np.linalg.norm(vector, axis=1, keepdims=True)
     far = length > most
     return np.where(far, most / np.where(far, length, 1.0), 1.0) * vector

@@ -1,7 +1,7 @@
-"""The loss of a batch of grasps and its gradient: kinematics, witness points and loss terms put together.
+"""Loss of a batch of grasps and its gradient: kinematics, witness points and loss terms put together.
 
-For the solvers that follow gradients, through autograd and with any derivative method. Levenberg-Marquardt has the
-same terms in `grasp_problem`.
+For first-order solvers, through autograd and with any derivative method. Levenberg-Marquardt has the same terms in
+`grasp_problem`.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ from grasp_refine.witness.transport import EquivalentTransport
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What the last queries found, a help for the next."""
+    """Results of the last queries, warm starts of the next."""
 
     witness: Witness
-    """Links and object (batch, L)."""
+    """Witness points of links and object (batch, L)."""
     self_witness: Witness | None
-    """Pairs of links (batch, S)."""
+    """Witness points of pairs of links (batch, S)."""
     num_queries: np.ndarray
     """Narrow-phase queries (batch,)."""
 
 
 class Objective:
-    """The loss of a batch of grasps and its gradient in root pose and joint values."""
+    """Loss of a batch of grasps and its gradient in root pose and joint values."""
 
     def __init__(self, scene: Scene, goal: Goal, config: Config, prepared: HandObject | None = None) -> None:
-        """Kinematics and witness layers; what is `prepared` of hand and object is used, or built here."""
+        """Set up kinematics and witness layers, with geometry that is `prepared` or built here."""
         prepared = prepared or HandObject.of(scene)
         self.scene, self.goal, self.config = scene, goal, config
         hand, self.links = scene.hand, scene.links
@@ -67,13 +67,13 @@ class Objective:
         self._transport = EquivalentTransport(steps.step_translation, steps.step_rotation) if steps.transport else None
 
     def tensor(self, array: np.ndarray) -> Tensor:
-        """An array in the number type and on the device of the refinement."""
+        """Return an array in the number type and on the device of the refinement."""
         return torch.as_tensor(array, dtype=self.lower.dtype, device=self.lower.device)
 
     def evaluate(
         self, member: np.ndarray, T_world_root: Tensor, q: Tensor, key: int, previous: Found | None
     ) -> tuple[Tensor, Tensor, Found]:
-        """Loss (batch,), its gradient (batch, 6 + n) at the root (as a body twist) and in q, and what was found.
+        """Return loss (batch,), gradient (batch, 6 + n) at the root (as a body twist) and in q, and query results.
 
         The loss is NaN where a query could not be answered.
         """
@@ -93,18 +93,18 @@ class Objective:
             G, q_gradient = torch.autograd.grad(loss.sum(), (T_world_root, q), allow_unused=True)
         twist = body_gradient(T_world_root.detach(), torch.zeros_like(T_world_root) if G is None else G)
         q_gradient = torch.zeros_like(q) if q_gradient is None else q_gradient
-        # A pair that no query could answer counts nothing above: what the grasp is worth is not known.
-        asked = [one.detached() for one in (witness, own) if one is not None]
-        unknown = np.logical_or.reduce([(one.status > QueryStatus.FAR).any(axis=1) for one in asked])
+        # A pair whose query failed adds nothing above: the loss of the grasp is not known.
+        witnesses = [one.detached() for one in (witness, own) if one is not None]
+        unknown = np.logical_or.reduce([(one.status > QueryStatus.FAR).any(axis=1) for one in witnesses])
         loss = loss.detach().masked_fill(torch.as_tensor(unknown, device=loss.device), torch.nan)
-        queries = sum(one.num_queries.sum(axis=1) for one in asked)
-        found = Found(asked[0], asked[1] if own is not None else None, queries)
+        queries = sum(one.num_queries.sum(axis=1) for one in witnesses)
+        found = Found(witnesses[0], witnesses[1] if own is not None else None, queries)
         return loss, torch.cat([twist, q_gradient], dim=1), found
 
     def _of_contacts(
         self, member: np.ndarray, T_link: Tensor, key: int, previous: Witness | None
     ) -> tuple[Tensor, Witness]:
-        """The terms of links and object (batch,), and the witness points."""
+        """Return the terms of links and object (batch,), and the witness points."""
         goal, config, weights = self.goal, self.config, self.config.weights
         T_object = torch.eye(4, dtype=T_link.dtype, device=T_link.device).expand(T_link.shape)
         if self._transport is not None:
@@ -133,7 +133,7 @@ class Objective:
         return loss, witness
 
     def _of_posture(self, member: np.ndarray, T_world_root: Tensor, q: Tensor) -> Tensor:
-        """The terms of root pose and joint values alone (batch,)."""
+        """Return the terms of root pose and joint values alone (batch,)."""
         scene, weights = self.scene, self.config.weights
         loss = weights.joint_limits * joint_limits(q, self.lower, self.upper).square().sum(1)
         if weights.stay_near > 0:

@@ -1,4 +1,4 @@
-"""Pregrasps: where a hand waits, open, before it closes to a grasp."""
+"""Pregrasps: open hands before they close to a grasp."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
 SOLVER = LevenbergMarquardt(iterations=60, restarts=0)
-"""Opening is easy; a grasp that cannot open further need not try for long."""
+"""Solver of pregrasps; a hand opens in few iterations, or cannot open further."""
 
 TOLERANCE = 1e-6
-"""Loss (m^2) at which a hand is open: a single link may lack a tenth of a millimetre, at the weight of penetrations."""
+"""Loss (m^2) at which a hand is open: at most 0.1 mm of clearance missing at one link, at the penetration weight."""
 
 
-def opened(
+def open_hand(
     scene: Scene, prepared: HandObject | None = None, progress: Progress | None = None
 ) -> tuple[Float[np.ndarray, "N 4 4"], Float[np.ndarray, "N n"]]:
-    """Poses (N, 4, 4) of the base link and joint values (N, n) near the grasps at which the hands are open.
+    """Return poses (N, 4, 4) of the base link and joint values (N, n) near the grasps at which the hands are open.
 
     Every link is at least `CLEARANCE`, or `CLEARANCE_OTHERS`, away from the object and above the table, if there is
-    one, and does not penetrate other links; joints are within their limits. The way there is short, by the root as
-    well as by the joints. Where there is none, as for a finger behind a rim, the best try comes back; of a grasp that
-    is nowhere (`Scene.posed`), NaN.
+    one, and does not penetrate other links; joints are within their limits. Root and joints move as little as possible.
+    Where there is no such pose, as for a finger behind a rim, the best iterate is returned; for invalid poses
+    (`Scene.posed`), NaN.
 
     Args:
-        scene: Hand, object and grasps; targets mean nothing here.
-        prepared: Of this hand and object, for their pairs; None: built here.
-        progress: As for `minimise`; what it raises ends the search.
+        scene: Hand, object and grasps; targets are ignored.
+        prepared: Geometry of this hand and object; None: built here.
+        progress: As for `minimise`; an exception that it raises ends the search.
     """
     prepared = prepared or HandObject.of(scene)
     goal = Goal.nothing(len(scene.q), len(scene.links))

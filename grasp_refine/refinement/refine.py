@@ -28,7 +28,7 @@ __all__ = ["Config", "Refinement", "Scene", "refine"]
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """N refined grasps with the account of how they came about."""
+    """N refined grasps with status, loss and cost."""
 
     T_world_root: np.ndarray
     """Poses (N, 4, 4) of the base link: the best iterate of each grasp by true loss; of several attempts to make it
@@ -38,13 +38,13 @@ class Refinement:
     touching: np.ndarray
     """Links (N, L) that were to touch the object."""
     target_link: np.ndarray
-    """The targets that were used (N, L, 3), link frames; NaN: none."""
+    """Targets on the links (N, L, 3), link frames, metres; NaN: none."""
     target_object: np.ndarray
-    """The same on the object (N, L, 3)."""
+    """Targets on the object (N, L, 3), object frame, metres; NaN: none."""
     status: np.ndarray
     """A `Status` for each grasp (N,)."""
     loss: np.ndarray
-    """Loss in m^2 before and after (N, 2), NaN where it is not known; that of forces is left out."""
+    """Loss in m^2 before and after (N, 2), without the force term; NaN where it is not known."""
     iterations: np.ndarray
     """Iterations of each grasp (N,), those of all attempts."""
     queries: np.ndarray
@@ -54,7 +54,7 @@ class Refinement:
     cpu_s: np.ndarray
     """Share of the CPU time of each grasp (N,), seconds."""
     starts: np.ndarray
-    """From how many starts each grasp was tried (N,)."""
+    """Number of starts from which each grasp was tried (N,)."""
 
     def __repr__(self) -> str:
         ended = tallied(self.labels)
@@ -62,7 +62,7 @@ class Refinement:
 
     @property
     def labels(self) -> np.ndarray:
-        """How each grasp ended (N,), in words: the labels of `status`."""
+        """Labels of `status` (N,), such as "converged"."""
         return labels(Status, self.status)
 
 
@@ -75,33 +75,33 @@ def refine(
     *,
     prepared: HandObject | None = None,
 ) -> Refinement:
-    """The grasps of a scene, refined: the best iterate of each, how it ended, and what the loss was and is.
+    """Refine the grasps of a scene.
 
     Args:
         scene: Hand, object, initial grasps and, optionally, targets.
         config: All settings; the defaults when None.
         progress: Called after each iteration.
-        on_iteration: Sees where the hands are after each iteration; what it raises ends the refinement.
-        prepared: Of this hand and object; refining often, a few grasps at a time, build it once.
+        on_iteration: Called with the state after each iteration; an exception that it raises ends the refinement.
+        prepared: Geometry of this hand and object; build it once to refine often, a few grasps at a time.
 
     Returns:
         The best iterate of each grasp by true loss. Not converging is a status, never an exception.
 
     Raises:
-        GraspRefineError: an argument of another kind, a link that should touch is not there, or `prepared` is of
+        GraspRefineError: an argument of another type, a link that should touch does not exist, or `prepared` is of
             another hand or object.
     """
     check_kind("scene", scene, Scene)
     check_kind("config", config, Config | None)
     check_kind("progress", progress, Progress | None)
-    check_kind("watch", on_iteration, IterationCallback | None)
+    check_kind("on_iteration", on_iteration, IterationCallback | None)
     check_kind("prepared", prepared, HandObject | None)
     wall, cpu = time.perf_counter(), time.process_time()
     config = config or Config()
     prepared = prepared or HandObject.of(scene)
     if prepared.hand is not scene.hand or prepared.object is not scene.object:
         raise GraspRefineError(
-            f"what is prepared for {prepared.hand.name} and {prepared.object.name} is not for the scene's "
+            f"prepared is for {prepared.hand.name} and {prepared.object.name}, the scene has "
             f"{scene.hand.name} and {scene.object.name}"
         )
     sound, given = scene.valid, scene
@@ -118,11 +118,11 @@ def refine(
         found = solve(scene, prepared, goal, config, status, progress, on_iteration)
     unreachable = np.isin(found.status, (Status.STALLED, Status.BUDGET))
     off_surface = config.weights.contact * goal.off_surface
-    found.status[unreachable & (off_surface > max(config.tolerance, OFF_SURFACE))] = Status.UNREACHABLE
+    found.status[unreachable & (off_surface > max(config.tolerance, OFF_SURFACE_LOSS_M2))] = Status.UNREACHABLE
     hand, count = scene.hand, max(len(scene.q), 1)
     T = np.where(sound[:, None, None], found.point.T, given.T_world_root)
     q = np.where(sound[:, None], np.clip(found.point.q, hand.lower, hand.upper), given.q)
-    # What was done for all grasps is shared out evenly.
+    # The cost of work on all grasps together is divided evenly.
     wall, cpu = time.perf_counter() - wall - found.wall_s.sum(), time.process_time() - cpu - found.cpu_s.sum()
     return Refinement(
         T_world_root=T,
@@ -140,12 +140,12 @@ def refine(
     )
 
 
-OFF_SURFACE = 1e-8
-"""Targets count as off their surfaces when that alone makes a loss above this, in m^2: a tenth of a millimetre."""
+OFF_SURFACE_LOSS_M2 = 1e-8
+"""Loss in m^2 from targets off their surfaces above which they are unreachable: that of a tenth of a millimetre."""
 
 
-WAY = "to the contacts"
-"""What `IterationState.stage` says of refinements of one stage."""
+SINGLE_STAGE = "to the contacts"
+"""Value of `IterationState.stage` for refinements of one stage."""
 
 
 def _least_squares(
@@ -157,32 +157,32 @@ def _least_squares(
     progress: Progress | None,
     on_iteration: IterationCallback | None,
 ) -> Minimum:
-    """By Levenberg-Marquardt; with targets, from where inverse kinematics alone comes nearest to them."""
+    """Refine by Levenberg-Marquardt; with targets, from the solution of inverse kinematics."""
     problem, solver = GraspProblem(scene, goal, config, prepared), config.solver
     assert isinstance(solver, LevenbergMarquardt)
     rows = np.flatnonzero(status == Status.RUNNING)
     hand = scene.hand
     given = Point(scene.T_world_root, np.clip(scene.q, hand.lower, hand.upper))
     limits: dict[str, Any] = {"width": config.width, "seconds": config.seconds, "progress": progress}
-    limits["watch"] = with_callback(on_iteration, goal, WAY)
+    limits["on_iteration"] = with_callback(on_iteration, goal, SINGLE_STAGE)
     if not goal.aimed.any():
         solver = replace(solver, restarts=0)
         return minimise(problem, given, solver, config.tolerance, status=status, **limits)
-    before, asked = np.full(len(status), np.nan), np.zeros(len(status), dtype=np.int64)
+    before, num_queries = np.full(len(status), np.nan), np.zeros(len(status), dtype=np.int64)
     for block in np.split(rows, range(config.width, len(rows), config.width)):
         known = problem.evaluate(block, take(given, block), None)
-        before[block], asked[block] = known.loss, known.num_queries
+        before[block], num_queries[block] = known.loss, known.num_queries
     status = np.where(before < config.tolerance, Status.CONVERGED, status)
     rows = np.flatnonzero(status == Status.RUNNING)
     start = Point(given.T.copy(), given.q.copy())
     reached = problem.solve_position_ik(rows, take(given, rows))
     start.T[rows], start.q[rows] = reached.T, reached.q
     found = minimise(problem, start, solver, config.tolerance, status=status, **limits)
-    # The grasp as it came may still be the best.
+    # The input grasp may still be the best.
     first = before <= found.loss[:, 1]
     found.status[first & (found.status == Status.NOT_FINITE)] = Status.STALLED
     loss = np.stack([before, np.where(first, before, found.loss[:, 1])], axis=1)
-    return replace(found, point=choose(first, given, found.point), loss=loss, queries=found.queries + asked)
+    return replace(found, point=choose(first, given, found.point), loss=loss, queries=found.queries + num_queries)
 
 
 def _first_order(
@@ -194,7 +194,7 @@ def _first_order(
     progress: Progress | None,
     on_iteration: IterationCallback | None,
 ) -> Minimum:
-    """By descent or Adam."""
+    """Refine by descent or Adam."""
     # With pytorch-kinematics, which takes a second to load.
     from grasp_refine.refinement.objective import Objective
     from grasp_refine.refinement.solvers.first_order import descend
@@ -207,5 +207,5 @@ def _first_order(
         config.tolerance,
         status=status,
         progress=progress,
-        on_iteration=with_callback(on_iteration, goal, WAY),
+        on_iteration=with_callback(on_iteration, goal, SINGLE_STAGE),
     )

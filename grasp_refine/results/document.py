@@ -1,4 +1,4 @@
-"""The JSON document of refined grasps: one object, SI units, what was not computed is null."""
+"""JSON document of refined grasps: one object, SI units; values that were not computed are null."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ def run_document(
     cpu_s: float,
     profile: Profile | None = None,
 ) -> dict[str, Any]:
-    """The document of `run`: totals, and one entry per grasp.
+    """Return the document of `run`: totals, and one entry per grasp.
 
     Args:
         outcome: All grasps.
-        refined: How they were refined.
-        simulated: What simulation says of them, where it was asked.
+        refined: Settings of their refinement.
+        simulated: The grasps in simulation; None: not simulated.
         config: All settings of the command.
-        wall_s: Wall time of the whole command, loading and decomposition included.
-        cpu_s: Its CPU time.
-        profile: Where the time went, where it was asked.
+        wall_s: Wall time of the whole command in seconds, loading and decomposition included.
+        cpu_s: CPU time of the whole command in seconds.
+        profile: Time by stage; None: not measured.
     """
     return {
         "schema": SCHEMA,
@@ -56,7 +56,7 @@ def run_document(
             "cpu_s": cpu_s,
         },
         "profile": profile_entry(profile),
-        "grasps": [_grasp(outcome, simulated, i, said) for i, said in enumerate(advice(outcome, refined))],
+        "grasps": [_grasp(outcome, simulated, i, text) for i, text in enumerate(advice(outcome, refined))],
     }
 
 
@@ -95,7 +95,7 @@ def _grasp(outcome: Outcome, simulated: SimulatedGrasps | None, i: int, advice: 
 
 
 def settings(value: Any) -> Any:
-    """A value as JSON can hold it; a dataclass says its `type`, because fields may hold one of several."""
+    """Return a value for JSON; a dataclass gets an entry `type`, because fields may hold one of several types."""
     if is_dataclass(value):
         return {
             "type": type(value).__name__,

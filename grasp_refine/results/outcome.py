@@ -1,4 +1,4 @@
-"""The outcome of a refinement: grasps before and after, measured by one plain query each."""
+"""Outcome of a refinement: grasps before and after, measured by one plain query each."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ class Outcome:
     wall_s: np.ndarray
     """Share of the wall time of the refinement (N,), seconds."""
     cpu_s: np.ndarray
-    """Share of its CPU time (N,), seconds."""
+    """Share of the CPU time of the refinement (N,), seconds."""
     starts: np.ndarray
-    """From how many starts each grasp was tried (N,)."""
+    """Number of starts from which each grasp was tried (N,)."""
     contact_error: np.ndarray
     """Largest of gap and target misses, before and after (N, 2, L), metres; NaN for links that should not touch."""
     penetration: np.ndarray
@@ -62,36 +62,36 @@ class Outcome:
     self_penetration: np.ndarray
     """Deepest penetration of links in each other, before and after (N, 2), metres."""
     wrench_residual: np.ndarray
-    """What contact forces leave unbalanced at best, before and after (N, 2), as in `ContactForces.residual`."""
+    """Wrench that the best contact forces leave unbalanced, before and after (N, 2), as in `ContactForces.residual`."""
     quality: np.ndarray
     """`Quality.value` before and after (N, 2), from 0 to 1; NaN where a grasp is not finite, or
     has no contacts."""
     limits_violated: np.ndarray
     """Number of refined joint values beyond their limits (N,)."""
     palm_m: np.ndarray
-    """How far the base link moved (N,), metres."""
+    """Distance that the base link moved (N,), metres."""
     palm_rad: np.ndarray
-    """How far it turned (N,), radians."""
+    """Angle that the base link turned (N,), radians."""
     joints_rad: np.ndarray
     """Largest joint movement (N,), radians (metres for prismatic joints)."""
     touching: np.ndarray
     """Links that should touch (N, L)."""
     target_link: np.ndarray
-    """Where links should touch (N, L, 3), link frames, metres; NaN: nowhere."""
+    """Target points on the links (N, L, 3), link frames, metres; NaN: none."""
     target_object: np.ndarray
-    """Where the object should be touched (N, L, 3), object frame, metres."""
+    """Target points on the object (N, L, 3), object frame, metres."""
     contact_link: np.ndarray
     """Refined witness points on links that should touch (N, L, 3), link frames, metres; NaN for other links."""
     contact_object: np.ndarray
-    """The same on the object (N, L, 3), object frame."""
+    """Refined witness points on the object (N, L, 3), object frame, metres."""
     contact_normal: np.ndarray
-    """Unit normals from link to object there (N, L, 3), object frame."""
+    """Unit normals from link to object at the witness points (N, L, 3), object frame."""
     contact_distance: np.ndarray
-    """Signed distances there (N, L), metres."""
+    """Signed distances at the witness points (N, L), metres."""
     stage_pose: np.ndarray
     """Poses (N, 3, 7) of the base link at pregrasp, grasp and squeeze, as `hand_pose`."""
     stage_q: np.ndarray
-    """Joint values (N, 3, n) there; those of a squeeze may lie beyond the limits."""
+    """Joint values (N, 3, n) at these stages; those of a squeeze may lie beyond the limits."""
 
     __repr__ = brief
 
@@ -101,12 +101,12 @@ class Outcome:
 
     @property
     def usable(self) -> np.ndarray:
-        """Which grasps (N,) were refined at all: they had something to touch and their queries were answered."""
+        """True where a grasp (N,) was refined at all: it had links to touch with, and its queries succeeded."""
         return ~np.isin(self.status, UNUSABLE)
 
     @property
     def aimed(self) -> np.ndarray:
-        """Which grasps (N,) had targets."""
+        """True where a grasp (N,) had targets."""
         return ~np.isnan(self.target_link).all(axis=(1, 2))
 
     @property
@@ -127,12 +127,12 @@ class Outcome:
         return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
     def select(self, rows: np.ndarray) -> Outcome:
-        """The grasps `rows`, in that order."""
+        """Return the grasps `rows`, in that order."""
         return take(self, rows)
 
     @staticmethod
     def join(parts: Sequence[Outcome]) -> Outcome:
-        """The grasps of all parts, which are of one hand."""
+        """Return the grasps of all parts, which are of one hand."""
         return join(*parts)
 
 
@@ -148,20 +148,20 @@ def compare(
     row: np.ndarray,
     index: np.ndarray,
 ) -> Outcome:
-    """The outcome of refining a scene.
+    """Return the outcome of refining a scene.
 
     Args:
-        scene: What was refined.
-        refinement: What came out.
-        motion: How the hand closes to the refined grasps.
+        scene: Scene before the refinement.
+        refinement: Refined grasps.
+        motion: Motion that closes the hand to the refined grasps.
         margin: Gap in metres that contact links should keep.
         name: The object's name in results.
         scale: Factor that took the object's mesh to metres.
         row: Rows of the grasps (N,) in their file.
-        index: Their numbers (N,) among the grasps of the object.
+        index: Numbers of the grasps (N,) among those of the object.
     """
     count = len(scene.q)
-    # What is nowhere has no measures.
+    # Invalid poses have no measures.
     before = scene.masked(scene.posed)
     T_after = np.where(scene.posed[:, None, None], refinement.T_world_root, np.nan)
     q_after = np.where(scene.posed[:, None], refinement.q, np.nan)
@@ -184,7 +184,7 @@ def compare(
     witness = geometry.witness.rows(slice(count, None))
     touching = refinement.touching & witness.valid
     T_link = geometry.T_world_link[count:]
-    # As they were given, also where that is no pose.
+    # As given, also where that is no valid pose.
     with np.errstate(all="ignore"):
         pose_before, pose_after = (pose_from_transform(one.T_world_root) for one in (scene, refinement))
     moved = movement(before.T_world_root, before.q, T_after, q_after)

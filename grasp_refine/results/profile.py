@@ -1,4 +1,4 @@
-"""Where the time of a command went, by stage, as a table and as an entry of its JSON document."""
+"""Time of a command by stage, as a table and as an entry of its JSON document."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rich.table import Table
 from grasp_refine.core.profiling import STAGES
 
 Profile = Mapping[str, Sequence[float]]
-"""Stage -> [CPU seconds, wall seconds, calls], as `Stopwatch.profile` gives it."""
+"""Stage -> [CPU seconds, wall seconds, calls], as `Stopwatch.profile` returns it."""
 
 
 def profile_table(profile: Profile) -> Table:
-    """Stages that took any time, each with its share of the CPU time of all."""
+    """Return the table of stages that took any time, each with its share of the CPU time of all."""
     cpu_s, wall_s = (sum(spent[part] for spent in profile.values()) for part in (0, 1))
     table = Table("stage", title="where the time went", title_justify="left", box=box.SIMPLE)
     for name in ("CPU s", "%", "wall s", "calls"):
@@ -31,7 +31,7 @@ def profile_table(profile: Profile) -> Table:
 
 
 def profile_entry(profile: Profile | None) -> dict[str, dict[str, Any]] | None:
-    """The same of all stages for a JSON document; None: nobody asked."""
+    """Return the times of all stages for a JSON document; None without a profile."""
     if profile is None:
         return None
     return {name: dict(zip(("cpu_s", "wall_s", "calls"), profile[name], strict=True)) for name in STAGES}

@@ -24,7 +24,7 @@ from grasp_refine.validation.trials import Reason, Trials
 
 
 def result_paths(folder: Path, hand: str, objects: tuple[str, ...]) -> dict[str, Path]:
-    """Object name -> path of its result file, <hand>_<object>.npz with whatever is unusual in a name replaced."""
+    """Return object name -> path of its result file, <hand>_<object>.npz with unusual characters replaced."""
     paths: dict[str, Path] = {}
     for name in objects:
         stem = UNUSUAL.sub("_", f"{hand}_{name}")
@@ -70,47 +70,47 @@ def save_results(
     provenance: Mapping[str, Any],
     simulated: tuple[Trials, Trials] | None = None,
 ) -> None:
-    """Write the grasps of one object, whole or not at all, as a grasp file that holds more.
+    """Write the grasps of one object as a grasp file with further entries; the file appears whole or not at all.
 
         initial_pose, initial_q             (N, 7), (N, n)  the grasps before refinement, as hand_pose and q
         contact_link                        (K,)       links that should touch in any of the grasps
         contact_point_link                  (N, K, 3)  witness point on the link, link frame, metres
-        contact_point_object                (N, K, 3)  the same on the object, object frame
+        contact_point_object                (N, K, 3)  witness point on the object, object frame
         contact_normal                      (N, K, 3)  unit normal from link to object, object frame
         contact_distance                    (N, K)     signed distance, metres
         contact_error_before, _after        (N,)       worst of gap and target misses, metres
         contact_error_mean_before, _after   (N,)       their mean over the contacts, metres
         penetration_before, _after          (N,)       deepest of all links, metres
         self_penetration_before, _after     (N,)       deepest of links in each other, metres
-        wrench_residual_before, _after      (N,)       what contact forces leave unbalanced, without unit
+        wrench_residual_before, _after      (N,)       wrench that contact forces leave unbalanced, no unit
         quality_before, _after              (N,)       `Quality.value`, from 0 to 1
-        starts                              (N,)       from how many starts the grasp was tried
-        status                              (N,)       how the refinement ended
+        starts                              (N,)       number of starts that were tried
+        status                              (N,)       status of the refinement
         iterations                          (N,)
         queries                             (N,)       narrow-phase queries
         loss                                (N,)       after refinement, m^2
         limits_violated                     (N,)       joint values beyond their limits
-        moved_palm_m, _palm_rad, _joints_rad (N,)      how far base link and joints were moved, metres and radians
+        moved_palm_m, _palm_rad, _joints_rad (N,)      movement of base link and joints, metres and radians
         wall_s, cpu_s                       (N,)       share of the time of the refinement, seconds
         provenance                          ()         JSON: versions, seed, config, source, hand, objects, index, row
 
     and where grasps were simulated, of the direction that was worst for each, before and after
 
         simulation_before, _after                (N,)  whether the grasp held, in all directions
-        simulation_reason_before, _after         (N,)  why it did not
+        simulation_reason_before, _after         (N,)  reason of the failure
         simulation_direction_before, _after      (N,)  the direction
-        simulation_displacement_m_before, _after (N,)  how far the object was moved at the end
-        simulation_angle_rad_before, _after      (N,)  how far it was turned
+        simulation_displacement_m_before, _after (N,)  displacement of the object at the end, metres
+        simulation_angle_rad_before, _after      (N,)  rotation of the object, radians
 
-    NaN stands where a grasp has no such contact or target, and for the stages of one that could not be refined.
+    Entries are NaN where a grasp has no such contact or target, and for the stages of one that could not be refined.
 
     Args:
         path: The file.
         hand: The hand.
         links: Its links with collision geometry, as in `Scene.links`.
         outcome: The grasps.
-        provenance: Where they come from.
-        simulated: What simulation said of them before and after, if it was asked.
+        provenance: Provenance of the grasps.
+        simulated: Trials before and after; None: not simulated.
 
     Raises:
         GraspFileError: the file cannot be written.
@@ -159,7 +159,7 @@ def save_results(
 
 
 def _simulated(when: str, trials: Trials) -> dict[str, np.ndarray]:
-    """The entries of what simulation said of N grasps; the worst direction stands for each."""
+    """Return the entries of the trials of N grasps, each with its worst direction."""
     rows, worst = np.arange(len(trials)), trials.worst
     return {
         f"simulation_{when}": trials.success,
@@ -171,7 +171,7 @@ def _simulated(when: str, trials: Trials) -> dict[str, np.ndarray]:
 
 
 def fingerprint(path: Path) -> dict[str, str]:
-    """Path and sha256 of a file, for provenance; of a folder, that of the names and hashes of all files in it."""
+    """Return path and sha256 of a file, for provenance; of a folder, the hash of names and hashes of all its files."""
     if path.is_dir():
         files = sorted(file for file in path.rglob("*") if file.is_file())
         listing = [f"{file.relative_to(path).as_posix()} {_sha256(file.read_bytes())}\n" for file in files]
@@ -180,7 +180,7 @@ def fingerprint(path: Path) -> dict[str, str]:
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
-    """Provenance of the grasps in a result file; empty: it is another grasp file.
+    """Return the provenance of the grasps in a result file; empty for another grasp file.
 
     Raises:
         GraspFileError: it is damaged.
@@ -196,7 +196,7 @@ def read_provenance(path: Path) -> dict[str, Any]:
 
 
 def recorded_urdf(path: Path) -> str | None:
-    """sha256 of the URDF that the grasps in a result file were refined with; None: it is another grasp file.
+    """Return the sha256 of the URDF of the grasps in a result file; None for another grasp file.
 
     Raises:
         GraspFileError: it is damaged.
@@ -207,14 +207,14 @@ def recorded_urdf(path: Path) -> str | None:
 
 
 def is_same_refinement(path: Path, stamp: str, protocol: Any) -> bool:
-    """Whether a file holds what will be written: the same grasps, refined in the same way.
+    """Return True if a file holds what will be written: the same grasps, refined in the same way.
 
-    Only what simulation says of them may be added; it differs where the protocol does.
+    Only results of a simulation may be added; they differ where the protocol does.
 
     Args:
         path: The file.
         stamp: Hash of all that the refined grasps depend on.
-        protocol: Settings of the simulation; None: there is none.
+        protocol: Settings of the simulation; None: no simulation.
     """
     try:
         found = read_provenance(path) if path.is_file() else {}

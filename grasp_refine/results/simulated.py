@@ -1,4 +1,4 @@
-"""What simulation says of grasps before and after their refinement."""
+"""Simulated grasps before and after their refinement."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from grasp_refine.validation.trials import Reason, Trials
 
 @dataclass(frozen=True, eq=False)
 class SimulatedGrasps:
-    """The same N grasps in simulation, as they came and refined."""
+    """N grasps in simulation, input and refined."""
 
     protocol: Protocol
-    """How they were simulated."""
+    """Protocol of the simulation."""
     before: Trials
-    """The grasps as they came."""
+    """Trials of the input grasps."""
     closing: Mapping[str, str]
-    """Whose pregrasps and squeezes were simulated before: stage -> "file" or "own"."""
+    """Source of the input grasps' pregrasps and squeezes: stage -> "file" or "own"."""
     after: Trials
-    """The refined grasps, with pregrasps and squeezes of their own."""
+    """Trials of the refined grasps, with our own pregrasps and squeezes."""
 
     @property
     def held(self) -> Bool[np.ndarray, "N 2"]:
-        """Which grasps held, before and after (N, 2)."""
+        """True where a grasp held, before and after (N, 2)."""
         return np.stack([self.before.success, self.after.success], axis=1)
 
     def lines(self) -> list[Text]:
-        """Return how many grasps held before and after, and why the others did not."""
+        """Return lines on the number of grasps that held before and after, and the reasons of failures."""
         before, after = self.held.T
         changed = int((after & ~before).sum()), int((before & ~after).sum())
         held = held_line(self.protocol.name, (int(before.sum()), int(after.sum())), *changed, len(after))
@@ -50,12 +50,12 @@ class SimulatedGrasps:
         return "\n".join(line.plain for line in self.lines())
 
     def _repr_html_(self) -> str:
-        """The lines, for a notebook."""
+        """Return the lines as HTML, for a notebook."""
         return html_of(Group(*self.lines()))
 
 
 def reason_lines(trials: Trials, protocol: Protocol) -> list[Text]:
-    """How many grasps failed for which reason."""
+    """Return lines on the number of grasps that failed, by reason."""
     worst = trials.reason[np.arange(len(trials)), trials.worst]
     return [
         Text.assemble((f"{(worst == reason).sum()} {reason.label}", "red"), f": {reason.meaning(protocol)}")
@@ -65,7 +65,7 @@ def reason_lines(trials: Trials, protocol: Protocol) -> list[Text]:
 
 
 def closing_line(owners: Mapping[str, str]) -> Text:
-    """Whose pregrasps and squeezes were simulated: stage -> "file" or "own"."""
+    """Return a line on the source of pregrasps and squeezes, given as stage -> "file" or "own"."""
     words = {"file": "of the file", "own": "our own"}
     if len(set(owners.values())) == 1:
         return Text(f"pregrasps and squeezes are {words[owners['squeeze']]}")
@@ -73,7 +73,7 @@ def closing_line(owners: Mapping[str, str]) -> Text:
 
 
 def simulation_lines(simulated: SimulatedGrasps, quality: np.ndarray) -> list[Text]:
-    """How many grasps held before and after, why the others did not, and what their quality (N, 2) had said."""
+    """Return `SimulatedGrasps.lines` and lines on the agreement with quality (N, 2)."""
     before, after = simulated.held.T
     return [
         *simulated.lines(),
@@ -83,12 +83,12 @@ def simulation_lines(simulated: SimulatedGrasps, quality: np.ndarray) -> list[Te
 
 
 def closings_line(simulated: SimulatedGrasps) -> Text:
-    """Whose pregrasps and squeezes were simulated before and after."""
+    """Return a line on the source of pregrasps and squeezes before and after."""
     return Text("before, ").append(closing_line(simulated.closing)).append("; after, they are our own")
 
 
 def simulation_entry(trials: Trials, i: int, protocol: Protocol) -> dict[str, Any]:
-    """What simulation says of one grasp, for JSON; SI units."""
+    """Return the trials of one grasp for JSON; SI units."""
     worst = trials.worst[i]
     directions = [
         {

@@ -1,4 +1,4 @@
-"""The table that a person reads after a refinement: millimetres and degrees, before and after."""
+"""Table for people after a refinement: millimetres and degrees, before and after."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.simulated import SimulatedGrasps, closings_line, simulation_lines
 from grasp_refine.results.verdict import estimate_line, made_to_hold, should_hold, slip_advice, status_advice
 
-LONGEST = 40
-"""Most grasps that are all listed without being asked for; of more, only the worst are."""
-WORST = 10
+MAX_LISTED_GRASPS = 40
+"""Largest number of grasps that are all listed by default; of more, only the worst are."""
+NUM_WORST_GRASPS = 10
+"""Number of worst grasps that are listed."""
 
 _COLORS = {
     Status.CONVERGED: "green",
@@ -32,33 +33,33 @@ _COLORS = {
     Status.UNREACHABLE: "red",
     Status.INVALID: "red",
 }
-NEGLIGIBLE = 1e-5
-"""Errors and depths below this (metres) are not worth mentioning."""
+NEGLIGIBLE_DISTANCE_M = 1e-5
+"""Errors and depths below this (metres) are not reported."""
 
-BALANCED = 1e-3
-"""Wrench residuals below this are not worth mentioning."""
+NEGLIGIBLE_RESIDUAL = 1e-3
+"""Wrench residuals below this are not reported."""
 
-MANY = 12
-"""Most grasps of an object that are listed by number in a line."""
+MAX_NUMBERED_GRASPS = 12
+"""Largest number of grasps of an object that are listed by number in a line."""
 
-NONE = "-"
-"""Stands for what there is none of."""
+NO_VALUE = "-"
+"""Text of a missing value."""
 
 
 def grasp_table(
     outcome: Outcome, hand: str, config: Config, simulated: SimulatedGrasps | None = None, *, verbose: bool = False
 ) -> RenderableType:
-    """Tables of all grasps by object, medians, and a verdict; of many grasps only the worst, unless `verbose`.
+    """Return tables of all grasps by object, medians, and a verdict; of many grasps only the worst, unless `verbose`.
 
-    The verdict on each is whether it held, where it was simulated; else, where grasps were made to hold, what their
-    quality lets expect; elsewhere it is how the refinement ended.
+    The verdict on each is whether it held, where it was simulated; else, where grasps were made to hold, the estimate
+    by quality; elsewhere it is the status of the refinement.
 
     Args:
         outcome: The grasps before and after.
-        hand: The hand's name.
-        config: How they were refined.
+        hand: Name of the hand.
+        config: Settings of the refinement.
         simulated: The same grasps in simulation; None: not simulated.
-        verbose: Whether all are listed.
+        verbose: Whether all grasps are listed.
     """
     holds, held = made_to_hold(outcome, config), None if simulated is None else simulated.held
     objects = list(dict.fromkeys(outcome.object.tolist()))
@@ -79,18 +80,18 @@ def grasp_table(
     if simulated is not None:
         lines = [simulation_lines(simulated, outcome.quality), *lines]
     parts += [line for part in lines for line in part]
-    return Group(*parts, *_account(outcome), *([] if simulated is None else [closings_line(simulated)]))
+    return Group(*parts, *_summary_lines(outcome), *([] if simulated is None else [closings_line(simulated)]))
 
 
 def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | None, verbose: bool) -> Table:
     shown, title = np.arange(len(outcome)), f"{what}: {count_text(len(outcome), 'grasp')}"
-    if len(outcome) > LONGEST and not verbose:
-        # Grasps without a result come first, then those that did not hold, then the farthest from what was wanted.
+    if len(outcome) > MAX_LISTED_GRASPS and not verbose:
+        # Grasps without a result come first, then those that did not hold, then the largest errors.
         errors = np.fmax(outcome.worst_error[:, 1], outcome.penetration[:, 1])
         badness = -outcome.quality[:, 1] if holds else errors
         good = np.zeros(len(outcome)) if held is None else held[:, 1]
-        shown = np.lexsort((-np.nan_to_num(badness), good, outcome.usable))[:WORST]
-        title += f", the worst {WORST} (--verbose: all)"
+        shown = np.lexsort((-np.nan_to_num(badness), good, outcome.usable))[:NUM_WORST_GRASPS]
+        title += f", the worst {NUM_WORST_GRASPS} (--verbose: all)"
     table = _table(title, " held in\n simulation" if held is not None else "\n estimate" if holds else "\n status")
     for i in shown:
         table.add_row(*_row(outcome, int(i), holds, held))
@@ -101,7 +102,7 @@ def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | N
 
 
 def plain_table(title: str, between: int = 1) -> Table:
-    """An empty table with one rule below its heads, and so much space more than one between its columns."""
+    """Return an empty table with one rule below its heads, and `between` further spaces between its columns."""
     return Table(
         title=escape(title),
         title_justify="left",
@@ -133,12 +134,12 @@ def _row(outcome: Outcome, i: int, holds: bool, held: np.ndarray | None) -> list
         _moved(outcome.palm_m[i], outcome.palm_rad[i]),
         number_text(np.degrees(outcome.joints_rad[i]), 1),
         _graded(outcome.quality[i]),
-        Text(" ").append(_said(outcome, i, holds, held)),
+        Text(" ").append(_verdict(outcome, i, holds, held)),
     ]
 
 
-def _said(outcome: Outcome, i: int, holds: bool, held: np.ndarray | None) -> Text:
-    """The verdict on a grasp; see `grasp_table`."""
+def _verdict(outcome: Outcome, i: int, holds: bool, held: np.ndarray | None) -> Text:
+    """Return the verdict on a grasp; see `grasp_table`."""
     status = Status(outcome.status[i])
     if held is not None:
         before, after = ("yes" if each else "no" for each in held[i])
@@ -150,7 +151,7 @@ def _said(outcome: Outcome, i: int, holds: bool, held: np.ndarray | None) -> Tex
 
 
 def _add_summary(table: Table, outcome: Outcome) -> None:
-    """Rows of medians and of worst values."""
+    """Add rows of medians and of worst values."""
     for word, of, of_quality in (("median", np.median, np.median), ("worst", np.max, np.min)):
         table.add_row(
             word,
@@ -164,14 +165,14 @@ def _add_summary(table: Table, outcome: Outcome) -> None:
 
 
 def _over(of: Callable[..., Any], values: np.ndarray) -> Any:
-    """A statistic over the grasps that have a value, a number or one per column; NaN where none has."""
+    """Return a statistic over the grasps that have a value, a number or one per column; NaN where none has."""
     columns = values.reshape(len(values), -1).T
     kept = [column[~np.isnan(column)] for column in columns.astype(float)]
     return np.array([of(column) if len(column) else np.nan for column in kept]).reshape(values.shape[1:])[()]
 
 
 def _holding(outcome: Outcome, config: Config, held: np.ndarray | None) -> list[Text]:
-    """What quality lets expect, where nothing was simulated, and what can be done about grasps that may slip."""
+    """Return lines on the estimate by quality, where nothing was simulated, and advice on grasps that may slip."""
     before, after = (should_hold(quality) for quality in outcome.quality.T)
     slips, how = outcome.usable & ~after, "may slip"
     lines = []
@@ -181,12 +182,14 @@ def _holding(outcome: Outcome, config: Config, held: np.ndarray | None) -> list[
         slips, how = slips & ~held[:, 1], f"did not hold and {'has' if slips.sum() == 1 else 'have'} a low quality"
     if slips.any():
         advice = slip_advice(outcome, config)
-        lines.append(Text.assemble((f"{slips.sum()} {how}", "yellow"), f"{_which(outcome, slips)}: {advice}"))
+        lines.append(
+            Text.assemble((f"{slips.sum()} {how}", "yellow"), f"{_numbers_in_brackets(outcome, slips)}: {advice}")
+        )
     return lines
 
 
 def _converged(outcome: Outcome, config: Config) -> list[Text]:
-    """How many converged, and what can be done about the others."""
+    """Return lines on the number of converged grasps, and advice on the others."""
     converged = int((outcome.status == Status.CONVERGED).sum())
     color = "green" if converged == len(outcome) else "yellow"
     lines = [Text.assemble((f"{converged} of {count_text(len(outcome), 'grasp')} converged", color))]
@@ -194,23 +197,23 @@ def _converged(outcome: Outcome, config: Config) -> list[Text]:
         count = int((outcome.status == status).sum())
         advice = status_advice(status, outcome, config)
         if count and advice:
-            which = _which(outcome, outcome.status == status)
-            lines.append(Text.assemble((f"{count} {status.label}", _COLORS[status]), f"{which}: {advice}"))
+            numbers = _numbers_in_brackets(outcome, outcome.status == status)
+            lines.append(Text.assemble((f"{count} {status.label}", _COLORS[status]), f"{numbers}: {advice}"))
     return lines
 
 
-def _which(outcome: Outcome, which: np.ndarray) -> str:
-    """Which grasps, in brackets, unless they are many."""
-    return f" ({numbers_text(outcome.object, outcome.index, which)})" if which.sum() <= MANY else ""
+def _numbers_in_brackets(outcome: Outcome, which: np.ndarray) -> str:
+    """Return the numbers of some grasps in brackets, unless they are many."""
+    return f" ({numbers_text(outcome.object, outcome.index, which)})" if which.sum() <= MAX_NUMBERED_GRASPS else ""
 
 
-def _account(outcome: Outcome) -> list[Text]:
-    """What became better, and what it cost."""
+def _summary_lines(outcome: Outcome) -> list[Text]:
+    """Return lines on improved measures, and on the cost."""
     measures = (
-        ("wrench residual", outcome.wrench_residual, BALANCED, 1.0, ""),
-        ("contact error", outcome.worst_error, NEGLIGIBLE, 1e3, " mm"),
-        ("penetration", outcome.penetration, NEGLIGIBLE, 1e3, " mm"),
-        ("self-penetration", outcome.self_penetration, NEGLIGIBLE, 1e3, " mm"),
+        ("wrench residual", outcome.wrench_residual, NEGLIGIBLE_RESIDUAL, 1.0, ""),
+        ("contact error", outcome.worst_error, NEGLIGIBLE_DISTANCE_M, 1e3, " mm"),
+        ("penetration", outcome.penetration, NEGLIGIBLE_DISTANCE_M, 1e3, " mm"),
+        ("self-penetration", outcome.self_penetration, NEGLIGIBLE_DISTANCE_M, 1e3, " mm"),
     )
     changes = [
         _improvement(name, values[outcome.usable], least, factor, unit)
@@ -219,32 +222,32 @@ def _account(outcome: Outcome) -> list[Text]:
     lines = [Text(change) for change in changes if change]
     starts = [] if (outcome.starts <= 1).all() else [(outcome.starts, "starts", "{:.0f}".format)]
     costs = (*starts, (outcome.iterations, "iterations", "{:.0f}".format), (outcome.wall_s, "", _seconds))
-    told = (f"{say(_over(np.median, values))} / {say(values.max())} {unit}".rstrip() for values, unit, say in costs)
-    return [*lines, Text(f"a grasp took {', '.join(told)} (median / most)")]
+    parts = (f"{text(_over(np.median, values))} / {text(values.max())} {unit}".rstrip() for values, unit, text in costs)
+    return [*lines, Text(f"a grasp took {', '.join(parts)} (median / most)")]
 
 
 def _improvement(name: str, values: np.ndarray, negligible: float, factor: float, unit: str) -> str:
-    """In how many grasps a measure (N, 2) fell or rose, if it was or is anywhere worth mentioning."""
+    """Return text on the number of grasps in which a measure (N, 2) fell or rose; empty if it is negligible in all."""
     known = values[np.isfinite(values).all(axis=1)]
     relevant = known[(known > negligible).any(axis=1)]
     if not len(relevant):
         return ""
     change = relevant[:, 1] - relevant[:, 0]
     counts = (("fell", int((change < 0).sum())), ("rose", int((change > 0).sum())))
-    said = " and ".join(f"{verb} in {count}" for verb, count in counts if count) or "stayed in 0"
+    text = " and ".join(f"{verb} in {count}" for verb, count in counts if count) or "stayed in 0"
     mean = " → ".join(number_text(value * factor, 3) for value in known.mean(axis=0))
-    return f"{name} {said} of {count_text(len(relevant), 'grasp')} with any; mean {mean}{unit}"
+    return f"{name} {text} of {count_text(len(relevant), 'grasp')} with any; mean {mean}{unit}"
 
 
 def numbers_text(objects: np.ndarray, index: np.ndarray, which: np.ndarray) -> str:
-    """Which grasps (N,): their numbers, of many the first ones; by object where there are several."""
+    """Return the numbers of grasps (N,) as text, of many the first ones; by object where there are several."""
     names = list(dict.fromkeys(objects.tolist()))
     parts = []
     for name in names:
         numbers = [str(number) for number in index[which & (objects == name)]]
         if numbers:
-            more = f" and {len(numbers) - MANY} more" if len(numbers) > MANY else ""
-            parts.append((f"{name} " if len(names) > 1 else "") + ", ".join(numbers[:MANY]) + more)
+            more = f" and {len(numbers) - MAX_NUMBERED_GRASPS} more" if len(numbers) > MAX_NUMBERED_GRASPS else ""
+            parts.append((f"{name} " if len(names) > 1 else "") + ", ".join(numbers[:MAX_NUMBERED_GRASPS]) + more)
     return "; ".join(parts)
 
 
@@ -254,7 +257,7 @@ def _change(values: np.ndarray) -> str:
 
 
 def _graded(values: np.ndarray) -> Text:
-    """Quality before and after, coloured by whether the grasp should hold."""
+    """Return quality before and after, coloured by whether the grasp should hold."""
     before, after = (number_text(value, 3) for value in values)
     return Text.assemble(f"{before:>5} → ", (f"{after:<5}", "green" if should_hold(values)[1] else "yellow"))
 
@@ -264,8 +267,8 @@ def _moved(metres: float, radians: float) -> str:
 
 
 def number_text(value: float, digits: int) -> str:
-    """A number with so many digits after the point, or what stands for none."""
-    return f"{value:.{digits}f}" if np.isfinite(value) else NONE
+    """Return a number with `digits` after the point, or `NO_VALUE` where it is not finite."""
+    return f"{value:.{digits}f}" if np.isfinite(value) else NO_VALUE
 
 
 def _seconds(value: float) -> str:

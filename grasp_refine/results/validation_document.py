@@ -1,4 +1,4 @@
-"""The JSON document of validated grasps, and the same as a flat table for CSV and Parquet; SI units."""
+"""JSON document of validated grasps, and its flat table for CSV and Parquet; SI units."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.validate import Validated
 
 QUANTILES = {0.5: "median", 0.9: "90 %", 1.0: "worst"}
-"""Which quantiles of displacements are told, and what they are called."""
+"""Reported quantiles of displacements -> name."""
 
-ABSENT = ("status", "advice", "iterations", "queries", "contact_error_m", "moved", "starts")
-"""Keys of the entries of `run` that validation has nothing to say about."""
+REFINEMENT_KEYS = ("status", "advice", "iterations", "queries", "contact_error_m", "moved", "starts")
+"""Keys of the entries of `run` that are null in validations."""
 
-TABLES = (".csv", ".parquet")
-"""Endings of the names of flat tables."""
+TABLE_SUFFIXES = (".csv", ".parquet")
+"""Suffixes of the files of flat tables."""
 
 
 def validate_document(
@@ -39,15 +39,15 @@ def validate_document(
     seed: int,
     times: Mapping[str, float],
 ) -> dict[str, Any]:
-    """The document of `validate`: totals, and one entry per grasp.
+    """Return the document of `validate`: totals, and one entry per grasp.
 
     Args:
         parts: The grasps of each file.
         files: The files.
-        protocol: How they were simulated; None: they were not.
-        frictions: Coefficients of friction that were tried beside that of the protocol.
+        protocol: Protocol of the simulation; None: not simulated.
+        frictions: Coefficients of friction beside that of the protocol.
         config: All settings.
-        seed: Seed of everything that was drawn.
+        seed: Seed of all random numbers.
         times: Seconds by key: `wall_s` and `cpu_s` of the whole command, and parts of it.
     """
     validated = Validated.join(list(parts))
@@ -82,7 +82,7 @@ def validate_document(
 
 
 def _grasp(validated: Validated, i: int, protocol: Protocol | None, frictions: Sequence[float]) -> dict[str, Any]:
-    """An entry like those of `run`: what is measured stands under "after", and "before" is null."""
+    """Return an entry like those of `run`: measures are under "after", and "before" is null."""
     metrics = validated.metrics
 
     def after(value: Any) -> dict[str, Any]:
@@ -94,16 +94,16 @@ def _grasp(validated: Validated, i: int, protocol: Protocol | None, frictions: S
         "object": validated.object[i],
         "scale": validated.scale[i],
         # Validation refines nothing.
-        **dict.fromkeys(ABSENT),
+        **dict.fromkeys(REFINEMENT_KEYS),
         "wall_s": validated.wall_s[i],
         "cpu_s": validated.cpu_s[i],
         "contact_distance_m": after(metrics.contact_distance_m[i]),
-        "contact_number": after(_whole(metrics.contact_number[i])),
+        "contact_number": after(_integer(metrics.contact_number[i])),
         "penetration_m": after(metrics.penetration_m[i]),
         "self_penetration_m": after(metrics.self_penetration_m[i]),
         "wrench_residual": after(metrics.wrench_residual[i]),
         "quality": after(metrics.quality[i]),
-        "limits_violated": _whole(metrics.limits_violated[i]),
+        "limits_violated": _integer(metrics.limits_violated[i]),
         "simulation": after(_simulation(validated, i, protocol, frictions)),
     }
 
@@ -111,7 +111,7 @@ def _grasp(validated: Validated, i: int, protocol: Protocol | None, frictions: S
 def _simulation(
     validated: Validated, i: int, protocol: Protocol | None, frictions: Sequence[float]
 ) -> dict[str, Any] | None:
-    """What simulation says of one grasp; None where there was none."""
+    """Return the simulation of one grasp; None where there was none."""
     if validated.trials is None or protocol is None:
         return None
     return {
@@ -128,7 +128,7 @@ def _simulation(
 def flat_rows(
     parts: Sequence[Validated], files: Sequence[Path], protocol: Protocol | None, frictions: Sequence[float]
 ) -> list[dict[str, Any]]:
-    """One flat row per grasp: the entries of the document, without those of single directions."""
+    """Return one flat row per grasp: the entries of the document, without those of single directions."""
     rows = []
     entries = (
         {"file": str(path), **_grasp(part, i, protocol, frictions)}
@@ -137,7 +137,7 @@ def flat_rows(
     )
     for entry in entries:
         row = {key: value["after"] if isinstance(value, dict) else value for key, value in entry.items()}
-        row = {key: value for key, value in row.items() if key not in ABSENT}
+        row = {key: value for key, value in row.items() if key not in REFINEMENT_KEYS}
         simulation = row.pop("simulation") or {}
         simulation.pop("directions", None)
         for key, value in simulation.items():
@@ -149,14 +149,14 @@ def flat_rows(
 
 
 def _quantiles(validated: Validated, field: str) -> dict[str, float] | None:
-    """How far the objects of grasps that held were away at most."""
+    """Return quantiles of the largest displacements of the objects of grasps that held."""
     if validated.trials is None or not validated.success.any():
         return None
     most = getattr(validated.trials, field)[validated.success].max(axis=1)
     return {f"{q:g}": float(np.quantile(most, q)) for q in QUANTILES}
 
 
-def _whole(value: float) -> int | None:
+def _integer(value: float) -> int | None:
     return int(value) if np.isfinite(value) else None
 
 
@@ -166,13 +166,13 @@ def _scalar(value: Any) -> Any:
 
 
 def check_table(path: Path) -> None:
-    """Nothing, when a flat table can be written under this name.
+    """Refuse a path that no flat table can be written to.
 
     Raises:
         GraspRefineError: another ending, or Parquet without pyarrow.
     """
-    if path.suffix.lower() not in TABLES:
-        raise GraspRefineError(f"{path}: a table of grasps ends with {' or '.join(TABLES)}")
+    if path.suffix.lower() not in TABLE_SUFFIXES:
+        raise GraspRefineError(f"{path}: a table of grasps ends with {' or '.join(TABLE_SUFFIXES)}")
     if path.suffix.lower() == ".parquet":
         try:
             import pyarrow.parquet  # noqa: F401
@@ -183,9 +183,9 @@ def check_table(path: Path) -> None:
 
 
 def save_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write flat rows as CSV or Parquet, by the ending of the name; whole or not at all.
+    """Write flat rows as CSV or Parquet, by the suffix; the file appears whole or not at all.
 
-    Texts of a CSV are no formulas of a spreadsheet, as `to_cell` has them.
+    Text in a CSV is never a formula of a spreadsheet; see `to_cell`.
 
     Raises:
         GraspRefineError: the file cannot be written.

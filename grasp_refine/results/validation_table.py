@@ -1,4 +1,4 @@
-"""The tables that a person reads after a validation: what held, what failed and why, before and after."""
+"""Tables for people after a validation: grasps that held, failures with their reasons, before and after."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from rich.text import Text
 
 from grasp_refine.core.plurals import count_text
 from grasp_refine.results.simulated import reason_lines
-from grasp_refine.results.table import LONGEST, WORST, number_text, numbers_text, plain_table
+from grasp_refine.results.table import MAX_LISTED_GRASPS, NUM_WORST_GRASPS, number_text, numbers_text, plain_table
 from grasp_refine.results.validation_document import QUANTILES
 from grasp_refine.results.verdict import Agreement, estimate_line, held_line, should_hold
-from grasp_refine.validation.metrics import NEAR, Metrics
+from grasp_refine.validation.metrics import CONTACT_DISTANCE_M, Metrics
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Reason
-from grasp_refine.validation.validate import BARELY, ENOUGH, Validated
+from grasp_refine.validation.validate import BARELY, MIN_CONTACT_LINKS, Validated
 
-_FEW = 3
-"""Most directions that are named in a cell."""
+_MAX_DIRECTIONS = 3
+"""Largest number of directions that are named in a cell."""
 
 
 def validation_table(
     validated: Validated, hand: str, protocol: Protocol | None, frictions: Sequence[float], *, verbose: bool = False
 ) -> RenderableType:
-    """Tables of all grasps by object and a verdict; of many grasps only those that failed first, unless `verbose`."""
+    """Return tables of all grasps by object and a verdict; of many grasps only the worst, unless `verbose`."""
     parts: list[RenderableType] = []
     names = list(dict.fromkeys(validated.object.tolist()))
     for name in names:
@@ -39,7 +39,7 @@ def validation_table(
 
 
 def comparison_table(before: Validated, after: Validated, hand: str, protocol: Protocol | None) -> RenderableType:
-    """What changed between two validations of the same grasps, in the mean and in the verdicts."""
+    """Return the changes between two validations of the same grasps, in the mean and in the verdicts."""
     table = plain_table(f"{hand}: {count_text(len(after), 'grasp')}, before → after")
     table.add_column("")
     for column in ("before", "after", "better in", "worse in"):
@@ -94,9 +94,9 @@ def _object_table(validated: Validated, what: str, protocol: Protocol | None, ve
         title += f", {protocol.name}, friction {protocol.friction:g}"
         if protocol.checks != Protocol.checks:
             title += f", pushes of {protocol.checks * protocol.steps_per_check * protocol.timestep:g} s"
-    if len(validated) > LONGEST and not verbose:
-        shown = np.argsort(-_badness(validated), kind="stable")[:WORST]
-        title += f", the worst {WORST} (--verbose: all)"
+    if len(validated) > MAX_LISTED_GRASPS and not verbose:
+        shown = np.argsort(-_badness(validated), kind="stable")[:NUM_WORST_GRASPS]
+        title += f", the worst {NUM_WORST_GRASPS} (--verbose: all)"
     table = plain_table(title, between=0)
     columns = _measures(validated.metrics, simulated=protocol is not None)
     for head in ("\n grasp", *(head for head, *_ in columns)):
@@ -116,7 +116,7 @@ def _object_table(validated: Validated, what: str, protocol: Protocol | None, ve
 
 
 def _badness(validated: Validated) -> np.ndarray:
-    """Failures first, then by how far the object moved; without simulation by quality."""
+    """Return sort keys: failures first, then by displacement of the object; without simulation by quality."""
     if validated.trials is None:
         return -np.nan_to_num(validated.metrics.quality, nan=-1.0)
     moved = np.nan_to_num(validated.trials.displacement_m.max(axis=1), nan=1e3)
@@ -124,7 +124,7 @@ def _badness(validated: Validated) -> np.ndarray:
 
 
 def _measures(metrics: Metrics, *, simulated: bool) -> list[tuple[str, np.ndarray, float, int]]:
-    """Columns of measures: head, values, factor and digits; beside a simulation there is no room for all."""
+    """Return columns of measures: head, values, factor and digits; beside a simulation not all fit."""
     return [
         ("penetr.\nmm", metrics.penetration_m, 1e3, 2),
         (" self\nmm", metrics.self_penetration_m, 1e3, 2),
@@ -136,7 +136,7 @@ def _measures(metrics: Metrics, *, simulated: bool) -> list[tuple[str, np.ndarra
 
 
 def _simulated(validated: Validated, i: int, protocol: Protocol | None) -> list[RenderableType]:
-    """Cells on what simulation says of a grasp; none without one."""
+    """Return cells on the simulation of a grasp; none without one."""
     trials = validated.trials
     if protocol is None or trials is None:
         return []
@@ -174,7 +174,7 @@ def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
         return Text(f" {reason.label}", "red")
     count = len(trials.directions)
     where = " ".join(trials.directions[d] for d in failed)
-    if len(failed) > _FEW:
+    if len(failed) > _MAX_DIRECTIONS:
         where = f"all {count}" if len(failed) == count else f"{len(failed)} of {count}"
     return Text(
         f" {reason.label} {where}, {trials.time_s[i, worst]:.1f} s, {trials.contacts[i, worst].sum()} left", "red"
@@ -220,7 +220,7 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
         )
     squeezed = validated.by_squeeze
     if squeezed.any():
-        near = f"fewer than {ENOUGH} links within {NEAR * 1e3:g} mm of the object before it"
+        near = f"fewer than {MIN_CONTACT_LINKS} links within {CONTACT_DISTANCE_M * 1e3:g} mm of the object before it"
         how = near if validated.unsqueezed is None else "fails without"
         perhaps = "perhaps " if validated.unsqueezed is None else ""
         lines.append(
@@ -239,7 +239,7 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
 
 
 def _by_squeeze(validated: Validated) -> str:
-    """The flag: a guess, unless it was tried."""
+    """Return the flag of grasps that held by the squeeze, a guess unless it was simulated."""
     return "by the squeeze" + ("?" if validated.unsqueezed is None else "")
 
 

@@ -1,4 +1,4 @@
-"""What quality, an estimate, and simulation say of grasps, and what a user can do about those that may slip."""
+"""Verdicts on grasps by quality, which is an estimate, and by simulation, with advice on those that may slip."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 
 HOLDS = 1.0 / (1.0 + GOOD_QUALITY)
-"""A grasp of this quality or better should hold."""
+"""Quality from which on a grasp should hold."""
 
 BAR = f"{HOLDS:.3f} or more"
-"""The same in words."""
+"""`HOLDS` in words."""
 
 
 def should_hold(quality: Float[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
-    """Which grasps (N,) should hold; those without a quality should not."""
+    """Return True where a grasp (N,) should hold; False without a quality."""
     return np.nan_to_num(quality) >= HOLDS
 
 
 def made_to_hold(outcome: Outcome, config: Config) -> bool:
-    """Whether the refinement was to make grasps hold, and not just to touch, or to reach targets."""
+    """Return True if the refinement was to make grasps hold, and not only to touch, or to reach targets."""
     return config.holds and not outcome.aimed.any()
 
 
 def slip_advice(outcome: Outcome, config: Config) -> str:
-    """What a user can do about grasps that may slip."""
+    """Return advice on grasps that may slip."""
     if made_to_hold(outcome, config):
         ways = ["more --starts"]
         if config.max_move != MaxMove():
@@ -44,14 +44,14 @@ def slip_advice(outcome: Outcome, config: Config) -> str:
             ways.append("more --seconds")
         return f"try {', '.join(ways)}, or other grasps"
     if outcome.aimed.any():
-        return "links touch where the targets say; without targets, forces are balanced too"
+        return "links touch at the targets; without targets, forces are balanced too"
     if isinstance(config.solver, LevenbergMarquardt):
         return "only their geometry was refined, forces were not balanced"
     return f"forces are balanced with --solver levenberg-marquardt only, {type(config.solver).__name__.lower()} cannot"
 
 
 def status_advice(status: Status, outcome: Outcome, config: Config) -> str:
-    """What a user can do about a refinement that ended so; empty when there is nothing to do."""
+    """Return advice on a refinement with this status; empty when there is nothing to do."""
     if status == Status.BUDGET and isfinite(config.seconds):
         return "the time or the iterations ran out while the loss still fell: raise --seconds, or refine it again"
     if status == Status.BUDGET and made_to_hold(outcome, config) and config.solver.iterations >= CLOSE.iterations:
@@ -62,7 +62,7 @@ def status_advice(status: Status, outcome: Outcome, config: Config) -> str:
 
 
 def advice(outcome: Outcome, config: Config) -> list[str]:
-    """What a user can do about each of N grasps."""
+    """Return advice on each of N grasps."""
     slips = outcome.usable & ~should_hold(outcome.quality[:, 1]) & made_to_hold(outcome, config)
     parts = (
         (status_advice(Status(status), outcome, config), f"may slip: {slip_advice(outcome, config)}" if slip else "")
@@ -72,53 +72,53 @@ def advice(outcome: Outcome, config: Config) -> list[str]:
 
 
 def estimate_line(good: int, before: int | None, count: int) -> Text:
-    """How many of so many grasps have a quality of `HOLDS` or more, now and, if known, before; nothing is simulated."""
+    """Return a line on the number of `count` grasps with a quality of `HOLDS` or more, now and, if known, before."""
     color = "green" if good == count else "yellow"
-    said = f"{'' if before is None else f'{whole(before)} → '}{whole(good)} of {whole(count)}"
+    numbers = f"{'' if before is None else f'{whole(before)} → '}{whole(good)} of {whole(count)}"
     hint = "" if before is None else "; --validate simulates"
-    return Text.assemble(f"quality {BAR} (an estimate): ", (said, color), hint)
+    return Text.assemble(f"quality {BAR} (an estimate): ", (numbers, color), hint)
 
 
 def held_line(setting: str, held: tuple[int, int], gained: int, lost: int, count: int) -> Text:
-    """How many of so many grasps held in simulation before and after; gained and lost are those that changed."""
+    """Return a line on the number of `count` grasps that held in simulation, before and after, gained and lost."""
     color = "green" if held[1] >= held[0] else "red"
     how = f" ({setting})" if setting else ""
-    said = f"held in simulation{how}: {whole(held[0])} → {whole(held[1])} of {whole(count)}"
-    return Text.assemble((said, color), f"; gained {whole(gained)}, lost {whole(lost)}")
+    text = f"held in simulation{how}: {whole(held[0])} → {whole(held[1])} of {whole(count)}"
+    return Text.assemble((text, color), f"; gained {whole(gained)}, lost {whole(lost)}")
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far quality and simulation say the same of some grasps."""
+    """Agreement of quality and simulation on some grasps."""
 
     good: int = 0
-    """Grasps with a quality of `HOLDS` or more."""
+    """Number of grasps with a quality of `HOLDS` or more."""
     good_held: int = 0
-    """Those of them that held in simulation."""
+    """Number of these that held in simulation."""
     others: int = 0
-    """Grasps with less, or without a quality."""
+    """Number of grasps with a lower quality, or without one."""
     others_held: int = 0
-    """Those of them that held all the same."""
+    """Number of these that held in simulation."""
 
     @staticmethod
     def of(good: Bool[np.ndarray, " N"], held: Bool[np.ndarray, " N"]) -> Agreement:
-        """Of N grasps: which have a quality of `HOLDS` or more, and which held."""
+        """Return the agreement on N grasps, given which have a quality of `HOLDS` or more, and which held."""
         counts = (good, good & held, ~good, ~good & held)
         return Agreement(*(int(count.sum()) for count in counts))
 
     def __add__(self, other: Agreement) -> Agreement:
-        """Return that of the grasps of both."""
+        """Return the agreement on the grasps of both."""
         return Agreement(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
     def line(self, when: str = "") -> Text:
-        """The same in words, such as: before, quality 0.952 or more (an estimate): 0 of 4; 2 of the 4 others held."""
-        said = f"{when}quality {BAR} (an estimate): {whole(self.good)} of {whole(self.good + self.others)}"
+        """Return the agreement in words, such as: quality 0.952 or more (an estimate): 1 of 4, which held."""
+        text = f"{when}quality {BAR} (an estimate): {whole(self.good)} of {whole(self.good + self.others)}"
         failed = self.good - self.good_held
         if self.good:
             which = "which" if self.good == 1 else f"{whole(failed)} of which" if failed else "all of which"
-            said += f", {which} {'did not hold' if failed else 'held'}"
+            text += f", {which} {'did not hold' if failed else 'held'}"
         if self.others == 1:
-            said += f"; the other {'held' if self.others_held else 'did not hold'}"
+            text += f"; the other {'held' if self.others_held else 'did not hold'}"
         elif self.others:
-            said += f"; {whole(self.others_held)} of the {whole(self.others)} others held"
-        return Text(said)
+            text += f"; {whole(self.others_held)} of the {whole(self.others)} others held"
+        return Text(text)

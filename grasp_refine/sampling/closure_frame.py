@@ -1,4 +1,4 @@
-"""How a hand grips, found out from its kinematics: which joints close it, and where its fingers meet."""
+"""Closure frame of a hand, from its kinematics: the joints that close it, and the centre between its fingers."""
 
 from __future__ import annotations
 
@@ -14,51 +14,51 @@ from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, Joint
 from grasp_refine.scene.contact_selection import PALM, link_groups
 
-PARALLEL = 0.7
-"""Cosine between the axes of two joints of a finger above which both bend it."""
+MIN_PARALLEL_COSINE = 0.7
+"""Least cosine between the axes of two joints of a finger that both bend it."""
 
-SPAN = 0.9
-"""Share of the range of its joints over which it is judged which way a finger closes."""
+CLOSING_RANGE_SHARE = 0.9
+"""Share of the range of its joints over which the closing direction of a finger is found."""
 
-CURL = 0.1
-"""Share of its length by which a finger that curls gets shorter over it, at least."""
+MIN_CURL_SHARE = 0.1
+"""Least share of its length by which a finger that curls gets shorter over that range."""
 
-ALL_AROUND = 0.05
-"""Length of the mean of the directions in which the palm is seen, below which it lies all around."""
+MIN_MEAN_DIRECTION = 0.05
+"""Length of the mean of the directions in which the palm is seen, below which it lies on all sides."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClosureFrame:
-    """Where a hand holds things, in the frame of its base link, and how its n independent joints close it."""
+    """Centre and axes of the grasps of a hand, in the frame of its base link, and closing motion of its n joints."""
 
     center: Float[np.ndarray, " 3"]
-    """Centre (3,) of the smallest ball around the fingertips at rest, in metres: where things are held."""
+    """Centre (3,) of the smallest sphere around the fingertips at rest, in metres: where objects are held."""
     radius: float
-    """Radius of that ball, in metres."""
+    """Radius of that sphere, in metres."""
     approach: Float[np.ndarray, " 3"]
-    """Unit vector (3,) from the palm to the centre, the way in which the hand comes."""
+    """Unit vector (3,) from the palm to the centre, the direction in which the hand approaches."""
     across: Float[np.ndarray, " 3"]
-    """Unit vector (3,) at a right angle to `approach`, the way in which fingertips move when the hand closes."""
+    """Unit vector (3,) at a right angle to `approach`, the direction in which fingertips move when the hand closes."""
     closing: Float[np.ndarray, " n"]
-    """1 or -1: a joint that bends a finger, whose values rise or fall as this closes; 0: any other."""
+    """1 or -1 for an independent joint that bends a finger: its values rise or fall as this closes; 0 for others."""
     spreading: Bool[np.ndarray, " n"]
-    """Joints (n,) of fingers that do not bend them, but spread or oppose them."""
+    """Mask (n,) of joints of fingers that do not bend them, but spread or oppose them."""
     lower: Float[np.ndarray, " n"]
     """Lower limits (n,), those of continuous joints a quarter turn from rest, in rad or m."""
     upper: Float[np.ndarray, " n"]
-    """Upper limits (n,) likewise."""
+    """Upper limits (n,), those of continuous joints a quarter turn from rest, in rad or m."""
     opened: Float[np.ndarray, " n"]
     """Joint values (n,) at which the fingers are open as far as they go, in rad or m."""
     opening: float
-    """Diameter of the smallest ball around the fingertips then, in metres."""
+    """Diameter of the smallest sphere around the fingertips then, in metres."""
 
 
 def closure_frame(hand: Hand) -> ClosureFrame:
-    """The grip of a hand, as it is around its rest pose.
+    """The closure frame of a hand around its rest pose.
 
-    The last joint of a finger bends it, and so do those above that are parallel to it. They close it the way in which
-    it curls, that is in which its tip comes nearer to its knuckle, or, of a finger that keeps its length, to the
-    centre of all tips. Joints that carry all fingers are a wrist's, and left alone.
+    The last joint of a finger bends it, and so do those above that are parallel to it. They close it in the
+    direction in which it curls, that is in which its tip approaches its knuckle, or, for a finger that keeps its
+    length, the centre of all tips. Joints that carry all fingers belong to a wrist and are left out.
 
     Raises:
         HandError: no joint of the hand moves a link that is meant to touch.
@@ -74,18 +74,18 @@ def closure_frame(hand: Hand) -> ClosureFrame:
         points = transform_points(T, np.array([_pad(hand, i) for i in range(len(hand.contacts))]))
         return np.stack([points[:, contacts].mean(axis=1) for contacts, _ in fingers], axis=1)
 
-    def ball(q: np.ndarray) -> tuple[np.ndarray, float]:
+    def tip_sphere(q: np.ndarray) -> tuple[np.ndarray, float]:
         points = tips(q[None])[0]
         # A single finger closes against the rest of the hand.
         return _smallest_sphere(points if len(points) > 1 else np.append(points, [palm.mean(axis=0)], axis=0))
 
-    center, radius = ball(hand.rest)
+    center, radius = tip_sphere(hand.rest)
     lower = np.where(np.isfinite(hand.lower), hand.lower, hand.rest - 0.5 * np.pi)
     upper = np.where(np.isfinite(hand.upper), hand.upper, hand.rest + 0.5 * np.pi)
     moves, bends, knuckle = (
         np.array(each) for each in zip(*(_bending(hand, path) for _, path in fingers), strict=True)
     )
-    middle, span = 0.5 * (lower + upper), 0.5 * SPAN * (upper - lower) * bends
+    middle, span = 0.5 * (lower + upper), 0.5 * CLOSING_RANGE_SHARE * (upper - lower) * bends
     own = np.arange(len(fingers))
     before, after = (tips(np.where(bends == 0, hand.rest, at))[own, own] for at in (middle - span, middle + span))
     length, to_center = (
@@ -93,7 +93,7 @@ def closure_frame(hand: Hand) -> ClosureFrame:
     )
     curl = length[0] - length[1]
     slides = np.array([path[0].kind == "prismatic" for _, path in fingers])
-    stiff = slides | (np.abs(curl) < CURL * np.maximum(*length))
+    stiff = slides | (np.abs(curl) < MIN_CURL_SHARE * np.maximum(*length))
     closing = np.sign(np.where(stiff, to_center[0] - to_center[1], curl) @ bends)
 
     approach = _away_from(palm, facing, center)
@@ -104,13 +104,13 @@ def closure_frame(hand: Hand) -> ClosureFrame:
         center=center,
         radius=radius,
         approach=approach,
-        across=_most(moved, tangents(approach)),
+        across=_main_direction(moved, tangents(approach)),
         closing=closing,
         spreading=moves.any(axis=0) & (closing == 0),
         lower=lower,
         upper=upper,
         opened=opened,
-        opening=2.0 * ball(opened)[1],
+        opening=2.0 * tip_sphere(opened)[1],
     )
 
 
@@ -142,9 +142,9 @@ def _pad(hand: Hand, index: int) -> np.ndarray:
 
 
 def _bending(hand: Hand, path: list[Joint]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which joints (n,) move a finger; the sign (n,) with which they bend it, or 0; and its knuckle (3,).
+    """Mask (n,) of the joints that move a finger; the sign (n,) with which they bend it, or 0; and its knuckle (3,).
 
-    Which way of bending is closing is not known; the joints of one finger have it in common.
+    Positive bending may close or open the finger; it is the same for all joints of one finger.
     """
     matrix, _, movable = hand.mimic_map()
     frames = Chain(hand, [joint.child for joint in path])(np.eye(4)[None], hand.rest[None]).T_world_link[0]
@@ -152,7 +152,7 @@ def _bending(hand: Hand, path: list[Joint]) -> tuple[np.ndarray, np.ndarray, np.
     gains = np.array([matrix[movable.index(joint.name)] for joint in path])
     alike = np.array([axis @ axes[0] for axis in axes])
     kind = np.array([(joint.kind == "prismatic") == (path[0].kind == "prismatic") for joint in path])
-    bends = np.sign(np.where(kind & (np.abs(alike) > PARALLEL), np.sign(alike), 0.0) @ gains)
+    bends = np.sign(np.where(kind & (np.abs(alike) > MIN_PARALLEL_COSINE), np.sign(alike), 0.0) @ gains)
     return (gains != 0).any(axis=0), bends, frames[-1, :3, 3]
 
 
@@ -169,23 +169,23 @@ def _palm(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _away_from(points: np.ndarray, facing: np.ndarray, center: np.ndarray) -> np.ndarray:
-    """Unit vector (3,) away from where a surface is seen from the centre, each part of it by its solid angle."""
+    """Unit vector (3,) away from a surface as seen from the centre, each part of it weighted by its solid angle."""
     sight = center - points
     distance = np.linalg.norm(sight, axis=1, keepdims=True)
     solid_angle = np.maximum((facing * sight).sum(axis=1, keepdims=True) / distance**3, 0.0)
     mean = (solid_angle * sight / distance).sum(axis=0)
-    if np.linalg.norm(mean) <= ALL_AROUND * solid_angle.sum():
+    if np.linalg.norm(mean) <= MIN_MEAN_DIRECTION * solid_angle.sum():
         mean = center if center.any() else np.array([0.0, 0.0, 1.0])
     return mean / np.linalg.norm(mean)
 
 
-def _most(moved: np.ndarray, basis: np.ndarray) -> np.ndarray:
+def _main_direction(moved: np.ndarray, basis: np.ndarray) -> np.ndarray:
     """Unit vector (3,) in the plane of two vectors (3, 2) along which points move (K, 3) most."""
     return basis @ np.linalg.svd(moved @ basis)[2][0]
 
 
 def _smallest_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre (3,) and radius of the smallest ball around points, nearly: ever smaller steps towards the farthest."""
+    """Centre (3,) and radius of the smallest sphere around points, nearly: ever smaller steps towards the farthest."""
     center = points.mean(axis=0)
     for step in range(2, 200):
         center = center + (points[np.linalg.norm(points - center, axis=1).argmax()] - center) / step

@@ -1,4 +1,4 @@
-"""Which links should touch the object, and where, when nobody says."""
+"""Selection of the links that should touch the object, and of their contact points, where none are given."""
 
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -22,17 +22,17 @@ class ContactSelection:
     reach: float = 0.01
     """Contact links (fingertips) within this signed distance of the object touch it, in metres."""
     other_link_distance: float = 0.003
-    """The same of all other links."""
+    """All other links within this signed distance of the object touch it, in metres."""
     farthest: float = 0.03
     """If links of fewer than two groups (fingers, palm) are in reach, the nearest contact links up to here count."""
     links: tuple[str, ...] = ()
-    """Instead of all that: these links touch. The name of a finger stands for its contact links."""
+    """Links that touch, instead of those near the object. The name of a finger means its contact links."""
 
     def __post_init__(self) -> None:
-        """Refuse distances that are none.
+        """Refuse invalid distances.
 
         Raises:
-            GraspRefineError: a distance below zero, or links that are no tuple of names.
+            GraspRefineError: a distance below zero, or links that are not a tuple of names.
         """
         check_fields(self)
         for name in ("reach", "other_link_distance", "farthest"):
@@ -40,7 +40,7 @@ class ContactSelection:
                 raise GraspRefineError(f"{name} must be a distance of at least 0 m, got {getattr(self, name):g}")
 
     def named(self, hand: Hand, links: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of `links` that `self.links` stands for, fingers replaced by their contact links.
+        """Return the names of `links` that `self.links` lists, fingers replaced by their contact links.
 
         Args:
             hand: The hand.
@@ -52,7 +52,7 @@ class ContactSelection:
         fingers: dict[str, list[str]] = {}
         for contact in hand.contacts:
             fingers.setdefault(contact.group, []).append(contact.link)
-        # A link comes before a finger that is called like it.
+        # A link takes precedence over a finger of the same name.
         meant = [[name] if name in links else fingers.get(name, []) for name in self.links]
         unknown = [name for name, found in zip(self.links, meant, strict=True) if not found]
         if unknown:
@@ -65,23 +65,23 @@ class ContactSelection:
         return tuple(dict.fromkeys(link for found in meant for link in found))
 
     def cutoff(self, hand: Hand, links: tuple[str, ...]) -> np.ndarray:
-        """How far each link (L,) may be away to matter, in metres: what a query need not find beyond.
+        """Distance of each link (L,) in metres beyond which it cannot touch: the cutoff of a query.
 
         Raises:
-            HandError: a link or finger that was named is not there.
+            HandError: a named link or finger does not exist.
         """
         if self.links:
             return np.where(np.isin(links, self.named(hand, links)), np.inf, -np.inf)
         tips = np.isin(links, [contact.link for contact in hand.contacts])
-        # What is exactly at the limit is asked.
+        # Links exactly at the limit are queried.
         return np.nextafter(np.where(tips, max(self.reach, self.farthest), self.other_link_distance), np.inf)
 
     def choose(self, hand: Hand, links: tuple[str, ...], witness: Witness) -> np.ndarray:
-        """Links (N, L) that should touch, none of them twice.
+        """Mask (N, L) of the links that should touch, none of them twice.
 
         Args:
             hand: The hand.
-            links: Links with collision geometry, contact links first; one may come several times.
+            links: Links with collision geometry, contact links first; one may be listed several times.
             witness: Witness points (N, L) of links and object, for pairs below `cutoff`.
         """
         first = np.array([links.index(link) == column for column, link in enumerate(links)])
@@ -122,7 +122,7 @@ def link_groups(hand: Hand, links: tuple[str, ...]) -> list[str]:
 def nearest_points(
     witness: Witness, T_world_a: np.ndarray, T_world_b: np.ndarray, touching: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The present witness points of the links that should touch, in the bodies' frames, as targets.
+    """The current witness points of the links that should touch, in the bodies' frames, as targets.
 
     Args:
         witness: Witness points of links (a) and object (b).

@@ -1,10 +1,10 @@
-"""Signs that a grasp file means something else than what was read: other units, quaternions, or frames.
+"""Signs that a grasp file uses other conventions than were read: other units, quaternions, or frames.
 
-Joint values are compared with the joint limits, poses with where they take the fingers. A grasp is *near* when its
-second nearest finger is at most `NEAR_M` from the object, the depth of its deepest link added. In the sets that were
-tried (BODex and DexGraspNet on the Shadow hand, FRoGGeR on Allegro, LEAP holding a cube) 99 % or more of the grasps are
-near as they are meant, and at most 25 % as they are not, for any `NEAR_M` from 10 to 20 mm. Of imprecise grasps, each 3
-to 10 cm or 30 degrees off, at most 15 % are near in any other reading at 15 mm.
+Joint values are checked against the joint limits, poses by the positions of the fingers. A grasp is *near* when its
+second nearest finger is at most `NEAR_M` from the object, the depth of its deepest link added. In the sets tested
+(BODex and DexGraspNet on the Shadow hand, FRoGGeR on Allegro, LEAP holding a cube) 99 % or more of the grasps are near
+in the right convention, and at most 25 % in a wrong one, for any `NEAR_M` from 10 to 20 mm. Of imprecise grasps, each
+3 to 10 cm or 30 degrees off, at most 15 % are near in any other reading at 15 mm.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from grasp_refine.scene.contact_selection import PALM, link_groups
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene, links_of
 
-NUM_SAMPLES = 32
-"""Most grasps of a file that are looked at."""
+MAX_SAMPLES = 32
+"""Most grasps of a file that are checked."""
 
-FEW, MOST = 0.33, 0.8
+IMPLAUSIBLE_SHARE, PLAUSIBLE_SHARE = 0.33, 0.8
 """A reading is implausible when at most this share of the grasps agrees with it, plausible when at least this does."""
 
 NEAR_M = 0.015
@@ -37,16 +37,16 @@ APART_M = 0.2
 """A hand with no link within this distance of the object, in metres, is not at it."""
 
 LIMIT_TOLERANCE_RAD = 0.1
-"""Joint values may be so far beyond their limits."""
+"""Largest distance of joint values beyond their limits."""
 
 FULL_TURN_RAD = 2.0 * np.pi
-"""No angle in radians is farther beyond the limits of its joint."""
+"""Distance beyond the limits of a joint that no angle in radians exceeds."""
 
-LARGEST_POSITION_M = 2.0
+MAX_POSITION_M = 2.0
 """Distance of a hand from the origin of its object, in metres, beyond which the unit is probably another one."""
 
-NUM_POSES = 4
-"""Fewest different poses from which other frames and orders of quaternions are told: fewer may be near by chance."""
+MIN_POSES = 4
+"""Fewest different poses by which other frames and quaternion orders are recognised: fewer may be near by chance."""
 
 Poses = Float[np.ndarray, "N 7"]
 """x y z (metres), qw qx qy qz, as in `GraspSet.hand_pose`."""
@@ -54,16 +54,16 @@ Poses = Float[np.ndarray, "N 7"]
 
 @dataclass(frozen=True)
 class Convention:
-    """Another meaning of the poses in a file."""
+    """Another convention of the poses in a file."""
 
     looks: str
-    """What looks like what."""
+    """Symptom, for the note."""
     needed: str
-    """What it must be instead."""
+    """Required convention, for the note."""
     read: Callable[[Poses], Poses]
-    """Takes poses in this convention to ours."""
+    """Converts poses in this convention to ours."""
     unit: bool = False
-    """Whether it is a unit, which shows in single grasps: as they are, their hands are far away."""
+    """Whether it is a unit, which shows in single grasps: their hands, as read, are far away."""
 
 
 def _scaled(factor: float) -> Callable[[Poses], Poses]:
@@ -80,21 +80,21 @@ CONVENTIONS = (
         lambda pose: pose_from_transform(inverse(transform_from_pose(pose))),
     ),
 )
-"""All other meanings, in the order in which they are undone."""
+"""All other conventions, in the order in which they are undone."""
 
 
 def convention_notes(scenes: Sequence[Scene]) -> tuple[str, ...]:
-    """Say what the grasps of a file most likely mean, where that is clearly not what was read.
+    """Notes on the conventions that a file most likely uses, where they are clearly not those that were read.
 
     Args:
-        scenes: The grasps of one hand, as they were read, by object.
+        scenes: The grasps of one hand, as read, by object.
 
     Returns:
-        A line each for joint values and poses; nothing where they are plausible, or nothing else is.
+        A line each for joint values and poses; none where they are plausible, or no other convention is.
     """
     found = [np.flatnonzero(scene.posed) for scene in scenes]
     number = np.repeat(np.arange(len(scenes)), [len(rows) for rows in found])
-    chosen = np.sort(np.random.default_rng(0).permutation(len(number))[:NUM_SAMPLES])
+    chosen = np.sort(np.random.default_rng(0).permutation(len(number))[:MAX_SAMPLES])
     if not len(chosen):
         return ()
     number, row = number[chosen], np.concatenate(found)[chosen]
@@ -108,7 +108,7 @@ def convention_notes(scenes: Sequence[Scene]) -> tuple[str, ...]:
 
 
 def joint_notes(hand: Hand, q: Float[np.ndarray, "N n"]) -> tuple[str, ...]:
-    """Say that joint values look like degrees, where they do; values (N, n) in `hand.joint_names` order."""
+    """Note that joint values look like degrees, if they do; values (N, n) in `hand.joint_names` order."""
     hinge = [hand.joints_by_name[name].kind == "revolute" for name in hand.joint_names]
     q, lower, upper = q[np.isfinite(q).all(axis=1)][:, hinge], hand.lower[hinge], hand.upper[hinge]
     if not q.size:
@@ -118,19 +118,19 @@ def joint_notes(hand: Hand, q: Float[np.ndarray, "N n"]) -> tuple[str, ...]:
         return np.maximum(lower - values, values - upper).max(axis=1)
 
     as_read, as_degrees = beyond(q), beyond(np.radians(q)) <= LIMIT_TOLERANCE_RAD
-    if np.mean(as_degrees & (as_read > FULL_TURN_RAD)) < MOST:
+    if np.mean(as_degrees & (as_read > FULL_TURN_RAD)) < PLAUSIBLE_SHARE:
         return ()
     return (
-        f"joint values look like degrees: read so, {as_degrees.sum()} of {len(q)} grasps lie within the joint limits, "
-        f"as they are {(as_read <= LIMIT_TOLERANCE_RAD).sum()}; they must be in radians",
+        f"joint values look like degrees: as such, {as_degrees.sum()} of {len(q)} grasps lie within the joint limits, "
+        f"as given {(as_read <= LIMIT_TOLERANCE_RAD).sum()}; they must be in radians",
     )
 
 
 def position_notes(pose: Poses) -> tuple[str, ...]:
-    """Say that positions are in another unit than metres, where no hand is so far away; poses without an object."""
+    """Note that positions are not in metres, if they are too large for that; poses without an object."""
     # The largest coordinate, whose square need not be a number.
     away = np.abs(pose[np.isfinite(pose).all(axis=1), :3]).max(axis=1)
-    if not len(away) or np.median(away) <= LARGEST_POSITION_M:
+    if not len(away) or np.median(away) <= MAX_POSITION_M:
         return ()
     return (
         f"positions look like millimetres or centimetres: half of the {len(away)} hands are "
@@ -140,12 +140,12 @@ def position_notes(pose: Poses) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Objects:
-    """The objects that N grasps are at."""
+    """The objects of N grasps."""
 
     prepared: tuple[HandObject, ...]
     """Hand and object, each object once."""
     number: np.ndarray
-    """Which of them (N,)."""
+    """Index (N,) of each grasp's object in `prepared`."""
 
     def distances(self, pose: Poses, q: np.ndarray, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
         """Signed distances (N,) of the second nearest finger and of the nearest link, in metres, up to a cutoff."""
@@ -159,7 +159,7 @@ class _Objects:
         return finger, link
 
     def near(self, pose: Poses, q: np.ndarray) -> Bool[np.ndarray, " N"]:
-        """Which grasps (N,) are near their object."""
+        """Mask (N,) of the grasps that are near their object."""
         finger, link = self.distances(pose, q, 2.0 * NEAR_M)
         return np.maximum(finger, 0.0) + np.maximum(-link, 0.0) <= NEAR_M
 
@@ -173,30 +173,30 @@ def _fingers(hand: Hand) -> list[np.ndarray]:
 
 
 def _pose_notes(hand: Hand, at: _Objects, pose: Poses, q: np.ndarray) -> tuple[str, ...]:
-    """Say what poses look like, where they are not plausible."""
-    # Of a hand with one finger, nothing can be told from where it is.
-    if len(_fingers(hand)) < 2 or (as_read := at.near(pose, q)).mean() > FEW:
+    """Note on the convention that poses look like, where they are not plausible."""
+    # The poses of a hand with one finger show nothing.
+    if len(_fingers(hand)) < 2 or (as_read := at.near(pose, q)).mean() > IMPLAUSIBLE_SHARE:
         return ()
     apart = at.distances(pose, q, APART_M)[1] >= APART_M
-    several = len(np.unique(pose.round(6), axis=0)) >= NUM_POSES
+    several = len(np.unique(pose.round(6), axis=0)) >= MIN_POSES
     readings = [
         kinds
         for count in (1, 2)
         for kinds in combinations(CONVENTIONS, count)
         if sum(kind.unit for kind in kinds) <= 1
         and (several or (count == 1 and kinds[0].unit))
-        and (apart.mean() >= MOST or not any(kind.unit for kind in kinds))
+        and (apart.mean() >= PLAUSIBLE_SHARE or not any(kind.unit for kind in kinds))
     ]
     near = [at.near(reduce(lambda poses, kind: kind.read(poses), kinds, pose), q).sum() for kinds in readings]
     # Of equally good ones the simplest, which comes first.
     best = int(np.argmax(near)) if near else -1
-    if best >= 0 and near[best] >= MOST * len(pose):
+    if best >= 0 and near[best] >= PLAUSIBLE_SHARE * len(pose):
         looks, needed = (" and ".join(getattr(kind, key) for kind in readings[best]) for key in ("looks", "needed"))
         return (
-            f"{looks}: read so, two fingers come within {1e3 * NEAR_M:.0f} mm of the object in {near[best]} of "
-            f"{len(pose)} grasps, as they are in {as_read.sum()}; they must be {needed}",
+            f"{looks}: as such, two fingers come within {1e3 * NEAR_M:.0f} mm of the object in {near[best]} of "
+            f"{len(pose)} grasps, as given in {as_read.sum()}; they must be {needed}",
         )
-    if apart.mean() < MOST:
+    if apart.mean() < PLAUSIBLE_SHARE:
         return ()
     return (
         f"hand and object are far apart: in {apart.sum()} of {len(pose)} grasps no part of the hand comes within "

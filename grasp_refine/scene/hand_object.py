@@ -1,4 +1,4 @@
-"""What a hand and an object need of each other, whatever the grasps: built once, used by every refinement."""
+"""Data of a hand and an object that are independent of the grasps: built once, used by every refinement."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from grasp_refine.scene.scene import Scene, links_of
 from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatures
 
 CLEARANCE, CLEARANCE_OTHERS = 0.008, 0.003
-"""How far contact links, and all other links, are from the object at least, in metres."""
+"""Least distances in metres of contact links, and of all other links, from the object when the hand is open."""
 
 POINT = 1e-6
-"""Radius in metres of the balls that stand for points."""
+"""Radius in metres of the spheres that represent points."""
 
 
 @dataclass(frozen=True, eq=False)
 class HandObject:
-    """A hand and an object; each part is built when it is first asked for, which takes up to a second in all."""
+    """A hand and an object; each part is built when it is first used, which takes up to a second in all."""
 
     hand: Hand
-    """The hand that all of this is of."""
+    """The hand."""
     object: Object
-    """Likewise the object."""
+    """The object."""
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.hand.name} and {self.object.name})"
 
     @staticmethod
     def of(scene: Scene) -> HandObject:
-        """Those of a scene."""
+        """Return the hand and object of a scene."""
         return HandObject(scene.hand, scene.object)
 
     @cached_property
@@ -60,7 +60,7 @@ class HandObject:
 
     @cached_property
     def curvatures(self) -> PairCurvatures:
-        """Of both surfaces of each of these pairs."""
+        """Curvatures of both surfaces of each of these pairs."""
         return PairCurvatures.of(self.pairs, SMALLEST_CURVATURE)
 
     @cached_property
@@ -73,7 +73,7 @@ class HandObject:
 
     @cached_property
     def self_collision_pairs(self) -> Pairs | None:
-        """Those pairs; None if there are none."""
+        """Pairs of these links; None if there are none."""
         first, second = self.self_collision_links
         if not len(first):
             return None
@@ -81,7 +81,7 @@ class HandObject:
 
     @cached_property
     def bounding_spheres(self) -> np.ndarray:
-        """Centre and radius (L, 4) of a ball around each link, link frames, metres."""
+        """Centre and radius (L, 4) of a bounding sphere of each link, link frames, metres."""
         return np.array([bounding_sphere(body) for body in self.bodies])
 
     @cached_property
@@ -92,40 +92,40 @@ class HandObject:
 
     @cached_property
     def points(self) -> tuple[Pairs, Pairs]:
-        """Each link and a point, and the object and a point as often: what tells how far points are off surfaces."""
+        """Each link and a point, and the object and a point as often, for distances of points from surfaces."""
         point = build_body("point", [sphere(POINT)], candidates=16)
         return Pairs.against(self.bodies, point), Pairs.against((self.object.body,) * len(self.bodies), point)
 
     @cached_property
     def padded(self) -> PaddedHand:
-        """The same in gloves, for opening the hand."""
+        """The hand with padding, for opening it."""
         return PaddedHand(self.hand, self.object, self)
 
 
 @dataclass(frozen=True, eq=False)
 class PaddedHand(HandObject):
-    """A hand in thick gloves: where these do not penetrate the object, the links keep their clearances.
+    """A hand with padding: where this does not penetrate the object, the links keep their clearances.
 
-    A piece is a core and a ball around it, so that a thicker glove is a larger ball, and distances stay exact. Links
-    meet each other without gloves.
+    A piece is a core with a sphere swept around it, so that padding enlarges the sphere, and distances stay exact.
+    Links meet each other without padding.
     """
 
     bare: HandObject
-    """The same without gloves."""
+    """The hand without padding."""
 
     @cached_property
     def pairs(self) -> Pairs:
-        """Each gloved link and the object."""
+        """Each padded link and the object."""
         return Pairs.against(self._padded, self.object.body)
 
     @cached_property
     def bounding_spheres(self) -> np.ndarray:
-        """Centre and radius (L, 4) of a ball around each gloved link."""
+        """Centre and radius (L, 4) of a bounding sphere of each padded link."""
         return np.array([bounding_sphere(body) for body in self._padded])
 
     @cached_property
     def self_collision_pairs(self) -> Pairs | None:
-        """Pairs of bare links."""
+        """Pairs of links without padding."""
         return self.bare.self_collision_pairs
 
     @cached_property
@@ -135,7 +135,7 @@ class PaddedHand(HandObject):
 
 
 def clearances(hand: Hand, links: tuple[str, ...]) -> Float[np.ndarray, " L"]:
-    """How far each link (L,) is from the object at least when the hand is open, in metres."""
+    """Least distance of each link (L,) from the object when the hand is open, in metres."""
     return np.where(np.isin(links, [contact.link for contact in hand.contacts]), CLEARANCE, CLEARANCE_OTHERS)
 
 

@@ -23,10 +23,10 @@ class Plane:
     """Signed distance of the plane from the object's origin along the normal, in metres."""
 
     def __post_init__(self) -> None:
-        """Refuse what is no plane; numbers of an array become a tuple.
+        """Refuse an invalid plane; an array becomes a tuple.
 
         Raises:
-            GraspRefineError: a normal that is not of unit length, or an offset that is no number.
+            GraspRefineError: a normal that is not of unit length, or an offset that is not a number.
         """
         normal = as_numbers("Plane: normal", self.normal, 3)
         object.__setattr__(self, "normal", tuple(normal.tolist()))
@@ -45,7 +45,7 @@ class Plane:
         lowest = np.empty(down.shape)
         for column, body in enumerate(bodies):
             along = down[:, column]
-            # Each piece is a core with a ball around each of its vertices.
+            # Each piece is a core with a sphere around each of its vertices.
             best = np.full(len(along), -np.inf)
             for piece in body.pieces:
                 reach = along @ piece.vertices.T

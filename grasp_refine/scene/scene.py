@@ -1,4 +1,4 @@
-"""What is refined: one hand, one object, and grasps."""
+"""Scene of a refinement: one hand, one object, and grasps."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,12 +15,12 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.plane import Plane
 
-FARTHEST = 1e6
-"""Poses, joint values and targets beyond this, in metres or radians, are refused: no grasp is there, and further out
-squares overflow."""
+MAX_MAGNITUDE = 1e6
+"""Largest magnitude of poses, joint values and targets, in metres or radians: no grasp is beyond, where squares
+overflow in the end."""
 
-TARGETS = ("target_link", "target_object", "direction")
-"""Fields of a scene that say where and how links should touch, (N, L, 3)."""
+TARGET_FIELDS = ("target_link", "target_object", "direction")
+"""Fields of a scene with contact points and contact normals of links, (N, L, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,32 +32,32 @@ class Scene:
     """
 
     hand: Hand
-    """What grasps."""
+    """Hand that grasps."""
     object: Object
-    """What is grasped; it rests at the identity."""
+    """Object that is grasped; its pose is the identity."""
     T_world_root: np.ndarray
     """Initial poses (N, 4, 4) of the hand's base link in the object's frame, metres."""
     q: np.ndarray
     """Initial joint values (N, n) in `hand.joint_names` order."""
     target_link: np.ndarray | None = None
-    """Where links should touch (N, L, 3), link frames, one column per link of `links`; NaN: nowhere. None: auto."""
+    """Contact points on links (N, L, 3), link frames, metres, a column per link of `links`; NaN: none. None: auto."""
     target_object: np.ndarray | None = None
-    """Where the object should be touched (N, L, 3), object frame, metres."""
+    """Contact points on the object (N, L, 3), object frame, metres."""
     direction: np.ndarray | None = None
     """Wanted contact normals from link to object (N, L, 3), object frame, unit length; NaN: any."""
     table: Plane | None = None
     """A plane that no link may go through."""
 
     def __repr__(self) -> str:
-        given = [name for name in (*TARGETS, "table") if getattr(self, name) is not None]
+        given = [name for name in (*TARGET_FIELDS, "table") if getattr(self, name) is not None]
         more = f", with {', '.join(given)}" if given else ""
         return f"Scene({self.hand.name} on {self.object.name}: {count_text(len(self.q), 'grasp')}{more})"
 
     def __post_init__(self) -> None:
-        """Check what is given, once for all that is done with the scene.
+        """Check the arguments, once for all uses of the scene.
 
         Raises:
-            GraspRefineError: no hand or object, arrays of other shapes or of no numbers, quaternions that are not of
+            GraspRefineError: no hand or object, arrays of other shapes or without numbers, quaternions that are not of
                 unit length, or targets on the link or on the object only.
         """
         check_kind("hand", self.hand, Hand)
@@ -66,7 +66,7 @@ class Scene:
         arrays: dict[str, np.ndarray] = {}
         arrays["T_world_root"], arrays["q"] = grasp_arrays(self.hand, self.T_world_root, self.q)
         count, links = len(arrays["q"]), len(self.links)
-        for name in TARGETS:
+        for name in TARGET_FIELDS:
             value = getattr(self, name)
             if value is not None:
                 value = as_numbers(name, value)
@@ -87,42 +87,42 @@ class Scene:
 
     @property
     def finite(self) -> Bool[np.ndarray, " N"]:
-        """Which grasps (N,) have poses and joint values that are numbers."""
+        """Mask (N,) of grasps whose poses and joint values are finite."""
         return np.isfinite(self.T_world_root).all(axis=(1, 2)) & np.isfinite(self.q).all(axis=1)
 
     @property
     def posed(self) -> Bool[np.ndarray, " N"]:
-        """Which grasps (N,) are somewhere: poses are rigid, and poses and joint values within `FARTHEST`."""
-        near = self.finite & (np.abs(self.T_world_root) <= FARTHEST).all(axis=(1, 2))
-        return near & is_rigid(self.T_world_root) & (np.abs(self.q) <= FARTHEST).all(axis=1)
+        """Mask (N,) of grasps with a valid pose: poses are rigid, and poses and joint values within `MAX_MAGNITUDE`."""
+        near = self.finite & (np.abs(self.T_world_root) <= MAX_MAGNITUDE).all(axis=(1, 2))
+        return near & is_rigid(self.T_world_root) & (np.abs(self.q) <= MAX_MAGNITUDE).all(axis=1)
 
     @property
     def valid(self) -> Bool[np.ndarray, " N"]:
-        """Which grasps (N,) can be refined: those whose targets are within `FARTHEST` too, and wanted normals units."""
+        """Mask (N,) of grasps that can be refined: targets within `MAX_MAGNITUDE` too, and unit wanted normals."""
         sound = self.posed
         for target in (self.target_link, self.target_object):
             if target is not None:
-                sound &= ~(np.abs(target) > FARTHEST).any(axis=(1, 2))
+                sound &= ~(np.abs(target) > MAX_MAGNITUDE).any(axis=(1, 2))
         if self.direction is not None:
             squared = (np.clip(self.direction, -2.0, 2.0) ** 2).sum(axis=-1)
             sound &= ((np.abs(squared - 1.0) <= SKEWED) | np.isnan(self.direction).all(axis=-1)).all(axis=1)
         return sound
 
     def masked(self, rows: Bool[np.ndarray, " N"]) -> "Scene":
-        """The same scene with NaN for all numbers of the grasps where `rows` (N,) does not hold."""
+        """Return the scene with NaN for all numbers of the grasps where `rows` (N,) is False."""
         if rows.all():
             return self
 
         def kept(values: np.ndarray | None) -> np.ndarray | None:
             return None if values is None else np.where(rows.reshape(-1, *(1,) * (values.ndim - 1)), values, np.nan)
 
-        names = ("T_world_root", "q", *TARGETS)
+        names = ("T_world_root", "q", *TARGET_FIELDS)
         arrays: dict[str, Any] = {name: kept(getattr(self, name)) for name in names}
         return replace(self, **arrays)
 
 
 def grasp_arrays(hand: Hand, T_world_root: Any, q: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Transforms (N, 4, 4) and joint values (N, n) of what is given as the grasps of a hand, float64.
+    """Transforms (N, 4, 4) and joint values (N, n) of given grasps of a hand, float64.
 
     Args:
         hand: The hand.
@@ -130,7 +130,7 @@ def grasp_arrays(hand: Hand, T_world_root: Any, q: Any) -> tuple[np.ndarray, np.
         q: Joint values (N, n) in `hand.joint_names` order, or (n,) of one grasp.
 
     Raises:
-        GraspRefineError: no numbers, other shapes, or a quaternion that is not of unit length.
+        GraspRefineError: not numbers, other shapes, or a quaternion that is not of unit length.
     """
     T, q = as_numbers("T_world_root", T_world_root), as_numbers("q", q)
     if T.shape[-1:] == (7,) and T.ndim <= 2:

@@ -1,4 +1,4 @@
-"""How an MJCF of a hand lies to its URDF: base pose and signs of the joints, found from where the joints are."""
+"""Alignment of an MJCF of a hand with its URDF: base pose and signs of the joints, from joint anchors and axes."""
 
 from __future__ import annotations
 
@@ -14,48 +14,48 @@ from jaxtyping import Float
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.hand import Hand
 
-FARTHEST = 2e-3
-"""Joints that are farther apart than this, in metres, are not those of the same hand."""
+MAX_ANCHOR_DISTANCE_M = 2e-3
+"""Largest distance in metres between joint anchors of the same hand."""
 
-STEEPEST = np.radians(2.0)
-"""Nor are those whose axes differ by more than this, in radians."""
+MAX_AXIS_ANGLE_RAD = np.radians(2.0)
+"""Largest angle in radians between joint axes of the same hand."""
 
-NOTED = 1e-4
-"""A distance from which on it is told, in metres."""
+NOTED_DISTANCE_M = 1e-4
+"""Distance in metres between joint anchors above which a note is returned."""
 
-CONFIGURATIONS = 20
-"""Random joint values at which the two are compared."""
+NUM_CONFIGURATIONS = 20
+"""Number of random joint values at which MJCF and URDF are compared."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Where the world of an MJCF is, and how its joints turn."""
+    """Alignment of the world and the joints of an MJCF with a hand."""
 
     T_base_world: Float[np.ndarray, "4 4"]
     """Pose (4, 4) of that world in the frame of the hand's base link."""
     sign: Float[np.ndarray, " m"]
     """1, or -1 for joints that turn the other way."""
     distance: float
-    """Farthest that two joints are apart, in metres."""
+    """Largest distance between two anchors of the same joint, in metres."""
     angle: float
-    """Most that two axes differ, in radians."""
+    """Largest angle between two axes of the same joint, in radians."""
     notes: tuple[str, ...]
-    """What a user should know about it."""
+    """Notes for the user on the alignment."""
 
 
 def align(hand: Hand, joints: Sequence[str], model: mujoco.MjModel, named: Sequence[str], path: Path) -> Alignment:
-    """How `model` lies to `hand`, by anchors and axes of its joints `named`, which are the hand's `joints`.
+    """Align `model` with `hand` by anchors and axes of its joints `named`, which are the hand's `joints`.
 
     The base pose is the least-squares fit of the anchors (and of axes, where these are on one line) with all joints at
-    0, the signs are those of the axes then. Both are held against random joint values within the hand's limits.
+    0, the signs are those of the axes then. Both are checked at random joint values within the hand's limits.
 
     Raises:
-        HandError: they do not move alike, or anchors and axes do not determine the pose.
+        HandError: the joints do not move alike, or anchors and axes do not determine the pose.
     """
     matrix, offset, movable = hand.mimic_map()
     rows = [movable.index(name) for name in joints]
     lower, upper = np.where(np.isinf(hand.lower), -np.pi, hand.lower), np.where(np.isinf(hand.upper), np.pi, hand.upper)
-    q = np.random.default_rng(0).uniform(lower, upper, (CONFIGURATIONS, len(lower)))
+    q = np.random.default_rng(0).uniform(lower, upper, (NUM_CONFIGURATIONS, len(lower)))
     values = np.concatenate([np.zeros((1, len(movable))), q @ matrix.T + offset])
     anchors, axes = _hand_joints(hand, dict(zip(movable, values.T, strict=True)), joints)
     still = _model_joints(model, named, np.zeros((1, len(named))))
@@ -67,21 +67,21 @@ def align(hand: Hand, joints: Sequence[str], model: mujoco.MjModel, named: Seque
         distance = np.linalg.norm(there @ turn.T + shift - anchors, axis=-1)
         turned = sign[:, None] * along @ turn.T
         angle = np.arctan2(np.linalg.norm(np.cross(turned, axes), axis=-1), (turned * axes).sum(axis=-1))
-        # Where a hand is its own mirror image, several poses fit; fewest joints turn the other way then.
-        rank = (round(distance.max() / NOTED) + round(angle.max() / STEEPEST), (sign < 0).sum())
+        # Where a hand is its own mirror image, several poses fit; choose the one with the fewest reversed joints.
+        rank = (round(distance.max() / NOTED_DISTANCE_M) + round(angle.max() / MAX_AXIS_ANGLE_RAD), (sign < 0).sum())
         if best is None or rank < best[0]:
             best = rank, turn, shift, sign, distance.max(axis=0), angle.max(axis=0)
     assert best is not None  # there is always a rotation to try
     _, turn, shift, sign, distance, angle = best
-    if distance.max() > FARTHEST or angle.max() > STEEPEST:
+    if distance.max() > MAX_ANCHOR_DISTANCE_M or angle.max() > MAX_AXIS_ANGLE_RAD:
         far, steep = int(distance.argmax()), int(angle.argmax())
         raise HandError(
             f"{path}: moves unlike hand '{hand.name}': joint '{joints[far]}' is up to {distance[far] * 1e3:.2f} mm off "
-            f"(at most {FARTHEST * 1e3:g}), the axis of '{joints[steep]}' {np.degrees(angle[steep]):.2f} degrees "
-            f"(at most {np.degrees(STEEPEST):g}); the MJCF is of another hand or has another zero"
+            f"(at most {MAX_ANCHOR_DISTANCE_M * 1e3:g}), the axis of '{joints[steep]}' {np.degrees(angle[steep]):.2f} "
+            f"degrees (at most {np.degrees(MAX_AXIS_ANGLE_RAD):g}); the MJCF is of another hand or has another zero"
         )
     notes = []
-    if distance.max() > NOTED:
+    if distance.max() > NOTED_DISTANCE_M:
         notes.append(f"joints of {path.name} are up to {distance.max() * 1e3:.2f} mm from those of the URDF")
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = turn, shift
@@ -91,7 +91,7 @@ def align(hand: Hand, joints: Sequence[str], model: mujoco.MjModel, named: Seque
 def _hand_joints(
     hand: Hand, values: Mapping[str, np.ndarray], joints: Sequence[str]
 ) -> tuple[Float[np.ndarray, "batch m 3"], Float[np.ndarray, "batch m 3"]]:
-    """Anchors and axes of `joints` (batch, m, 3) in the base link's frame, before each joint itself has moved.
+    """Return anchors and axes of `joints` (batch, m, 3) in the base link's frame, before each joint itself has moved.
 
     `values` are those of all movable joints, each (batch,).
     """
@@ -110,7 +110,7 @@ def _hand_joints(
 def _model_joints(
     model: mujoco.MjModel, named: Sequence[str], values: Float[np.ndarray, "batch m"]
 ) -> tuple[Float[np.ndarray, "batch m 3"], Float[np.ndarray, "batch m 3"]]:
-    """Anchors and axes of the joints `named` (batch, m, 3) in the world of `model`."""
+    """Return anchors and axes of the joints `named` (batch, m, 3) in the world of `model`."""
     data = mujoco.MjData(model)
     rows = [model.joint(name).id for name in named]
     anchors, axes = np.empty((2, *values.shape, 3))
@@ -128,13 +128,13 @@ def _rotations(
     axes_model: Float[np.ndarray, "m 3"],
     path: Path,
 ) -> list[Float[np.ndarray, "3 3"]]:
-    """The rotations that can take the model's anchors and axes to the hand's; an axis counts like its opposite."""
+    """Return the rotations that can take the model's anchors and axes to the hand's, axes up to sign."""
     here, there = anchors - anchors.mean(axis=0), anchors_model - anchors_model.mean(axis=0)
     spread = np.linalg.svd(there, compute_uv=False) / np.sqrt(len(there))
-    if len(spread) > 1 and spread[1] > FARTHEST:
+    if len(spread) > 1 and spread[1] > MAX_ANCHOR_DISTANCE_M:
         return [_fit(here, there)]
     pairs = []
-    if spread[0] > FARTHEST:
+    if spread[0] > MAX_ANCHOR_DISTANCE_M:
         # The ends of the line on which the anchors are.
         end = int(np.linalg.norm(there, axis=1).argmax())
         pairs.append((_unit(here[end]), _unit(there[end])))
@@ -143,7 +143,9 @@ def _rotations(
         if len(pairs) + len(free) < 2 and all(np.linalg.norm(np.cross(axis[1], b)) > 0.1 for _, b in pairs + free):
             free.append(axis)
     if len(pairs) + len(free) < 2:
-        raise HandError(f"{path}: its joints are on one line and parallel to it, which does not say how the hand lies")
+        raise HandError(
+            f"{path}: its joints are on one line and parallel to it, so the pose of the hand is not determined"
+        )
     found = []
     for signs in product((1.0, -1.0), repeat=len(free)):
         signed = [(a, sign * b) for sign, (a, b) in zip(signs, free, strict=True)]
@@ -152,7 +154,7 @@ def _rotations(
 
 
 def _fit(here: Float[np.ndarray, "m 3"], there: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation that takes `there` nearest to `here`: W. Kabsch, Acta Cryst. A32 (1976) 922."""
+    """Return the rotation that takes `there` nearest to `here`: W. Kabsch, Acta Cryst. A32 (1976) 922."""
     u, _, vt = np.linalg.svd(here.T @ there)
     return u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
 

@@ -1,4 +1,4 @@
-"""Geometric measures of grasps by a plain query: no smoothing, no memory of how the grasp was found."""
+"""Geometric measures of grasps by a plain query, without smoothing or data of the refinement."""
 
 from dataclasses import dataclass
 
@@ -11,15 +11,15 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 
 LIMIT_TOLERANCE = 1e-6
-"""Joint values this far (rad or m) beyond a limit do not count as violations."""
+"""Distance (rad or m) beyond a joint limit that does not count as a violation."""
 
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Measures of N grasps over L links (the columns are the links that were given)."""
+    """Measures of N grasps over L links; columns are the given links."""
 
     distance: np.ndarray
-    """Signed distance (N, L) in metres of each link to the object; NaN where no query could answer."""
+    """Signed distance (N, L) in metres of each link to the object; NaN where the query failed."""
     contact_error: np.ndarray
     """Largest of gap |d - beta| and target misses (N, L) in metres; NaN for links that should not touch."""
     penetration: np.ndarray
@@ -27,14 +27,14 @@ class Geometry:
     limits_violated: np.ndarray
     """Number of joints beyond their limits (N,)."""
     witness: Witness
-    """The witness points themselves."""
+    """Witness points (N, L), world frame."""
     T_world_link: np.ndarray
-    """Poses of the links there (N, L, 4, 4)."""
+    """Poses of the links (N, L, 4, 4)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Movement:
-    """How far N grasps moved."""
+    """Movements of N grasps."""
 
     palm_m: np.ndarray
     """Distance of the base link's origin (N,), metres."""
@@ -56,22 +56,22 @@ def measure(
     margin: float = 0.0,
     touching: np.ndarray | None = None,
 ) -> Geometry:
-    """Measures of grasps (N poses (N, 4, 4) and joint values (N, n)) on one object at the world's origin.
+    """Measure grasps (N poses (N, 4, 4) and joint values (N, n)) on one object at the world's origin.
 
     Args:
         hand: The hand.
         obj: The object.
-        links: Links with collision geometry to look at.
+        links: Links with collision geometry to measure.
         T_world_root: Poses of the base link in the object's frame.
         q: Joint values.
-        target_link: Where links should touch (N, L, 3), link frames; NaN: nowhere.
-        target_object: Where the object should be touched (N, L, 3), object frame.
+        target_link: Target points on the links (N, L, 3), link frames, metres; NaN: none.
+        target_object: Target points on the object (N, L, 3), object frame, metres.
         margin: Gap in metres that contact links should keep.
         touching: Links (N, L) that should touch; None: those with a target.
     """
     bodies = hand.links_by_name
     pairs = Pairs.against([bodies[name].solid for name in links], obj.body)
-    # Not `Chain`, which refinement uses: what judges should not share its mistakes. It takes a second to load.
+    # Not `Chain`, which refinement uses: an independent check must not share its errors. It takes a second to load.
     with stage("loading"):
         import torch
 
@@ -100,6 +100,6 @@ def measure(
 
 
 def movement(T_before: np.ndarray, q_before: np.ndarray, T_after: np.ndarray, q_after: np.ndarray) -> Movement:
-    """How far root poses (N, 4, 4) and joint values (N, n) moved; NaN where they are not finite."""
+    """Return the movements of root poses (N, 4, 4) and joint values (N, n); NaN where they are not finite."""
     moved, turned = distances(T_before, T_after)
     return Movement(moved, turned, np.abs(q_after - q_before).max(axis=1, initial=0.0))

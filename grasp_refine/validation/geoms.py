@@ -15,15 +15,15 @@ def add_piece(
     name: str,
     inertia: mujoco.mjtMeshInertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
 ) -> mujoco.MjsGeom:
-    """A new geom of a body for one convex piece: a ball, a capsule, or the hull of its vertices as a mesh.
+    """Add a geom of a body for one convex piece: a sphere, a capsule, or the hull of its vertices as a mesh.
 
     Args:
-        spec: Where the body is; a mesh is added to it.
+        spec: Specification of the body; a mesh is added to it.
         body: The body, in whose frame the piece is.
         piece: The piece; with a radius and more than two vertices it becomes a polyhedron.
-        name: Of the geom, and of its mesh.
-        inertia: How MuJoCo finds moments of a mesh: by default those of the hull; others than this and the shell need
-            a surface whose volume is well defined, and only the shell takes what is thin or tiny.
+        name: Name of the geom, and of its mesh.
+        inertia: Method of MuJoCo for moments of a mesh: by default those of the hull; others than this and the shell
+            need a surface whose volume is well defined, and only the shell accepts thin or tiny meshes.
     """
     if len(piece.vertices) == 1:
         return body.add_geom(

@@ -1,4 +1,4 @@
-"""A hand as MuJoCo takes it, wherever it comes from."""
+"""Model of a hand for MuJoCo, made from a URDF or an MJCF."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class HandModel:
-    """One tree of bodies with actuated joints; its values follow from those of a `Hand` by name, not by order.
+    """One tree of bodies with actuated joints, whose values follow from those of a `Hand` by name, not by order.
 
-    The root has no joint yet, and contact parameters are whatever the file says: the world that the hand is put
-    into decides on both.
+    The root has no joint yet, and contact parameters are those of the file: the world that the hand is added to sets
+    both.
     """
 
     spec: mujoco.MjSpec
-    """The hand alone, below the world body of this specification: bodies, joints, position actuators, couplings."""
+    """Specification with the hand alone below its world body: bodies, joints, position actuators, couplings."""
     root: str
-    """Name of the body that everything hangs from."""
+    """Name of the root body."""
     T_base_root: Float[np.ndarray, "4 4"]
     """Pose (4, 4) of that body in the frame of the hand's base link."""
     joints: tuple[str, ...]
@@ -35,15 +35,15 @@ class HandModel:
     matrix: Float[np.ndarray, "m n"]
     """Joint values in MuJoCo are `matrix` (m, n) times q (n,), in the order of `Hand.joint_names`, plus `offset`."""
     offset: Float[np.ndarray, " m"]
-    """What is added (m,), in rad or m."""
+    """Offset (m,) of joint values in MuJoCo, in rad or m."""
     links: Mapping[str, str]
-    """Name of each body -> what it is called in results: the link of the hand that it stands for, or its own name."""
+    """Name of each body -> its name in results: the link of the hand that it represents, or its own name."""
     notes: tuple[str, ...]
-    """What a user should know about how the model was made."""
+    """Notes for the user on the model."""
     actuator: Actuator
-    """How the n independent joints are driven as it is simulated, in their units and order.
+    """Actuators of the n independent joints in the simulation, in their units and order.
 
-    Of a coupled group it is the stiffness and the limit of the tendon, as in `Hand.actuator`, whose place this takes
+    Values of a coupled group are the stiffness and the limit of the tendon, as in `Hand.actuator`, which this replaces
     where set points are planned.
     """
 

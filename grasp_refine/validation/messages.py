@@ -1,4 +1,4 @@
-"""What MuJoCo has to say: its warnings go to no file, its errors fit into one line."""
+"""Messages of MuJoCo: its warnings are not written to a file, its errors fit into one line."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import mujoco
 
 @contextmanager
 def unlogged() -> Iterator[None]:
-    """While it lasts, MuJoCo's warnings are written nowhere; what was done with them before is done again afterwards.
+    """Discard MuJoCo's warnings within the context; the previous handler is restored afterwards.
 
     MuJoCo would write them to a file MUJOCO_LOG.TXT in the user's current folder. It has one handler for the whole
     process and calls it from any thread.
     """
     before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(_unheard)
+    mujoco.set_mju_user_warning(_ignore)
     try:
         yield
     finally:
@@ -24,12 +24,12 @@ def unlogged() -> Iterator[None]:
 
 
 def complaint(error: ValueError) -> str:
-    """What MuJoCo complains of, in one line."""
+    """Return the message of an error of MuJoCo in one line."""
     text = str(error).strip()
     while text.startswith(("XML Error: ", "Error: ")):
         text = text.partition(": ")[2]
     return ", ".join(" ".join(line.split()) for line in text.splitlines() if line.strip())
 
 
-def _unheard(message: str) -> None:
-    """Does nothing with a warning."""
+def _ignore(message: str) -> None:
+    """Ignore a warning."""

@@ -1,4 +1,4 @@
-"""What grasps are worth by geometry and statics alone, each measured where the hand is, without moving anything."""
+"""Measures of grasps by geometry and statics alone, at the given poses, without any motion."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from grasp_refine.objects.object import Object
 from grasp_refine.scene.scene import Scene, links_of
 from grasp_refine.validation.geometry import measure
 
-FARTHEST = 0.01
-"""Fingers count as no farther from the object than this, in metres."""
-NEAR = 0.002
-"""Links within this signed distance count as touching, in metres."""
+MAX_FINGER_DISTANCE_M = 0.01
+"""Largest distance in metres of a finger from the object that counts; farther ones count as this."""
+CONTACT_DISTANCE_M = 0.002
+"""Signed distance in metres within which a link counts as touching."""
 
 
 @dataclass(frozen=True, eq=False)
 class Metrics:
-    """Measures of N grasps; NaN where a grasp is not finite, or a query could not be answered."""
+    """Measures of N grasps; NaN where a grasp is not finite, or a query failed."""
 
     contact_distance_m: Float[np.ndarray, " N"]
-    """Mean over the fingers of how far each one's nearest contact link is from the object, `FARTHEST` at most (N,)."""
+    """Mean distance (N,) of the fingers, of each its nearest contact link, metres, `MAX_FINGER_DISTANCE_M` at most."""
     contact_number: Float[np.ndarray, " N"]
-    """Number of links within `NEAR` of the object (N,)."""
+    """Number of links within `CONTACT_DISTANCE_M` of the object (N,)."""
     penetration_m: Float[np.ndarray, " N"]
     """Deepest penetration of any link in the object (N,), metres."""
     self_penetration_m: Float[np.ndarray, " N"]
@@ -42,10 +42,10 @@ class Metrics:
     limits_violated: Float[np.ndarray, " N"]
     """Number of joint values beyond their limits (N,)."""
     wrench_residual: Float[np.ndarray, " N"]
-    """What is left of forces and torques when the contacts balance them best (`ContactForces.residual`), (N,); NaN
-    without contacts, too."""
+    """Wrench that the best contact forces leave unbalanced (N,), as in `ContactForces.residual`; NaN without contacts
+    too."""
     quality: Float[np.ndarray, " N"]
-    """`Quality.value` (N,), from 0 to 1; NaN without contacts, too."""
+    """`Quality.value` (N,), from 0 to 1; NaN without contacts too."""
 
     def __repr__(self) -> str:
         quality, depth = spread(self.quality), spread(self.penetration_m)
@@ -56,36 +56,36 @@ class Metrics:
         return len(self.penetration_m)
 
     def select(self, rows: np.ndarray) -> Metrics:
-        """The grasps `rows`, in that order."""
+        """Return the grasps `rows`, in that order."""
         return take(self, rows)
 
     @staticmethod
     def join(parts: Sequence[Metrics]) -> Metrics:
-        """The grasps of all parts, in that order."""
+        """Return the grasps of all parts, in that order."""
         return join(*parts)
 
 
 def metrics(hand: Hand, obj: Object, T_world_root: np.ndarray, q: np.ndarray) -> Metrics:
-    """Penetration, gaps, contacts, limits, wrench residual and quality of grasps on one object at the world's origin.
+    """Measure penetration, gaps, contacts, limits, wrench residual and quality of grasps on one object at the origin.
 
     Args:
         hand: The hand.
         obj: The object.
-        T_world_root: Poses (N, 4, 4) of the base link in the object's frame; as those of `Scene` otherwise.
+        T_world_root: Poses (N, 4, 4) of the base link in the object's frame; otherwise as in `Scene`.
         q: Joint values (N, n).
 
     Returns:
-        Measures, NaN for grasps that are nowhere (`Scene.posed`).
+        Measures, NaN for invalid poses (`Scene.posed`).
 
     Raises:
-        GraspRefineError: an argument of another kind or shape.
+        GraspRefineError: an argument of another type or shape.
     """
     scene = Scene(hand, obj, T_world_root, q)
     scene = scene.masked(scene.posed)
     T_world_root, q = scene.T_world_root, scene.q
-    links = tuple(dict.fromkeys(links_of(hand)))  # a link with several contact points comes several times
-    nowhere = np.full((len(q), len(links), 3), np.nan)
-    found = measure(hand, obj, links, T_world_root, q, nowhere, nowhere)
+    links = tuple(dict.fromkeys(links_of(hand)))  # a link with several contact points appears several times
+    no_target = np.full((len(q), len(links), 3), np.nan)
+    found = measure(hand, obj, links, T_world_root, q, no_target, no_target)
     known = found.witness.valid.all(axis=1)
     forces = grasp_forces(hand, obj, links, found.witness)
 
@@ -94,7 +94,7 @@ def metrics(hand: Hand, obj: Object, T_world_root: np.ndarray, q: np.ndarray) ->
 
     return Metrics(
         contact_distance_m=where_known(_contact_distance(hand, links, found.distance)),
-        contact_number=where_known((found.distance <= NEAR).sum(axis=1)),
+        contact_number=where_known((found.distance <= CONTACT_DISTANCE_M).sum(axis=1)),
         penetration_m=where_known(found.penetration),
         self_penetration_m=where_known(self_penetration(hand, touching_pairs(hand), q)),
         limits_violated=where_known(found.limits_violated),
@@ -106,7 +106,7 @@ def metrics(hand: Hand, obj: Object, T_world_root: np.ndarray, q: np.ndarray) ->
 def quality_values(
     hand: Hand, obj: Object, links: tuple[str, ...], T_world_root: np.ndarray, q: np.ndarray, witness: Witness
 ) -> Float[np.ndarray, " N"]:
-    """`Quality.value` of grasps (N,); NaN where one is not finite, or a query could not be answered.
+    """Return `Quality.value` of grasps (N,); NaN where one is not finite, or a query failed.
 
     Args:
         hand: The hand.
@@ -125,11 +125,11 @@ def quality_values(
 def _contact_distance(
     hand: Hand, links: tuple[str, ...], distance: Float[np.ndarray, "N L"]
 ) -> Float[np.ndarray, " N"]:
-    """Mean distance (N,) of the fingers, NaN for a hand without any."""
+    """Return the mean distance (N,) of the fingers in metres, NaN for a hand without fingers."""
     fingers: dict[str, set[int]] = {}
     for contact in hand.contacts:
         fingers.setdefault(contact.group, set()).add(links.index(contact.link))
     if not fingers:
         return np.full(len(distance), np.nan)
     nearest = np.stack([distance[:, sorted(columns)].min(axis=1) for columns in fingers.values()])
-    return np.clip(nearest, 0.0, FARTHEST).mean(axis=0)
+    return np.clip(nearest, 0.0, MAX_FINGER_DISTANCE_M).mean(axis=0)

@@ -1,4 +1,4 @@
-"""A hand as MuJoCo takes it, read from an MJCF file and matched to the URDF's joints by name and by where they are."""
+"""Model of a hand for MuJoCo, read from an MJCF file and matched to the URDF's joints by name and position."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from grasp_refine.validation.urdf_model import add_actuators
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _FIRST = re.compile(rb"<\s*([A-Za-z]\w*)")
 
-SIZES = ("memory", "nstack", "njmax", "nconmax", "nemax", "nkey", "nuserdata")
-"""What <size> says, but for the room for user data of bodies, joints and so on (`nuser_*`)."""
+SIZE_FIELDS = ("memory", "nstack", "njmax", "nconmax", "nemax", "nkey", "nuserdata")
+"""Fields of <size>, except those for user data of bodies, joints and so on (`nuser_*`)."""
 
-ADVICE = "it must be a MuJoCo XML file with its meshes where it names them"
+FILE_ADVICE = "it must be a MuJoCo XML file with its meshes where it names them"
 
 
 def mjcf_model(hand: Hand, path: Path) -> HandModel:
-    """The hand in the MJCF file `path`, which must move as `hand` does.
+    """Return the hand in the MJCF file `path`, which must move as `hand` does.
 
-    Collision geometry, contact parameters, dampings, limits and position actuators are those of the file. What a hand
-    does not need is left out: visual geometry (its mass stays), cameras, lights, keyframes, sensors, a free joint at
-    the root, and what is in the world beside the hand. Joints that `hand` lacks stay where the file draws them.
+    Collision geometry, contact parameters, dampings, limits and position actuators are those of the file. Removed are
+    visual geometry (its mass stays), cameras, lights, keyframes, sensors, a free joint at the root, and everything in
+    the world beside the hand. Joints that `hand` lacks are fixed at their reference positions.
 
-    Names are matched first (`hand.mjcf_joints`, equal names, equal but for a prefix); then `align` finds base pose and
+    Names are matched first (`hand.mjcf_joints`, equal names, then up to a prefix); then `align` finds base pose and
     signs, and checks them.
 
     Raises:
@@ -62,7 +62,7 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
     if idle:
         notes.append(f"joints {', '.join(idle)} follow nothing in {path.name}, neither actuator nor equality")
     T_base_root = fit.T_base_world @ _pose(model, root)
-    # Where the file puts the hand has no meaning in another world.
+    # The pose of the hand in its file has no meaning in another world.
     top = spec.body(root)
     top.pos, top.quat, top.alt.type = np.zeros(3), [1, 0, 0, 0], mujoco.mjtOrientation.mjORIENTATION_QUAT
     placed = _compiled(spec, path)
@@ -89,11 +89,11 @@ def _read(path: Path) -> mujoco.MjSpec:
         with unlogged():
             spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
-        raise HandError(f"{path}: {complaint(error)}; {ADVICE}") from None
-    # MuJoCo reads URDF files, too, but such a hand is made from its URDF.
+        raise HandError(f"{path}: {complaint(error)}; {FILE_ADVICE}") from None
+    # MuJoCo reads URDF files too, but such a hand is made from its URDF.
     outermost = _FIRST.search(_COMMENT.sub(b"", path.read_bytes()))
     if outermost and outermost[1] == b"robot":
-        raise HandError(f"{path}: a URDF, not an MJCF; {ADVICE}")
+        raise HandError(f"{path}: a URDF, not an MJCF; {FILE_ADVICE}")
     # Bodies and their frames must be those of the file.
     spec.compiler.fusestatic = False
     _reset(spec)
@@ -101,9 +101,9 @@ def _read(path: Path) -> mujoco.MjSpec:
 
 
 def _reset(spec: mujoco.MjSpec) -> None:
-    """Sets how it is simulated and shown, and the room for user data, back to what MuJoCo begins with.
+    """Reset the options of simulation and display, and the sizes, to the defaults of MuJoCo.
 
-    That is not for the hand to say; MuJoCo warns where it says something else than the world that it is put into.
+    These belong to the world, not to the hand; MuJoCo warns where they differ from those of the world.
     """
     plain = mujoco.MjSpec()
     visual = [(getattr(spec.visual, name), getattr(plain.visual, name)) for name in _public(plain.visual)]
@@ -111,7 +111,7 @@ def _reset(spec: mujoco.MjSpec) -> None:
         for name in _public(default):
             setattr(ours, name, getattr(default, name))
     for name in _public(plain):
-        if name in SIZES or name.startswith("nuser_"):
+        if name in SIZE_FIELDS or name.startswith("nuser_"):
             setattr(spec, name, getattr(plain, name))
     for name in _public(spec.authored):
         setattr(spec.authored, name, 0)
@@ -126,11 +126,11 @@ def _compiled(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
         with unlogged():
             return spec.compile()
     except ValueError as error:
-        raise HandError(f"{path}: MuJoCo cannot compile it: {complaint(error)}; {ADVICE}") from None
+        raise HandError(f"{path}: MuJoCo cannot compile it: {complaint(error)}; {FILE_ADVICE}") from None
 
 
 def _only_the_hand(spec: mujoco.MjSpec, path: Path, notes: list[str]) -> str:
-    """Name of the body that everything hangs from; what is no part of it is dropped."""
+    """Return the name of the root body of the hand; everything else is deleted."""
     for things in (
         spec.keys,
         spec.sensors,
@@ -178,7 +178,7 @@ def _delete(spec: mujoco.MjSpec, things: Sequence[object]) -> None:
 
 
 def _name_all(spec: mujoco.MjSpec) -> None:
-    """Gives a name to what has none."""
+    """Name all bodies and joints without a name."""
     for kind, things in (("body", spec.bodies), ("joint", spec.joints)):
         taken = {thing.name for thing in things}
         number = 0
@@ -190,7 +190,7 @@ def _name_all(spec: mujoco.MjSpec) -> None:
 
 
 def _matched_joints(hand: Hand, spec: mujoco.MjSpec, path: Path) -> dict[str, str]:
-    """Joint of the hand -> joint of the file, in the order of the hand's joints.
+    """Return joint of the hand -> joint of the file, in the order of the hand's joints.
 
     Mimic joints may be missing.
     """
@@ -200,8 +200,8 @@ def _matched_joints(hand: Hand, spec: mujoco.MjSpec, path: Path) -> dict[str, st
         if not joint.movable:
             continue
         named = hand.mjcf_joints.get(joint.name)
-        # Another MJCF of the same hand may have other names than the one that hand.toml was written for.
-        found = [named] if named is not None and named in there else similar(joint.name, there)
+        # Another MJCF of the same hand may have other names than the MJCF that hand.toml was written for.
+        found = [named] if named is not None and named in there else prefixed_names(joint.name, there)
         if len(found) == 1:
             matched[joint.name] = found[0]
     missing = [name for name in hand.joint_names if name not in matched]
@@ -210,25 +210,25 @@ def _matched_joints(hand: Hand, spec: mujoco.MjSpec, path: Path) -> dict[str, st
         left = [name for name in there if name not in matched.values()]
         raise HandError(
             f"{path}: joints {', '.join(wanted)} of hand '{hand.name}' are not found by name among "
-            f"{', '.join(left) or 'no others'}; a table [mjcf_joints] in its hand.toml can say which is which, and a "
+            f"{', '.join(left) or 'no others'}; a table [mjcf_joints] in its hand.toml can map them, and a "
             "base_link beyond them leaves them out"
         )
     twice = [name for name in matched.values() if list(matched.values()).count(name) > 1]
     if twice:
         both = " and ".join(name for name, other in matched.items() if other == twice[0])
-        raise HandError(f"{path}: joint '{twice[0]}' is found for {both}; [mjcf_joints] must say which is which")
+        raise HandError(f"{path}: joint '{twice[0]}' is found for {both}; [mjcf_joints] must map them")
     return matched
 
 
-def similar(name: str, there: Sequence[str]) -> list[str]:
-    """The name itself where it is `there`, else those that are it behind a prefix, such as rh_FFJ4 or hand/FFJ4."""
+def prefixed_names(name: str, there: Sequence[str]) -> list[str]:
+    """Return the name itself where it is `there`, else the names with a prefix, such as rh_FFJ4 or hand/FFJ4."""
     if name in there:
         return [name]
     return [other for other in there if other.endswith(name) and not other.removesuffix(name)[-1].isalnum()]
 
 
 def _drop_joints(spec: mujoco.MjSpec, kept: set[str], notes: list[str]) -> None:
-    """Deletes joints that are not kept, and what acts on them."""
+    """Delete joints that are not kept, and what acts on them."""
     dropped = {joint.name for joint in spec.joints} - kept
     if not dropped:
         return
@@ -255,13 +255,13 @@ def _drop_joints(spec: mujoco.MjSpec, kept: set[str], notes: list[str]) -> None:
 
 
 def _drop_visuals(spec: mujoco.MjSpec, path: Path) -> None:
-    """Deletes geometry that touches nothing, after writing its mass into its body."""
+    """Delete geometry that cannot touch anything, after writing its mass into its body."""
     model = _compiled(spec, path)
     for body in spec.bodies[1:]:
         compiled = model.body(body.name)
         body.mass, body.ipos, body.iquat = compiled.mass[0], compiled.ipos, compiled.iquat
         body.inertia, body.explicitinertial = compiled.inertia, True
-        # What these were given as counts before the moments, where it is there.
+        # These take precedence over the moments, where they are given.
         body.fullinertia = [np.nan, *[0.0] * 5]
         body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
@@ -278,7 +278,7 @@ def _mesh_name(mesh: mujoco.MjsMesh) -> str:
 
 
 def _pose(model: mujoco.MjModel, body: str) -> np.ndarray:
-    """Pose (4, 4) of a body in the world where all joints are as drawn."""
+    """Return the pose (4, 4) of a body in the world at the reference positions of all joints."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     T = np.eye(4)
@@ -287,7 +287,7 @@ def _pose(model: mujoco.MjModel, body: str) -> np.ndarray:
 
 
 def _links(hand: Hand, model: mujoco.MjModel, root: str, matched: Mapping[str, str]) -> dict[str, str]:
-    """What each body stands for: what a matched joint carries, the base link, or itself."""
+    """Return body -> link that it represents: the child of a matched joint, the base link, or itself."""
     names = [model.body(number).name for number in range(1, model.nbody)]
     links = {name: name for name in names}
     jointed = [model.body(int(model.joint(name).bodyid[0])) for name in matched.values()]

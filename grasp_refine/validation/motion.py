@@ -1,4 +1,4 @@
-"""The motion that closes a hand: from the pregrasp over the grasp to the squeeze."""
+"""Motion that closes a hand: from the pregrasp over the grasp to the squeeze."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.squeeze import squeezed
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, match_joints
 from grasp_refine.hands.hand import Hand
-from grasp_refine.refinement.pregrasp import opened
+from grasp_refine.refinement.pregrasp import open_hand
 from grasp_refine.refinement.solvers.least_squares import Progress
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
 STAGES = ("pregrasp", "grasp", "squeeze")
+"""Names of the stages, in order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,48 +40,48 @@ class Motion:
         return len(self.q)
 
     def select(self, rows: np.ndarray) -> Motion:
-        """The grasps `rows`, in that order."""
+        """Return the grasps `rows`, in that order."""
         return take(self, rows)
 
 
 def closing(scene: Scene, prepared: HandObject | None = None, progress: Progress | None = None) -> Motion:
-    """The motion that we give to the grasps of a scene: opened before, pressing after; NaN for those that are nowhere.
+    """Return our motion to the grasps of a scene: open before, pressing after; NaN for invalid poses.
 
     Args:
         scene: Hand, object and grasps.
-        prepared: Of this hand and object; None: built here.
-        progress: As for `opened`.
+        prepared: Geometry of this hand and object; None: built here.
+        progress: As for `open_hand`.
 
     Raises:
-        GraspRefineError: an argument of another kind.
+        GraspRefineError: an argument of another type.
     """
     check_kind("scene", scene, Scene)
     check_kind("prepared", prepared, HandObject | None)
     prepared = prepared or HandObject.of(scene)
     posed = scene.posed
     T = np.where(posed[:, None, None], scene.T_world_root, np.nan)
-    T_open, q_open = opened(scene, prepared, progress)
+    T_open, q_open = open_hand(scene, prepared, progress)
     q = np.where(posed[:, None], scene.q, np.nan)
     return Motion(np.stack([T_open, T, T], axis=1), np.stack([q_open, q, squeezed(scene, prepared)], axis=1))
 
 
 def motion_of(grasps: GraspSet, hand: Hand, own: Motion | None = None) -> Motion:
-    """The motion that a grasp file gives, its joints matched to the hand by name.
+    """Return the motion of a grasp file, its joints matched to the hand by name.
 
     Args:
         grasps: The grasps.
         hand: Their hand.
-        own: The same grasps with our own stages, for those that the file lacks.
+        own: Motion of the same grasps with our own stages, for those that the file lacks.
 
     Raises:
         GraspFileError: the file lacks a stage and there is no `own`, or its joints are not those of the hand.
     """
-    lacking = [name for name in OTHER_STAGES if getattr(grasps, name) is None]
-    if lacking and own is None:
-        raise GraspFileError(f"the grasps come without {' and '.join(lacking)}")
+    missing = [name for name in OTHER_STAGES if getattr(grasps, name) is None]
+    if missing and own is None:
+        raise GraspFileError(f"the grasps come without {' and '.join(missing)}")
     T, q = [], []
     for at, name in enumerate(STAGES):
-        if name in lacking and own is not None:
+        if name in missing and own is not None:
             T.append(own.T_world_root[:, at])
             q.append(own.q[:, at])
         else:

@@ -1,4 +1,4 @@
-"""How a grasp is tested in simulation: the numbers of the DexGraspBench protocol, as settings that can be named."""
+"""Protocols of grasp tests in simulation: the parameters of the DexGraspBench protocol, as named settings."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ AXES = {
 
 @dataclass(frozen=True)
 class Protocol:
-    """The hand closes from pregrasp over grasp to squeeze; then the object must stay while it is pushed, or be lifted.
+    """Test of a grasp: the hand closes over grasp to squeeze; then the object must stay while pushed, or be lifted.
 
     The defaults are those of DexGraspBench (Chen et al., "BODex", ICRA 2025, and its public benchmark).
     """
 
     name: str = "force-closure"
-    """What results call it."""
+    """Name in results."""
     friction: float = 0.6
     """Sliding friction of all contacts."""
     torsion: float = 0.02
@@ -36,33 +36,33 @@ class Protocol:
     mass: float = 0.1
     """Mass of the object in kg."""
     acceleration: float = 10.0
-    """The object is pushed with this acceleration times its mass, m/s^2; where it is lifted, gravity."""
+    """Acceleration in m/s^2 that gives the pushing force times the mass; where the object is lifted, gravity."""
     directions: tuple[str, ...] = tuple(AXES)
-    """Keys of `AXES`: the pushes, each from the same state; none: the object is lifted off a table instead."""
+    """Directions of the pushes, keys of `AXES`, each from the same state; empty: the object is lifted off a table."""
     lift: float = 0.1
-    """How far the hand is lifted, in metres; only where there are no pushes."""
+    """Height of the lift in metres; only without pushes."""
     timestep: float = 0.004
-    """Seconds of a simulation step."""
+    """Simulation step in seconds."""
     moves: int = 10
     """Number of set points from pregrasp to grasp, and from grasp to squeeze."""
     steps_per_move: int = 10
-    """Simulation steps at each of them."""
+    """Simulation steps per set point."""
     checks: int = 10
-    """How often it is checked, while the object is pushed, whether it is still held."""
+    """Number of checks whether the object is still held while it is pushed."""
     steps_per_check: int = 50
-    """Simulation steps before each of them."""
+    """Simulation steps before each check."""
     farthest: float = 0.05
-    """The object has moved too far from this on, in metres."""
+    """Displacement of the object in metres from which on it is lost."""
     steepest: float = radians(15)
-    """The object has turned too far from this on, in radians."""
+    """Rotation of the object in radians from which on it is lost."""
     deepest: float = 0.01
-    """Hand and object may not penetrate deeper than this at the pregrasp, in metres."""
+    """Largest penetration of hand and object at the pregrasp, in metres."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be simulated.
+        """Refuse a protocol that cannot be simulated.
 
         Raises:
-            GraspRefineError: names the field, and the directions that there are.
+            GraspRefineError: names the field, and the valid directions.
         """
         check_positive(self, "friction", "mass", "timestep", "moves", "steps_per_move", "checks", "steps_per_check")
         unknown = [direction for direction in self.directions if direction not in AXES]
@@ -75,7 +75,7 @@ class Protocol:
         return not self.directions
 
     def slippery(self, friction: float | None) -> Protocol:
-        """The same with another coefficient of sliding friction, and that of torsion in proportion; None: this one."""
+        """Return a copy with another sliding friction, and torsional friction in proportion; None: this protocol."""
         if friction is None:
             return self
         return replace(self, friction=friction, torsion=self.torsion * friction / self.friction)
@@ -85,7 +85,7 @@ FORCE_CLOSURE = Protocol()
 STRICT = Protocol("strict", friction=0.3, torsion=0.002)
 TABLETOP = Protocol("tabletop", directions=(), acceleration=9.81)
 SETTINGS = {protocol.name: protocol for protocol in (FORCE_CLOSURE, STRICT, TABLETOP)}
-"""The named settings."""
+"""Named protocols: name -> protocol."""
 
 SettingName = Literal["force-closure", "strict", "tabletop"]
-"""Their names, for the command line."""
+"""Names of the protocols, for the command line."""

@@ -1,4 +1,4 @@
-"""How much a grasp that held can take: other friction, another pose of the object, no squeeze."""
+"""Robustness of grasps: other friction, another pose of the object, no squeeze."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.world import World
 
 Progress = Callable[[float], None]
-"""Is told how many trials are done, in fractions."""
+"""Called with the number of finished trials, in fractions."""
 
 
 @dataclass(frozen=True)
@@ -24,11 +24,11 @@ class Noise:
     """Random offsets of the object before the hand closes on it."""
 
     count: int = 0
-    """Number of offsets that each grasp is tried with."""
+    """Number of offsets per grasp."""
     offset: float = 0.005
-    """Largest shift in metres; shifts are uniform in the ball of this radius, or its shadow on the table."""
+    """Largest shift in metres; shifts are uniform in the sphere of this radius, or its projection on the table."""
     turn: float = radians(5)
-    """Largest rotation about the object's middle, in radians; rotation vectors are uniform in the ball."""
+    """Largest rotation about the object's middle, in radians; rotation vectors are uniform in the sphere."""
 
 
 def noise_score(
@@ -43,18 +43,18 @@ def noise_score(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Float[np.ndarray, " N"]:
-    """Share (N,) of the offsets of the object at which a grasp still holds in every direction.
+    """Return the share (N,) of the offsets of the object at which a grasp still holds in every direction.
 
     Args:
         world: Hand, object and protocol.
         motion: N grasps.
         noise: The offsets.
-        middle: What the object turns about (3,), metres, object frame.
-        numbers: A number (N,) for each grasp: its offsets depend on this and on the seed only.
+        middle: Centre of the rotations (3,), metres, object frame.
+        numbers: Number (N,) of each grasp: its offsets depend on this and on the seed only.
         upright: Unit normal (3,) of the table, where there is one: objects then stay on it, shifted and turned.
-        seed: Of the offsets.
+        seed: Seed of the offsets.
         threads: CPU threads.
-        progress: Is told of N x `noise.count` trials.
+        progress: Called with finished trials, of N x `noise.count`.
     """
     each = np.repeat(np.arange(len(motion)), noise.count)
     shifts, turns = zip(
@@ -82,7 +82,7 @@ def holds_at(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Bool[np.ndarray, "N F"]:
-    """Whether each of N grasps holds (N, F) with each of F coefficients of sliding friction."""
+    """Return True (N, F) where a grasp holds with a coefficient of sliding friction."""
     each, at = np.repeat(np.arange(len(motion)), len(frictions)), np.tile(frictions, len(motion))
     conditions = replace(Conditions.nominal(world, len(each)), friction=at.astype(float))
     trials = simulate(world, motion.select(each), conditions, threads=threads, first_failure=True, progress=progress)
@@ -92,7 +92,7 @@ def holds_at(
 def holds_without_squeeze(
     world: World, motion: Motion, *, threads: int | None = None, progress: Progress | None = None
 ) -> Bool[np.ndarray, " N"]:
-    """Whether each of N grasps (N,) holds when the hand stops closing at the grasp."""
+    """Return True (N,) where a grasp holds when the hand stops closing at the grasp."""
     grasp, squeeze = STAGES.index("grasp"), STAGES.index("squeeze")
     T, q = motion.T_world_root.copy(), motion.q.copy()
     T[:, squeeze], q[:, squeeze] = T[:, grasp], q[:, grasp]
@@ -100,10 +100,10 @@ def holds_without_squeeze(
 
 
 def _draw(rng: np.random.Generator, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
-    """Shifts and rotation vectors (count, 3) each, uniform in their balls."""
-    balls = []
+    """Return shifts and rotation vectors (count, 3) each, uniform in spheres."""
+    samples = []
     for radius in (noise.offset, noise.turn):
         direction = rng.normal(size=(noise.count, 3))
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        balls.append(radius * rng.uniform(size=(noise.count, 1)) ** (1 / 3) * direction)
-    return balls[0], balls[1]
+        samples.append(radius * rng.uniform(size=(noise.count, 1)) ** (1 / 3) * direction)
+    return samples[0], samples[1]

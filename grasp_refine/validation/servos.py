@@ -1,4 +1,4 @@
-"""Position servos of a MuJoCo model: which actuators are some, what they move, and how hard they pull."""
+"""Position servos of a MuJoCo model: check of the actuators, joints that they move, stiffness and force limits."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from grasp_refine.hands.hand import Actuator, Hand
 
 
 def check_servos(spec: mujoco.MjSpec, path: Path) -> None:
-    """Refuses actuators whose force is not the gain times how far they are from their set point.
+    """Refuse actuators whose force is not the gain times the distance to their set point.
 
     A damping of their own is allowed.
 
     Raises:
-        HandError: one of them is no position servo; `path` is the file that it is in.
+        HandError: an actuator is no position servo; names it and its file `path`.
     """
     for actuator in spec.actuators:
         fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
@@ -34,12 +34,12 @@ def check_servos(spec: mujoco.MjSpec, path: Path) -> None:
 
 
 def moved_joints(spec: mujoco.MjSpec) -> set[str]:
-    """Names of the joints that something moves: an actuator, directly or through a tendon, or an equality."""
+    """Return names of the joints that an actuator moves, directly or through a tendon, or an equality."""
     tendon = mujoco.mjtTrn.mjTRN_TENDON
-    pulled = {actuator.target for actuator in spec.actuators if actuator.trntype == tendon}
+    driven = {actuator.target for actuator in spec.actuators if actuator.trntype == tendon}
     moved = {actuator.target for actuator in spec.actuators if actuator.trntype != tendon}
     for each in spec.tendons:
-        if each.name in pulled:
+        if each.name in driven:
             moved |= joints_of(each)
     for equality in spec.equalities:
         if equality.type == mujoco.mjtEq.mjEQ_JOINT:
@@ -48,13 +48,13 @@ def moved_joints(spec: mujoco.MjSpec) -> set[str]:
 
 
 def joints_of(tendon: mujoco.MjsTendon) -> set[str]:
-    """Names of the joints that a fixed tendon runs over."""
+    """Return names of the joints of a fixed tendon."""
     wraps = [tendon.path[i] for i in range(len(tendon.path))]
     return {wrap.target.name for wrap in wraps if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT}
 
 
 def moments(model: mujoco.MjModel) -> Float[np.ndarray, "u v"]:
-    """How the length of each actuator (u) changes with each degree of freedom (v); joints and tendons make it fixed."""
+    """Return moment arms (u, v) of actuators about degrees of freedom, constant for joints and tendons."""
     data = mujoco.MjData(model)
     for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_transmission):
         stage(model, data)
@@ -66,12 +66,12 @@ def moments(model: mujoco.MjModel) -> Float[np.ndarray, "u v"]:
 def servo_settings(
     hand: Hand, model: mujoco.MjModel, matched: Mapping[str, str], matrix: Float[np.ndarray, "m n"]
 ) -> Actuator:
-    """How the position servos of `model` drive the n independent joints of the hand, in their units and order.
+    """Return the servos of `model` as actuators of the n independent joints of the hand, in their units and order.
 
-    An actuator whose length changes by M_j with joint j pulls at it with kp M_j^2 per error, and with at most |M_j|
-    times its own limit; what several do adds up. In a coupled group M_j is divided by the joint's ratio: stiffness and
+    An actuator whose length changes by M_j with joint j acts on it with kp M_j^2 per error, and with at most |M_j|
+    times its own limit; several actuators add up. In a coupled group M_j is divided by the joint's ratio: stiffness and
     limit are those of a tendon whose length is the sum of ratio x joint value, as `Hand.actuator` has them. Limits of
-    the actuator force at joints and tendons count, too. Armature and dry friction are those of the joint itself, and
+    the actuator force at joints and tendons count too. Armature and dry friction are those of the joint itself, and
     so is damping, to which that of the servos is added.
 
     Args:
@@ -87,7 +87,7 @@ def servo_settings(
     for group, rows in zip(hand.coupled, groups, strict=True):
         ratio[rows] = np.abs(group.ratio)
     M = M / ratio
-    # What does not pull at a joint adds nothing to its limit, even if its own is infinite.
+    # An actuator that does not act on a joint adds nothing to its limit, even if its own limit is infinite.
     reach = np.where(M > 0, _limits(model)[:, None], 0.0) * M
     own = [model.joint(matched[name]).id for name in hand.joint_names]
     limit = np.minimum(
@@ -107,7 +107,7 @@ def servo_settings(
 
 
 def _limits(model: mujoco.MjModel) -> Float[np.ndarray, " u"]:
-    """Greatest force (u,) of each actuator, with the limit of the tendon that it pulls at."""
+    """Return the force limit (u,) of each actuator, with that of its tendon."""
     limits = _greatest(model.actuator_forcelimited, model.actuator_forcerange)
     at = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON)
     tendons = model.actuator_trnid[at, 0]
@@ -118,5 +118,5 @@ def _limits(model: mujoco.MjModel) -> Float[np.ndarray, " u"]:
 
 
 def _greatest(limited: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """The larger end (k,) of ranges (k, 2); inf where there is no limit."""
+    """Return the larger absolute end (k,) of ranges (k, 2); inf where there is no limit."""
     return np.where(limited.astype(bool), np.abs(reach).max(axis=1), np.inf)

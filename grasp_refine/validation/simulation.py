@@ -1,4 +1,4 @@
-"""Grasps in simulation: the hand closes once, and from that state the object is pushed in each direction."""
+"""Simulation of grasps: the hand closes once, and from that state the object is pushed in each direction."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from grasp_refine.validation.stepping import Conditions, Rows, Watch
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.world import World
 
-CHUNK = 32
-"""Grasps that are simulated at a time, which bounds the memory and lets progress be told."""
+CHUNK_GRASPS = 32
+"""Number of grasps that are simulated at once, which bounds the memory and allows progress reports."""
 
 LIFT = ("lift",)
-"""The only direction where the object is lifted off a table."""
+"""Directions of protocols that lift the object off a table."""
 
 _UP = np.array([0.0, 0.0, 1.0])
 
@@ -34,21 +34,21 @@ class Closed:
     """N grasps after the hand closed, before the object is pushed."""
 
     conditions: Conditions
-    """Under which it closed."""
+    """Conditions under which the hand closed."""
     state: Float[np.ndarray, "N s"]
-    """All that MuJoCo needs to go on (N, s), warm starts included."""
+    """State of MuJoCo (N, s), warm starts included."""
     reason: Int[np.ndarray, " N"]
-    """A `Reason` (N,): why the trial is over already; HELD where it is not."""
+    """A `Reason` (N,) of trials that have failed already; HELD elsewhere."""
     contacts_grasp: Bool[np.ndarray, "N L"]
-    """Which links touched the object at the grasp (N, L)."""
+    """True (N, L) where a link touched the object at the grasp."""
     contacts_squeeze: Bool[np.ndarray, "N L"]
-    """Which links touched it after the squeeze (N, L)."""
+    """True (N, L) where a link touched the object after the squeeze."""
     closing_m: Float[np.ndarray, " N"]
-    """How far the object was moved (N,), metres."""
+    """Displacement of the object (N,), metres."""
     closing_rad: Float[np.ndarray, " N"]
-    """How far it was turned (N,), radians."""
+    """Rotation of the object (N,), radians."""
     penetration_m: Float[np.ndarray, " N"]
-    """How deep hand and object were in each other at the pregrasp (N,), metres."""
+    """Penetration of hand and object at the pregrasp (N,), metres."""
 
     __repr__ = brief
 
@@ -63,19 +63,19 @@ def simulate(
     first_failure: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Trials:
-    """What becomes of N grasps; a bad one fails with a reason and does not harm the others.
+    """Simulate N grasps; a bad one fails with a reason and does not affect the others.
 
     Args:
         world: Hand, object and protocol.
-        motion: How the hand closes.
-        conditions: What differs between the grasps; by default nothing.
+        motion: Motion that closes the hand.
+        conditions: Object poses and friction of the grasps; by default those of grasps and protocol.
         threads: CPU threads; by default as many as there are. The result does not depend on it.
         first_failure: A grasp that failed in one direction is not simulated further in the others, for which the
             same reason is then given.
-        progress: Is told how many grasps are done, in fractions.
+        progress: Called with the number of finished grasps, in fractions.
 
     Raises:
-        GraspRefineError: an argument of another kind, a motion of other shapes than the hand's, or no grasp at all.
+        GraspRefineError: an argument of another type, a motion of other shapes than the hand's, or no grasp at all.
     """
     check_kind("world", world, World)
     check_kind("motion", motion, Motion)
@@ -84,18 +84,18 @@ def simulate(
     check_shape("motion.q", motion.q, "N", len(STAGES), world.hand.matrix.shape[1], why="stages and joints of the hand")
     check_shape("motion.T_world_root", motion.T_world_root, len(motion), len(STAGES), 4, 4)
     if not len(motion):
-        raise GraspRefineError("there is no grasp to simulate: the motion is of 0 grasps")
+        raise GraspRefineError("there is no grasp to simulate: the motion has 0 grasps")
     conditions = Conditions.nominal(world, len(motion)) if conditions is None else conditions
     parts = []
-    for start in range(0, len(motion), CHUNK):
-        rows = np.arange(start, min(start + CHUNK, len(motion)))
+    for start in range(0, len(motion), CHUNK_GRASPS):
+        rows = np.arange(start, min(start + CHUNK_GRASPS, len(motion)))
 
-        def tell(share: float, start: int = start, count: int = len(rows)) -> None:
+        def report(share: float, start: int = start, count: int = len(rows)) -> None:
             if progress is not None:
                 progress(start + share * count)
 
-        closed = close(world, motion.select(rows), conditions.select(rows), threads=threads, tell=tell)
-        parts.append(push(world, closed, threads=threads, tell=tell, first_failure=first_failure))
+        closed = close(world, motion.select(rows), conditions.select(rows), threads=threads, tell=report)
+        parts.append(push(world, closed, threads=threads, tell=report, first_failure=first_failure))
     return Trials.join(parts)
 
 
@@ -108,15 +108,15 @@ def close(
     tell: Callable[[float], None] = lambda share: None,
     watch: Watch | None = None,
 ) -> Closed:
-    """N grasps after the hand closed from the pregrasp over the grasp to the squeeze.
+    """Close the hands of N grasps, from the pregrasp over the grasp to the squeeze.
 
     Args:
         world: Hand, object and protocol.
-        motion: How the hand closes.
-        conditions: Where the object lies, and how slippery it is.
+        motion: Motion that closes the hand.
+        conditions: Poses of the object, and friction.
         threads: CPU threads; by default as many as there are.
-        tell: Is told which share of the whole trial is done.
-        watch: Sees the start, unless nothing starts, and every simulation step.
+        tell: Called with the finished share of the whole trial.
+        watch: Called at the start, if any grasp can start, and after every simulation step.
     """
     protocol = world.protocol
     finite = np.isfinite(motion.T_world_root).all(axis=(1, 2, 3)) & np.isfinite(motion.q).all(axis=(1, 2))
@@ -175,17 +175,17 @@ def push(
     tell: Callable[[float], None] = lambda share: None,
     watch: Watch | None = None,
 ) -> Trials:
-    """What becomes of closed grasps while the object is pushed in each direction, or lifted.
+    """Push the object of closed grasps in each direction, or lift it.
 
     Args:
         world: Hand, object and protocol.
         closed: The grasps.
-        directions: Only these; by default all of the protocol.
+        directions: Directions of the pushes; by default all of the protocol.
         threads: CPU threads; by default as many as there are.
         first_failure: As for `simulate`.
-        to_the_end: Trials that have failed go on, to be watched; what is said of them is as if they did not.
-        tell: Is told which share of the whole trial is done.
-        watch: Sees every simulation step.
+        to_the_end: Failed trials continue, to be watched; their results are the same as if they did not.
+        tell: Called with the finished share of the whole trial.
+        watch: Called after every simulation step.
     """
     protocol, count = world.protocol, len(closed.reason)
     names = directions or protocol.directions or LIFT
@@ -249,7 +249,7 @@ def push(
 
 
 def _lift(rows: Rows, held_at: np.ndarray, protocol: Protocol, check: int) -> float:
-    """Raises the hands from where they were `held_at` to where they should be at a check; returns how high, metres."""
+    """Raise the hands from their positions `held_at` to their height at a check; return that height in metres."""
     # In steps as small as those in which the hand closes.
     parts = max(protocol.steps_per_check // protocol.steps_per_move, 1)
     for part in range(1, parts + 1):
@@ -260,7 +260,7 @@ def _lift(rows: Rows, held_at: np.ndarray, protocol: Protocol, check: int) -> fl
 
 
 def _steps(protocol: Protocol) -> int:
-    """Simulation steps of a whole trial."""
+    """Return the number of simulation steps of a whole trial."""
     return 2 * protocol.moves * protocol.steps_per_move + protocol.checks * protocol.steps_per_check
 
 
@@ -270,36 +270,36 @@ def _threads(threads: int | None) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Course:
-    """Where hands are to be, between their stages."""
+    """Course of the hands between their stages."""
 
     world: World
     T_world_body: Float[np.ndarray, "N 3 4 4"]
     """Poses of the hand's root body at the three stages."""
     joints: Float[np.ndarray, "N 3 m"]
-    """Values of its joints there."""
+    """Values of the hand's joints at the three stages."""
 
     @classmethod
     def of(cls, world: World, motion: Motion, finite: np.ndarray) -> _Course:
-        """That of a motion; where it is not finite, any."""
+        """Return the course of a motion; arbitrary where it is not finite."""
         hand = world.hand
         T = np.where(finite[:, None, None, None], motion.T_world_root, np.eye(4)) @ hand.T_base_root
         q = np.where(finite[:, None, None], motion.q, 0.0)
         return cls(world, T, _each(hand.matrix, q) + hand.offset)
 
     def root(self, stage: int, share: float) -> Float[np.ndarray, "N 7"]:
-        """Poses (N, 7) of the root body on the way from `stage` to the next one: straight on, at an even turn."""
+        """Return poses (N, 7) of the root body between `stage` and the next one: linear motion at an even turn."""
         before, after = self.T_world_body[:, stage], self.T_world_body[:, stage + 1]
         turn = log_so3(before[:, :3, :3].mT @ after[:, :3, :3])
         position = before[:, :3, 3] + share * (after[:, :3, 3] - before[:, :3, 3])
         return pose_from_transform(transform(before[:, :3, :3] @ exp_so3(share * turn), position))
 
     def set_points(self, stage: int, share: float) -> Float[np.ndarray, "N u"]:
-        """Set points (N, u) of the actuators on that way."""
+        """Return set points (N, u) of the actuators between `stage` and the next one."""
         values = self.joints[:, stage] + share * (self.joints[:, stage + 1] - self.joints[:, stage])
         return _each(self.world.control, values)
 
 
 def _each(matrix: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Products (..., m) of one matrix (m, n) with vectors (..., n), each rounded as if it were alone."""
+    """Return products (..., m) of one matrix (m, n) with vectors (..., n), rounded independently of the batch."""
     flat = vectors.reshape(-1, vectors.shape[-1])
     return np.stack([matrix @ vector for vector in flat]).reshape(*vectors.shape[:-1], len(matrix))

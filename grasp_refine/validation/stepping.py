@@ -1,4 +1,4 @@
-"""Many simulations of one world at once: who still runs, who diverged, and who touches what."""
+"""Batch of simulations of one world: running and diverged ones, contacts of the hand."""
 
 from __future__ import annotations
 
@@ -24,54 +24,54 @@ DIVERGED = [
         mujoco.mjtWarning.mjWARN_BADQACC,
         mujoco.mjtWarning.mjWARN_BADCTRL,
         mujoco.mjtWarning.mjWARN_INERTIA,
-        # Without memory for all contacts, things pass through each other.
+        # Without memory for all contacts, bodies pass through each other.
         mujoco.mjtWarning.mjWARN_CONTACTFULL,
         mujoco.mjtWarning.mjWARN_CNSTRFULL,
     )
 ]
-"""Warnings after which a simulation means nothing any more."""
+"""Warnings of MuJoCo after which a simulation is not valid."""
 
 Watch = Callable[[Batch], None]
-"""Is called after every simulation step, and once before the first."""
+"""Called after every simulation step, and once before the first."""
 
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What may differ between N simulations: where the object lies, and how slippery everything is."""
+    """Conditions that differ between N simulations: pose of the object, and friction."""
 
     T_world_object: Float[np.ndarray, "N 4 4"]
-    """Poses (N, 4, 4) of the object at the start, in the frame that grasps are given in."""
+    """Poses (N, 4, 4) of the object at the start, in the frame of the grasps."""
     friction: Float[np.ndarray, " N"]
-    """Sliding friction (N,); torsional friction is in the protocol's proportion to it."""
+    """Sliding friction (N,); torsional friction is in proportion, as in the protocol."""
 
     __repr__ = brief
 
     @classmethod
     def nominal(cls, world: World, count: int) -> Conditions:
-        """The object where the grasps say it is, with the friction of the protocol."""
+        """Return the object pose of the grasps, with the friction of the protocol."""
         return cls(np.tile(np.eye(4), (count, 1, 1)), np.full(count, world.protocol.friction))
 
     def select(self, rows: np.ndarray) -> Conditions:
-        """Those of the simulations `rows`."""
+        """Return the conditions of the simulations `rows`."""
         return take(self, rows)
 
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """What the hands of N simulations touch."""
+    """Contacts of the hands of N simulations."""
 
     links: Bool[np.ndarray, "N L"]
-    """Which links touch the object (N, L)."""
+    """True (N, L) where a link touches the object."""
     depth: Float[np.ndarray, " N"]
-    """How deep any of them is in the object (N,), metres."""
+    """Largest penetration of the links in the object (N,), metres."""
     depth_table: Float[np.ndarray, " N"]
-    """How deep any of them is in the table (N,), metres."""
+    """Largest penetration of the links in the table (N,), metres."""
 
     __repr__ = brief
 
 
 class Rows:
-    """N simulations of a world; what becomes of one depends neither on the others nor on the number of threads."""
+    """N simulations of a world; the result of each depends neither on the others nor on the number of threads."""
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class Rows:
         threads: int,
         watch: Watch | None = None,
     ) -> None:
-        """N simulations at the model's initial state, of which those that are `running` will be stepped."""
+        """Begin N simulations at the model's initial state, of which those that are `running` will be stepped."""
         self.world = world
         self.batch = Batch(world.model, len(running), threads)
         self.running = running.copy()
@@ -94,7 +94,7 @@ class Rows:
             coefficients[:, :, 1] = friction[:, None] * world.protocol.torsion / world.protocol.friction
 
     def step(self, count: int) -> None:
-        """Advance those that run by `count` steps; those that diverge run no longer."""
+        """Advance running simulations by `count` steps; those that diverge stop."""
         for steps in (count,) if self._watch is None else (1,) * count:
             ids = np.flatnonzero(self.running)
             if not len(ids):
@@ -112,7 +112,7 @@ class Rows:
                 self._watch(self.batch)
 
     def touching(self, rows: np.ndarray) -> Touch:
-        """What touches what in the simulations `rows`; nothing in the others."""
+        """Return the contacts in the simulations `rows`; none in the others."""
         count = len(self.running)
         links = np.zeros((count, len(self.world.links)), dtype=bool)
         depth, depth_table = np.zeros(count), np.zeros(count)
@@ -130,6 +130,6 @@ class Rows:
         return Touch(links, depth, depth_table)
 
     def object_poses(self) -> Float[np.ndarray, "N 4 4"]:
-        """Poses of the object (N, 4, 4)."""
+        """Return the poses of the object (N, 4, 4)."""
         at = self.world.object_at
         return transform_from_pose(self.batch.qpos[:, at : at + 7])

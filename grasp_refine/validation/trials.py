@@ -1,4 +1,4 @@
-"""What simulations of grasps came to: held or not, and why not."""
+"""Results of simulated grasps: held or not, and the reason of a failure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from grasp_refine.validation.protocol import Protocol
 
 
 class Reason(IntEnum):
-    """How the trial of a grasp in one direction ended."""
+    """Result of the trial of a grasp in one direction."""
 
     HELD = 0
     MOVED = 1
@@ -30,11 +30,11 @@ class Reason(IntEnum):
 
     @property
     def label(self) -> str:
-        """As results and tables say it."""
+        """Name of the reason in results and tables."""
         return self.name.lower().replace("_", " ")
 
     def meaning(self, protocol: Protocol) -> str:
-        """What happened, for a person."""
+        """Return a description of what happened, for people."""
         return {
             Reason.HELD: "the object stayed",
             Reason.MOVED: f"the object was {protocol.farthest * 1e3:g} mm or more away from where it should be",
@@ -45,14 +45,14 @@ class Reason(IntEnum):
             Reason.PENETRATES: f"hand and object are deeper than {protocol.deepest * 1e3:g} mm in each other at the "
             "pregrasp, which would throw the object",
             Reason.UNSTABLE: "the simulation diverged",
-            Reason.NOT_FINITE: "the grasp holds NaN or infinite numbers, or is nowhere: its pose is no rigid "
+            Reason.NOT_FINITE: "the grasp holds NaN or infinite numbers, or its pose is invalid: no rigid "
             "motion, or beyond 1e6 m or rad",
         }[self]
 
 
 @dataclass(frozen=True, eq=False)
 class Trials:
-    """N grasps, each tried in D directions; contacts are by L links."""
+    """Trials of N grasps, each in D directions, with contacts of L links."""
 
     directions: tuple[str, ...]
     """Names of the D directions, such as "+x", or "lift"."""
@@ -61,27 +61,27 @@ class Trials:
     reason: Int[np.ndarray, "N D"]
     """A `Reason` for each trial (N, D)."""
     time_s: Float[np.ndarray, "N D"]
-    """When it failed (N, D), in seconds after the push or the lift began; NaN where it did not."""
+    """Time of the failure (N, D), in seconds after the push or the lift began; NaN where the grasp held."""
     displacement_m: Float[np.ndarray, "N D"]
-    """How far the object had moved from where it lay at first (N, D), at the failure or at the end, metres."""
+    """Displacement of the object from its initial position (N, D), at the failure or at the end, metres."""
     angle_rad: Float[np.ndarray, "N D"]
-    """How far it had turned (N, D), radians."""
+    """Rotation of the object from its initial pose (N, D), at the failure or at the end, radians."""
     peak_m: Float[np.ndarray, "N D"]
-    """How far it was away at most, of all checks until then (N, D), metres."""
+    """Largest displacement of the object at all checks until then (N, D), metres."""
     peak_rad: Float[np.ndarray, "N D"]
-    """How far it was turned at most (N, D), radians."""
+    """Largest rotation of the object at all checks until then (N, D), radians."""
     contacts: Bool[np.ndarray, "N D L"]
-    """Which links touched the object then (N, D, L)."""
+    """True (N, D, L) where a link touched the object at the failure or at the end."""
     contacts_grasp: Bool[np.ndarray, "N L"]
-    """Which links touched it when the hand had closed to the grasp, before the squeeze (N, L)."""
+    """True (N, L) where a link touched the object at the grasp, before the squeeze."""
     contacts_squeeze: Bool[np.ndarray, "N L"]
-    """Which links touched it after the squeeze, before the push (N, L)."""
+    """True (N, L) where a link touched the object after the squeeze, before the push."""
     closing_m: Float[np.ndarray, " N"]
-    """How far closing the hand moved the object (N,), metres."""
+    """Displacement of the object while the hand closed (N,), metres."""
     closing_rad: Float[np.ndarray, " N"]
-    """How far closing the hand turned it (N,), radians."""
+    """Rotation of the object while the hand closed (N,), radians."""
     penetration_m: Float[np.ndarray, " N"]
-    """How deep hand and object were in each other at the pregrasp (N,), metres."""
+    """Penetration of hand and object at the pregrasp (N,), metres."""
 
     def __repr__(self) -> str:
         held = f"{self.success.sum()} of {count_text(len(self), 'grasp')} held"
@@ -89,7 +89,7 @@ class Trials:
 
     @property
     def labels(self) -> np.ndarray:
-        """How each trial ended (N, D), in words: the labels of `reason`."""
+        """Labels of `reason` (N, D), such as "held"."""
         return labels(Reason, self.reason)
 
     def __len__(self) -> int:
@@ -98,23 +98,23 @@ class Trials:
 
     @property
     def success(self) -> Bool[np.ndarray, " N"]:
-        """Which grasps (N,) held in every direction."""
+        """True where a grasp (N,) held in every direction."""
         return (self.reason == Reason.HELD).all(axis=1)
 
     @property
     def worst(self) -> Int[np.ndarray, " N"]:
-        """The column (N,) of the first direction that failed, else of the one that was nearest to failing."""
+        """Column (N,) of the first direction that failed, else of the one that was nearest to failing."""
         failed = self.reason != Reason.HELD
         share = np.maximum(self.peak_m / Protocol.farthest, self.peak_rad / Protocol.steepest)
         return np.where(failed.any(axis=1), failed.argmax(axis=1), np.nan_to_num(share, nan=np.inf).argmax(axis=1))
 
     def select(self, rows: np.ndarray) -> Trials:
-        """The grasps `rows`, in that order."""
+        """Return the grasps `rows`, in that order."""
         return take(self, rows)
 
     @classmethod
     def join(cls, parts: Sequence[Trials]) -> Trials:
-        """The grasps of all parts, in that order; parts may name different links."""
+        """Return the grasps of all parts, in that order; parts may have different links."""
         links = tuple(dict.fromkeys(link for part in parts for link in part.links))
 
         def spread(part: Trials, contacts: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""A hand as MuJoCo takes it, made from the very links, joints and convex pieces that are refined.
+"""Model of a hand for MuJoCo, made from the links, joints and convex pieces that are refined.
 
 MuJoCo's own URDF reader is not used: mesh paths, fixed joints, mimic joints and impossible inertias are its traps, and
-what is simulated would not be what was refined.
+the simulated hand would not be the refined one.
 """
 
 from __future__ import annotations
@@ -21,36 +21,36 @@ from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.validation.geoms import add_piece
 from grasp_refine.validation.hand_model import HandModel
 
-STEEL = 7850.0
-"""Density in kg/m^3 that no hand is above."""
+STEEL_DENSITY_KG_M3 = 7850.0
+"""Density of steel in kg/m^3, above which a note is returned."""
 
-SPECK = Inertia(1e-3, np.zeros(3), 1e-6 * np.eye(3))
-"""What a moving part gets of which the URDF gives neither mass nor geometry: 1 g."""
+DEFAULT_INERTIA = Inertia(1e-3, np.zeros(3), 1e-6 * np.eye(3))
+"""Inertia of a moving part of which the URDF gives neither mass nor geometry: 1 g."""
 
-FOLLOWING = {"solref": [0.01, 1.0], "solimp": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
-"""How hard a mimic joint follows: as hard as steps of 4 ms allow."""
+MIMIC_SOLVER_PARAMETERS = {"solref": [0.01, 1.0], "solimp": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
+"""Solver parameters of mimic joints: as stiff as steps of 4 ms allow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Which links move as one."""
+    """Rigid parts of a hand: groups of links that move together."""
 
     matrix: Float[np.ndarray, "m n"]
-    """Values of the m joints that can move are `matrix` times q, plus `offset`."""
+    """Matrix (m, n): values of the m joints that can move are `matrix` times q, plus `offset`."""
     offset: Float[np.ndarray, " m"]
-    """What is added (m,), in rad or m."""
+    """Offset (m,) of the joint values, in rad or m."""
     joints: tuple[str, ...]
-    """The m joints that can move."""
+    """Names of the m joints that can move."""
     still: Mapping[str, float]
-    """Values in rad or m of the movable joints that cannot move: those with equal limits, and what follows these."""
+    """Values in rad or m of the movable joints that cannot move: those with equal limits, and mimics of these."""
     of: Mapping[str, str]
-    """Link -> first link of its part, which is what a joint carries, or the base link."""
+    """Link -> first link of its part, which is the child of a joint, or the base link."""
     carrier: Mapping[str, str]
-    """First link of a part -> that of the part it hangs from."""
+    """First link of a part -> that of its parent part."""
 
     @classmethod
     def by_joints(cls, hand: Hand) -> Parts:
-        """The parts of `hand`."""
+        """Return the parts of `hand`."""
         matrix, offset, names = hand.mimic_map()
         free = hand.lower < hand.upper
         moves = (matrix[:, free] != 0).any(axis=1)
@@ -66,10 +66,10 @@ class Parts:
 
 
 def urdf_model(hand: Hand) -> HandModel:
-    """`hand` as MuJoCo takes it: a body for each link, its convex pieces, and position actuators.
+    """Return the model of `hand` for MuJoCo: a body for each link, its convex pieces, and position actuators.
 
     Joints have the limits of the URDF, and damping, armature and dry friction of `hand.actuator`; mimic joints have no
-    limits and follow by equality constraints. Hand links collide with each other only where `touching_pairs` says so,
+    limits and follow by equality constraints. Hand links collide with each other only in pairs of `touching_pairs`,
     and with everything else. A locked joint (equal limits) is no joint here.
     """
     spec = mujoco.MjSpec()
@@ -92,7 +92,7 @@ def urdf_model(hand: Hand) -> HandModel:
     if rounded:
         notes.append(f"rounded edges of {', '.join(rounded)} are polyhedra in the simulation")
     add_actuators(spec, hand, {name: name for name in hand.joint_names if name in parts.joints})
-    for a, b in apart(hand, parts):
+    for a, b in excluded_pairs(hand, parts):
         spec.add_exclude(bodyname1=names[a], bodyname2=names[b])
     return HandModel(
         spec=spec,
@@ -110,13 +110,13 @@ def urdf_model(hand: Hand) -> HandModel:
 def add_actuators(
     spec: mujoco.MjSpec, hand: Hand, joints: Mapping[str, str], sign: Mapping[str, float] | None = None
 ) -> None:
-    """Position actuators of `hand` in `spec`, named like what they drive: one per joint, one per coupled group.
+    """Add position actuators of `hand` to `spec`, named like their joints: one per joint, one per coupled group.
 
-    A group pulls at a tendon whose length is the sum of ratio x joint value; stiffness and force limit are those of
+    A group acts on a tendon whose length is the sum of ratio x joint value; stiffness and force limit are those of
     its first joint.
 
     Args:
-        spec: Where joints are, and actuators will be.
+        spec: Specification with the joints, to which actuators are added.
         hand: The hand.
         joints: Independent joint of the hand -> name in `spec`; others are left out.
         sign: Independent joint -> -1 where its values have the other sign in `spec`.
@@ -125,7 +125,7 @@ def add_actuators(
 
     def add(name: str, target: str, kind: mujoco.mjtTrn, i: int) -> None:
         kp, limit = hand.actuator.kp[i], hand.actuator.force_limit[i]
-        # MuJoCo takes no empty range: what may exert nothing pulls with nothing.
+        # MuJoCo refuses an empty range: an actuator with a limit of 0 gets no stiffness.
         servo = spec.add_actuator(name=name, target=target, trntype=kind)
         servo.set_to_position(kp=kp if limit > 0 else 0.0)
         if 0 < limit < np.inf:
@@ -144,8 +144,8 @@ def add_actuators(
             add(tendon.name, tendon.name, mujoco.mjtTrn.mjTRN_TENDON, row[driven[0][0]])
 
 
-def apart(hand: Hand, parts: Parts) -> list[tuple[str, str]]:
-    """The pairs of links that must not collide; without neighbours, which MuJoCo never lets collide."""
+def excluded_pairs(hand: Hand, parts: Parts) -> list[tuple[str, str]]:
+    """Return the pairs of links that must not collide, without neighbours, which MuJoCo never lets collide."""
     touching = {frozenset(pair) for pair in touching_pairs(hand)}
     solid = [link.name for link in hand.links if link.body is not None]
     return [
@@ -159,7 +159,7 @@ def apart(hand: Hand, parts: Parts) -> list[tuple[str, str]]:
 
 
 def _body_names(hand: Hand) -> dict[str, str]:
-    """Link -> body; MuJoCo's own root has the name "world", which is also common in URDFs."""
+    """Return link -> body; MuJoCo's own root has the name "world", which is also common in URDFs."""
     taken = {link.name for link in hand.links}
     other = "world_link"
     while other in taken:
@@ -185,9 +185,9 @@ def _add_joint(spec: mujoco.MjSpec, body: mujoco.MjsBody, hand: Hand, parts: Par
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
             name1=joint.name,
             name2=hand.joint_names[leader],
-            **FOLLOWING,
+            **MIMIC_SOLVER_PARAMETERS,
         )
-        # A polynomial; how many numbers there is room for differs between versions of MuJoCo.
+        # A polynomial, whose number of coefficients differs between versions of MuJoCo.
         tie.data = [parts.offset[index], row[leader], *[0.0] * (len(tie.data) - 2)]
         return
     added.frictionloss = hand.actuator.frictionloss[leader]
@@ -196,35 +196,35 @@ def _add_joint(spec: mujoco.MjSpec, body: mujoco.MjsBody, hand: Hand, parts: Par
 
 
 def _add_geoms(spec: mujoco.MjSpec, body: mujoco.MjsBody, link: Link) -> bool:
-    """Whether some rounded piece had to become a polyhedron; adds the pieces of `link` to its body."""
+    """Add the pieces of `link` to its body; return True if a rounded piece had to become a polyhedron."""
     for number, piece in enumerate(link.solid.pieces):
-        # Masses are explicit; the other ways to find inertias refuse what is thin or small.
+        # Masses are explicit; the other methods of inertias refuse thin or small meshes.
         add_piece(spec, body, piece, f"{body.name}:{number}", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     return any(piece.radius > 0 and len(piece.vertices) > 2 for piece in link.solid.pieces)
 
 
 def _add_masses(hand: Hand, parts: Parts, bodies: Mapping[str, mujoco.MjsBody]) -> list[str]:
-    """Notes on what was repaired; sets mass and inertia of the bodies."""
+    """Set mass and inertia of the bodies; return notes on repairs."""
     kinds: dict[str, list[str]] = {
         f"mass and inertia of {{}} are those of solid pieces of {DENSITY:g} kg/m^3: the URDF gives no mass": [],
-        "inertia of {} follows from mass and geometry, or is that of a ball of 1 cm: the URDF gives none above 0": [],
+        "inertia of {} follows from mass and geometry, or is that of a sphere of 1 cm: the URDF gives none above 0": [],
         "inertia of {} balanced: its principal moments broke the triangle inequality": [],
         "{} denser than steel: the URDF gives them more mass than they can have, which slows the simulated hand": [],
-        f"{{}} weighs {SPECK.mass * 1e3:g} g: the URDF gives neither mass nor geometry": [],
+        f"{{}} weighs {DEFAULT_INERTIA.mass * 1e3:g} g: the URDF gives neither mass nor geometry": [],
     }
     without_mass, without_moments, unbalanced, too_dense, without_all = kinds.values()
     weighed = set()
     for link in hand.links:
         inertia = link.inertia
         mass = link.mass or 0.0
-        if link.body is not None and mass > STEEL / DENSITY * Inertia.of(link.body.pieces).mass:
+        if link.body is not None and mass > STEEL_DENSITY_KG_M3 / DENSITY * Inertia.of(link.body.pieces).mass:
             too_dense.append(link.name)
         if inertia is not None and inertia.positive():
             if not inertia.possible():
                 unbalanced.append(link.name)
         elif mass > 0:
             without_moments.append(link.name)
-            inertia = _shaped(link, mass)
+            inertia = _inertia_of_mass(link, mass)
         elif link.body is not None:
             without_mass.append(link.name)
             inertia = Inertia.of(link.body.pieces)
@@ -235,12 +235,12 @@ def _add_masses(hand: Hand, parts: Parts, bodies: Mapping[str, mujoco.MjsBody]) 
     for first in dict.fromkeys(parts.of.values()):
         if first not in weighed:
             without_all.append(first)
-            _set_inertia(bodies[first], SPECK)
+            _set_inertia(bodies[first], DEFAULT_INERTIA)
     return [note.format(", ".join(links)) for note, links in kinds.items() if links]
 
 
-def _shaped(link: Link, mass: float) -> Inertia:
-    """Inertia of `link` with the given mass, spread like its geometry, or without any like a ball of 1 cm."""
+def _inertia_of_mass(link: Link, mass: float) -> Inertia:
+    """Return the inertia of `link` with the given mass, distributed like its geometry, or like a sphere of 1 cm."""
     centre = None if link.inertia is None else link.inertia.centre
     if link.body is None:
         return Inertia(mass, np.zeros(3) if centre is None else centre, 0.4 * mass * 0.01**2 * np.eye(3))

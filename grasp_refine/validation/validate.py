@@ -1,4 +1,4 @@
-"""Validation: everything that is measured of grasps, by geometry and in simulation."""
+"""Validation: all measures of grasps, by geometry and in simulation."""
 
 from __future__ import annotations
 
@@ -29,34 +29,34 @@ from grasp_refine.validation.urdf_model import urdf_model
 from grasp_refine.validation.world import World
 
 BARELY = 0.5
-"""A grasp that held is flagged when the object came this share of the way to what counts as lost."""
+"""Share of the limits of a lost object above which a grasp that held is flagged."""
 
-ENOUGH = 2
-"""A grasp that held is flagged when fewer links than this are near the object at the grasp."""
+MIN_CONTACT_LINKS = 2
+"""Smallest number of links near the object at the grasp; a grasp that held with fewer is flagged."""
 
 Tell = Callable[[str, float], None]
-"""Is told what is being simulated, and how many grasps are done, in fractions."""
+"""Called with the name of the present simulation, and the number of finished grasps, in fractions."""
 
 
 @dataclass(frozen=True)
 class Checks:
-    """What is tried in simulation beside the protocol."""
+    """Further trials in simulation beside the protocol."""
 
     noise: Noise = field(default_factory=Noise)
     """Random offsets of the object; by default none."""
     frictions: tuple[float, ...] = ()
-    """Coefficients of sliding friction that are tried beside that of the protocol."""
+    """Coefficients of sliding friction beside that of the protocol."""
     without_squeeze: bool = False
-    """Whether it is tried if grasps hold without their squeeze."""
+    """Whether grasps are also tried without their squeeze."""
     seed: int = 0
-    """Of the offsets."""
+    """Seed of the offsets."""
     threads: int | None = None
     """CPU threads; by default as many as there are."""
 
 
 @dataclass(frozen=True, eq=False)
 class Validated:
-    """N grasps; what was not asked for is None."""
+    """Measures of N grasps; None where they were not requested."""
 
     object: np.ndarray
     """Name of the object (N,)."""
@@ -69,17 +69,17 @@ class Validated:
     wall_s: np.ndarray
     """Share of the wall time of the simulation (N,), seconds."""
     cpu_s: np.ndarray
-    """Share of its CPU time (N,), seconds."""
+    """Share of the CPU time of the simulation (N,), seconds."""
     metrics: Metrics
     """Measures at the grasp pose."""
     trials: Trials | None = None
-    """What simulation came to."""
+    """Trials in simulation."""
     noise: Float[np.ndarray, " N"] | None = None
     """Share (N,) of the offsets of the object with which the grasp held."""
     frictions: Bool[np.ndarray, "N F"] | None = None
-    """Whether it held with each of F coefficients of friction (N, F)."""
+    """True (N, F) where the grasp held with a coefficient of friction."""
     unsqueezed: Bool[np.ndarray, " N"] | None = None
-    """Whether it held without the squeeze (N,)."""
+    """True (N,) where the grasp held without the squeeze."""
 
     __repr__ = brief
 
@@ -89,11 +89,11 @@ class Validated:
 
     @property
     def success(self) -> Bool[np.ndarray, " N"]:
-        """Which grasps (N,) held; none where there was no simulation."""
+        """True where a grasp (N,) held; False without simulation."""
         return np.zeros(len(self), dtype=bool) if self.trials is None else self.trials.success
 
     def barely(self, protocol: Protocol) -> Bool[np.ndarray, " N"]:
-        """Which grasps (N,) held, but let the object come more than half of the way to what counts as lost."""
+        """Return True where a grasp (N,) held, but the object moved more than `BARELY` of the limits of a lost one."""
         if self.trials is None:
             return self.success
         moved = self.trials.peak_m.max(axis=1) > BARELY * protocol.farthest
@@ -102,31 +102,31 @@ class Validated:
 
     @property
     def by_squeeze(self) -> Bool[np.ndarray, " N"]:
-        """Which grasps (N,) held only because of the squeeze.
+        """True where a grasp (N,) held only because of the squeeze.
 
-        Tried, where that was asked for; otherwise those of which fewer than two links are near the object, so that it
-        is the squeeze that brings them there.
+        Simulated, where that was requested; otherwise grasps with fewer than two links near the object, so that only
+        the squeeze brings them into contact.
         """
         if self.unsqueezed is not None:
             return self.success & ~self.unsqueezed
-        return self.success & (self.metrics.contact_number < ENOUGH)
+        return self.success & (self.metrics.contact_number < MIN_CONTACT_LINKS)
 
     def select(self, rows: np.ndarray) -> Validated:
-        """The grasps `rows`, in that order."""
+        """Return the grasps `rows`, in that order."""
         return take(self, rows)
 
     @classmethod
     def join(cls, parts: list[Validated]) -> Validated:
-        """The grasps of all parts, of which all were asked for the same."""
+        """Return the grasps of all parts, which have the same measures."""
         return cls(*(_joined([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
 
 def model_of(hand: Hand) -> HandModel:
-    """The hand for MuJoCo: from its MJCF where that is what counts, else from its URDF.
+    """Return the model of the hand for MuJoCo: from its MJCF where that is its collision geometry, else from its URDF.
 
     Raises:
         HandError: the MJCF cannot be used, or is of another hand.
-        GraspRefineError: no hand.
+        GraspRefineError: not a hand.
     """
     check_kind("hand", hand, Hand)
     if hand.collision == "mjcf" and hand.mjcf is not None:
@@ -146,21 +146,21 @@ def validate(
     checks: Checks | None = None,
     tell: Tell = lambda what, done: None,
 ) -> Validated:
-    """What N grasps on one object are worth: their measures and, with a world, what became of them in simulation.
+    """Measure N grasps on one object and, with a world, simulate them.
 
     Args:
         scene: Hand, object and grasps.
-        name: What the object is called.
-        scale: Its scale.
+        name: Name of the object.
+        scale: Factor that takes the object's mesh to metres.
         rows: Rows of the grasps in their file.
         index: Numbers of the grasps among those of their object.
         world: Hand and object for MuJoCo; None: nothing is simulated.
-        motion: How the hand closes to the grasps; needed for simulation.
-        checks: What is tried in simulation beside the protocol; by default nothing.
-        tell: Is told how far the simulation is.
+        motion: Motion that closes the hand to the grasps; needed for simulation.
+        checks: Further trials beside the protocol; by default none.
+        tell: Called with the progress of the simulation.
 
     Raises:
-        GraspRefineError: an argument of another kind or shape.
+        GraspRefineError: an argument of another type or shape.
     """
     check_kind("scene", scene, Scene)
     check_kind("world", world, World | None)
@@ -193,7 +193,7 @@ def validate(
 def _further(
     world: World, scene: Scene, motion: Motion, rows: np.ndarray, checks: Checks, tell: Tell
 ) -> dict[str, Any]:
-    """The further trials that were asked for."""
+    """Return the further trials that were requested."""
     found = {}
     if checks.noise.count:
         found["noise"] = noise_score(
@@ -227,7 +227,7 @@ def _normal(scene: Scene) -> np.ndarray:
 
 
 def _joined(values: list) -> Any:
-    """Arrays, measures or trials as one; None where there are none."""
+    """Return arrays, measures or trials as one; None where there are none."""
     first = values[0]
     if first is None:
         return None

@@ -1,4 +1,4 @@
-"""The world of a simulation: one hand on a free root, one object, compiled once for any number of grasps."""
+"""World of a simulation: one hand on a free root, one object, compiled once for any number of grasps."""
 
 from __future__ import annotations
 
@@ -23,50 +23,50 @@ from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.servos import moments
 
 OBJECT, HAND, HOLDER, TABLE = "object", "hand", "holder", "table"
-"""Names of the bodies and of the free joints of object and hand; what the hand's names start with; of the table."""
+"""Names of bodies and free joints; the hand's is also the prefix of its names."""
 
 OBJECT_GEOM, OTHER_GEOM = -1, -2
-"""What stands for a link where a geom belongs to none."""
+"""Values of `World.link_of_geom` for geoms without a link."""
 
-EVERYTHING = -1
-"""All 32 bits: object and table touch whatever can touch anything, whichever bits the file of the hand chose."""
+ALL_COLLISION_BITS = -1
+"""All 32 collision bits: object and table touch all that can touch anything, whatever bits the hand's file has."""
 
-ROLLING = 1e-4
-"""Rolling friction, which contacts of dimension 4 do not have; MuJoCo asks for a value."""
+ROLLING_FRICTION = 1e-4
+"""Rolling friction, which contacts of dimension 4 do not use; MuJoCo requires a value."""
 HAND_SOLREF, HAND_SOLIMP = (0.005, 1.0), (0.5, 0.99, 1e-4, 0.5, 2.0)
-"""How stiff contacts of the hand are."""
+"""Solver parameters of contacts of the hand."""
 WELD_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
-"""How stiffly the root of the hand follows its holder."""
+"""Solver parameters of the weld of the hand's root to its holder."""
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A compiled model, and where in it things stand; the object's frame is the world's where the object starts."""
+    """Compiled model with indices of its parts; the object's frame is the world's where the object starts."""
 
     spec: mujoco.MjSpec
-    """What was compiled, for export."""
+    """Specification of the model, for export."""
     model: mujoco.MjModel
-    """The model; nothing changes it."""
+    """Compiled model; it is never changed."""
     hand: HandModel
-    """The hand as it was put into it."""
+    """Hand in the model."""
     object: str
     """Name of the object."""
     protocol: Protocol
-    """What it was compiled for."""
+    """Protocol of the model."""
     root_at: int
-    """Where in qpos the pose (7,) of the hand's root stands."""
+    """Index in qpos of the pose (7,) of the hand's root."""
     object_at: int
-    """Where in qpos the pose (7,) of the object stands."""
+    """Index in qpos of the pose (7,) of the object."""
     joints_at: Int[np.ndarray, " m"]
-    """Where in qpos the values of the hand's joints stand (m,), in the order of `HandModel.joints`."""
+    """Indices (m,) in qpos of the values of the hand's joints, in the order of `HandModel.joints`."""
     object_body: int
     """Number of the object's body."""
     control: Float[np.ndarray, "u m"]
-    """The set points of the u actuators at which they rest are this (u, m) times the joint values (m,)."""
+    """Matrix (u, m) that takes joint values (m,) to the set points of the u actuators at which they rest."""
     links: tuple[str, ...]
-    """Names of the L links that have something to touch with."""
+    """Names of the L links with collision geometry."""
     link_of_geom: Int[np.ndarray, " g"]
-    """Number of the link that each geom belongs to (g,), or `OBJECT_GEOM`, or `OTHER_GEOM`, such as the table's."""
+    """Index of the link of each geom (g,), or `OBJECT_GEOM`, or `OTHER_GEOM`, such as the table's."""
 
     def __repr__(self) -> str:
         return f"World({self.object} in a hand of {len(self.links)} links, protocol {self.protocol.name})"
@@ -74,17 +74,17 @@ class World:
 
 @stage("simulating")
 def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane | None = None) -> World:
-    """The world in which grasps of a hand on an object are simulated.
+    """Return the world in which grasps of a hand on an object are simulated.
 
     Args:
         hand: The hand; it is copied.
         obj: The object, with all its convex pieces.
-        protocol: The physics.
-        table: What the object lies on, where it is lifted; by default a plane under its lowest point.
+        protocol: Protocol of the simulation.
+        table: Support of the object, where it is lifted; by default a plane under its lowest point.
 
     Raises:
-        GraspRefineError: MuJoCo cannot compile it, with what it complains of; or nothing of the hand can touch the
-            object; or an argument of another kind.
+        GraspRefineError: MuJoCo cannot compile it, with its message; or no geometry of the hand can touch the
+            object; or an argument of another type.
     """
     check_kind("hand", hand, HandModel)
     check_kind("obj", obj, Object)
@@ -100,17 +100,17 @@ def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane |
     if protocol.tabletop:
         _add_table(spec, table if table is not None else resting_plane(obj))
     for geom in spec.geoms:
-        geom.condim, geom.friction = 4, [protocol.friction, protocol.torsion, ROLLING]
+        geom.condim, geom.friction = 4, [protocol.friction, protocol.torsion, ROLLING_FRICTION]
     try:
         with unlogged():
             model = spec.compile()
     except ValueError as error:
-        raise GraspRefineError(f"MuJoCo cannot simulate {obj.name} in this hand: {_advised(error)}") from None
+        raise GraspRefineError(f"MuJoCo cannot simulate {obj.name} in this hand: {_error_with_advice(error)}") from None
     return _located(spec, model, hand, obj.name, protocol)
 
 
-def _advised(error: ValueError) -> str:
-    """What MuJoCo complains of, and what may be the cause where it is about the mass or the size of the object."""
+def _error_with_advice(error: ValueError) -> str:
+    """Return the message of MuJoCo, with the possible cause if it is about mass or size of the object."""
     text = complaint(error)
     if re.search(rf"\b{OBJECT}(_\d+)?\b", text) and re.search(r"\b(mass|inertia|volume|size)\b", text):
         return f"{text}; --mass or --scale may be too small for it"
@@ -118,7 +118,7 @@ def _advised(error: ValueError) -> str:
 
 
 def resting_plane(obj: Object) -> Plane:
-    """The horizontal plane that touches the object from below, z up in its frame."""
+    """Return the horizontal plane that touches the object from below, z up in its frame."""
     return Plane(offset=float(min(piece.bounds[0, 2] for piece in obj.body.pieces)))
 
 
@@ -130,7 +130,7 @@ def _set_options(spec: mujoco.MjSpec, protocol: Protocol) -> None:
     option.noslip_iterations = 2
     option.impratio = 10.0
     option.gravity = [0.0, 0.0, -protocol.acceleration if protocol.tabletop else 0.0]
-    # A simulation that diverges must not be set back to its start, where it would look like one that holds. And one
+    # A simulation that diverges must not be reset to its start, where it would look like one that holds. And one
     # contact for a pair of convex pieces, as in the MuJoCo that the protocol was published with: 4 has up to four.
     option.disableflags |= disable.mjDSBL_AUTORESET | disable.mjDSBL_MULTICCD
 
@@ -142,11 +142,11 @@ def _add_object(spec: mujoco.MjSpec, obj: Object, protocol: Protocol) -> None:
     for number, (piece, share) in enumerate(zip(obj.body.pieces, volumes / volumes.sum(), strict=True)):
         geom = add_piece(spec, body, piece, f"{OBJECT}_{number}")
         geom.mass = protocol.mass * share
-        geom.contype = geom.conaffinity = EVERYTHING
+        geom.contype = geom.conaffinity = ALL_COLLISION_BITS
 
 
 def volume(piece: Piece) -> float:
-    """Volume of a convex piece in cubic metres."""
+    """Return the volume of a convex piece in cubic metres."""
     return Inertia.of([piece], density=1.0).mass
 
 
@@ -181,7 +181,7 @@ def _add_table(spec: mujoco.MjSpec, plane: Plane) -> None:
     geom = spec.worldbody.add_geom(name=TABLE, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05])
     geom.pos = plane.offset * normal
     geom.alt.zaxis = normal
-    geom.contype = geom.conaffinity = EVERYTHING
+    geom.contype = geom.conaffinity = ALL_COLLISION_BITS
 
 
 def _located(spec: mujoco.MjSpec, model: mujoco.MjModel, hand: HandModel, name: str, protocol: Protocol) -> World:

@@ -1,4 +1,4 @@
-"""Analytical witness derivatives: the polytopes' own features, without any smoothing."""
+"""Analytical witness derivatives from the features of polytopes, without smoothing."""
 
 from dataclasses import dataclass
 
@@ -12,20 +12,20 @@ from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness
 
 @dataclass(frozen=True)
 class Analytical:
-    """The slip along the feature that carries the witness point: face, edge or vertex.
+    """The slip along the feature at the witness point: face, edge or vertex.
 
-    A = I - n n^T on a face, e e^T on an edge, 0 at a vertex: the projection onto the directions that no active
-    face forbids. Round pieces (radius r) add r / (r + d) across. Exact while the feature stays the same; blind to
-    the next one, so zero at a vertex.
+    A = I - n n^T on a face, e e^T on an edge, 0 at a vertex: the projection onto the directions in all active
+    faces. Round pieces (radius r) add r / (r + d) across. Exact while the feature stays the same; blind to
+    neighbouring features, so zero at a vertex.
     """
 
     tolerance: float = 1e-6
-    """A face is active when the witness lies in its plane to within this fraction of the piece's size."""
+    """Largest distance of the witness from the plane of an active face, as a fraction of the piece's size."""
     coupling: Coupling = "coupled"
     """Solve both slips together, or hold the other witness point fixed."""
 
     def __post_init__(self) -> None:
-        """Refuse settings of other kinds."""
+        """Refuse settings of other types."""
         check_fields(self)
 
     def slip(self, scene: WitnessScene) -> Slip:
@@ -33,7 +33,7 @@ class Analytical:
         sides = scene.sides()
         w = scene.witness
         count = scene.T_world_a.shape[1]
-        # Far from the origin of the world, points are rounded by more than they may be off a plane.
+        # Far from the world origin, rounding of points exceeds the tolerance of a plane.
         rounding = 4.0 * np.finfo(np.float64).eps * np.abs(w.point_a).max(axis=-1).T
         local = np.zeros((*sides.point.shape, 3))
         pieces_a, pieces_b = scene.pairs.piece_pairs
@@ -50,7 +50,7 @@ class Analytical:
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Wrenches (batch, pair, 6) on the two bodies of covectors on witness points and normal."""
+        """Wrenches (batch, pair, 6) on the two bodies from covectors on witness points and normal."""
         return pull_back_witness(self.slip(scene), scene, force_a, force_b, force_n, self.coupling)
 
 
@@ -68,9 +68,9 @@ def feature_slip(
         piece: The piece.
         x: Points on its surface, metres.
         normal: Outward contact normals (M, 3).
-        distance: Signed distances (M,) to what is beyond, metres; they matter where the piece is round.
-        tolerance: A face is active when the point lies in its plane to within this fraction of the piece's size.
-        rounding: And this much more, in metres, (M,) or one number.
+        distance: Signed distances (M,) to the other body, metres; used where the piece is round.
+        tolerance: Largest distance of a point from the plane of an active face, as a fraction of the piece's size.
+        rounding: Added to that distance, in metres, (M,) or one number.
     """
     core = x - piece.radius * normal
     if len(piece.vertices) == 1:
@@ -95,12 +95,12 @@ def feature_slip(
     if piece.radius == 0.0:
         return along
     across = np.eye(3) - normal[:, :, None] * normal[:, None, :] - along
-    # As deep as the radius, where the other surface goes through the centre, is a pole.
-    pole = _POLE * piece.radius
+    # A depth of one radius, where the other surface passes through the centre, is a pole.
+    pole = _MIN_POLE_RATIO * piece.radius
     left = piece.radius + distance
     left = np.where(np.abs(left) < pole, np.copysign(pole, left), left)
     return along + (piece.radius / left)[:, None, None] * across
 
 
-_POLE = 1e-6
-"""Smallest distance of r + d from zero, over r: slips of a million leave the coupled solution accurate, and finite."""
+_MIN_POLE_RATIO = 1e-6
+"""Smallest distance of r + d from zero, over r: slips up to a million keep the coupled solution accurate and finite."""

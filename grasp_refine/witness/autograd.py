@@ -1,7 +1,7 @@
 """The witness layer: poses in, witness points out, inside any torch graph.
 
-The forward pass asks the collision query and lets its values through; the backward pass contracts the Jacobian
-of a derivative method with the incoming gradients. This file holds the only autograd.Function of the layer.
+The forward pass returns the values of the collision query; the backward pass contracts the Jacobian of a derivative
+method with the incoming gradients. This file has the only autograd.Function of the layer.
 """
 
 from dataclasses import replace
@@ -26,19 +26,19 @@ from grasp_refine.witness.slip import wrench
 class WitnessLayer:
     """Differentiable witness points of body pairs.
 
-    What is exact: the signed distance's gradient, d' = n . (V_b(x_b) - V_a(x_a)), wherever the witness pair is
-    unique; it needs no smoothing. What is approximated, by `method`: how points and normals slip along the
-    surfaces. Poses get gradients once (no double backward).
+    Exact: the signed distance's gradient, d' = n . (V_b(x_b) - V_a(x_a)), wherever the witness pair is unique; it
+    needs no smoothing. Approximated, by `method`: the slip of points and normals along the surfaces. Poses get
+    gradients once (no double backward).
     """
 
     def __init__(self, pairs: Pairs, method: Derivative, patch: Patch | None = None) -> None:
         """Prepare the pairs; `method` is used in backward passes only.
 
-        With a `patch`, witness points move over it towards their targets. How it moves itself has no derivative:
-        its points slip as `method` says of any.
+        With a `patch`, witness points move over it towards their targets. The motion of the patch itself has no
+        derivative: its points slip by `method` like any others.
 
         Raises:
-            GraspRefineError: an argument of another kind.
+            GraspRefineError: an argument of another type.
         """
         check_kind("pairs", pairs, Pairs)
         check_kind("method", method, Derivative)
@@ -59,23 +59,23 @@ class WitnessLayer:
         key: int = 0,
         previous: Witness | None = None,
     ) -> Witness:
-        """The witness points of all pairs, as tensors that carry gradients to the poses.
+        """Query the witness points of all pairs, as tensors with gradients to the poses.
 
         Args:
             T_world_a: Poses of the first bodies (batch, P, 4, 4).
             T_world_b: Poses of the second bodies (batch, P, 4, 4).
-            target_a: Where each witness point should go (batch, P, 3), body frames; NaN: nowhere. Targets only
-                steer the width of adaptive neighbourhoods.
-            target_b: The same of the second bodies.
-            cutoff: Pairs surely farther apart (metres; one number or one a pair) are not asked.
-            key: Number of the iteration, for methods that draw samples.
+            target_a: Target points (batch, P, 3) of the first bodies, body frames, metres; NaN: none. Targets only
+                set the width of adaptive neighbourhoods.
+            target_b: Target points of the second bodies.
+            cutoff: Distance (metres; one number or one per pair) beyond which pairs are not queried.
+            key: Iteration number, for methods that draw samples.
             previous: The answer at nearby poses, which saves work (see `collision.query.query`).
 
         Returns:
             Witness points, normals and signed distances in the dtype and on the device of `T_world_a`.
 
         Raises:
-            GraspRefineError: poses or targets of another shape, or no numbers.
+            GraspRefineError: poses or targets of another shape, or not numeric.
         """
         check_kind("key", key, int)
         check_kind("previous", previous, Witness | None)
@@ -94,7 +94,7 @@ class WitnessLayer:
         return Witness(x_a, x_b, n, d, found.status, found.winner, found.num_queries)
 
     def columns(self, columns: np.ndarray) -> tuple[Pairs, Surfaces]:
-        """The pairs `columns`, and the candidates of their first and then their second bodies; built once."""
+        """Return the pairs `columns`, and the candidates of their first and then their second bodies; built once."""
         name = columns.tobytes()
         if name not in self._columns:
             pairs = self.pairs if len(columns) == len(self.pairs) else self.pairs.take(columns)
@@ -103,7 +103,7 @@ class WitnessLayer:
 
 
 class _WitnessFunction(torch.autograd.Function):
-    """Values pass through; the backward pass is the transpose of the method's Jacobian."""
+    """Identity on the values; the backward pass is the transpose of the method's Jacobian."""
 
     @staticmethod
     def forward(  # noqa: D102, PLR0913
@@ -139,7 +139,7 @@ class _WitnessFunction(torch.autograd.Function):
         poses = np.stack([_array(tensor_a), _array(tensor_b)])
         found, valid = ctx.found, None
         if not found.valid.all():
-            # Harmless stand-ins keep the arithmetic finite; these pairs have no cotangents.
+            # Placeholder values keep the arithmetic finite; these pairs have no cotangents.
             valid = found.valid[..., None]
             poses = np.where(valid[..., None], poses, np.eye(4))
             normal = np.where(valid, found.normal, [0.0, 0.0, 1.0])
@@ -147,13 +147,13 @@ class _WitnessFunction(torch.autograd.Function):
         g_a, g_b, g_n = (_cotangent(g, valid) for g in (grad_a, grad_b, grad_normal))
         wrenches = np.zeros((2, *found.distance.shape, 6))
         if grad_distance is not None:
-            # Both witness points lie on the line of the normal, so both bodies feel the same wrench, reversed.
+            # Both witness points lie on the line of the normal, so the bodies get equal and opposite wrenches.
             wrenches[1] = wrench(found.point_b, _cotangent(grad_distance[..., None], valid) * found.normal)
             wrenches[0] = -wrenches[1]
-        wanted = [g for g in (g_a, g_b, g_n) if g is not None]
-        if wanted:
-            # The derivative is taken only where the loss looks.
-            columns = np.flatnonzero(np.logical_or.reduce([g.any(axis=(0, 2)) for g in wanted]))
+        given = [g for g in (g_a, g_b, g_n) if g is not None]
+        if given:
+            # The derivative is computed only for pairs with nonzero cotangents.
+            columns = np.flatnonzero(np.logical_or.reduce([g.any(axis=(0, 2)) for g in given]))
             if len(columns):
                 index = slice(None) if len(columns) == found.distance.shape[1] else columns
                 extra = _pull_back_points(ctx, found, columns, index, g_a, g_b, g_n, *poses)
@@ -180,12 +180,12 @@ def _pull_back_points(
     T_a: np.ndarray,
     T_b: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Wrenches on the bodies of covectors on points and normals, for the pairs `columns`, which `index` selects."""
+    """Wrenches on the bodies from covectors on points and normals, for the pairs `columns`, selected by `index`."""
     layer: WitnessLayer = ctx.layer
     pairs, surfaces = layer.columns(columns)
     found = found.pairs(index)
     if pairs is not layer.pairs:
-        # A winner counts from the first piece pair of its body pair.
+        # Winners are relative to the first piece pair of their body pair.
         shift = pairs.first_piece_pair - layer.pairs.first_piece_pair[columns]
         found = replace(found, winner=np.where(found.winner >= 0, found.winner + shift, -1))
     zero = np.zeros_like(found.point_a)
@@ -196,7 +196,7 @@ def _pull_back_points(
 
 
 def _cotangent(gradient: Tensor | None, valid: np.ndarray | None) -> np.ndarray | None:
-    """An incoming gradient as an array, zero where there are no witness points (`valid` None: everywhere are)."""
+    """Incoming gradient as an array, zero where there are no witness points (`valid` None: all pairs have them)."""
     if gradient is None or valid is None:
         return None if gradient is None else _array(gradient)
     return np.where(valid, _array(gradient), 0.0)
@@ -207,7 +207,7 @@ def _array(tensor: Tensor) -> np.ndarray:
 
 
 def _tensor(name: str, poses: Tensor) -> Tensor:
-    """Poses as a tensor of a floating type; arrays and lists have no graph."""
+    """Poses as a floating-point tensor; arrays and lists have no graph."""
     if isinstance(poses, Tensor) and poses.is_floating_point():
         return poses
     return torch.as_tensor(as_numbers(name, poses))

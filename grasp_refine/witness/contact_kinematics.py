@@ -10,17 +10,17 @@ import numpy as np
 
 from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.se3 import Array, array_namespace, cross, matvec, tangents
-from grasp_refine.witness.curvature import raised, with_eigenvalues
+from grasp_refine.witness.curvature import raise_eigenvalues, with_eigenvalues
 from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
 
 _EYE = np.eye(2)
-_RIM = 1.0001
-"""Keeps the outermost sample of a neighbourhood that is wider than its radius at a weight above zero."""
-_RIDGE = 1e-3
-"""Of the least squares, as a fraction of rho^2: without it, samples on a line would leave K undetermined."""
+_RIM_FACTOR = 1.0001
+"""Factor on the squared distance of the outermost sample, which keeps its weight above zero beyond the radius."""
+_RIDGE_RATIO = 1e-3
+"""Ridge of the least squares, as a fraction of rho^2: without it, samples on a line would leave K undetermined."""
 
 
 @dataclass(frozen=True)
@@ -38,25 +38,25 @@ class ContactKinematics:
     """
 
     neighborhood: Adaptive | Fixed | Neighbor = field(default_factory=Adaptive)
-    """Which surface samples stand for the surface near a witness point."""
+    """Choice of the surface samples near a witness point."""
     smallest_curvature: float = 5.0
-    """Floor of the eigenvalues of K_a + K_b, over the mean of the two bodies' diagonals."""
+    """Floor of the eigenvalues of K_a + K_b, divided by the mean of the two bodies' diagonals."""
     seed: int = 0
     """Seed of the random choice of samples."""
 
     def __post_init__(self) -> None:
-        """Refuse settings of other kinds."""
+        """Refuse settings of other types."""
         check_fields(self)
 
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Wrenches (batch, pair, 6) on the two bodies of covectors on witness points and normal."""
+        """Wrenches (batch, pair, 6) on the two bodies from covectors on witness points and normal."""
         w = scene.witness
         E = tangents(w.normal)
         K_a, K_b = self.curvatures(scene, E)
-        d = counted_distance(K_a, K_b, w.distance)[..., None, None]
-        # The equations of the class transposed; `contact_slip_jacobian` is the covector on u.
+        d = effective_distance(K_a, K_b, w.distance)[..., None, None]
+        # The equations of the class transposed; `slide` is the covector on u.
         in_plane = matvec(E.mT, force_a) + matvec(_EYE + d * K_a, matvec(E.mT, force_b))
         if force_n is not None:
             in_plane = in_plane + matvec(K_a, matvec(E.mT, force_n))
@@ -78,13 +78,13 @@ class ContactKinematics:
         count = E.shape[1]
         diagonal = scene.surfaces.diagonal
         floor = self.smallest_curvature / (0.5 * (diagonal[:count] + diagonal[count:]))
-        return raised(K[:, :count], K[:, count:], floor)
+        return raise_eigenvalues(K[:, :count], K[:, count:], floor)
 
 
 def contact_slip_jacobian(
     point_b: Array, normal: Array, distance: Array, E: Array, K_a: Array, K_b: Array
 ) -> tuple[Array, Array]:
-    """How the witness points slide on their bodies, U_a and U_b (..., 2, 6), along the tangents E.
+    """Jacobians U_a and U_b (..., 2, 6) of the slip of the witness points on their bodies, along the tangents E.
 
     dx_a = V_a(x_a) + E U_a xi and dx_b = V_b(x_b) + E U_b xi, with xi the spatial twist (v, w) of body b relative
     to body a; the normal turns by dn = w_a x n + E K_a U_a xi. The equations of the class, with
@@ -97,7 +97,7 @@ def contact_slip_jacobian(
         distance: Signed distances (...).
         E: Tangents (..., 3, 2) as columns; with the normal, right-handed.
         K_a: Curvatures (..., 2, 2) of body a in that basis.
-        K_b: The same of body b.
+        K_b: Curvatures (..., 2, 2) of body b.
     """
     xp = array_namespace(normal)
     rows = xp.matrix_transpose(E)
@@ -110,33 +110,33 @@ def contact_slip_jacobian(
         [xp.stack([S[..., 1, 1], -S[..., 0, 1]], axis=-1), xp.stack([-S[..., 1, 0], S[..., 0, 0]], axis=-1)], axis=-2
     )
     U_a = (adjugate / determinant[..., None, None]) @ (turned + K_b @ moved)
-    d = counted_distance(K_a, K_b, distance)[..., None, None]
+    d = effective_distance(K_a, K_b, distance)[..., None, None]
     return U_a, U_a + d * (K_a @ U_a) - moved
 
 
 def relative_curvature(K_a: Array, K_b: Array, distance: Array) -> Array:
-    """S = K_a + K_b + d K_b K_a (..., 2, 2), d as it counts; its determinant is positive where those of K are."""
-    return K_a + K_b + counted_distance(K_a, K_b, distance)[..., None, None] * (K_b @ K_a)
+    """S = K_a + K_b + d K_b K_a (..., 2, 2) with the effective d; its determinant is positive where those of K are."""
+    return K_a + K_b + effective_distance(K_a, K_b, distance)[..., None, None] * (K_b @ K_a)
 
 
-def counted_distance(K_a: Array, K_b: Array, distance: Array) -> Array:
-    """Signed distances d (...) so far as they count, which keeps S away from where it turns singular and changes sign.
+def effective_distance(K_a: Array, K_b: Array, distance: Array) -> Array:
+    """Effective signed distances d (...), limited such that S does not become singular and change sign.
 
-    In penetration deeper than a radius of curvature, and between surfaces that are as far apart as a hollow is deep,
-    witness points stop following the surfaces smoothly, and the equations would have them slide the wrong way. With x
-    the smaller of the two curvatures times |d|, d counts fully up to x = 1/2, and from there on (1 - x) / x of it:
-    corners that are deep in each other so keep their points.
+    In penetration deeper than a radius of curvature, and between surfaces as far apart as a concavity is deep,
+    witness points stop following the surfaces smoothly, and the equations would make them slide the wrong way. With x
+    the smaller of the two curvatures times |d|, d counts fully up to x = 1/2, and above that by (1 - x) / x: corners
+    deep inside each other thus keep their points.
     """
     xp = array_namespace(K_a)
     product = K_b @ K_a
     bend = distance * (product[..., 0, 0] + product[..., 1, 1])
-    x = xp.abs(distance) * xp.minimum(_sharpest(K_a), _sharpest(K_b))
+    x = xp.abs(distance) * xp.minimum(_max_curvature(K_a), _max_curvature(K_b))
     beyond = (bend < 0) & (x > 0.5)
     share = xp.where(beyond, (1.0 - x) / xp.where(beyond, x, xp.ones_like(x)), xp.ones_like(x))
     return share * distance
 
 
-def _sharpest(K: Array) -> Array:
+def _max_curvature(K: Array) -> Array:
     """Largest absolute eigenvalue (...) of symmetric matrices K (..., 2, 2)."""
     xp = array_namespace(K)
     mean, half = 0.5 * (K[..., 0, 0] + K[..., 1, 1]), 0.5 * (K[..., 0, 0] - K[..., 1, 1])
@@ -146,19 +146,19 @@ def _sharpest(K: Array) -> Array:
 def _fit(near: Neighbors, E: np.ndarray) -> np.ndarray:
     """Symmetric curvatures K (S, B, 2, 2) with E^T n_j = b + K E^T (v_j - x), by weighted least squares.
 
-    Weights fall to zero at the radius rho; eigenvalues are clipped to [-1/rho, 4/rho], what samples of that
-    spread can tell.
+    Weights fall to zero at the radius rho; eigenvalues are clipped to [-1/rho, 4/rho], the range that samples of
+    that spread can resolve.
     """
     offset = near.points[..., 1:, :] - near.points[..., :1, :]
     squared = np.where(near.mask[..., 1:], (offset * offset).sum(axis=-1), 0.0)
-    rho_squared = np.maximum(near.radius**2, _RIM * squared.max(axis=-1))[..., None]
+    rho_squared = np.maximum(near.radius**2, _RIM_FACTOR * squared.max(axis=-1))[..., None]
     weight = np.where(near.mask[..., 1:], 1.0 - squared / rho_squared, 0.0)
     weight /= np.maximum(weight.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
     e, n = offset @ E, near.normals @ E
     e = e - (weight[..., None, :] @ e)
     n = n - (weight[..., None, :] @ n)
     weighted = (weight[..., None] * e).mT
-    ridge = _RIDGE * rho_squared[..., None] * _EYE
+    ridge = _RIDGE_RATIO * rho_squared[..., None] * _EYE
     K = np.linalg.solve(weighted @ e + ridge, weighted @ n)
     rho = np.sqrt(rho_squared)[..., 0]
     return with_eigenvalues(0.5 * (K + K.mT), lambda values: np.clip(values, -1.0 / rho, 4.0 / rho))

@@ -1,7 +1,7 @@
 """Curvatures of surfaces near witness points, fitted to all surface candidates at once.
 
-What `contact_kinematics` fits to a few samples, here for the solvers that need it in every iteration: weights and
-moments of all candidates of a body come from three matrix products, without any choice of samples.
+Like the fit of `contact_kinematics` to a few samples, for the solvers that need it in every iteration: weights and
+moments of all candidates of a body come from three matrix products, without a choice of samples.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,36 +12,36 @@ import numpy as np
 from grasp_refine.geometry.body import Body
 
 _COS_NORMALS = -0.5
-"""Normals within 120 degrees of the contact normal count."""
+"""Cosine of 120 degrees, the largest angle between the contact normal and normals that count."""
 
-_RIDGE = 1e-3
-"""Of the least squares, as a fraction of rho^2: without it, candidates on a line would leave K undetermined."""
+_RIDGE_RATIO = 1e-3
+"""Ridge of the least squares, as a fraction of rho^2: without it, candidates on a line would leave K undetermined."""
 
-_BLOCK = 128
+_BLOCK_POINTS = 128
 """Witness points that are fitted together, so that their weights stay in the processor's cache."""
 
-_SAFE = 16.0
-"""So many of 1024 candidates lie within half the smallest radius, on a flat surface."""
+_MIN_CANDIDATES = 16.0
+"""Number of 1024 candidates within half the smallest radius, on a flat surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curvatures:
-    """Fits curvatures to the candidates of B bodies; single precision about their centres, which suffices."""
+    """Curvature fit to the candidates of B bodies; single precision about their centres suffices."""
 
     center: np.ndarray
     """Mean of the candidates (B, 3), body frames, metres."""
     safe: np.ndarray
-    """2 sqrt(16 area / (1024 pi)) of each body (B,), in metres: radii below half of it would hold too few."""
+    """Safe radius 2 sqrt(16 area / (1024 pi)) of each body (B,), in metres: half of it holds just enough candidates."""
     position: np.ndarray
-    """(v, |v|^2, 1) of each candidate (B, 5, N), about the centre."""
+    """Features (v, |v|^2, 1) of each candidate (B, 5, N), about the centre."""
     normal: np.ndarray
     """Outward normals (B, 3, N)."""
     products: np.ndarray
-    """1, v, n, v v^T and v n^T of each candidate (B, N, 25)."""
+    """Products 1, v, n, v v^T and v n^T of each candidate (B, N, 25)."""
 
     @staticmethod
     def of(bodies: Sequence[Body]) -> "Curvatures":
-        """What is needed of some bodies; where they have fewer candidates than others, zeros follow, which weigh 0."""
+        """Precompute the features of bodies; fewer candidates than others are padded with zeros, which weigh 0."""
         area = np.array([body.area for body in bodies])
         center = np.array([body.candidates.points.mean(axis=0) for body in bodies])
         columns = np.zeros((len(bodies), max(len(body.candidates.points) for body in bodies), 33), dtype=np.float32)
@@ -51,16 +51,18 @@ class Curvatures:
             squares = [(v[:, :, None] * other[:, None, :]).reshape(-1, 9) for other in (v, n)]
             row[: len(v)] = np.hstack([v, (v * v).sum(axis=1, keepdims=True), one, n, one, v, n, *squares])
         parts = columns[..., :5].mT, columns[..., 5:8].mT, columns[..., 8:]
-        return Curvatures(center, 2.0 * np.sqrt(_SAFE * area / (1024 * np.pi)), *map(np.ascontiguousarray, parts))
+        return Curvatures(
+            center, 2.0 * np.sqrt(_MIN_CANDIDATES * area / (1024 * np.pi)), *map(np.ascontiguousarray, parts)
+        )
 
     def fit(self, body: np.ndarray, x: np.ndarray, normal: np.ndarray, E: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """Symmetric curvatures K (R, 2, 2) in 1/m, positive for convex: E^T n_j = b + K E^T (v_j - x).
+        """Fit symmetric curvatures K (R, 2, 2) in 1/m, positive for convex: E^T n_j = b + K E^T (v_j - x).
 
         Least squares over the candidates v_j, n_j within the radius rho, weighted by 1 - |v_j - x|^2 / rho^2;
-        eigenvalues are clipped to [-1/rho, 4/rho], what candidates of that spread can tell.
+        eigenvalues are clipped to [-1/rho, 4/rho], the range that candidates of that spread can resolve.
 
         Args:
-            body: Which body each witness point is on (R,).
+            body: Body (R,) of each witness point.
             x: Witness points (R, 3), body frames, metres.
             normal: Outward contact normals (R, 3), body frames.
             E: Tangents (R, 3, 2) as columns, body frames.
@@ -77,9 +79,9 @@ class Curvatures:
         order = np.argsort(body, kind="stable")
         ends = np.searchsorted(body[order], np.arange(len(self.center) + 1))
         for b in np.flatnonzero(np.diff(ends)):
-            for start in range(ends[b], ends[b + 1], _BLOCK):
-                rows = order[start : min(start + _BLOCK, ends[b + 1])]
-                # One row at a time: in a product of many, how a row is rounded depends on how many there are.
+            for start in range(ends[b], ends[b + 1], _BLOCK_POINTS):
+                rows = order[start : min(start + _BLOCK_POINTS, ends[b + 1])]
+                # One row at a time: in a product of many rows, the rounding of each depends on their number.
                 weight = weigh[rows, None] @ self.position[b]
                 np.maximum(weight, 0.0, out=weight)
                 weight *= facing[rows, None] @ self.normal[b] >= _COS_NORMALS
@@ -87,14 +89,14 @@ class Curvatures:
         return _curvature(moments, E, radius)
 
 
-def raised(K_a: np.ndarray, K_b: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same curvatures (..., 2, 2) with the eigenvalues of K_a + K_b lifted to the floor (...), half by each."""
+def raise_eigenvalues(K_a: np.ndarray, K_b: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Raise the eigenvalues of K_a + K_b (..., 2, 2) to the floor (...), half by each."""
     half = 0.5 * with_eigenvalues(K_a + K_b, lambda values: np.maximum(floor - values, 0.0))
     return K_a + half, K_b + half
 
 
 def with_eigenvalues(K: np.ndarray, function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """The matrices with the same eigenvectors as symmetric ones K (..., 2, 2) and a function of their eigenvalues."""
+    """Apply a function to the eigenvalues of symmetric matrices K (..., 2, 2); the eigenvectors stay."""
     mean = 0.5 * (K[..., 0, 0] + K[..., 1, 1])
     difference, mixed = K[..., 0, 0] - mean, K[..., 0, 1]
     half = np.sqrt(difference * difference + mixed * mixed)
@@ -108,13 +110,13 @@ def with_eigenvalues(K: np.ndarray, function: Callable[[np.ndarray], np.ndarray]
 
 
 def _curvature(moments: np.ndarray, E: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """The curvatures (R, 2, 2) that moments (R, 25) and tangents (R, 3, 2) give."""
+    """Curvatures (R, 2, 2) from moments (R, 25) and tangents (R, 3, 2)."""
     mean = moments[:, 1:] / np.maximum(moments[:, :1], np.finfo(np.float32).tiny)
     v, v_and_n = mean[:, :3], mean[:, :6]
     products = np.concatenate([mean[:, 6:15].reshape(-1, 3, 3), mean[:, 15:].reshape(-1, 3, 3)], axis=2)
     spread = E.mT @ (products - v[:, :, None] * v_and_n[:, None, :])
     A, B = spread[..., :3] @ E, spread[..., 3:] @ E
-    ridge = _RIDGE * radius * radius
+    ridge = _RIDGE_RATIO * radius * radius
     a, b, c = A[:, 0, 0] + ridge, A[:, 0, 1], A[:, 1, 1] + ridge
     # A and B are e e^T and e n^T: K^T = A^-1 B, and its symmetric part.
     scale = 1.0 / (a * c - b * b)

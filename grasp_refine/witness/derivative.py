@@ -1,4 +1,4 @@
-"""What a derivative method of witness points is."""
+"""Interface of derivative methods of witness points."""
 
 from typing import Protocol, runtime_checkable
 
@@ -9,7 +9,7 @@ from grasp_refine.witness.scene import WitnessScene
 
 @runtime_checkable
 class Derivative(Protocol):
-    """A derivative method: how witness points and normals follow the motion of the two bodies."""
+    """A derivative method: the response of witness points and normals to motions of the two bodies."""
 
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
@@ -20,6 +20,6 @@ class Derivative(Protocol):
             scene: Poses and the witness points found there.
             force_a: dL/dx_a (batch, pair, 3), world frame.
             force_b: dL/dx_b.
-            force_n: dL/dn, or None where the loss does not look at the normal.
+            force_n: dL/dn, or None where the loss does not depend on the normal.
         """
         ...

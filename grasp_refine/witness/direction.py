@@ -15,24 +15,24 @@ from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness
 class Direction:
     """The witness point as a soft support point of nearby samples v_j in the direction of the other one.
 
-    w_j = softmax(<v_j, s (x_b - x_a)> / eps), s = +1 apart and -1 penetrating. With C = Cov_w(v) / eps the
-    support point follows its direction by C, hence A = (I + s C)^-1 s C. Held fixed: the samples and eps. Its
-    blind spot: the scores vanish with the gap, so that close to contact all samples weigh the same. Direction and
-    gap are taken from the contact normal and the distance, because the difference of two points far from the
-    origin of the world is rounding.
+    w_j = softmax(<v_j, s (x_b - x_a)> / eps), s = +1 separated and -1 penetrating. With C = Cov_w(v) / eps the
+    support point follows its direction by C, hence A = (I + s C)^-1 s C. Held fixed: the samples and eps. Blind
+    spot: the scores vanish with the gap, so that close to contact all samples weigh the same. Direction and gap are
+    taken from the contact normal and the distance, because the difference of two points far from the world origin
+    is only rounding.
     """
 
     neighborhood: Adaptive | Fixed | Neighbor = field(default_factory=Adaptive)
-    """Which surface samples stand for the surface near a witness point."""
+    """Choice of the surface samples near a witness point."""
     coupling: Coupling = "coupled"
     """Solve both slips together, or hold the other witness point fixed."""
     epsilon: float | None = None
-    """Temperature eps over the squared mean diagonal of the two bodies; none: the standard deviation of the scores."""
+    """Temperature eps over the squared mean diagonal of the two bodies; None: the standard deviation of the scores."""
     seed: int = 0
     """Seed of the random choice of samples."""
 
     def __post_init__(self) -> None:
-        """Refuse fields of another kind, and numbers out of their range."""
+        """Refuse fields of another type, and numbers out of range."""
         check_positive(self, "epsilon")
 
     def slip(self, scene: WitnessScene) -> Slip:
@@ -57,9 +57,11 @@ class Direction:
         weights /= weights.sum(axis=2, keepdims=True)
         centered = near.points - weights[..., None, :] @ near.points
         C = (weights[..., None] * centered).mT @ centered * (sign / eps)[..., None, None]
-        # (I + s C)^-1 s C on the eigenvectors of C; -1 is a pole that only penetration can reach.
+        # (I + s C)^-1 s C on the eigenvectors of C; -1 is a pole that occurs only in penetration.
         values, vectors = np.linalg.eigh(C)
-        away = np.where(np.abs(1.0 + values) < _POLE, np.copysign(_POLE, 1.0 + values), 1.0 + values)
+        away = np.where(
+            np.abs(1.0 + values) < _MIN_POLE_DISTANCE, np.copysign(_MIN_POLE_DISTANCE, 1.0 + values), 1.0 + values
+        )
         slip = (vectors * (values / away)[..., None, :]) @ vectors.mT
         slip = (sides.rotation @ slip @ sides.rotation.mT).swapaxes(0, 1)
         pairs = scene.T_world_a.shape[1]
@@ -68,9 +70,9 @@ class Direction:
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Wrenches (batch, pair, 6) on the two bodies of covectors on witness points and normal."""
+        """Wrenches (batch, pair, 6) on the two bodies from covectors on witness points and normal."""
         return pull_back_witness(self.slip(scene), scene, force_a, force_b, force_n, self.coupling)
 
 
-_POLE = 1e-3
+_MIN_POLE_DISTANCE = 1e-3
 """Smallest distance of 1 + eigenvalue from zero."""

@@ -14,7 +14,7 @@ from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness
 
 @dataclass(frozen=True)
 class Distance:
-    """The closest point as a soft minimum over nearby surface samples v_j of their distance to the other point y.
+    """The closest point as a soft minimum, over nearby surface samples v_j, of the distance to the other point y.
 
     w_j = softmax(-|v_j - y|^2 / tau), x* = sum w_j v_j, hence dx*/dy = (2 / tau) Cov_w(v).
     Held fixed: the samples, tau (the spread of the scores) and, in the one-sided coupling, the other witness
@@ -22,16 +22,16 @@ class Distance:
     """
 
     neighborhood: Adaptive | Fixed | Neighbor = field(default_factory=Adaptive)
-    """Which surface samples stand for the surface near a witness point."""
+    """Choice of the surface samples near a witness point."""
     coupling: Coupling = "coupled"
     """Solve both slips together, or hold the other witness point fixed as in the paper."""
     smoothed_self: bool = False
-    """The self term moves the smoothed point x* instead of the witness point."""
+    """Whether the self term moves the smoothed point x* instead of the witness point."""
     seed: int = 0
     """Seed of the random choice of samples."""
 
     def __post_init__(self) -> None:
-        """Refuse settings of other kinds."""
+        """Refuse settings of other types."""
         check_fields(self)
 
     def slip(self, scene: WitnessScene) -> Slip:
@@ -50,16 +50,16 @@ class Distance:
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Wrenches (batch, pair, 6) on the two bodies of covectors on witness points and normal."""
+        """Wrenches (batch, pair, 6) on the two bodies from covectors on witness points and normal."""
         return pull_back_witness(self.slip(scene), scene, force_a, force_b, force_n, self.coupling)
 
 
 def smooth(near: Neighbors, y: np.ndarray, tau: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """The smoothed closest point to y and its derivative.
+    """Return the smoothed closest point to y and its derivative.
 
     Args:
         near: Surface samples (S, B, K, 3), body frames.
-        y: The point that is followed (S, B, 3), body frames, metres.
+        y: The other witness point (S, B, 3), body frames, metres.
         tau: Temperature (S, B) in square metres; by default `temperature(near, y)`.
 
     Returns:

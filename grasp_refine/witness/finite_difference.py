@@ -17,20 +17,20 @@ class FiniteDifference:
     The twists are about the witness point of b.
 
     Exact, up to the step, where the witness pair moves smoothly; on polytopes that is the slip along the present
-    features, or a jump to the next ones where the step crosses an edge.
+    features, or a jump to the neighbouring ones where the step crosses an edge.
     """
 
     step: float = 1e-3
     """Step as a fraction of the mean diagonal of the two bodies (translations), and in radians (rotations)."""
 
     def __post_init__(self) -> None:
-        """Refuse fields of another kind, and numbers out of their range."""
+        """Refuse fields of another type, and numbers out of range."""
         check_positive(self, "step")
 
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Wrenches (batch, pair, 6) on the two bodies of covectors on witness points and normal."""
+        """Wrenches (batch, pair, 6) on the two bodies from covectors on witness points and normal."""
         steps = self.step * np.concatenate(
             [np.repeat(scene.length[:, None], 3, axis=1), np.ones((len(scene.length), 3))], 1
         )

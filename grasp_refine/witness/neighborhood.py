@@ -1,9 +1,9 @@
-"""Neighbourhoods: which surface candidates stand for the surface near a witness point.
+"""Neighbourhoods: choice of the surface candidates near a witness point.
 
-A candidate belongs to the neighbourhood of a witness when it lies within a radius and its outward normal within
-120 degrees of the contact normal; the witness point itself always belongs. Candidates are stored in random
+A candidate is in the neighbourhood of a witness when it lies within a radius and its outward normal within
+120 degrees of the contact normal; the witness point itself is always included. Candidates are stored in random
 order, so taking consecutive ones (cyclically, from an offset that depends on the seed and the iteration only)
-is a random choice that does not depend on what else is in the batch.
+is a random choice that does not depend on the rest of the batch.
 """
 
 from collections.abc import Sequence
@@ -19,12 +19,12 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry.body import Body
 
 _COS_NORMALS = -0.5
-"""Normals within 120 degrees of the contact normal."""
+"""Cosine of 120 degrees, the largest angle between the contact normal and normals that count."""
 
-_WINDOW = 128
-"""How many candidates are looked at first when only a few are drawn."""
+_WINDOW_CANDIDATES = 128
+"""Candidates that are tested first when only a few are drawn."""
 
-_SMALLEST_SPREAD = 0.05
+_MIN_SPREAD_RATIO = 0.05
 """Floor of the temperature, as a fraction of the squared candidate spacing."""
 
 
@@ -33,11 +33,11 @@ class Surfaces:
     """Candidates of S bodies stacked for batched selection, all with the same number N of them."""
 
     points: np.ndarray
-    """(S, N, 3) in metres, each in its body's frame."""
+    """Candidates (S, N, 3) in metres, in the frames of their bodies."""
     normals: np.ndarray
     """Unit outward normals (S, N, 3)."""
     spacing: np.ndarray
-    """eps = 2 sqrt(area / N) of each body (S,), in metres: a disc of this radius holds about 12 candidates."""
+    """Spacing eps = 2 sqrt(area / N) of each body (S,), in metres: a disc of this radius holds about 12 candidates."""
     diagonal: np.ndarray
     """Bounding-box diagonal of each body (S,), in metres."""
 
@@ -45,7 +45,7 @@ class Surfaces:
 
     @staticmethod
     def of(bodies: Sequence[Body]) -> "Surfaces":
-        """The stacked candidates of `bodies`.
+        """Stack the candidates of `bodies`.
 
         Raises:
             CollisionError: the bodies were built with different numbers of candidates.
@@ -62,13 +62,13 @@ class Surfaces:
         return Surfaces(points, normals, spacing, np.array([body.diagonal for body in bodies]))
 
     def take(self, index: np.ndarray) -> "Surfaces":
-        """The surfaces of the bodies `index`."""
+        """Return the surfaces of the bodies `index`."""
         return Surfaces(self.points[index], self.normals[index], self.spacing[index], self.diagonal[index])
 
     @property
     def floor(self) -> np.ndarray:
         """Smallest sensible spread of squared distances between neighbours (S, 1), in square metres."""
-        return _SMALLEST_SPREAD * self.spacing[:, None] ** 2
+        return _MIN_SPREAD_RATIO * self.spacing[:, None] ** 2
 
     @cached_property
     def center(self) -> np.ndarray:
@@ -77,22 +77,22 @@ class Surfaces:
 
     @cached_property
     def _features(self) -> np.ndarray:
-        """(S, 4, 2 N) single: (-2 v, |v|^2) about the centre, twice in a row so that a cyclic window is a slice."""
+        """Features (-2 v, |v|^2) about the centre (S, 4, 2 N), float32; repeated so that a cyclic window is a slice."""
         v = self.points - self.center[:, None]
         features = np.concatenate([-2.0 * v, (v * v).sum(axis=2, keepdims=True)], axis=2).mT
         return np.concatenate([features, features], axis=2).astype(np.float32)
 
     def offsets(self, x: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """|v - x|^2 - |x|^2 of `count` candidates from `first` on, cyclically (S, B, count), and |x|^2 (S, B).
+        """Values |v - x|^2 - |x|^2 of `count` candidates from `first` on, cyclically (S, B, count), and |x|^2 (S, B).
 
-        Witness points x (S, B, 3) are in body frames; single precision about the centre, which suffices to choose.
+        Witness points x (S, B, 3) are in body frames; single precision about the centre suffices for the choice.
         """
         y = x - self.center[:, None]
         ones = np.concatenate([y, np.ones_like(y[..., :1])], axis=2).astype(np.float32)
         return ones @ self._features[:, :, first : first + count], (y * y).sum(axis=2)
 
     def offsets_of(self, body: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """|v - x|^2 - |x|^2 of all candidates (M, N) for points x (M, 3) of the bodies (M,)."""
+        """Values |v - x|^2 - |x|^2 of all candidates (M, N) for points x (M, 3) of the bodies (M,)."""
         y = x - self.center[body]
         ones = np.concatenate([y, np.ones_like(y[:, :1])], axis=1).astype(np.float32)
         return (ones[:, None] @ self._features[body, :, : self.points.shape[1]])[:, 0]
@@ -109,29 +109,29 @@ class Neighbors:
     """Chosen candidates of each witness point; the witness itself comes first."""
 
     points: np.ndarray
-    """(S, B, K, 3) in the body frames, metres."""
+    """Points (S, B, K, 3) in the body frames, metres."""
     normals: np.ndarray
     """Outward normals (S, B, K - 1, 3) of the candidates, body frames; the witness has none of its own."""
     mask: np.ndarray
-    """(S, B, K): false pads."""
+    """Mask (S, B, K): false for padding."""
     radius: np.ndarray
-    """Radius (S, B) of each neighbourhood in metres; (S, 1) where it is that of the body."""
+    """Radius (S, B) of each neighbourhood in metres; (S, 1) where it is one per body."""
     floor: np.ndarray
     """Smallest sensible spread of squared distances (S, 1), in square metres."""
 
 
 @runtime_checkable
 class Neighborhood(Protocol):
-    """A rule that says how wide the neighbourhood of a witness point is, and how many candidates it uses."""
+    """A rule for the width of a witness point's neighbourhood, and the number of its candidates."""
 
     @property
     def samples(self) -> int | None:
-        """Candidates drawn at random from the neighbourhood; None: all of them."""
+        """Number of candidates drawn at random from the neighbourhood; None: all."""
         ...
 
     @property
     def minimum(self) -> int:
-        """With fewer candidates inside, the nearest ones are taken."""
+        """Fewest candidates; with fewer inside, the nearest ones are taken."""
         ...
 
     def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
@@ -141,21 +141,21 @@ class Neighborhood(Protocol):
 
 @dataclass(frozen=True)
 class Adaptive:
-    """As wide as the witness is from its target, so that smoothing fades out as the goal is reached (the paper's)."""
+    """Radius equal to the distance of the witness from its target, as in the paper: smoothing fades at the goal."""
 
     samples: int | None = 16
     """Candidates drawn at random from the neighbourhood; None: all of them."""
     minimum: int = 8
-    """With fewer candidates inside, the nearest ones are taken."""
+    """Fewest candidates; with fewer inside, the nearest ones are taken."""
     without_target: float = 4.0
     """Radius where no target is given, in candidate spacings."""
 
     def __post_init__(self) -> None:
-        """Refuse fields of another kind, and numbers out of their range."""
+        """Refuse fields of another type, and numbers out of range."""
         check_positive(self, "samples", "minimum", "without_target")
 
     def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
-        """max(|t - x|, eps), and 4 eps where there is no target."""
+        """Radius max(|t - x|, eps), and `without_target` eps where there is no target."""
         eps = surfaces.spacing[:, None]
         if target is None:
             return self.without_target * eps
@@ -165,26 +165,26 @@ class Adaptive:
 
 @dataclass(frozen=True)
 class Fixed:
-    """A constant fraction of the body's size, whatever the target."""
+    """Radius of a constant fraction of the body's size, independent of the target."""
 
     fraction: float = 0.1
     """Radius as a fraction of the body's bounding-box diagonal."""
     samples: int | None = 16
     """Candidates drawn at random from the neighbourhood; None: all of them."""
     minimum: int = 8
-    """With fewer candidates inside, the nearest ones are taken."""
+    """Fewest candidates; with fewer inside, the nearest ones are taken."""
 
     def __post_init__(self) -> None:
-        """Refuse fields of another kind, and numbers out of their range."""
+        """Refuse fields of another type, and numbers out of range."""
         check_positive(self, "fraction", "samples", "minimum")
 
     def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
-        """Fraction x diagonal."""
+        """Radius `fraction` x diagonal."""
         return np.broadcast_to(self.fraction * surfaces.diagonal[:, None], x.shape[:2])
 
 
 def draw_offset(seed: int, key: int) -> int:
-    """Where iteration `key` begins in the random order: multiples of the golden ratio spread evenly over it."""
+    """Start of iteration `key` in the random order: multiples of the golden ratio spread evenly over it."""
     return ((key + 1) * 0x9E3779B97F4A7C15 + seed * 0xD1B54A32D192ED03) % 2**64 >> 33
 
 
@@ -196,7 +196,7 @@ def choose(
     target: np.ndarray | None,
     offset: int,
 ) -> Neighbors:
-    """The neighbours of witness points by a rule.
+    """Choose the neighbours of witness points by a rule.
 
     Args:
         rule: `Adaptive` or `Fixed`.
@@ -204,29 +204,29 @@ def choose(
         x: Witness points (S, B, 3), body frames, metres.
         normal: Outward contact normals (S, B, 3), body frames.
         target: Target points (S, B, 3), body frames (NaN: none), or None.
-        offset: Where in the random order of the candidates the draw begins.
+        offset: Start of the draw in the random order of the candidates.
     """
     S, B, _ = x.shape
     N = surfaces.points.shape[1]
     radius = rule.radius(surfaces, x, target)
     minimum = min(rule.minimum, N)
     width = N if rule.samples is None else max(rule.samples, minimum)
-    # A window of the random order is enough for wide neighbourhoods, which hold most of the candidates.
-    window = N if rule.samples is None else min(N, _WINDOW)
+    # A window of the random order suffices for wide neighbourhoods, which hold most of the candidates.
+    window = N if rule.samples is None else min(N, _WINDOW_CANDIDATES)
     first = offset % N
     index, mask, inside = _draw(surfaces, x, radius, first, window, width)
-    hungry = inside < width
-    if window < N and hungry.any():
-        # Equally many witness points of each body; those that are full already want nothing.
-        columns = np.argsort(~hungry, axis=1, kind="stable")[:, : hungry.sum(axis=1).max()]
-        wanted = np.take_along_axis(hungry, columns, axis=1)
+    incomplete = inside < width
+    if window < N and incomplete.any():
+        # Equally many witness points of each body; complete ones among them are not drawn again.
+        columns = np.argsort(~incomplete, axis=1, kind="stable")[:, : incomplete.sum(axis=1).max()]
+        wanted = np.take_along_axis(incomplete, columns, axis=1)
         some = np.take_along_axis(x, columns[..., None], axis=1)
         reach = np.where(wanted, np.take_along_axis(np.broadcast_to(radius, (S, B)), columns, axis=1), np.nan)
         more, more_mask, _ = _draw(surfaces, some, reach, first, N, width)
         body, _ = np.nonzero(wanted)
         index[body, columns[wanted]], mask[body, columns[wanted]] = more[wanted], more_mask[wanted]
     normals = surfaces.pick("normals", index)
-    mask &= _agree(normals, normal)
+    mask &= _agree_with_contact(normals, normal)
     few = np.nonzero(mask.sum(axis=2) < minimum)
     if len(few[0]):
         index[few], mask[few] = _nearest(surfaces, few[0], x[few], normal[few], minimum, width)
@@ -244,7 +244,7 @@ def _draw(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Up to `width` candidates inside the radius (S, B, width), from a window of the random order.
 
-    Also which of them are real, and how many the window has inside (S, B). None are where the radius is NaN.
+    Also the mask of the real ones, and the number inside the window (S, B). There are none where the radius is NaN.
     """
     S, B, _ = x.shape
     squared, x_squared = surfaces.offsets(x, first, window)
@@ -265,9 +265,9 @@ def _draw(
 def _nearest(
     surfaces: Surfaces, body: np.ndarray, x: np.ndarray, normal: np.ndarray, count: int, width: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The `count` nearest candidates whose normals agree (M, width), and which of them are real.
+    """The `count` nearest candidates with normals that agree (M, width), and the mask of the real ones.
 
-    Witness points x (M, 3) with normals (M, 3) belong to the bodies (M,).
+    Witness points x (M, 3) with normals (M, 3) are on the bodies (M,).
     """
     M, N = len(body), surfaces.points.shape[1]
     squared = surfaces.offsets_of(body, x)
@@ -275,11 +275,11 @@ def _nearest(
     while True:
         near = np.argpartition(squared, shortlist - 1, axis=1)[:, :shortlist]
         near = np.take_along_axis(near, np.take_along_axis(squared, near, axis=1).argsort(axis=1), axis=1)
-        agree = _agree(surfaces.normals[body[:, None], near], normal)
+        agree = _agree_with_contact(surfaces.normals[body[:, None], near], normal)
         if shortlist == N or (agree.sum(axis=1) >= count).all():
             break
         shortlist = N
-    # Those that agree come first, by their distance.
+    # Those that agree come first, by distance.
     chosen = np.argsort(~agree, axis=1, kind="stable")[:, :count]
     index, mask = np.zeros((M, width), dtype=np.int64), np.zeros((M, width), dtype=bool)
     index[:, :count] = np.take_along_axis(near, chosen, axis=1)
@@ -287,6 +287,6 @@ def _nearest(
     return index, mask
 
 
-def _agree(normals: np.ndarray, contact: np.ndarray) -> np.ndarray:
-    """Whether normals (..., K, 3) lie within 120 degrees of contact normals (..., 3)."""
+def _agree_with_contact(normals: np.ndarray, contact: np.ndarray) -> np.ndarray:
+    """Mask of the normals (..., K, 3) within 120 degrees of contact normals (..., 3)."""
     return (normals @ contact[..., None])[..., 0] >= _COS_NORMALS

@@ -1,9 +1,9 @@
-"""The overlap of two convex polytopes that are pushed into each other a little, and its shadow along the push.
+"""Overlap of two convex polytopes that are pushed slightly into each other, and its projection along the push.
 
-The shadow is convex. Eliminating the height from a half-space that bounds the overlap from above and one that bounds
-it from below leaves a half-plane of the shadow. The point of it that is nearest to a goal has at most two half-planes
-active; they are found by taking in what the present point violates most, until nothing is (an LP-type problem: Sharir
-and Welzl 1992). This is clipping by half-planes, but only by those that matter.
+The projection is convex. Eliminating the height from a half-space that bounds the overlap from above and one that
+bounds it from below gives a half-plane of the projection. Its point nearest to a goal has at most two active
+half-planes; they are found by adding the one that the present point violates most, until none is violated (an LP-type
+problem: Sharir and Welzl 1992). This is clipping by half-planes, but only by the relevant ones.
 """
 
 from dataclasses import dataclass, replace
@@ -13,14 +13,15 @@ import numpy as np
 
 from grasp_refine.core.se3 import matvec
 
-_STEEP = 1e-5
-"""A face whose normal is this near to the plane across counts as vertical: it moves by 1e-5 epsilon at most."""
+_VERTICAL_TOLERANCE = 1e-5
+"""Largest sine of the angle between a vertical face's normal and the plane across the push; the error is at most 1e-5
+epsilon."""
 
-_TIGHT = 1e-6
-"""A half-space that is violated by less than this share of epsilon is not taken in."""
+_VIOLATION_RATIO = 1e-6
+"""Smallest violation of a half-space that is added, as a fraction of epsilon."""
 
-_STEPS = 64
-"""Half-planes that are taken in at most."""
+_MAX_HALF_PLANES = 64
+"""Most half-planes that are added."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,37 +32,37 @@ class Overlap:
     """
 
     m: np.ndarray
-    """(K, F, 2)."""
+    """Normals across the push (K, F, 2)."""
     c: np.ndarray
-    """(K, F)."""
+    """Normals along the push (K, F)."""
     o: np.ndarray
-    """(K, F), in metres."""
+    """Offsets (K, F), in metres."""
     of_a: int
-    """How many belong to polytope a."""
+    """Number of half-spaces of polytope a."""
     epsilon: float
-    """Depth in metres; what is too small to matter is measured by it."""
+    """Depth in metres, to which the tolerances are relative."""
 
     def nearest(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The point p (K, 2) of each shadow nearest to 0, and the heights (K,) of the top of a and the bottom of b.
+        """Point p (K, 2) of each projection nearest to 0, and the heights (K,) of the top of a and the bottom of b.
 
         p is NaN where rounding leaves no overlap.
         """
         p = self._project()
-        height = self._height(self._room(p))
+        height = self._height(self._slack(p))
         of_a = np.arange(self.c.shape[1]) < self.of_a
         top = np.where(self._upper & of_a, height, np.inf).min(axis=1)
         bottom = np.where(self._lower & ~of_a, height, -np.inf).max(axis=1)
         return p, top, bottom
 
     def _project(self) -> np.ndarray:
-        """The point (K, 2) of each shadow nearest to 0; NaN where there is none."""
+        """Point (K, 2) of each projection nearest to 0; NaN where there is none."""
         K = len(self.c)
         answer, item, here = np.full((K, 2), np.nan), np.arange(K), self
         p, active = np.zeros((K, 2)), np.tile([0.0, 0.0, np.inf], (K, 2, 1))
-        for _ in range(_STEPS):
+        for _ in range(_MAX_HALF_PLANES):
             added, violated = here._most_violated(p)
             answer[item[~violated]] = p[~violated]
-            p, active = _nearest_of_three(np.concatenate([active, added], axis=1), _TIGHT * self.epsilon)
+            p, active = _nearest_of_three(np.concatenate([active, added], axis=1), _VIOLATION_RATIO * self.epsilon)
             left = np.flatnonzero(violated & np.isfinite(p[:, 0]))
             if not len(left):
                 break
@@ -69,15 +70,15 @@ class Overlap:
         return answer
 
     def _most_violated(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The half-plane (K, 1, 3) that p (K, 2) violates most, and whether it does violate any."""
-        room = self._room(p)
-        height = self._height(room)
+        """The half-plane (K, 1, 3) that p (K, 2) violates most, and the mask (K,) of points that violate any."""
+        slack = self._slack(p)
+        height = self._height(slack)
         top = np.where(self._upper, height, np.inf)
         bottom = np.where(self._lower, height, -np.inf)
-        left = np.where(self._steep, room, np.inf)
+        left = np.where(self._steep, slack, np.inf)
         row = np.arange(len(p))
         upper, lower, steep = top.argmin(axis=1), bottom.argmax(axis=1), left.argmin(axis=1)
-        tight = _TIGHT * self.epsilon
+        tight = _VIOLATION_RATIO * self.epsilon
         crossed, beyond = bottom[row, lower] - top[row, upper] > tight, -left[row, steep]
         with np.errstate(divide="ignore", invalid="ignore"):
             # z <= (o - m . p) / c from above and >= from below; multiplied out, because c may be small.
@@ -90,24 +91,24 @@ class Overlap:
         return added[:, None], crossed | at_wall
 
     def _planes(self, row: np.ndarray, which: np.ndarray) -> np.ndarray:
-        """The rows (m, o) (K, 3) of some half-spaces."""
+        """Rows (m, o) (K, 3) of half-spaces."""
         return np.concatenate([self.m[row, which], self.o[row, which, None]], axis=1)
 
-    def _room(self, p: np.ndarray) -> np.ndarray:
-        """How much c z may be (K, F) at p (K, 2)."""
+    def _slack(self, p: np.ndarray) -> np.ndarray:
+        """Upper bounds (K, F) of c z at p (K, 2)."""
         return self.o - matvec(self.m, p)
 
-    def _height(self, room: np.ndarray) -> np.ndarray:
-        """The heights z (K, F) of the planes; meaningless for steep ones."""
-        return room / np.where(self._steep, 1.0, self.c)
+    def _height(self, slack: np.ndarray) -> np.ndarray:
+        """Heights z (K, F) of the planes; meaningless for steep ones."""
+        return slack / np.where(self._steep, 1.0, self.c)
 
     @cached_property
     def _upper(self) -> np.ndarray:
-        return self.c > _STEEP
+        return self.c > _VERTICAL_TOLERANCE
 
     @cached_property
     def _lower(self) -> np.ndarray:
-        return self.c < -_STEEP
+        return self.c < -_VERTICAL_TOLERANCE
 
     @cached_property
     def _steep(self) -> np.ndarray:
@@ -118,10 +119,10 @@ class Overlap:
 
 
 def _nearest_of_three(planes: np.ndarray, tight: float) -> tuple[np.ndarray, np.ndarray]:
-    """The points (K, 2) nearest to 0 that have the last of three half-planes active, and the two planes that it has.
+    """Points (K, 2) nearest to 0 with the last of three half-planes active, and their two active planes.
 
-    Half-planes (a, b) with |a| = 1 stand for a . p <= b (K, 3, 3); (0, inf) for none. NaN where they have no point
-    in common.
+    Half-planes (a, b) with |a| = 1 denote a . p <= b (K, 3, 3); (0, inf) is none. NaN where their intersection is
+    empty.
     """
     a, b = planes[..., :2], planes[..., 2]
     added, others = a[:, 2:], a[:, :2]

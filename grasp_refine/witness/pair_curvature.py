@@ -1,4 +1,4 @@
-"""Curvatures of both bodies at the witness points of many pairs, as contact kinematics needs them."""
+"""Curvatures of both bodies at the witness points of many pairs, for contact kinematics."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from grasp_refine.collision.query import Pairs, Witness
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import matvec
 from grasp_refine.witness.analytical import feature_slip
-from grasp_refine.witness.curvature import Curvatures, raised
+from grasp_refine.witness.curvature import Curvatures, raise_eigenvalues
 from grasp_refine.witness.size import length_factor
 
 SMALLEST_CURVATURE = 1.0
-"""Floor of the curvatures of two bodies together, over the mean of their diagonals."""
+"""Floor of the summed curvatures of two bodies, divided by the mean of their diagonals."""
 
-CORNER = 1e4
-"""Curvature in 1/m that stands for that across an edge or at a vertex, where the exact one is infinite.
+CORNER_CURVATURE_PER_M = 1e4
+"""Curvature in 1/m used across an edge or at a vertex, where the exact one is infinite.
 
-Pairs of bodies smaller than 1 cm, or larger than 1 m, have one in proportion (`size.length_factor`).
+For pairs of bodies smaller than 1 cm, or larger than 1 m, it is scaled in proportion (`size.length_factor`).
 """
 
 FEATURE_TOLERANCE = 1e-6
-"""A face is active when the witness lies in its plane to within this fraction of the piece's size."""
+"""Largest distance of the witness from the plane of an active face, as a fraction of the piece's size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,16 +35,16 @@ class PairCurvatures:
     bodies: Curvatures
     """The distinct bodies."""
     body: np.ndarray
-    """Which of them are the first bodies, then the second ones (2 P,)."""
+    """Indices into them of the first bodies, then the second ones (2 P,)."""
     floor: np.ndarray
     """Floor (P,) of the eigenvalues of K_a + K_b, in 1/m."""
     corner: np.ndarray
-    """What stands for the curvature of edges and vertices (P,), in 1/m."""
+    """Curvature used for edges and vertices (P,), in 1/m."""
 
     @staticmethod
     @stage("loading")
     def of(pairs: Pairs, smallest: float) -> PairCurvatures:
-        """Ready for some pairs; `smallest` is the floor of K_a + K_b, over the mean of the two bodies' diagonals."""
+        """Prepare pairs; `smallest` is the floor of K_a + K_b, divided by the mean of the two bodies' diagonals."""
         both = (*pairs.a, *pairs.b)
         distinct = {id(body): body for body in both}
         place = {key: index for index, key in enumerate(distinct)}
@@ -54,7 +54,7 @@ class PairCurvatures:
             Curvatures.of(tuple(distinct.values())),
             np.array([place[id(body)] for body in both]),
             smallest / diagonal.mean(axis=0),
-            CORNER / length_factor(pairs.a, pairs.b),
+            CORNER_CURVATURE_PER_M / length_factor(pairs.a, pairs.b),
         )
 
     def fit(
@@ -67,7 +67,7 @@ class PairCurvatures:
         miss: np.ndarray,
         width: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """K_a and K_b (M, 2, 2) of M items in 1/m, in their tangent bases.
+        """Fit K_a and K_b (M, 2, 2) of M items in 1/m, in their tangent bases.
 
         The neighbourhood of a witness has the radius max(2 width |t - x|, safe / 2); with a width of 0 there is
         none, and the curvatures are those of the exact face, edge or vertex, rounded or not.
@@ -95,7 +95,7 @@ class PairCurvatures:
         if len(exact):
             corner = np.tile(self.corner[pair], 2)
             K[exact] = self._of_features(exact, x, normal, E, witness, corner)
-        return raised(K[:count], K[count:], self.floor[pair])
+        return raise_eigenvalues(K[:count], K[count:], self.floor[pair])
 
     def _of_features(
         self,
@@ -115,7 +115,7 @@ class PairCurvatures:
             for number in np.unique(winner[side & (winner >= 0)]):
                 here = np.flatnonzero(side & (winner == number))
                 at, radius = rows[here], pieces[number].radius
-                # Infinitely far away, slip is 1 along the feature and 0 across, also where the piece is round.
+                # At infinite distance, slip is 1 along the feature and 0 across, also where the piece is round.
                 slip = feature_slip(pieces[number], x[at], normal[at], np.full(len(at), np.inf), FEATURE_TOLERANCE)
                 across = np.eye(2) - E[at].mT @ slip @ E[at]
                 sharp = np.full(len(at), 1.0 / radius) if radius > 0 else corner[at]

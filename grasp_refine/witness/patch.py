@@ -1,11 +1,11 @@
-"""The patch witness: where two faces, or an edge and a face, are near parallel, which of many witness points to take.
+"""The patch witness: choice among many witness points where two faces, or an edge and a face, are near parallel.
 
 There the plain witness point is not determined: it jumps from corner to corner when a body turns by 1e-9 rad. The
 patch is the set of all points p of the plane across the contact normal n over which the gap of the two pieces is
 within epsilon of the smallest one. The gap of convex pieces is a convex function of p; so the patch is convex and
-moves continuously with the poses, and so does its point nearest to the targets, which is what `Patch` takes.
+moves continuously with the poses, and so does its point nearest to the targets, which `Patch` takes.
 
-Shift piece b along -n until it is epsilon deep in piece a: the patch is the shadow, along n, of what is inside both.
+Shift piece b along -n until it is epsilon deep in piece a: the patch is the projection, along n, of the overlap.
 So it needs no polygons, only the half-spaces of the two pieces (`Overlap`).
 """
 
@@ -22,14 +22,14 @@ from grasp_refine.geometry.pieces import Piece
 from grasp_refine.witness.overlap import Overlap
 from grasp_refine.witness.size import length_factor
 
-_REACH = 10.0
-"""A patch that surely reaches no farther than this many epsilon is left alone."""
+_MIN_EXTENT_EPSILONS = 10.0
+"""Largest bound of a patch's extent, in epsilons, at which the witness is kept."""
 
-_LOCAL = (1e2, 1e3, np.inf)
-"""Faces that many epsilon around the witness are tried first: if the answer lies there, no others matter."""
+_LOCAL_RADII_EPSILONS = (1e2, 1e3, np.inf)
+"""Radii around the witness, in epsilons, whose faces are tried first: if the answer is inside, no others matter."""
 
-_BLOCK = 256
-"""Items that are clipped at a time, so that what is computed on the way stays in the cache."""
+_BLOCK_ITEMS = 256
+"""Items that are clipped at a time, so that intermediate results stay in the cache."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class Patch:
     """The witness points nearest to the targets among all that are within epsilon of being the closest."""
 
     epsilon: float = 1e-5
-    """How much farther apart than the closest points they may be, in metres; of pairs of bodies smaller than 1 cm, or
-    larger than 1 m, in proportion (`size.length_factor`)."""
+    """Excess over the smallest distance, in metres; scaled in proportion for pairs of bodies smaller than 1 cm or
+    larger than 1 m (`size.length_factor`)."""
 
     def __post_init__(self) -> None:
         """Refuse a patch without extent.
@@ -58,21 +58,21 @@ class Patch:
         target_a: np.ndarray | None,
         target_b: np.ndarray | None,
     ) -> Witness:
-        """The witness with points and distance moved over the patch, for items of any shape (...); the normal stays.
+        """Move witness points and distance over the patch, for items of any shape (...); the normal stays.
 
-        Along n the points stay on the surfaces of the pieces. Kept as they are, bit for bit: items without points,
-        with spheres or capsules, with a patch that surely reaches no farther than 10 epsilon, and those whose sum of
-        squared misses would grow: below the epsilon squared that heights are worth, unless a target lies beyond the
-        face. The radius of a rounded polytope is added to its core along n: its patch ends where the flat
+        Along n the points stay on the surfaces of the pieces. Unchanged, bit for bit: items without points, with
+        spheres or capsules, with a patch that certainly extends no farther than 10 epsilon, and those whose sum of
+        squared misses would grow: by less than epsilon squared, the effect of heights, unless a target lies beyond
+        the face. The radius of a rounded polytope is added to its core along n: its patch ends where the flat
         part ends.
 
         Args:
-            pairs: The body pairs that were asked.
+            pairs: The body pairs that were queried.
             T_world_a: Poses (..., 4, 4) of the first bodies.
             T_world_b: Poses of the second bodies.
             witness: Their witness as NumPy arrays, leading shape (...).
-            target_a: Point (..., 3) to touch, frame of body a, metres. NaN: none, only that of body b counts.
-            target_b: The same of body b. Items without either keep their witness.
+            target_a: Target point (..., 3), frame of body a, metres. NaN: none, only that of body b counts.
+            target_b: Target point (..., 3), frame of body b, metres. Items without either keep their witness.
         """
         shape = witness.distance.shape
         if len(shape) > 1:
@@ -91,10 +91,10 @@ class Patch:
             _Side.of([pieces_a[k] for k in winner], T_world_a[index], witness.point_a[index], n),
             _Side.of([pieces_b[k] for k in winner], T_world_b[index], witness.point_b[index], -n),
         )
-        wide = np.flatnonzero(~(_reach(*sides) <= _REACH))
+        wide = np.flatnonzero(~(_extent_bound(*sides) <= _MIN_EXTENT_EPSILONS))
         index, n = index[wide], n[wide]
         goal = np.einsum("kij,ki->kj", tangents(n), goals.middle[index])
-        # A winner counts through the piece pairs of one body pair after the other.
+        # Winners index the piece pairs of all body pairs, one body pair after the other.
         pair = np.searchsorted(pairs.first_piece_pair, winner[wide], side="right") - 1
         factor = length_factor(pairs.a, pairs.b)[pair]
         move_a, move_b = np.empty((2, len(n), 3))
@@ -105,13 +105,13 @@ class Patch:
             move_a[some], move_b[some] = moves
         before = goals.missed(index, np.zeros_like(n), np.zeros_like(n))
         better = goals.missed(index, move_a, move_b) <= before
-        return _moved(witness, index[better], move_a[better], move_b[better])
+        return _move_points(witness, index[better], move_a[better], move_b[better])
 
     def _moves(self, a: "_Side", b: "_Side", n: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How the points of K contacts move (K, 3), world frame, to come nearest to goals (K, 2) in their tangents."""
+        """Moves (K, 3) of the points of K contacts, world frame, nearest to goals (K, 2) in their tangents."""
         move_a, move_b = np.full((2, len(n), 3), np.nan)
         left = np.argsort(a.count + b.count, kind="stable")
-        for radius in self.epsilon * np.array(_LOCAL):
+        for radius in self.epsilon * np.array(_LOCAL_RADII_EPSILONS):
             beyond = []
             for some in _blocks(left):
                 tangent = tangents(n[some])
@@ -134,12 +134,12 @@ class Patch:
 
 @dataclass(frozen=True, eq=False)
 class _Goals:
-    """Where the targets of M items lie, seen from the witness points."""
+    """Targets of M items relative to their witness points."""
 
     offset: np.ndarray
-    """t - x (2, M, 3) on the two bodies, world frame; 0 where there is no target."""
+    """Offsets t - x (2, M, 3) on the two bodies, world frame, metres; 0 where there is no target."""
     given: np.ndarray
-    """Which targets there are (2, M)."""
+    """Mask (2, M) of the targets that exist."""
 
     @staticmethod
     def of(witness: Witness, poses: Sequence[np.ndarray], targets: Sequence[np.ndarray | None]) -> "_Goals":
@@ -153,7 +153,7 @@ class _Goals:
 
     @property
     def middle(self) -> np.ndarray:
-        """The mean (M, 3) of the offsets that there are."""
+        """Mean offset (M, 3) over the existing targets."""
         return self.offset.sum(axis=0) / np.maximum(self.given.sum(axis=0), 1)[:, None]
 
     def missed(self, index: np.ndarray, move_a: np.ndarray, move_b: np.ndarray) -> np.ndarray:
@@ -164,22 +164,22 @@ class _Goals:
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """The polytopes on one side of M contacts, and how they lie there."""
+    """Polytopes on one side of M contacts, with their poses."""
 
     pieces: list[Piece]
-    """Each polytope once."""
+    """The distinct polytopes."""
     piece: np.ndarray
     """Index (M,) into them."""
     R: np.ndarray
     """Rotations (M, 3, 3) of the bodies, world frame."""
     point: np.ndarray
-    """Witness points (M, 3) of the cores, body frames."""
+    """Witness points (M, 3) of the cores, body frames, metres."""
     outward: np.ndarray
     """Outward contact normals (M, 3), body frames."""
 
     @staticmethod
     def of(pieces: Sequence[Piece], T: np.ndarray, x: np.ndarray, outward: np.ndarray) -> "_Side":
-        """For contacts of `pieces` at poses T (M, 4, 4), points x and normals `outward` (M, 3), world frame."""
+        """Side of contacts of `pieces` at poses T (M, 4, 4), points x and normals `outward` (M, 3), world frame."""
         slots = {piece: slot for slot, piece in enumerate(dict.fromkeys(pieces))}
         index = np.array([slots[piece] for piece in pieces])
         radius = np.array([piece.radius for piece in slots])[index]
@@ -189,16 +189,16 @@ class _Side:
         return _Side(list(slots), index, R, local - radius[:, None] * normal, normal)
 
     def take(self, index: np.ndarray) -> "_Side":
-        """The contacts `index`."""
+        """Return the contacts `index`."""
         return replace(self, **{name: getattr(self, name)[index] for name in ("piece", "R", "point", "outward")})
 
     @property
     def count(self) -> np.ndarray:
-        """How many half-spaces bound the polytope of each contact (M,)."""
+        """Number of half-spaces (M,) of each contact's polytope."""
         return np.array([len(piece.planes[1]) for piece in self.pieces])[self.piece]
 
     def half_spaces(self, frame: np.ndarray, radius: float, shift: float) -> tuple[np.ndarray, np.ndarray]:
-        """Normals (M, W, 3) and offsets (M, W) of what bounds the polytopes that near the points, in metres.
+        """Normals (M, W, 3) and offsets (M, W), in metres, of the half-spaces within `radius` of the points.
 
         They are given in frames (M, 3, 3), world frame, whose third axes are n, about the points, for the polytopes
         shifted by -`shift` n. Where there are fewer than W, normals are 0 and offsets infinite.
@@ -208,11 +208,11 @@ class _Side:
         items, planes = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
         for start, (normals, offsets), some in zip(first[:-1], tables, self._groups(), strict=True):
             if len(some):
-                room = offsets - self.point[some] @ normals.T
+                slack = offsets - self.point[some] @ normals.T
                 along = self.outward[some] @ normals.T
-                # What matters is no higher or lower than epsilon, which is little beside any radius.
+                # Relevant heights are at most epsilon, which is small against any radius.
                 reach = radius * (np.sqrt(np.maximum(1.0 - along**2, 0.0)) + 0.1)
-                item, plane = np.nonzero(room <= reach)
+                item, plane = np.nonzero(slack <= reach)
                 items.append(some[item])
                 planes.append(start + plane)
         item, plane = np.concatenate(items), np.concatenate(planes)
@@ -227,7 +227,7 @@ class _Side:
         return turned, offsets - matvec(normals, self.point) - shift * turned[..., 2]
 
     def dips(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The smallest and second smallest slopes (M,) of edges at the vertices farthest out, and the first edges.
+        """Smallest and second smallest slopes (M,) of edges at the vertices farthest out, and the first edges.
 
         A slope is the sine of the angle below the plane across n. Edges (M, 3) are unit vectors in the world frame.
         Rounded polytopes, which have no table of neighbours, get slopes of zero.
@@ -257,21 +257,21 @@ class _Side:
         return np.maximum(first, 0.0), np.maximum(second, 0.0), edge
 
     def _groups(self) -> list[np.ndarray]:
-        """The contacts of each polytope."""
+        """Contacts of each polytope."""
         counts = np.bincount(self.piece, minlength=len(self.pieces))
         return np.split(np.argsort(self.piece, kind="stable"), np.cumsum(counts)[:-1])
 
 
-def _reach(a: _Side, b: _Side) -> np.ndarray:
-    """Bounds (M,) of how far the patches reach, per epsilon; infinite where there is none.
+def _extent_bound(a: _Side, b: _Side) -> np.ndarray:
+    """Upper bounds (M,) of the extent of the patches, in epsilons; infinite where there is none.
 
     A polytope lies in the cone of the edges at its farthest vertex. If all of them dip by the sine s, it is deeper
     than epsilon everywhere beyond epsilon / s. If all but one dip by s, that holds beyond a strip of this width along
-    the one; and the strips of the two polytopes have a rhombus in common.
+    that one; and the strips of the two polytopes intersect in a rhombus.
     """
     first_a, second_a, edge_a = a.dips()
     first_b, second_b, edge_b = b.dips()
-    # Both edges are nearly across n where this matters; the shorter shadow only makes the bound larger.
+    # Both edges are nearly across n where this matters; their shorter projections only enlarge the bound.
     n = matvec(a.R, a.outward)
     crossing = np.abs((cross(edge_a, edge_b) * n).sum(axis=1))
     with np.errstate(divide="ignore"):
@@ -280,13 +280,13 @@ def _reach(a: _Side, b: _Side) -> np.ndarray:
 
 
 def _blocks(index: np.ndarray) -> Iterator[np.ndarray]:
-    """The items `index` (K,), some at a time."""
-    for start in range(0, len(index), _BLOCK):
-        yield index[start : start + _BLOCK]
+    """Yield the items `index` (K,) in blocks."""
+    for start in range(0, len(index), _BLOCK_ITEMS):
+        yield index[start : start + _BLOCK_ITEMS]
 
 
-def _moved(witness: Witness, index: np.ndarray, move_a: np.ndarray, move_b: np.ndarray) -> Witness:
-    """The witness with the points of the items (K,) moved by (K, 3), and their distances."""
+def _move_points(witness: Witness, index: np.ndarray, move_a: np.ndarray, move_b: np.ndarray) -> Witness:
+    """Move the points of the items (K,) by (K, 3), and update their distances."""
     point_a, point_b, distance = witness.point_a.copy(), witness.point_b.copy(), witness.distance.copy()
     point_a[index] += move_a
     point_b[index] += move_b

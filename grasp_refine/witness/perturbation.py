@@ -1,4 +1,4 @@
-"""Witness points at perturbed relative poses: what finite differences and zeroth-order smoothing ask."""
+"""Witness points at perturbed relative poses, for finite differences and zeroth-order smoothing."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from grasp_refine.witness.slip import wrench
 def perturbed(scene: WitnessScene, twists: np.ndarray) -> Witness:
     """Witness points (M batch, pair, ...) with body b moved by M twists about its witness point x_b.
 
-    The points are given about x_b, world axes: far from the origin of the world their differences would be rounding.
+    The points are relative to x_b, world axes: far from the world origin their differences would be only rounding.
 
     Args:
         scene: Poses and witness points.

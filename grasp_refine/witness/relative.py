@@ -1,4 +1,4 @@
-"""Methods that see a pair through the motion of body b relative to body a."""
+"""Derivatives from the motion of body b relative to body a."""
 
 import numpy as np
 
@@ -12,16 +12,16 @@ def seen_from_a(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Wrenches (batch, pair, 6) on both bodies, from the covector on the relative twist.
 
-    Points and normal first move rigidly with body a, then, seen from there, with the twist of b relative to a:
-    dx = V_a(x) + J (xi_b - xi_a) and dn = w_a x n + J_n (xi_b - xi_a). A common motion so never changes a
-    relative loss, whatever J is.
+    Points and normal first move rigidly with body a, then, in its frame, with the twist of b relative to a:
+    dx = V_a(x) + J (xi_b - xi_a) and dn = w_a x n + J_n (xi_b - xi_a). So a common motion never changes a
+    relative loss, for any J.
 
     Args:
         witness: Witness points, world frame.
         force_a: dL/dx_a (batch, pair, 3).
         force_b: dL/dx_b.
         force_n: dL/dn, or None.
-        relative: J^T applied to all of them: a covector on the spatial relative twist (batch, pair, 6).
+        relative: J^T applied to these: a covector on the spatial relative twist (batch, pair, 6).
     """
     wrench_a = wrench(witness.point_a, force_a) + wrench(witness.point_b, force_b) - relative
     if force_n is not None:

@@ -15,13 +15,13 @@ class Rigid:
 
     dx_a = V_a(x_a), dx_b = V_b(x_b), dn = (w_a + w_b) / 2 x n.
 
-    Exact for the signed distance, for a vertex against a vertex, and for nothing else.
+    Exact for the signed distance and for a vertex against a vertex only.
     """
 
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Wrenches (batch, pair, 6) on the two bodies of covectors on witness points and normal."""
+        """Wrenches (batch, pair, 6) on the two bodies from covectors on witness points and normal."""
         w = scene.witness
         wrench_a, wrench_b = wrench(w.point_a, force_a), wrench(w.point_b, force_b)
         if force_n is not None:

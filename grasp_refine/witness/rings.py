@@ -14,10 +14,10 @@ from grasp_refine.witness.neighborhood import Neighbors
 
 @dataclass(frozen=True)
 class Neighbor:
-    """As many edges wide whatever the target: its size in metres is that of the mesh, and it ends with the piece.
+    """Constant number of edges, whatever the target: its size in metres is that of the mesh; it ends with the piece.
 
-    The mesh of a piece with a radius is made for it, and how its flat parts are cut into triangles is decided by
-    rounding: in a world that is larger by a factor that is no power of two, other vertices may be drawn.
+    The mesh of a piece with a radius is generated, and the triangulation of its flat parts depends on rounding: in a
+    world scaled by a factor that is not a power of two, other vertices may be drawn.
     """
 
     rings: int = 5
@@ -47,15 +47,15 @@ def choose_rings(
     offset: int,
     floor: np.ndarray,
 ) -> Neighbors:
-    """The neighbours of witness points on the pieces that carry them.
+    """Choose the neighbours of witness points on the closest pieces.
 
     Args:
-        rule: How many rings and samples.
-        pieces_a: Pieces of the first bodies, which `winner` indexes.
-        pieces_b: The same of the second bodies.
-        winner: Piece pair (B, P) that carries the witness points; -1: there are none, any piece will do.
+        rule: Number of rings and samples.
+        pieces_a: Pieces of the first bodies, indexed by `winner`.
+        pieces_b: Pieces of the second bodies, indexed by `winner`.
+        winner: Closest piece pair (B, P); -1: there are no witness points, any piece is used.
         x: Witness points (S, B, 3) on all first bodies, then on all second ones (S = 2 P), body frames, metres.
-        offset: Where in the random order of each neighbourhood the draw begins.
+        offset: Start of the draw in the random order of each neighbourhood.
         floor: Smallest sensible spread of squared distances (S, 1), in square metres.
     """
     S, B, _ = x.shape
@@ -97,7 +97,7 @@ def choose_rings(
 
 
 def _nearest(tables: Sequence[Rings], which: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """For each x (M, 3) the index of the vertex nearest to it among those of its table `which` (M,)."""
+    """Index (M,) of the vertex nearest to each x (M, 3) among those of its table `which` (M,)."""
     vertex = np.empty(len(x), dtype=np.int64)
     order = np.argsort(which, kind="stable")
     ends = np.cumsum(np.bincount(which, minlength=len(tables)))

@@ -1,4 +1,4 @@
-"""What a derivative method is given: the poses, the witness points found there, and where they should go."""
+"""Input of a derivative method: the poses, the witness points there, and their targets."""
 
 from dataclasses import dataclass
 
@@ -12,12 +12,12 @@ from grasp_refine.witness.rings import Neighbor, choose_rings
 
 @dataclass(frozen=True, eq=False)
 class WitnessScene:
-    """Poses of a batch of body pairs with the witness points found there; all arrays float64."""
+    """Poses of a batch of body pairs with their witness points; all arrays float64."""
 
     pairs: Pairs
     """The body pairs."""
     surfaces: Surfaces
-    """Candidates of all first bodies, then of all second bodies: S = 2 P of them."""
+    """Candidates of all first bodies, then of all second bodies: S = 2 P."""
     T_world_a: np.ndarray
     """Poses of the first bodies (batch, pair, 4, 4)."""
     T_world_b: np.ndarray
@@ -25,11 +25,11 @@ class WitnessScene:
     witness: Witness
     """Witness points at these poses."""
     target_a: np.ndarray | None
-    """Where the witness points of the first bodies should go (batch, pair, 3), body frames; NaN: no target."""
+    """Target points (batch, pair, 3) of the first bodies, body frames, metres; NaN: no target."""
     target_b: np.ndarray | None
-    """The same of the second bodies."""
+    """Target points (batch, pair, 3) of the second bodies, body frames, metres; NaN: no target."""
     key: int
-    """Number of the iteration: methods that draw samples draw others at another key."""
+    """Iteration number: methods that draw samples draw others at another key."""
 
     __repr__ = brief
 
@@ -39,7 +39,7 @@ class WitnessScene:
         return self.surfaces.diagonal.reshape(2, -1).mean(axis=0)
 
     def sides(self) -> "Sides":
-        """Every pair seen from each of its bodies: first all a, then all b (S = 2 P)."""
+        """Return each pair in the frames of both its bodies: first all a, then all b (S = 2 P)."""
         w = self.witness
         T = _stacked(self.T_world_a, self.T_world_b)
         R, p = T[..., :3, :3], T[..., :3, 3]
@@ -59,7 +59,7 @@ class WitnessScene:
         return Sides(R, local[:, :, 0], local[:, :, 1], local[:, :, 2], target)
 
     def neighbors(self, rule: Neighborhood | Neighbor, seed: int) -> tuple["Sides", Neighbors]:
-        """Every pair seen from each of its bodies, and the surface samples near its witness points."""
+        """Return each pair in the frames of both its bodies, and the surface samples near its witness points."""
         sides = self.sides()
         offset = draw_offset(seed, self.key)
         if isinstance(rule, Neighbor):
@@ -70,20 +70,20 @@ class WitnessScene:
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """One body of each pair with its witness, in its own frame; shapes (S, batch, ...)."""
+    """One body of each pair with its witness, in the body's frame; shapes (S, batch, ...)."""
 
     rotation: np.ndarray
     """Rotation (S, batch, 3, 3) of the body in the world."""
     point: np.ndarray
-    """Its witness point (S, batch, 3)."""
+    """Witness point (S, batch, 3) of the body, metres."""
     other: np.ndarray
-    """The other body's witness point (S, batch, 3), in this body's frame."""
+    """Witness point (S, batch, 3) of the other body, in this body's frame, metres."""
     normal: np.ndarray
     """Outward contact normal (S, batch, 3)."""
     target: np.ndarray | None
-    """Where the witness should go (S, batch, 3); NaN: no target."""
+    """Target point (S, batch, 3), metres; NaN: no target."""
 
 
 def _stacked(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """(batch, P, ...) twice -> (2 P, batch, ...)."""
+    """Stack two arrays (batch, P, ...) to (2 P, batch, ...)."""
     return np.concatenate([first, second], axis=1).swapaxes(0, 1)

@@ -1,16 +1,16 @@
 """Equivalent gradient transport (arXiv 2511.06267): both bodies' gradients act through the one that moves.
 
-What a pair's loss sees is the relative pose T_a^-1 T_b, so moving body b by exp(-xi_b) is as good as moving
+A pair's loss depends on the relative pose T_a^-1 T_b, so moving body b by exp(-xi_b) is equivalent to moving
 body a by exp(-xi~_a) with xi~_a = -Ad(T_a^-1 T_b) xi_b:
 
     (T_a exp(-xi~_a))^-1 T_b = T_a^-1 (T_b exp(-xi_b)).
 
-It moves *updates*: the gradient of b is scaled by the step sizes (s_t, s_r), carried over, unscaled, and added
-to the gradient of a. Where both bodies move, each gets the other's update as well as its own, so that, to first
-order, the relative pose moves twice as far. The sum is a direction of descent that is no longer the derivative of
-the loss; it is an option of gradient descent and of nothing else. Gradients are body twists Proj(T^-1 G)
-(`se3.body_gradient`). The poses may be results themselves, such as those of a kinematic chain: what reaches them
-flows on to the root and the joints.
+It transports *updates*: the gradient of b is scaled by the step sizes (s_t, s_r), transported, unscaled, and added
+to the gradient of a. Where both bodies move, each gets the other's update in addition to its own, so that, to first
+order, the relative pose moves twice as far. The sum is a descent direction that is no longer the derivative of
+the loss; it is an option of gradient descent only. Gradients are body twists Proj(T^-1 G)
+(`se3.body_gradient`). The poses may be results themselves, such as those of a kinematic chain: their gradients
+flow on to the root and the joints.
 """
 
 from dataclasses import dataclass
@@ -26,28 +26,28 @@ from grasp_refine.core.se3 import body_gradient, cross, hat, matvec
 
 @dataclass(frozen=True)
 class EquivalentTransport:
-    """Adds the gradient of the resting body, carried over, to that of the moving one, or each one's to the other's."""
+    """Addition of the resting body's transported gradient to that of the moving one, or of each to the other."""
 
     step_translation: float
-    """s_t: how far (metres) a unit of linear gradient moves."""
+    """Step s_t in metres per unit of linear gradient."""
     step_rotation: float
-    """s_r: how far (radians) a unit of angular gradient turns."""
+    """Step s_r in radians per unit of angular gradient."""
     both: bool = False
-    """The body called resting moves too, with the same step sizes, and gets the gradient of the other in turn."""
+    """Whether the body called resting moves too, with the same step sizes, and also gets the other's gradient."""
 
     def __post_init__(self) -> None:
-        """Refuse settings of other kinds."""
+        """Refuse settings of other types."""
         check_fields(self)
 
     def __call__(self, T_world_moving: Tensor, T_world_resting: Tensor) -> tuple[Tensor, Tensor]:
-        """The same poses (..., 4, 4), whose gradients will be transported in the backward pass."""
+        """Return the poses (..., 4, 4) unchanged, with their gradients transported in the backward pass."""
         return _Transport.apply(T_world_moving, T_world_resting, self)
 
 
 def transport(T_from: Tensor, T_to: Tensor, twist: Tensor) -> Tensor:
-    """-Ad(T_to^-1 T_from) xi (..., 6): the update of body `to` that has the same effect as xi of body `from`.
+    """Body twist -Ad(T_to^-1 T_from) xi (..., 6) of body `to`, equivalent to the update xi of body `from`.
 
-    The same motion in world axes, about the other origin: v + w x (p_to - p_from).
+    It is the same motion in world axes, about the other origin: v + w x (p_to - p_from).
     """
     v, w = (T_from[..., :3, :3] @ torch.stack([twist[..., :3], twist[..., 3:]], dim=-1)).unbind(-1)
     v = v + cross(w, T_to[..., :3, 3] - T_from[..., :3, 3])
@@ -56,7 +56,7 @@ def transport(T_from: Tensor, T_to: Tensor, twist: Tensor) -> Tensor:
 
 
 class _Transport(torch.autograd.Function):
-    """Identity on poses; its backward pass carries the gradient of one body over to the other."""
+    """Identity on poses; its backward pass transports the gradient of one body to the other."""
 
     @staticmethod
     def forward(ctx: Any, T_moving: Tensor, T_resting: Tensor, steps: EquivalentTransport) -> tuple[Tensor, Tensor]:
@@ -70,16 +70,16 @@ class _Transport(torch.autograd.Function):
         T_moving, T_resting = ctx.saved_tensors
         scale = T_moving.new_tensor([ctx.steps.step_translation] * 3 + [ctx.steps.step_rotation] * 3)
 
-        def carried(T_from: Tensor, G_from: Tensor, T_to: Tensor) -> Tensor:
+        def transported(T_from: Tensor, G_from: Tensor, T_to: Tensor) -> Tensor:
             return _entries(T_to, transport(T_from, T_to, body_gradient(T_from, G_from) * scale) / scale)
 
-        for_moving = G_moving + carried(T_resting, G_resting, T_moving)
-        for_resting = G_resting + carried(T_moving, G_moving, T_resting) if ctx.steps.both else G_resting
+        for_moving = G_moving + transported(T_resting, G_resting, T_moving)
+        for_resting = G_resting + transported(T_moving, G_moving, T_resting) if ctx.steps.both else G_resting
         return for_moving, for_resting, None
 
 
 def _entries(T: Tensor, twist: Tensor) -> Tensor:
-    """An entry-wise gradient (..., 4, 4) with Proj(T^-1 G) = twist: the inverse of `se3.body_gradient`."""
+    """Entry-wise gradient (..., 4, 4) with Proj(T^-1 G) = twist: the inverse of `se3.body_gradient`."""
     R = T[..., :3, :3]
     G = torch.zeros_like(T)
     G[..., :3, :3] = R @ hat(twist[..., 3:])

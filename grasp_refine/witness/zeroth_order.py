@@ -12,7 +12,7 @@ from grasp_refine.witness.scene import WitnessScene
 
 @dataclass(frozen=True)
 class ZerothOrder:
-    """The slip of witness points that are smoothed over random relative poses, by two queries a sample.
+    """Slip of witness points smoothed over random relative poses, by two queries a sample.
 
     The gradient of E[x(sigma z)], z ~ N(0, I_6), is estimated as the mean of (x(sigma z) - x(-sigma z)) z / (2 sigma).
 
@@ -23,18 +23,18 @@ class ZerothOrder:
     sigma: float = 1e-2
     """Spread as a fraction of the mean diagonal of the two bodies (translations), and in radians (rotations)."""
     samples: int = 8
-    """Antithetic pairs: twice as many queries."""
+    """Number of antithetic pairs; each takes two queries."""
     seed: int = 0
     """Seed of the perturbations."""
 
     def __post_init__(self) -> None:
-        """Refuse fields of another kind, and numbers out of their range."""
+        """Refuse fields of another type, and numbers out of range."""
         check_positive(self, "sigma", "samples")
 
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Wrenches (batch, pair, 6) on the two bodies of covectors on witness points and normal."""
+        """Wrenches (batch, pair, 6) on the two bodies from covectors on witness points and normal."""
         z = np.random.default_rng((self.seed, scene.key)).standard_normal((self.samples, 6))
         scale = self.sigma * np.concatenate(
             [np.repeat(scene.length[:, None], 3, axis=1), np.ones((len(scene.length), 3))], 1

@@ -466,7 +466,7 @@ def test_targets_must_fit_the_grasps(grasp_file: Callable[..., Path], capfd: pyt
         ("--json", ("'--json'",)),
         ("--iterations 0", ("--iterations", "1", "0")),
         ("--tolerance -1", ("--tolerance", "-1")),
-        ("--weights.contact nan", ("contact", "nan")),
+        ("--weights.contact nan", ("--weights.contact", "nan")),
         ("--seed -1", ("--seed", "0 to 4294967295", "-1")),
         ("--descent.shares 0.5", ("descent", "shares", "factors", "1 and 2")),
         ("--descent.momentum 1", ("descent", "momentum", "0", "1")),

@@ -16,11 +16,11 @@ import pytest
 
 from asset_server import CONTENTS, MIDDLE, Server, made_asset, made_tree, serving
 from command_line import subprocess_environment
-from grasp_refine.assets.cache import asset_folder, inside, is_whole
-from grasp_refine.assets.download import ATTEMPTS
+from grasp_refine.assets.cache import asset_folder, is_whole, path_inside
+from grasp_refine.assets.download import MAX_ATTEMPTS
 from grasp_refine.assets.fetching import fetch_asset
 from grasp_refine.assets.licence import is_accepted
-from grasp_refine.assets.locating import located
+from grasp_refine.assets.locating import locate_asset
 from grasp_refine.assets.manifest import Asset, read_manifest
 from grasp_refine.assets.names import all_assets
 from grasp_refine.assets.origin import Mirror, Upstream
@@ -149,13 +149,13 @@ def test_another_manifest_has_another_folder(claw: Asset, tmp_path: Path):
 @pytest.mark.parametrize(
     ("fault", "attempts", "named"),
     [
-        ("wrong", ATTEMPTS, ("sha256", hashlib.sha256(CONTENTS["meshes/tip.obj"]).hexdigest())),
-        ("cut", ATTEMPTS, ("127.0.0.1:", f"{ATTEMPTS} times")),
+        ("wrong", MAX_ATTEMPTS, ("sha256", hashlib.sha256(CONTENTS["meshes/tip.obj"]).hexdigest())),
+        ("cut", MAX_ATTEMPTS, ("127.0.0.1:", f"{MAX_ATTEMPTS} times")),
         ("long", 1, ("320000 bytes",)),
-        ("short", ATTEMPTS, ("sha256",)),
+        ("short", MAX_ATTEMPTS, ("sha256",)),
         ("endless", 1, ("320000 bytes",)),
         (404, 1, ("404 Not Found", "http://127.0.0.1:", "/claw/meshes/tip.obj")),
-        (503, ATTEMPTS, ("127.0.0.1:", "503", "GRASP_REFINE_ASSETS=")),
+        (503, MAX_ATTEMPTS, ("127.0.0.1:", "503", "GRASP_REFINE_ASSETS=")),
         ("to file:///etc/passwd", 1, ("http ", "https ")),
         ("to ftp://127.0.0.1/x", 1, ("http ", "https ")),
     ],
@@ -189,9 +189,9 @@ def test_a_connection_that_breaks_once_is_made_again(claw: Asset, server: Server
 KILLED = """
 import sys
 from pathlib import Path
-from grasp_refine.assets.locating import located
+from grasp_refine.assets.locating import locate_asset
 from grasp_refine.assets.manifest import read_manifest
-located(read_manifest("hands", Path(sys.argv[1]))["claw"])
+locate_asset(read_manifest("hands", Path(sys.argv[1]))["claw"])
 """
 
 
@@ -208,7 +208,7 @@ def test_a_process_that_is_killed_leaves_nothing_that_counts(
     assert not (asset_folder(claw, "mirror") / "meshes/tip.obj").exists() and not is_whole(claw, "mirror")
     server.faults.clear()
     server.asked.clear()
-    assert located(claw).read_bytes() == CONTENTS["claw.urdf"]
+    assert locate_asset(claw).read_bytes() == CONTENTS["claw.urdf"]
     assert server.asked == {MIDDLE: 1} and is_whole(claw, "mirror")
 
 
@@ -222,7 +222,7 @@ def test_nobody_answers(claw: Asset, cache: Path):
     with socket.socket() as waiting:
         waiting.bind(("127.0.0.1", 0))  # bound, but it does not listen
         address = f"127.0.0.1:{waiting.getsockname()[1]}"
-        named = ("hands/claw", "claw.urdf", address, "Connection refused", f"{ATTEMPTS} times")
+        named = ("hands/claw", "claw.urdf", address, "Connection refused", f"{MAX_ATTEMPTS} times")
         ways_out = ("GRASP_REFINE_ASSETS=FOLDER", "GRASP_REFINE_ASSETS=https://...")
         with refused(AssetError, *named, *ways_out) as caught:
             fetch_asset(claw, Mirror(f"http://user:secret@{address}"), pause=0.01)
@@ -266,14 +266,14 @@ def test_a_cache_that_is_a_file_is_said(claw: Asset, server: Server, cache: Path
 @pytest.mark.parametrize("place", ["../x", "/etc/passwd", "a/../../../x", "a\\..\\x", "", "../../../../../x"])
 def test_a_place_outside_of_the_cache_is_refused(claw: Asset, place: str):
     with refused(AssetError, f"'{place}'"):
-        inside(asset_folder(claw, "mirror"), place)
+        path_inside(asset_folder(claw, "mirror"), place)
 
 
 def test_a_place_that_no_file_can_have_is_refused(claw: Asset):
     folder = asset_folder(claw, "mirror")
     folder.mkdir(parents=True)
     with refused(AssetError, f"'{'9' * 3000}'", "File name too long"):
-        inside(folder, "9" * 3000)
+        path_inside(folder, "9" * 3000)
 
 
 @pytest.mark.parametrize("link", ["hands", "hands/claw", "FOLDER", "FOLDER/meshes", "FOLDER/meshes/tip.obj"])
@@ -357,7 +357,7 @@ def test_files_of_an_installed_package_are_copied(packaged: Asset, tmp_path: Pat
 
 def test_a_package_of_another_version_or_none_says_how_to_install_it(packaged: Asset, tmp_path: Path):
     (tmp_path / "site/claws-1.2.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: claws\nVersion: 1.3\n")
-    with refused(AssetError, "claws==1.2, 1.3", "pip install --no-deps claws=="):
+    with refused(AssetError, "claws==1.2", "1.3", "pip install --no-deps claws=="):
         fetch_asset(packaged, Upstream())
     (tmp_path / "site/claws-1.2.dist-info/METADATA").unlink()
     (tmp_path / "site/claws-1.2.dist-info").rmdir()
@@ -376,19 +376,19 @@ def test_what_upstream_has_in_another_form_needs_a_mirror():
 def test_locating_fetches_what_is_open(claw: Asset, server: Server, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setenv("GRASP_REFINE_ASSETS", server.address + "/")
     with refused(AssetError, "refine-grasp assets fetch hands/claw"):
-        located(claw, fetch=False)
-    path = located(claw)
+        locate_asset(claw, fetch=False)
+    path = locate_asset(claw)
     assert path == asset_folder(claw, "mirror") / "claw.urdf" and is_whole(claw, "mirror")
-    assert located(claw, fetch=False) == path
+    assert locate_asset(claw, fetch=False) == path
     path.write_bytes(b"damaged")
     with refused(AssetError, "refine-grasp assets fetch hands/claw"):
-        located(claw, fetch=False)
-    assert located(claw).read_bytes() == CONTENTS["claw.urdf"]
+        locate_asset(claw, fetch=False)
+    assert locate_asset(claw).read_bytes() == CONTENTS["claw.urdf"]
     restricted = made_asset(tmp_path / "restricted", terms="non-commercial", licence="CC BY-NC 4.0")
-    assert located(restricted) == path  # the same files are here: nothing is fetched
+    assert locate_asset(restricted) == path  # the same files are here: nothing is fetched
     path.unlink()
     with refused(AssetError, "refine-grasp assets fetch hands/claw --accept-license"):
-        located(restricted)
+        locate_asset(restricted)
 
 
 @pytest.mark.parametrize(
@@ -397,7 +397,7 @@ def test_locating_fetches_what_is_open(claw: Asset, server: Server, monkeypatch:
 def test_a_mirror_is_a_folder_or_a_web_address(claw: Asset, monkeypatch: pytest.MonkeyPatch, named: str):
     monkeypatch.setenv("GRASP_REFINE_ASSETS", named)
     with refused(AssetError, f"GRASP_REFINE_ASSETS={named}", "http://"):
-        located(claw)
+        locate_asset(claw)
 
 
 # The real mirror
@@ -417,7 +417,7 @@ def test_all_assets_come_from_the_shared_folder(shared_assets: Path, monkeypatch
     assert len(assets) == 8 + 61 + 6
     for asset in assets:
         fetch_asset(asset, accept_license=True)
-        path = located(asset, fetch=False)
+        path = locate_asset(asset, fetch=False)
         assert path.is_dir() if asset.kind == "grasps" else path.is_file()
         if asset.kind == "objects":
             assert path.stem == asset.name
@@ -440,7 +440,7 @@ def test_the_meshes_of_every_urdf_are_where_it_looks_for_them(shared_assets: Pat
     monkeypatch.setenv("GRASP_REFINE_ASSETS", str(shared_assets))
     for name in ("allegro", "barrett", "leap", "robotiq3f", "shadow"):
         fetch_asset(read_manifest("hands")[name], accept_license=True)
-        urdf = located(read_manifest("hands")[name])
+        urdf = locate_asset(read_manifest("hands")[name])
         named = set(re.findall(r'filename="([^"]+)"', urdf.read_text()))
         assert named and all((urdf.parent / mesh).is_file() for mesh in named), name
 

@@ -75,7 +75,15 @@ def scattered(batch: int, spread: float, seed: int = 0) -> tuple[np.ndarray, np.
     )
 
 
-FIELDS = {"point_a": 1e-12, "point_b": 1e-12, "normal": 1e-12, "distance": 1e-12, "status": 0, "winner": 0, "asked": 0}
+FIELDS = {
+    "point_a": 1e-12,
+    "point_b": 1e-12,
+    "normal": 1e-12,
+    "distance": 1e-12,
+    "status": 0,
+    "winner": 0,
+    "num_queries": 0,
+}
 """How far the answers of both engines may differ: by rounding."""
 
 
@@ -180,12 +188,12 @@ def test_threads_change_nothing(both: tuple[Pairs, Pairs]) -> None:
     pairs = both[0]
     T_a, T_b = (T.reshape(-1, 4, 4) for T in scattered(12, 0.06))
     limit, pair = np.full(len(T_a), np.inf), np.tile(np.arange(len(pairs)), 12)
-    one = pairs.native.ask(pair, T_a, T_b, limit, None, 1)
-    warm = pairs.native.ask(pair, T_a, T_b, limit, (one[5], one[0], one[1], one[4]), 1)
+    one = pairs.native.query(pair, T_a, T_b, limit, None, 1)
+    warm = pairs.native.query(pair, T_a, T_b, limit, (one[5], one[0], one[1], one[4]), 1)
     for threads in (1, 2, 4, 7):
         for previous, expected in ((None, one), ((one[5], one[0], one[1], one[4]), warm)):
             for field, value, known in zip(
-                fields(Witness), pairs.native.ask(pair, T_a, T_b, limit, previous, threads), expected, strict=True
+                fields(Witness), pairs.native.query(pair, T_a, T_b, limit, previous, threads), expected, strict=True
             ):
                 np.testing.assert_array_equal(value, known, err_msg=f"{field.name} with {threads} threads")
 
@@ -219,7 +227,7 @@ def test_other_threads_run_meanwhile(both: tuple[Pairs, Pairs]) -> None:
         # On a busy machine the thread may not get its turn during one of them.
         for _ in range(1000):
             before = steps[0]
-            pairs.native.ask(pair, T_a, T_b, limit, None, 1)
+            pairs.native.query(pair, T_a, T_b, limit, None, 1)
             if steps[0] > before + 10:
                 break
         else:
@@ -292,7 +300,7 @@ from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
 ball = build_body("ball", [sphere(0.01)], candidates=16)
 pairs, T = Pairs((ball,), (ball,), engine="native"), np.tile(np.eye(4), (2000, 1, 1))
-ask = lambda: pairs.native.ask(np.zeros(2000, np.int64), T, T, np.full(2000, np.inf), None, 2)[3].sum()
+ask = lambda: pairs.native.query(np.zeros(2000, np.int64), T, T, np.full(2000, np.inf), None, 2)[3].sum()
 before, child = ask(), os.fork()
 if child == 0:
     signal.alarm(600)
@@ -309,7 +317,7 @@ def test_the_bare_loop_asks_what_the_search_does(both: tuple[Pairs, Pairs]) -> N
     limit, pair = np.full(len(T_a), np.inf), np.tile(np.arange(len(pairs)), 3)
     previous = None
     for _ in range(2):
-        found = pairs.native.ask(pair, T_a, T_b, limit, previous, 1)
+        found = pairs.native.query(pair, T_a, T_b, limit, previous, 1)
         distance = pairs.native.bare_loop(pair, T_a, T_b, limit, previous, 1)()
         assert len(distance) == found[6].sum()
         order = np.argsort(pair, kind="stable")
@@ -356,7 +364,7 @@ def test_an_engine_that_does_not_exist_is_an_error() -> None:
 
 def test_an_engine_that_was_not_built_is_left_alone(monkeypatch: pytest.MonkeyPatch, forgotten: None) -> None:
     monkeypatch.delenv(VARIABLE, raising=False)
-    monkeypatch.setattr(engine, "COMPILED", "grasp_refine.collision._nowhere")
+    monkeypatch.setattr(engine, "NATIVE_MODULE", "grasp_refine.collision._nowhere")
     assert_names(why_not_native(), "C++", "grasp-refine")
     assert engines() == ("python",) and chosen("auto") == "python"
     with refused(CollisionError, "native", why_not_native(), "auto", "python"):

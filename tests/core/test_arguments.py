@@ -39,7 +39,7 @@ from grasp_refine.scene.scene import Scene
 from grasp_refine.core.se3 import body_gradient, exp_se3, pose_from_transform, transform_from_pose
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
-from grasp_refine.scene.contact_selection import Touching
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.validation.metrics import metrics
 from grasp_refine.validation.motion import Motion, closing
 from grasp_refine.validation.protocol import Protocol
@@ -178,7 +178,7 @@ REFUSED = {
     "refine(scene, Config(solver=Descent(), device='tpu'))": "tpu",
     "Weights(contact=-1.0)": "contact",
     "Scales(joints='a')": "joints",
-    "Touching(links='index')": "'index'",
+    "ContactSelection(links='index')": "'index'",
     "MaxMove(joints=np.nan)": "joints",
     "LevenbergMarquardt(widths=(1.0, 'a'))": "'a'",
     "Distance(coupling='none')": "'one-sided'",
@@ -210,7 +210,7 @@ WORKS = (
     "same(exp_se3([0, 0, 0, 0, 0, 0]), np.eye(4))",
     "same(transform_from_pose(pose.tolist()), T)",
     "len(Pairs([ball], [ball]).a) == 1",
-    "Touching(links=['palm']).links == ('palm',)",
+    "ContactSelection(links=['palm']).links == ('palm',)",
     "Plane(normal=np.array([0, 0, 1])) == Plane()",
     "len(GraspSet('allegro', 'palm', list(hand.joint_names), 'box', 1.0, pose.tolist(), tensor(q))) == 4",
     "len(grasps.select([True, False, False, True])) == 2",

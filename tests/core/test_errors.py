@@ -6,7 +6,7 @@ import pickle
 
 import pytest
 
-from grasp_refine.core.errors import LONGEST, GraspRefineError, MeshError, told
+from grasp_refine.core.errors import MAX_MESSAGE_CHARACTERS, GraspRefineError, MeshError, told
 
 
 @pytest.mark.parametrize(
@@ -26,16 +26,16 @@ def test_a_message_is_one_line_that_a_terminal_only_shows(message: str, shown: s
 
 
 def test_a_message_is_of_bounded_length():
-    assert len(str(GraspRefineError("x" * 10**6))) == LONGEST
-    assert str(GraspRefineError("x" * LONGEST)) == "x" * LONGEST
+    assert len(str(GraspRefineError("x" * 10**6))) == MAX_MESSAGE_CHARACTERS
+    assert str(GraspRefineError("x" * MAX_MESSAGE_CHARACTERS)) == "x" * MAX_MESSAGE_CHARACTERS
 
 
 def test_values_are_told_like_repr_but_bounded():
     for value in ("box", "it's", 1.5, -3, None, [1, 2], {"a": 1}, 10**30):
         assert told(value) == repr(value)
     assert len(told("x" * 10**5)) <= 200
-    # Python prints no whole numbers of more than 4300 digits, and TOML reads them in hexadecimal.
-    assert told(16**9000) == "a whole number of thousands of digits"
+    # Python prints no integers of more than 4300 digits, and TOML reads them in hexadecimal.
+    assert told(16**9000) == "an integer of thousands of digits"
     deep: list = []
     for _ in range(10**5):
         deep = [deep]

@@ -14,7 +14,7 @@ import pytest
 
 from grasp_refine.core import npz_files
 from grasp_refine.core.errors import GraspFileError
-from grasp_refine.core.npz_files import LARGEST, array_header, load_npz
+from grasp_refine.core.npz_files import MAX_UNPACKED_BYTES, array_header, load_npz
 from grasp_refine.grasps.grasp_set import load_grasps
 from refusals import refused
 
@@ -51,14 +51,14 @@ def test_an_archive_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.Mon
                 for _ in range(128):
                     entry.write(bytes(2**20))
     assert path.stat().st_size < 2**21
-    monkeypatch.setattr(npz_files, "LARGEST", 2**27)
+    monkeypatch.setattr(npz_files, "MAX_UNPACKED_BYTES", 2**27)
     before = peak()
     check_refused(path, "256 MiB", "128 MiB")
     assert peak() - before < 2**25
 
 
 def test_the_limit_has_room_for_grasps():
-    assert LARGEST == 8 * 2**20 * 32 * 8
+    assert MAX_UNPACKED_BYTES == 8 * 2**20 * 32 * 8
 
 
 def grasp_file(path: Path, count: int, dtype: str, name: str = "ball", seed: int | None = None, pack: bool = True):
@@ -120,7 +120,7 @@ def test_honest_files_of_many_grasps_are_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dtype: str, seed: int | None, pack: bool
 ):
     """As the file grows, so does what may come of it: here all of it is beyond what is free."""
-    monkeypatch.setattr(npz_files, "ROOM", 2**16)
+    monkeypatch.setattr(npz_files, "MEMORY_ALLOWANCE_BYTES", 2**16)
     path = tmp_path / "grasps.npz"
     grasp_file(path, 20_000, dtype, "core-bottle-1ef68777bfdb7d6ba7a07ee616e34cd7", seed, pack)
     grasps = load_grasps(path)
@@ -128,7 +128,7 @@ def test_honest_files_of_many_grasps_are_read(
 
 
 def test_what_would_take_too_much_says_how_much_and_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(npz_files, "ROOM", 2**20)
+    monkeypatch.setattr(npz_files, "MEMORY_ALLOWANCE_BYTES", 2**20)
     path = tmp_path / "grasps.npz"
     np.savez_compressed(path, q=np.zeros((2**18, 1), "int8"))
     times = round(2**21 / path.stat().st_size)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from grasp_refine.core import toml_file
-from grasp_refine.core.toml_file import DEEPEST, read_toml
+from grasp_refine.core.toml_file import MAX_KEY_PARTS, read_toml
 from refusals import refused
 
 
@@ -56,7 +56,7 @@ def test_dots_in_comments_and_texts_are_no_parts_of_a_key(tmp_path: Path, text: 
 )
 def test_a_long_key_behind_a_text_is_found(tmp_path: Path, text: str):
     with refused(ValueError, "64 parts"):
-        read_toml(put(tmp_path, "x = {" + text + ", b" + ".b" * DEEPEST + " = 1}"))
+        read_toml(put(tmp_path, "x = {" + text + ", b" + ".b" * MAX_KEY_PARTS + " = 1}"))
 
 
 @pytest.mark.parametrize("text", ['"""\n\\', "'''", 'x = "', "#"])
@@ -75,8 +75,8 @@ def test_texts_without_end_take_no_time(tmp_path: Path, text: str):
         ("x = " + "[" * 5000, "nested"),
         ("x = " + "{a=" * 5000, "nested"),
         ("x = " + "9" * 5000, "4300"),
-        ("x" + ".a" * DEEPEST + " = 1", "64 parts"),
-        ("[x" + " . 'a'" * DEEPEST + "]", "64 parts"),
+        ("x" + ".a" * MAX_KEY_PARTS + " = 1", "64 parts"),
+        ("[x" + " . 'a'" * MAX_KEY_PARTS + "]", "64 parts"),
     ],
 )
 def test_what_cannot_be_read_is_one_kind_of_error(tmp_path: Path, text: str, named: str):
@@ -94,7 +94,7 @@ def test_a_key_of_thousands_of_parts_takes_neither_time_nor_memory(tmp_path: Pat
 
 
 def test_a_file_that_is_too_large_or_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(toml_file, "LARGEST", 10)
+    monkeypatch.setattr(toml_file, "MAX_FILE_BYTES", 10)
     with refused(ValueError, "MiB", "0"):
         read_toml(put(tmp_path, "x = 1 # and more"))
     with pytest.raises(FileNotFoundError):

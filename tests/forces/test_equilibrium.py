@@ -8,8 +8,16 @@ import pytest
 
 from claw import TIPS, around, claw, objects
 from grasp_refine.core.se3 import exp_se3
-from grasp_refine.forces.equilibrium import HOPELESS, LEVER
-from grasp_refine.forces.wrench import EDGES, LENGTH, MOST, PLANNING_FRICTION, RIDGE, contact_forces, grasp_map
+from grasp_refine.forces.equilibrium import COUPLING_LEVER_M, UNSOLVED_VALUE
+from grasp_refine.forces.wrench import (
+    LEVER_M,
+    MAX_PRESSURE_SHARE,
+    NUM_EDGES,
+    PLANNING_FRICTION,
+    RIDGE,
+    contact_forces,
+    grasp_map,
+)
 from grasp_refine.hands.chain import Frames, integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
@@ -113,7 +121,7 @@ def test_the_value_is_what_the_forces_leave_unbalanced(hand: Hand, bodies: dict[
     for p, load in enumerate(problem.equilibrium.loads):
         f = known.forces.force[:, p]
         x = np.where(f.any(axis=-1, keepdims=True), w.point_b, 0.0)
-        total = np.concatenate([f.sum(axis=1), np.cross(x, f).sum(axis=1) / LENGTH], axis=1) + load
+        total = np.concatenate([f.sum(axis=1), np.cross(x, f).sum(axis=1) / LEVER_M], axis=1) + load
         torque = problem.chain.to_joint_space(
             frames, np.concatenate([f, np.cross(x, f)], axis=-1), np.arange(f.shape[1])
         )
@@ -121,7 +129,7 @@ def test_the_value_is_what_the_forces_leave_unbalanced(hand: Hand, bodies: dict[
         for group in hand.coupled:
             own = torque[:, [hand.joint_names.index(name) for name in group.joints]]
             ratio = np.array(group.ratio) / np.linalg.norm(group.ratio)
-            expected += ((own - (own @ ratio)[:, None] * ratio) ** 2).sum(axis=1) / LEVER**2
+            expected += ((own - (own @ ratio)[:, None] * ratio) ** 2).sum(axis=1) / COUPLING_LEVER_M**2
         expected += (total**2).sum(axis=1) + RIDGE * (f**2).sum(axis=(1, 2))
     np.testing.assert_allclose(known.loss, expected / len(problem.equilibrium.loads), rtol=1e-9)
 
@@ -149,10 +157,10 @@ def test_no_other_allowed_forces_are_better(coupled: Hand, bodies: dict[str, Obj
                 across = local[..., 1:] + size * rng.normal(size=(*local.shape[:2], 2))
                 length = np.linalg.norm(across, axis=-1, keepdims=True)
                 # Within the circle that the pyramid holds.
-                most = PLANNING_FRICTION * np.cos(np.pi / EDGES) * pressure[..., None]
+                most = PLANNING_FRICTION * np.cos(np.pi / NUM_EDGES) * pressure[..., None]
                 across = across * np.minimum(1.0, most / np.maximum(length, 1e-12))
                 other = np.concatenate([pressure[..., None], across], axis=-1)
-                allowed = pressure.max(axis=1) <= MOST
+                allowed = pressure.max(axis=1) <= MAX_PRESSURE_SHARE
                 assert (value(other) >= best - 1e-9)[allowed].all()
 
 
@@ -238,9 +246,9 @@ def problem_map(problem: GraspProblem, point: Point, pushing: np.ndarray) -> np.
 
 def active_rows(local: np.ndarray) -> np.ndarray:
     """Constraints (A, 3 L) on changes of the forces (L, 3) of a grasp that keep what is active as it is."""
-    angle = (np.arange(EDGES) + 0.5) * 2.0 * np.pi / EDGES
-    rim = PLANNING_FRICTION * np.cos(np.pi / EDGES)
-    face = np.stack([np.full(EDGES, -rim), np.cos(angle), np.sin(angle)], axis=1)
+    angle = (np.arange(NUM_EDGES) + 0.5) * 2.0 * np.pi / NUM_EDGES
+    rim = PLANNING_FRICTION * np.cos(np.pi / NUM_EDGES)
+    face = np.stack([np.full(NUM_EDGES, -rim), np.cos(angle), np.sin(angle)], axis=1)
     active = [np.tile([1.0, 0.0, 0.0], len(local))]
     for link, f in enumerate(local):
         place = np.zeros((3, len(local), 3))
@@ -250,7 +258,7 @@ def active_rows(local: np.ndarray) -> np.ndarray:
             active += list(place)
             continue
         active += [row @ place for row in face if row @ f > -1e-7]
-        active += [place[0]] if f[0] > MOST - 1e-7 else []
+        active += [place[0]] if f[0] > MAX_PRESSURE_SHARE - 1e-7 else []
     return np.array(active)
 
 
@@ -337,7 +345,7 @@ def test_without_contacts_nothing_is_to_be_gained(coupled: Hand, bodies: dict[st
     weights = replace(ONLY, penetration=1e-12)
     plain, problem = problem_of(scene, goal, weights), problem_of(scene, replace(goal, touching=touching), weights)
     known, clean = (one.evaluate(every(scene), at(scene), None) for one in (problem, plain))
-    assert known.loss[1] == pytest.approx(HOPELESS)
+    assert known.loss[1] == pytest.approx(UNSOLVED_VALUE)
     np.testing.assert_allclose(known.loss[[0, 2, 3]], clean.loss[[0, 2, 3]], rtol=1e-9)
     residual, J = rows(problem, at(scene), known)
     assert np.isfinite(residual).all() and np.isfinite(J).all()

@@ -7,9 +7,9 @@ import pytest
 
 from claw import around, capsule, claw
 from grasp_refine.collision.query import QueryStatus, Witness, query
-from grasp_refine.forces.equilibrium import LEVER
-from grasp_refine.forces.quality import DEEP, PUSH, PUSHES, SLIPPERY, Quality, quality
-from grasp_refine.forces.wrench import EDGES, LENGTH, PLANNING_FRICTION
+from grasp_refine.forces.equilibrium import COUPLING_LEVER_M
+from grasp_refine.forces.quality import DEEP, LOW_FRICTION, PUSH_SHARE, PUSHES, Quality, quality
+from grasp_refine.forces.wrench import LEVER_M, NUM_EDGES, PLANNING_FRICTION
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, load_object
@@ -62,10 +62,10 @@ def test_two_opposing_contacts_need_no_friction_but_for_what_pushes(free: Hand, 
     """Of a push along y or z of 0.2 they take 0.15 cos 22.5 deg at least; of one along x they take all."""
     found = of(free, ball, *OPPOSING)
     assert found.slippery[0] == pytest.approx(0.0, abs=1e-4) and found.deep[0] == 0.0
-    left = PUSH - PLANNING_FRICTION
+    left = PUSH_SHARE - PLANNING_FRICTION
     assert 4 / 6 * left - 1e-4 <= found.pushed[0]
     # What x takes: pressures of 0.5 - 0.1 and 0.5 + 0.1 are not allowed, no contact carries more than half.
-    most = 2 / 6 * PUSH + 4 / 6 * (PUSH - PLANNING_FRICTION * np.cos(np.pi / EDGES))
+    most = 2 / 6 * PUSH_SHARE + 4 / 6 * (PUSH_SHARE - PLANNING_FRICTION * np.cos(np.pi / NUM_EDGES))
     assert found.pushed[0] <= most + 1e-4
     assert found.score[0] == pytest.approx(found.slippery[0] + found.pushed[0])
     assert found.value[0] == pytest.approx(1.0 / (1.0 + found.score[0]))
@@ -85,7 +85,7 @@ def test_a_wedge_slips_where_its_slope_is_above_the_small_friction(free: Hand, b
     # In the plane of the contacts, so that their friction can be anything between that of pyramid and cone.
     normal = [[[-np.cos(a), 0, np.sin(a)], [np.cos(a), 0, np.sin(a)]]]
     found = of(free, ball, [[[0.03, 0, 0], [-0.03, 0, 0]]], normal)
-    low, high = (max(0.0, np.cos(a) * (slope - mu)) for mu in (SLIPPERY, SLIPPERY * np.cos(np.pi / EDGES)))
+    low, high = (max(0.0, np.cos(a) * (slope - mu)) for mu in (LOW_FRICTION, LOW_FRICTION * np.cos(np.pi / NUM_EDGES)))
     assert low - 1e-4 <= found.slippery[0] <= high + 1e-4
 
 
@@ -99,7 +99,7 @@ def test_depth_counts_by_its_scale(free: Hand, ball: Object) -> None:
 
 def test_pushes_are_in_six_directions_and_turn_nothing() -> None:
     np.testing.assert_allclose(PUSHES.sum(axis=0), 0.0, atol=1e-15)
-    np.testing.assert_allclose(np.linalg.norm(PUSHES[:, :3], axis=1), PUSH)
+    np.testing.assert_allclose(np.linalg.norm(PUSHES[:, :3], axis=1), PUSH_SHARE)
     assert len(np.unique(PUSHES, axis=0)) == 6 and not PUSHES[:, 3:].any()
 
 
@@ -135,8 +135,8 @@ def test_deeper_is_worse(free: Hand, ball: Object) -> None:
 def test_less_friction_is_never_better(free: Hand, ball: Object, monkeypatch: pytest.MonkeyPatch) -> None:
     point, normal = random_grasps(10, 3)
     found = []
-    for friction in (0.02, SLIPPERY, 0.3):
-        monkeypatch.setattr("grasp_refine.forces.quality.SLIPPERY", friction)
+    for friction in (0.02, LOW_FRICTION, 0.3):
+        monkeypatch.setattr("grasp_refine.forces.quality.LOW_FRICTION", friction)
         found.append(of(free, ball, point.tolist(), normal.tolist()).value)
     assert (np.diff(found, axis=0) >= -1e-5).all() and (found[2] > found[0] + 1e-3).any()
 
@@ -154,7 +154,7 @@ def test_tendons_are_never_better_than_a_motor_for_each_joint(free: Hand, couple
     one, other = (of(hand, ball, point.tolist(), normal.tolist()) for hand in (free, coupled))
     np.testing.assert_allclose(other.slippery, one.slippery, atol=1e-9)
     assert (other.pushed >= one.pushed - 1e-3).all() and (other.pushed > one.pushed + 1e-3).any()
-    assert LEVER > 0 and LENGTH > 0
+    assert COUPLING_LEVER_M > 0 and LEVER_M > 0
 
 
 # grasps on their own

@@ -9,7 +9,7 @@ import pytest
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3, inverse, transform_from_pose, transform_points
-from grasp_refine.forces.squeeze import SQUEEZE_RIDGE, TOTAL, actuated, contacts, squeezed
+from grasp_refine.forces.squeeze import SQUEEZE_RIDGE, TOTAL_PRESSURE_N, contacts, set_point_offsets, squeezed
 from grasp_refine.forces.wrench import center_of_mass, contact_forces
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.chain import Chain
@@ -64,7 +64,7 @@ def forces_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     witness = query(known.pairs, T, np.broadcast_to(np.eye(4), T.shape))
     point, normal = contacts(scene.hand, scene.links, witness)
     force = contact_forces(point, normal, center_of_mass(scene.object), ridge=SQUEEZE_RIDGE).force
-    return TOTAL * force, witness.point_a
+    return TOTAL_PRESSURE_N * force, witness.point_a
 
 
 def test_a_clamp_presses_inward_with_half_the_total_each(clamp: Hand, ball: Object) -> None:
@@ -154,7 +154,7 @@ def test_joints_of_a_tendon_share_the_mean_torque(mugs: Scene) -> None:
     group = Coupled(mugs.hand.joint_names[2:4], (1.0, 1.0))
     hand = tendons(mugs.hand, (group,), np.inf)
     torque = np.random.default_rng(1).normal(size=(7, 16))
-    ahead = actuated(hand, torque)
+    ahead = set_point_offsets(hand, torque)
     np.testing.assert_allclose(tension(hand, ahead, group), torque[:, 2:4].mean(axis=1))
     np.testing.assert_allclose(ahead[:, 2], ahead[:, 3])
     np.testing.assert_allclose(ahead[:, 4:], torque[:, 4:] / 4.0)
@@ -164,7 +164,7 @@ def test_a_tendon_makes_the_nearest_torques_in_its_ratio(mugs: Scene) -> None:
     group = Coupled(mugs.hand.joint_names[5:8:2], (1.0, -0.5))
     hand = tendons(mugs.hand, (group,), np.inf)
     torque = np.random.default_rng(2).normal(size=(7, 16))
-    made = tension(hand, actuated(hand, torque), group)[:, None] * np.array(group.ratio)
+    made = tension(hand, set_point_offsets(hand, torque), group)[:, None] * np.array(group.ratio)
     # The rest is orthogonal to all that the tendon can make.
     np.testing.assert_allclose((torque[:, 5:8:2] - made) @ np.array(group.ratio), 0.0, atol=1e-12)
 
@@ -173,7 +173,7 @@ def test_no_actuator_is_asked_for_more_than_it_can(mugs: Scene) -> None:
     group = Coupled(mugs.hand.joint_names[2:4], (1.0, 1.0))
     hand = tendons(mugs.hand, (group,), 0.5)
     torque = np.full((1, 16), 3.0) * np.where(np.arange(16) % 4 == 0, -1.0, 1.0)
-    ahead = actuated(hand, torque)
+    ahead = set_point_offsets(hand, torque)
     np.testing.assert_allclose(tension(hand, ahead, group), 0.5)
     single = np.delete(ahead, [2, 3], axis=1)
     np.testing.assert_allclose(np.abs(single), 0.5 / 4.0)
@@ -185,5 +185,5 @@ def test_actuators_without_stiffness_are_not_moved(mugs: Scene) -> None:
     kp[[1, 2]] = 0.0
     group = Coupled(mugs.hand.joint_names[2:4], (1.0, 1.0))
     hand = replace(mugs.hand, coupled=(group,), actuator=replace(mugs.hand.actuator, kp=kp))
-    ahead = actuated(hand, np.ones((1, 16)))
+    ahead = set_point_offsets(hand, np.ones((1, 16)))
     np.testing.assert_array_equal(np.flatnonzero(ahead[0] == 0.0), [1, 2, 3])

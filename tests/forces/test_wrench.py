@@ -11,9 +11,9 @@ from scipy.optimize import minimize
 from grasp_refine.core.se3 import exp_so3
 from grasp_refine.forces import wrench
 from grasp_refine.forces.wrench import (
-    EDGES,
-    LENGTH,
-    MOST,
+    LEVER_M,
+    MAX_PRESSURE_SHARE,
+    NUM_EDGES,
     RIDGE,
     ContactForces,
     basis_spin,
@@ -24,7 +24,7 @@ from grasp_refine.forces.wrench import (
 )
 from grasp_refine.objects.object import load_object
 
-INNER = np.cos(np.pi / EDGES)
+INNER = np.cos(np.pi / NUM_EDGES)
 """The pyramid lies between the cone of the friction itself and that of this times it."""
 
 ORIGIN = np.zeros(3)
@@ -57,7 +57,7 @@ def test_two_opposing_contacts_balance() -> None:
 def test_contacts_on_one_side_push_with_all_they_have(friction: float) -> None:
     """Nothing opposes the pressures, whose sum is 1; both act 2 cm beside the centre, which friction cannot mend."""
     found = of([[1, 0, 0], [1, 0, 0]], [[0, 0.02, 0], [0, 0.02, 0]], friction=friction)
-    assert found.residual[0] == pytest.approx(np.hypot(1.0, 0.02 / LENGTH), abs=1e-6)
+    assert found.residual[0] == pytest.approx(np.hypot(1.0, 0.02 / LEVER_M), abs=1e-6)
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.15])
@@ -74,7 +74,7 @@ def test_no_contact_carries_more_than_half() -> None:
     found = of([[-1, 0, 0], [1, 0, 0], [1, 0, 0]], [[0.03, 0, 0], [-0.03, 0.01, 0], [-0.03, -0.01, 0]])
     np.testing.assert_allclose(found.pressure[0], [0.5, 0.25, 0.25], atol=1e-6)
     lopsided = of([[-1, 0, 0], [0, 1, 0], [0, 1, 0]], [[0.03, 0, 0], [0, -0.03, 0], [0, -0.03, 0]], friction=0.0)
-    assert lopsided.pressure.max() <= MOST + 1e-9
+    assert lopsided.pressure.max() <= MAX_PRESSURE_SHARE + 1e-9
 
 
 def test_a_single_contact_pushes_alone() -> None:
@@ -100,7 +100,7 @@ def test_torques_count_by_the_length_and_about_the_centre() -> None:
     """A couple of two pushes of 0.5 that miss each other by 2 cm, which friction is not there to stop."""
     point = [[-0.03, 0.01, 0], [0.03, -0.01, 0]]
     found = of([[1, 0, 0], [-1, 0, 0]], point, friction=0.0)
-    assert found.residual[0] == pytest.approx(0.5 * 0.02 / LENGTH)
+    assert found.residual[0] == pytest.approx(0.5 * 0.02 / LEVER_M)
     moved = contact_forces(
         np.array(point)[None] + [1.0, 2.0, 3.0],
         np.array([[[1.0, 0, 0], [-1.0, 0, 0]]]),
@@ -120,11 +120,11 @@ def test_forces_are_allowed_and_make_the_residual(contacts: int, friction: float
     found = contact_forces(point, normal, center, friction=friction)
     assert found.solved.all()
     np.testing.assert_allclose(found.pressure.sum(axis=1), 1.0, atol=1e-8)
-    assert found.pressure.min() >= 0 and found.pressure.max() <= MOST + 1e-8
+    assert found.pressure.min() >= 0 and found.pressure.max() <= MAX_PRESSURE_SHARE + 1e-8
     np.testing.assert_allclose((found.force * normal).sum(axis=-1), found.pressure, atol=1e-8)
     across = np.linalg.norm(found.force - found.pressure[..., None] * normal, axis=-1)
     assert (across <= friction * found.pressure + 1e-7).all()
-    torque = np.cross(point - center, found.force).sum(axis=1) / LENGTH
+    torque = np.cross(point - center, found.force).sum(axis=1) / LEVER_M
     total = np.concatenate([found.force.sum(axis=1), torque], axis=1)
     np.testing.assert_allclose(found.residual, np.linalg.norm(total, axis=1), atol=1e-9)
 
@@ -134,25 +134,25 @@ def test_no_other_solver_finds_better_forces(contacts: int, ridge: float) -> Non
     """SLSQP over the edges of the pyramids instead of their faces."""
     point, normal = random_contacts(6, contacts, seed=10 + contacts)
     found = contact_forces(point, normal, ORIGIN, ridge=ridge)
-    angle = 2.0 * np.pi * np.arange(EDGES) / EDGES
+    angle = 2.0 * np.pi * np.arange(NUM_EDGES) / NUM_EDGES
     circle = np.stack([np.cos(angle), np.sin(angle)])
     for m in range(len(point)):
-        edges = normal[m][:, :, None] + 0.15 * basis_tangents(normal[m]) @ circle  # (contacts, 3, EDGES)
+        edges = normal[m][:, :, None] + 0.15 * basis_tangents(normal[m]) @ circle  # (contacts, 3, NUM_EDGES)
 
         def forces(c: np.ndarray, edges: np.ndarray = edges) -> np.ndarray:
-            return (edges @ c.reshape(contacts, EDGES, 1))[..., 0]
+            return (edges @ c.reshape(contacts, NUM_EDGES, 1))[..., 0]
 
         def cost(f: np.ndarray, m: int = m) -> float:
-            torque = np.cross(point[m], f).sum(axis=0) / LENGTH
+            torque = np.cross(point[m], f).sum(axis=0) / LEVER_M
             return float((f.sum(axis=0) ** 2).sum() + (torque**2).sum() + ridge * (f**2).sum())
 
         other = minimize(
             lambda c, cost=cost, forces=forces: cost(forces(c)),
-            np.full(contacts * EDGES, 1.0 / (contacts * EDGES)),
-            bounds=[(0.0, None)] * (contacts * EDGES),
+            np.full(contacts * NUM_EDGES, 1.0 / (contacts * NUM_EDGES)),
+            bounds=[(0.0, None)] * (contacts * NUM_EDGES),
             constraints=[
                 {"type": "eq", "fun": lambda c: c.sum() - 1.0},
-                {"type": "ineq", "fun": lambda c: MOST - c.reshape(contacts, EDGES).sum(axis=1)},
+                {"type": "ineq", "fun": lambda c: MAX_PRESSURE_SHARE - c.reshape(contacts, NUM_EDGES).sum(axis=1)},
             ],
             options={"ftol": 1e-14, "maxiter": 500},
         )
@@ -310,7 +310,7 @@ def test_the_grasp_map_gives_what_forces_come_to() -> None:
     there = np.isfinite(point[..., 0])
     np.testing.assert_allclose(basis[there][..., 0], normal[there], atol=1e-15)
     assert not G[1, 2].any()
-    torque = np.cross(np.nan_to_num(point) - center, found.force).sum(axis=1) / LENGTH
+    torque = np.cross(np.nan_to_num(point) - center, found.force).sum(axis=1) / LEVER_M
     total = np.concatenate([found.force.sum(axis=1), torque, np.einsum("meci,mci->me", forms, found.force)], axis=1)
     np.testing.assert_allclose(found.unbalanced, total, atol=1e-9)
 

@@ -18,7 +18,7 @@ from fuzz.mutations import VALUES, changed_value
 from fuzz.npz_files import header
 from fuzz.reader import Reader, plain
 from grasp_refine.grasps.formats.content import load_content
-from grasp_refine.grasps.formats.dexgraspnet import NAMES
+from grasp_refine.grasps.formats.dexgraspnet import JOINTS
 from grasp_refine.grasps.formats.reading import reading
 
 OPCODES = tuple(opcode.code.encode("latin-1") for opcode in pickletools.opcodes)
@@ -44,7 +44,10 @@ def seeds() -> tuple[tuple[str, bytes], ...]:
     stages = {f"{name}_qpos": row for name in ("pregrasp", "grasp", "squeeze")}
     scene = {"scene": {"mug": {"pose": POSE, "scale": np.full(3, 0.1), "file_path": "a/b.obj"}}}
     bench = {"obj_pose": POSE, "obj_scale": 0.06, "obj_path": "assets/object/mug", **stages}
-    named = {"qpos": {**dict.fromkeys(NAMES, 0.1), **dict.fromkeys([f"WRJT{a}" for a in "xyz"], 0.0)}, "scale": 0.1}
+    named = {
+        "qpos": {**dict.fromkeys(JOINTS, 0.1), **dict.fromkeys([f"WRJT{a}" for a in "xyz"], 0.0)},
+        "scale": 0.1,
+    }
     named["qpos"] |= dict.fromkeys([f"WRJR{a}" for a in "xyz"], 0.2)
     bodex = {"robot_pose": np.tile(row, (1, 2, 3, 1)), "obj_pose": POSE[None], "obj_scale": np.array([0.1])}
     bodex |= {"obj_path": ["assets/object/mug/mesh/simplified.obj"], "joint_names": [f"joint_{i}" for i in range(22)]}

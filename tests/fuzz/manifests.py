@@ -11,7 +11,7 @@ from random import Random
 from fuzz.reader import Reader, plain
 from fuzz.toml import WORDS, changed_toml, toml
 from grasp_refine.assets import manifest
-from grasp_refine.assets.cache import LAYOUTS, asset_folder, inside, main_path
+from grasp_refine.assets.cache import LAYOUTS, asset_folder, main_path, path_inside
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.assets.licence import RECORD, is_accepted
 from grasp_refine.assets.manifest import read_manifest
@@ -55,7 +55,7 @@ def read(path: Path) -> Hashable:
         for layout in LAYOUTS:
             folder = asset_folder(asset, layout)
             for file in asset.files:
-                place = inside(folder, wanted(file, layout).place)
+                place = path_inside(folder, wanted(file, layout).place)
                 assert place.resolve().is_relative_to(folder.resolve()), place
             main_path(asset, layout)
         for text in (asset.name, asset.full_name, asset.licence, asset.citation, asset.unit, asset.note, asset.source):

@@ -12,9 +12,9 @@ from fuzz import (
     npz_files,
     object_lists,
     object_names,
-    trials_by_grasp,
     uploads,
     urdfs,
+    validation_files,
 )
 
 READERS = {
@@ -30,7 +30,7 @@ READERS = {
         job_lists.READER,
         manifests.READER,
         cache_files.READER,
-        trials_by_grasp.READER,
+        validation_files.READER,
         uploads.READER,
     )
 }

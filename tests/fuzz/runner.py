@@ -72,7 +72,7 @@ def _once(outcome: Outcome, module: str, seed: int, seconds: float, most: int) -
         options = [module, outcome.reader, folder, str(seed), str(seconds), str(most), str(write)]
         child = subprocess.Popen(
             [sys.executable, "-m", "fuzz", "--child", *options],
-            env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1]), "OPENBLAS_NUM_THREADS": "1"},
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1"},
             cwd=Path(__file__).parents[2],
             stdin=subprocess.DEVNULL,
             stdout=noise,

@@ -8,7 +8,7 @@ import trimesh
 
 from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry import covering as module
-from grasp_refine.geometry.covering import MOST, OUTSIDE, Covering, covering
+from grasp_refine.geometry.covering import MAX_PIECES, OUTSIDE_TOLERANCE_M, Covering, covering
 from grasp_refine.geometry.nearest_triangle import Triangles
 from grasp_refine.geometry.over_cover import over_cover
 from grasp_refine.geometry.pieces import hull
@@ -28,11 +28,11 @@ def clamp() -> trimesh.Trimesh:
 
 def check_covered(found: Covering, mesh: trimesh.Trimesh) -> None:
     """Each vertex is in a piece, no piece leaves the hull, and the pieces stand out as far as is said, or less."""
-    reach = np.stack([module._beyond(mesh.vertices, piece) for piece in found.pieces])
-    assert reach.min(axis=0).max() <= OUTSIDE
+    reach = np.stack([module._plane_distance(mesh.vertices, piece) for piece in found.pieces])
+    assert reach.min(axis=0).max() <= OUTSIDE_TOLERANCE_M
     whole = hull(mesh.vertices)
-    assert all(module._beyond(piece.vertices, whole).max() <= OUTSIDE for piece in found.pieces)
-    again = over_cover(found.pieces, Triangles(np.asarray(mesh.triangles)), least=module.NOTICED)
+    assert all(module._plane_distance(piece.vertices, whole).max() <= OUTSIDE_TOLERANCE_M for piece in found.pieces)
+    again = over_cover(found.pieces, Triangles(np.asarray(mesh.triangles)), least=module.MIN_PROTRUSION_M)
     assert again == found.stands_out
 
 
@@ -91,7 +91,7 @@ def test_many_small_bodies_are_joined_with_what_is_near() -> None:
     mesh = trimesh.util.concatenate(boxes([0, 0, 0, 0.1, 0.1, 0.005], [0, 0, 0.06, 0.1, 0.1, 0.08], *screws))
     assert mesh.body_count == 42
     found = covering(mesh, 5e-3)
-    assert len(found.pieces) <= MOST
+    assert len(found.pieces) <= MAX_PIECES
     assert found.stands_out == 0
     check_covered(found, mesh)
 
@@ -157,4 +157,4 @@ def test_the_worst_of_many_bodies_is_cut():
     screws = [trimesh.creation.box(bounds=[[0.003 * i, 0.03, 0], [0.003 * i + 0.002, 0.032, 0.002]]) for i in range(18)]
     found = covering(trimesh.util.concatenate([clamp, *screws]), 5e-3)
     assert found.hull_stands_out > 0.015 and found.stands_out < 0.006
-    assert len(found.pieces) <= MOST
+    assert len(found.pieces) <= MAX_PIECES

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from grasp_refine.core.errors import MeshError
-from grasp_refine.geometry.holes import capped, find_holes
+from grasp_refine.geometry.holes import cap_holes, find_holes
 from refusals import assert_names, refused
 
 
@@ -41,7 +41,7 @@ def test_a_hole_says_where_it_is_and_how_wide():
 def test_a_cap_makes_the_solid_whole(turn: float):
     mesh = tube()
     mesh.apply_transform(trimesh.transformations.rotation_matrix(turn, [1, 2, 3]))
-    closed, what = capped(mesh)
+    closed, what = cap_holes(mesh)
     assert closed.is_volume
     assert closed.volume == pytest.approx(trimesh.creation.cylinder(1, 2, sections=24).volume)
     # No vertex is added.
@@ -50,7 +50,7 @@ def test_a_cap_makes_the_solid_whole(turn: float):
 
 
 def test_rims_around_each_other_are_closed_with_a_ring():
-    closed, what = capped(pipe())
+    closed, what = cap_holes(pipe())
     assert closed.is_volume
     assert_names(what, "2 ", " mm")
     assert closed.volume == pytest.approx(trimesh.creation.annulus(1, 2, 3, sections=24).volume)
@@ -58,7 +58,7 @@ def test_rims_around_each_other_are_closed_with_a_ring():
 
 def test_holes_on_both_ends_are_closed_apart():
     mesh = trimesh.creation.cylinder(1, 2, sections=24)
-    closed, _ = capped(without(mesh, np.abs(mesh.face_normals[:, 2]) > 0.9))
+    closed, _ = cap_holes(without(mesh, np.abs(mesh.face_normals[:, 2]) > 0.9))
     assert closed.is_volume
     assert closed.volume == pytest.approx(trimesh.creation.cylinder(1, 2, sections=24).volume)
 
@@ -69,7 +69,7 @@ def test_a_bent_hole_is_refused():
     x, y, z = ball.triangles_center.T
     drop = (np.abs(x) < 0.5) & (y > 0.2) & (np.abs(z) < 0.9)
     with refused(MeshError, " edges", " mm", "flat"):
-        capped(without(ball, drop))
+        cap_holes(without(ball, drop))
 
 
 def test_rims_that_meet_are_refused():
@@ -85,7 +85,7 @@ def test_bodies_on_both_sides_of_a_plane_are_closed_each():
     standing, hanging = tube(), tube()
     hanging.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [1, 0, 0], [0, 0, 1]))
     hanging.apply_translation([5, 0, 0])
-    closed, _ = capped(trimesh.util.concatenate([standing, hanging]))
+    closed, _ = cap_holes(trimesh.util.concatenate([standing, hanging]))
     assert closed.is_volume
     assert closed.volume == pytest.approx(2 * trimesh.creation.cylinder(1, 2, sections=24).volume)
 
@@ -95,4 +95,4 @@ def test_rims_that_cross_are_refused():
     inner = np.isclose(mesh.vertices[:, 2], 1.5) & (np.linalg.norm(mesh.vertices[:, :2], axis=1) < 1.5)
     mesh.vertices[inner, :2] += 0.9
     with refused(MeshError, "cross"):
-        capped(mesh)
+        cap_holes(mesh)

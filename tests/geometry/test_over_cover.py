@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from grasp_refine.geometry.nearest_triangle import Triangles
-from grasp_refine.geometry.over_cover import PRECISION, over_cover
+from grasp_refine.geometry.over_cover import MAX_OVERESTIMATE, over_cover
 from grasp_refine.geometry.pieces import Piece, box, hull
 
 
@@ -19,8 +19,8 @@ def stands_out(mesh: trimesh.Trimesh, *pieces: Piece, least: float = 0.01) -> fl
 
 
 def above(truth: float) -> object:
-    """What may come back where this is true: no less, and up to `PRECISION` more."""
-    return pytest.approx(truth * (1 + PRECISION / 2), rel=PRECISION / 2 + 1e-9)
+    """What may come back where this is true: no less, and up to `MAX_OVERESTIMATE` more."""
+    return pytest.approx(truth * (1 + MAX_OVERESTIMATE / 2), rel=MAX_OVERESTIMATE / 2 + 1e-9)
 
 
 @pytest.mark.parametrize("size", [1.0, 1e-3])

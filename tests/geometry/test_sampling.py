@@ -164,7 +164,7 @@ def test_order_is_random_so_that_a_part_stands_for_the_whole():
 
 
 def test_a_body_with_next_to_no_exposed_surface_is_refused(monkeypatch):
-    monkeypatch.setattr(sampling, "ROUNDS", 1)
+    monkeypatch.setattr(sampling, "MAX_DRAWS", 1)
     with refused(MeshError, "50 pieces"):
         sample([sphere(0.1)] * 50, 1000, seed=0)
 

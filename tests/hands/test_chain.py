@@ -219,15 +219,15 @@ def test_what_follows_what(gripper: Hand) -> None:
     chain = Chain(gripper, ["hook", "tip", "arm"])
     assert set(chain.joints) == {"lift", "left_slide", "tip_turn", "spin", "catch"}
 
-    def followed(place: int) -> set[str]:
-        row = chain.followed(np.array([place]))[0]
+    def movers(place: int) -> set[str]:
+        row = chain.joint_mask(np.array([place]))[0]
         assert row[:6].all() and set(row) <= {0.0, 1.0}
         return {name for name, follows in zip(chain.joints, row[6:], strict=True) if follows}
 
-    assert followed(0) == {"spin", "catch"} and followed(2) == {"lift"}
-    assert followed(1) == {"lift", "left_slide", "tip_turn"}
-    assert followed(3 + chain.joints.index("left_slide")) == {"lift", "left_slide"}
-    assert followed(3 + chain.joints.index("spin")) == {"spin"}
+    assert movers(0) == {"spin", "catch"} and movers(2) == {"lift"}
+    assert movers(1) == {"lift", "left_slide", "tip_turn"}
+    assert movers(3 + chain.joints.index("left_slide")) == {"lift", "left_slide"}
+    assert movers(3 + chain.joints.index("spin")) == {"spin"}
 
 
 # libraries

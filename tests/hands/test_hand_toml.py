@@ -74,7 +74,7 @@ def test_every_key(tmp_path: Path) -> None:
         ('name = "a\\u001b[2J"', ("name", r"a\x1b[2J")),
         ('"a\\nb" = 1', ("'a b'", "name, urdf")),
         (f"rest_pose = {{J1 = {10**400}}}", ("[rest_pose] J1", "number", "1e+100", "1000", "...0")),
-        (f"rest_pose = {{J1 = 0x{'f' * 9000}}}", ("J1", "number", "1e+100", "whole number")),
+        (f"rest_pose = {{J1 = 0x{'f' * 9000}}}", ("J1", "number", "1e+100", "integer")),
         ("actuator = {kp = 1e200}", ("[actuator] kp default", "number", "1e+100", "1e+200")),
         ("base_link = ''", ("base_link", "text", "''")),
         ("mjcf = 'none.xml'", ("mjcf = 'none.xml'",)),

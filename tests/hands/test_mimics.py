@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.errors import HandError
-from grasp_refine.hands.mimics import followed, within_followers
+from grasp_refine.hands.mimics import followed, limit_by_followers
 from grasp_refine.hands.tree import Joint, Mimic
 from refusals import assert_names, refused
 
@@ -21,7 +21,7 @@ def joint(
 
 
 def limits(*joints: Joint) -> dict[str, tuple[float, float]]:
-    return {j.name: (j.lower, j.upper) for j in within_followers(joints, URDF)[0]}
+    return {j.name: (j.lower, j.upper) for j in limit_by_followers(joints, URDF)[0]}
 
 
 def test_chains_lead_to_the_independent_joint() -> None:
@@ -41,7 +41,7 @@ def test_limits_keep_all_followers_within_theirs() -> None:
         joint("e", -np.inf, np.inf, ("a", 7.0, 0.0), "continuous"),
         joint("other", -1, 1),
     ]
-    narrow, (note,) = within_followers(joints, URDF)
+    narrow, (note,) = limit_by_followers(joints, URDF)
     assert [(j.lower, j.upper) for j in narrow] == [(-0.5, 2), *((j.lower, j.upper) for j in joints[1:])]
     assert_names(note, "'a'", "-0.5 to 2 rad", "-1 to 2", " b ")
     by_name = {j.name: j for j in narrow}
@@ -53,24 +53,24 @@ def test_limits_keep_all_followers_within_theirs() -> None:
 
 def test_the_follower_that_narrows_most_is_named() -> None:
     joints = [joint("a", 0, 1), joint("b", 0, 0.5, ("a", 1, 0)), joint("c", -0.25, 0, ("a", -1, 0))]
-    narrow, (note,) = within_followers(joints, URDF)
+    narrow, (note,) = limit_by_followers(joints, URDF)
     assert (narrow[0].lower, narrow[0].upper) == (0, 0.25)
     assert_names(note, "'a'", "0 to 0.25 rad", "0 to 1", " c ")
 
 
 def test_limits_that_were_rounded_are_kept_without_a_word() -> None:
     joints = [joint("a", 0, 1.5708), joint("b", 0, 1.57, ("a", 1, 0))]
-    narrow, notes = within_followers(joints, URDF)
+    narrow, notes = limit_by_followers(joints, URDF)
     assert notes == [] and narrow[0].upper == 1.57
 
 
 def test_a_continuous_joint_turns_as_far_as_its_followers_let_it() -> None:
     joints = [joint("a", -np.inf, np.inf, kind="continuous"), joint("b", -1, 1, ("a", 0.5, 0.0))]
-    (a, _), (note,) = within_followers(joints, URDF)
+    (a, _), (note,) = limit_by_followers(joints, URDF)
     assert (a.kind, a.lower, a.upper) == ("revolute", -2, 2)
     assert_names(note, "'a'", "-2 to 2 rad", "-inf to inf")
     joints = [joint("a", -np.inf, np.inf, kind="continuous"), joint("b", -np.inf, np.inf, ("a", 1, 0), "continuous")]
-    assert within_followers(joints, URDF) == (joints, [])
+    assert limit_by_followers(joints, URDF) == (joints, [])
 
 
 def test_joints_that_are_locked_anyway_stay() -> None:
@@ -87,7 +87,7 @@ def test_joints_that_are_locked_anyway_stay() -> None:
 )
 def test_limits_that_leave_nothing_are_refused(follower: Joint, named: tuple[str, ...]) -> None:
     with refused(HandError, URDF, "'b'", *named):
-        within_followers([joint("a", 0, 0.8), follower], URDF)
+        limit_by_followers([joint("a", 0, 0.8), follower], URDF)
 
 
 def test_a_follower_that_never_moves_limits_nothing() -> None:

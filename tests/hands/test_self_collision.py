@@ -108,7 +108,7 @@ def test_more_pairs_than_are_looked_at_are_refused_before_anything_is_asked(
 ) -> None:
     """A URDF of 20,000 links once kept `hands --check` busy for minutes."""
     monkeypatch.setattr(self_collision, "query", None)
-    monkeypatch.setattr(self_collision, "MOST_PAIRS", 9)
+    monkeypatch.setattr(self_collision, "MAX_PAIRS", 9)
     # Four moving balls and the base with a ball fixed to it: 4 x 3 / 2 pairs of them, 2 x 4 with the base.
     parts = [slide("base", name, 0.0, 0.1) for name in "abcd"]
     with refused(HandError, "14 pairs", " 9 "):

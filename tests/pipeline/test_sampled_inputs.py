@@ -86,8 +86,8 @@ def test_the_table_is_that_of_the_grasps(gripper: str):
 
 
 def test_it_is_noted_where_fewer_are_found(gripper: str, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(sample, "TRIES", 1)
-    monkeypatch.setattr(sample, "AT_LEAST", 256)
+    monkeypatch.setattr(sample, "TRIES_PER_GRASP", 1)
+    monkeypatch.setattr(sample, "MIN_TRIES", 256)
     problem = load(gripper, grasps=Path("sample:256"))
     (note,) = [note for note in problem.notes if f"{len(problem)} of 256" in note]
     assert_names(note, "'gripper'", f"'{BOX}'")

@@ -164,7 +164,7 @@ def test_same_seed_same_result_and_another_seed_another(
     search = [
         force_closure_search._Search(two, prepared, replace(config, seed=s), one.status, None, None) for s in (3, 4)
     ]
-    first, second = (s.disturbed(np.array([0, 1]), np.array([1, 1])) for s in search)
+    first, second = (s.perturb(np.array([0, 1]), np.array([1, 1])) for s in search)
     assert (np.abs(first.q - second.q).max(axis=1) > 1e-3).all()
     assert np.isfinite(other.q).all()
 

@@ -16,13 +16,13 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.goal import Goal, goal_of
-from grasp_refine.refinement.grasp_problem import NOISE, RESTART_BOX_SCALE, GraspProblem, Known
+from grasp_refine.refinement.grasp_problem import MAX_STEP, RESTART_NOISE, GraspProblem, Known
 from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.least_squares import Point, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
-from grasp_refine.refinement.solvers.rows import NEAR
+from grasp_refine.refinement.solvers.rows import NEAR_DISTANCE_M
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
@@ -460,7 +460,7 @@ def test_no_trial_leaves_the_joint_limits_or_the_box(allegro: Hand) -> None:
     assert (found.loss[:, 1] < found.loss[:, 0]).all()
     # Restarts are no steps, and have no box.
     largest = np.sort(np.abs(steps[:, :3]).max(axis=1))
-    assert (largest <= RESTART_BOX_SCALE[0] * (1 + 1e-12)).mean() > 0.9
+    assert (largest <= MAX_STEP[0] * (1 + 1e-12)).mean() > 0.9
 
 
 def test_room_is_what_the_limits_leave_of_the_box(gripper: Hand) -> None:
@@ -523,7 +523,7 @@ def test_new_starts_are_as_far_away_as_their_noise_each_in_its_unit(gripper: Han
     problem = GraspProblem(scene, goal_of(scene, ContactSelection(links=scene.links)), Config())
     at = point_of(scene)
     found = problem.restart(every(scene), np.ones(400, dtype=int), at, at)
-    translation, rotation, joint = NOISE
+    translation, rotation, joint = RESTART_NOISE
     slide, turn = (found.q - at.q).std(axis=0)
     # Limits at 2.5 standard deviations cut off a little.
     assert slide == pytest.approx(translation, rel=0.15) and turn == pytest.approx(joint, rel=0.15)
@@ -603,7 +603,7 @@ def test_depths_that_are_not_yet_there_come_as_one_sided_rows(examples: Scene) -
     known = problem.evaluate(rows, at, None)
     linear = problem.linearize(rows, at, known, np.ones(4))
     w = known.witness
-    near = w.valid & (w.distance < NEAR)
+    near = w.valid & (w.distance < NEAR_DISTANCE_M)
     assert linear.unilateral is not None and (near & (w.distance > 0)).any()
     for m in range(4):
         found = linear.residual[m][linear.unilateral[m] & linear.jacobian[m].any(axis=-1)]

@@ -13,7 +13,7 @@ from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.objects.object import load_object
-from grasp_refine.refinement.pregrasp import opened
+from grasp_refine.refinement.pregrasp import open_hand
 from grasp_refine.scene.hand_object import CLEARANCE, CLEARANCE_OTHERS, HandObject, clearances
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
@@ -60,7 +60,7 @@ def test_contact_links_open_wider_than_the_others(clamp: Hand) -> None:
     scene = Scene(clamp, ball, np.eye(4)[None], np.zeros((1, 2)))
     assert scene.links[:2] == ("left", "right")
     np.testing.assert_allclose(clearances(clamp, scene.links), [CLEARANCE, CLEARANCE, CLEARANCE_OTHERS])
-    T, q = opened(scene)
+    T, q = open_hand(scene)
     found = distances(scene, T, q)[0]
     # The palm moves away by the root alone, and no link farther than it has to.
     np.testing.assert_allclose(found, [CLEARANCE, CLEARANCE, CLEARANCE_OTHERS], atol=2e-4)
@@ -80,7 +80,7 @@ def test_gloves_are_as_thick_as_the_clearances(mugs: Scene) -> None:
 
 
 def test_hands_open_around_a_mug(mugs: Scene) -> None:
-    T, q = opened(mugs)
+    T, q = open_hand(mugs)
     assert (distances(mugs, T, q) >= clearances(mugs.hand, mugs.links) - 1.1e-4).all()
     assert (q >= mugs.hand.lower).all() and (q <= mugs.hand.upper).all()
     assert self_penetration(mugs.hand, touching_pairs(mugs.hand), q).max() < 1e-4
@@ -111,8 +111,8 @@ def test_opening_can_be_ended(mugs: Scene) -> None:
 
 
 def test_an_open_hand_stays(mugs: Scene) -> None:
-    T, q = opened(mugs)
-    again, q_again = opened(replace(mugs, T_world_root=T, q=q))
+    T, q = open_hand(mugs)
+    again, q_again = open_hand(replace(mugs, T_world_root=T, q=q))
     np.testing.assert_array_equal(again, T)
     np.testing.assert_array_equal(q_again, q)
 
@@ -120,7 +120,7 @@ def test_an_open_hand_stays(mugs: Scene) -> None:
 def test_what_the_scene_wants_of_contacts_means_nothing(mugs: Scene) -> None:
     target = np.zeros((4, len(mugs.links), 3))
     aimed = replace(mugs, target_link=target, target_object=target, direction=np.full_like(target, np.nan))
-    np.testing.assert_array_equal(opened(aimed)[1], opened(mugs)[1])
+    np.testing.assert_array_equal(open_hand(aimed)[1], open_hand(mugs)[1])
 
 
 def test_hands_open_away_from_a_table(clamp: Hand) -> None:
@@ -128,8 +128,8 @@ def test_hands_open_away_from_a_table(clamp: Hand) -> None:
     ball = load_object("sphere:0.05", candidates=16)
     over = exp_se3(np.array([0.0, 0.0, 0.0, np.pi, 0.0, 0.0]))[None]
     scene = Scene(clamp, ball, over, np.zeros((1, 2)))
-    free, _ = opened(scene)
-    T, q = opened(replace(scene, table=Plane(offset=-0.015)))
+    free, _ = open_hand(scene)
+    T, q = open_hand(replace(scene, table=Plane(offset=-0.015)))
     assert free[0, 2, 3] - 0.01 == pytest.approx(-0.01 + CLEARANCE_OTHERS - 0.0005, abs=5e-4)
     assert T[0, 2, 3] - 0.01 == pytest.approx(-0.015 + CLEARANCE, abs=2e-4)
     assert (distances(scene, T, q) >= clearances(clamp, scene.links) - 1.1e-4).all()
@@ -138,10 +138,10 @@ def test_hands_open_away_from_a_table(clamp: Hand) -> None:
 def test_grasps_that_are_not_finite_become_nan_and_harm_no_other(mugs: Scene) -> None:
     T, q = mugs.T_world_root.copy(), mugs.q.copy()
     T[1, 0, 3], q[3, 2] = np.inf, np.nan
-    T_open, q_open = opened(replace(mugs, T_world_root=T, q=q))
+    T_open, q_open = open_hand(replace(mugs, T_world_root=T, q=q))
     bad = np.isin(np.arange(4), [1, 3])
     assert np.isnan(T_open[bad]).all() and np.isnan(q_open[bad]).all()
-    T_all, q_all = opened(mugs)
+    T_all, q_all = open_hand(mugs)
     np.testing.assert_allclose(T_open[~bad], T_all[~bad], atol=1e-9)
     np.testing.assert_allclose(q_open[~bad], q_all[~bad], atol=1e-9)
 
@@ -149,7 +149,7 @@ def test_grasps_that_are_not_finite_become_nan_and_harm_no_other(mugs: Scene) ->
 def test_hands_open_the_same_way_from_anywhere(clamp: Hand) -> None:
     ball = load_object("sphere:0.05", candidates=16)
     turn = exp_se3(np.array([0.0, 0.0, 0.0, 0.3, -0.8, 1.2]))
-    straight, q = opened(Scene(clamp, ball, np.eye(4)[None], np.zeros((1, 2))))
-    turned, q_turned = opened(Scene(clamp, ball, turn[None], np.zeros((1, 2))))
+    straight, q = open_hand(Scene(clamp, ball, np.eye(4)[None], np.zeros((1, 2))))
+    turned, q_turned = open_hand(Scene(clamp, ball, turn[None], np.zeros((1, 2))))
     np.testing.assert_allclose(turned[0], turn @ straight[0], atol=1e-6)
     np.testing.assert_allclose(q_turned, q, atol=1e-6)

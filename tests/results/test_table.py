@@ -116,13 +116,13 @@ GEOMETRY = Config(weights=Weights(wrench=0.0))
 def text(
     outcome: Outcome,
     config: Config | None = None,
-    proof: SimulatedGrasps | None = None,
+    simulated: SimulatedGrasps | None = None,
     *,
     width: int = 80,
     verbose: bool = False,
 ) -> list[str]:
     stream = io.StringIO()
-    table = grasp_table(outcome, "claw", config or Config(), proof, verbose=verbose)
+    table = grasp_table(outcome, "claw", config or Config(), simulated, verbose=verbose)
     Console(file=stream, width=width, emoji=False).print(table)
     return stream.getvalue().splitlines()
 

@@ -14,7 +14,14 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.sampling import sample as grasp_sampling
-from grasp_refine.sampling.sample import ALIKE, DEEP, HALVINGS, HOLDS, MOST, sample_grasps
+from grasp_refine.sampling.sample import (
+    CONTACT_DISTANCE_M,
+    MAX_DEPTH_M,
+    MAX_GRASPS,
+    MAX_HALVINGS,
+    MIN_SPACING_M,
+    sample_grasps,
+)
 from grasp_refine.scene.contact_selection import PALM, link_groups
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
@@ -54,15 +61,15 @@ def witness_of(hand: Hand, obj: Object, grasps: GraspSet) -> Witness:
 def groups_touching(hand: Hand, obj: Object, grasps: GraspSet) -> list[set[str]]:
     """The groups of links that touch in each grasp."""
     group = np.array(link_groups(hand, links_of(hand)))
-    return [set(group[row]) for row in witness_of(hand, obj, grasps).distance <= HOLDS]
+    return [set(group[row]) for row in witness_of(hand, obj, grasps).distance <= CONTACT_DISTANCE_M]
 
 
 def check(hand: Hand, obj: Object, grasps: GraspSet) -> None:
     """What holds of all sampled grasps."""
     assert np.isfinite(grasps.hand_pose).all()
     assert (grasps.q >= hand.lower).all() and (grasps.q <= hand.upper).all()
-    assert witness_of(hand, obj, grasps).distance.min() >= -DEEP
-    assert self_penetration(hand, touching_pairs(hand), grasps.q).max(initial=0.0) <= DEEP
+    assert witness_of(hand, obj, grasps).distance.min() >= -MAX_DEPTH_M
+    assert self_penetration(hand, touching_pairs(hand), grasps.q).max(initial=0.0) <= MAX_DEPTH_M
     assert all(len(groups) >= 2 for groups in groups_touching(hand, obj, grasps))
 
 
@@ -79,7 +86,7 @@ def test_sampled_grasps_hold_the_object(allegro: Hand, box: Object, held: GraspS
 def test_no_two_grasps_are_alike(allegro: Hand, held: GraspSet):
     points = transform_points(transform_from_pose(held.hand_pose)[:, None], 0.1 * np.eye(4)[:, :3])
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1).max(axis=-1)
-    assert apart[~np.eye(len(apart), dtype=bool)].min() > ALIKE / 2**HALVINGS
+    assert apart[~np.eye(len(apart), dtype=bool)].min() > MIN_SPACING_M / 2**MAX_HALVINGS
 
 
 def test_the_seed_says_which_grasps(gripper: Hand, box: Object):
@@ -128,12 +135,12 @@ def test_no_link_is_below_the_table(gripper: Hand):
     check(gripper, obj, grasps)
     prepared = HandObject(gripper, obj)
     T = prepared.chain(transform_from_pose(grasps.hand_pose), grasps.q).T_world_link
-    assert transform_points(T, table.lowest(prepared.bodies, T))[..., 2].min() >= table.offset - DEEP
+    assert transform_points(T, table.lowest(prepared.bodies, T))[..., 2].min() >= table.offset - MAX_DEPTH_M
 
 
 def test_fewer_come_out_where_no_more_are_found(gripper: Hand, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(grasp_sampling, "TRIES", 1)
-    monkeypatch.setattr(grasp_sampling, "AT_LEAST", 256)
+    monkeypatch.setattr(grasp_sampling, "TRIES_PER_GRASP", 1)
+    monkeypatch.setattr(grasp_sampling, "MIN_TRIES", 256)
     told = []
     ball = load_object("sphere:0.03", candidates=128)
     grasps = sample_grasps(gripper, ball, 250, progress=lambda found, tried: told.append((found, tried)))
@@ -142,9 +149,9 @@ def test_fewer_come_out_where_no_more_are_found(gripper: Hand, monkeypatch: pyte
     check(gripper, ball, grasps)
 
 
-@pytest.mark.parametrize("count", [0, -1, MOST + 1])
+@pytest.mark.parametrize("count", [0, -1, MAX_GRASPS + 1])
 def test_a_count_is_in_range(gripper: Hand, box: Object, count: int):
-    with refused(GraspRefineError, f"1 to {MOST}", count):
+    with refused(GraspRefineError, f"1 to {MAX_GRASPS}", count):
         sample_grasps(gripper, box, count)
 
 

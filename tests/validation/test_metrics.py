@@ -9,7 +9,7 @@ import trimesh
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
-from grasp_refine.validation.metrics import FARTHEST, Metrics, metrics
+from grasp_refine.validation.metrics import MAX_FINGER_DISTANCE_M, Metrics, metrics
 
 PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 LIMIT = '<limit lower="-0.1" upper="0.1" effort="1" velocity="1"/>'
@@ -64,7 +64,7 @@ def at(hand: Hand, ball: Object, q: list, T: np.ndarray | None = None) -> Metric
 
 def test_fingers_count_once_and_no_farther_than_a_centimetre(hand: Hand, ball: Object) -> None:
     found = at(hand, ball, [[0.004, 0.001, 0.0], [-0.003, 0.008, 0.03], [0.05, 0.09, 0.0]])
-    np.testing.assert_allclose(found.contact_distance_m, [0.0025, 0.004, FARTHEST], atol=1e-9)
+    np.testing.assert_allclose(found.contact_distance_m, [0.0025, 0.004, MAX_FINGER_DISTANCE_M], atol=1e-9)
 
 
 def test_links_near_the_object_count_once_each(hand: Hand, ball: Object) -> None:

@@ -11,11 +11,11 @@ import pytest
 import torch
 
 from grasp_refine.core.errors import HandError
-from grasp_refine.forces.squeeze import actuated
+from grasp_refine.forces.squeeze import set_point_offsets
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.mjcf_model import mjcf_model, similar
+from grasp_refine.validation.mjcf_model import mjcf_model, prefixed_names
 from grasp_refine.validation.servos import moments
 from refusals import assert_names, refused
 
@@ -303,9 +303,9 @@ def test_servos_pull_as_the_file_says_and_not_as_hand_toml(tmp_path: Path) -> No
     np.testing.assert_allclose(made.actuator.armature, [0.0, 0.001, 0.0])
     np.testing.assert_allclose(made.actuator.frictionloss, [0.02, 0.0, 0.0])
     wanted, q = np.array([0.7, 0.25, -3.0]), np.array([0.1, 0.2, 0.01])
-    aim = q + actuated(replace(hand, actuator=made.actuator), wanted[None])[0]
+    aim = q + set_point_offsets(replace(hand, actuator=made.actuator), wanted[None])[0]
     np.testing.assert_allclose(torques(hand, made, q, aim), wanted, atol=1e-9)
-    asked = q + actuated(hand, wanted[None])[0]
+    asked = q + set_point_offsets(hand, wanted[None])[0]
     assert np.abs(torques(hand, made, q, asked) - wanted).max() > 0.5
 
 
@@ -319,7 +319,7 @@ def test_a_tendon_pulls_as_the_file_says_for_its_group(tmp_path: Path) -> None:
     np.testing.assert_allclose(made.actuator.kp, [2.0, 2.0, 7.0])
     np.testing.assert_allclose(made.actuator.force_limit, [8.0, 8.0, np.inf])
     wanted, q = 1.2 * np.array([1.0, 0.5, 0.0]), np.array([0.1, 0.2, 0.01])
-    aim = q + actuated(replace(hand, actuator=made.actuator), wanted[None])[0]
+    aim = q + set_point_offsets(replace(hand, actuator=made.actuator), wanted[None])[0]
     np.testing.assert_allclose(torques(hand, made, q, aim), wanted, atol=1e-9)
 
 
@@ -347,8 +347,12 @@ def test_what_is_no_position_servo_is_refused(tmp_path: Path, servo: str) -> Non
 
 def test_names_match_behind_a_prefix() -> None:
     there = ["rh_FFJ4", "lh/FFJ3", "XFFJ2", "a_1", "b_1", "FFJ1", "x_FFJ1"]
-    assert similar("FFJ4", there) == ["rh_FFJ4"] and similar("FFJ3", there) == ["lh/FFJ3"]
-    assert similar("FFJ2", there) == [] and similar("1", there) == ["a_1", "b_1"] and similar("FFJ1", there) == ["FFJ1"]
+    assert prefixed_names("FFJ4", there) == ["rh_FFJ4"] and prefixed_names("FFJ3", there) == ["lh/FFJ3"]
+    assert (
+        prefixed_names("FFJ2", there) == []
+        and prefixed_names("1", there) == ["a_1", "b_1"]
+        and prefixed_names("FFJ1", there) == ["FFJ1"]
+    )
 
 
 def test_hand_toml_says_which_joint_is_which(tmp_path: Path) -> None:

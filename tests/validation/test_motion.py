@@ -12,7 +12,7 @@ from grasp_refine.forces.squeeze import squeezed
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
-from grasp_refine.refinement.pregrasp import opened
+from grasp_refine.refinement.pregrasp import open_hand
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import STAGES, closing, motion_of
 from refusals import refused
@@ -35,7 +35,7 @@ def test_the_stages_are_open_grasp_and_squeeze(hand: Hand, grasps: GraspSet) -> 
     scene = Scene(hand, box, T, q)
     motion = closing(scene)
     assert len(motion) == 3 and STAGES == ("pregrasp", "grasp", "squeeze")
-    T_open, q_open = opened(scene)
+    T_open, q_open = open_hand(scene)
     good = [0, 2]
     np.testing.assert_array_equal(motion.T_world_root, np.where(np.isnan(q[:, 3])[:, None, None, None], np.nan,
                                                                 np.stack([T_open, T, T], axis=1)))  # fmt: skip

@@ -15,7 +15,7 @@ from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT, TABLETOP
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Stage
 from grasp_refine.validation.robustness import Noise, holds_at, holds_without_squeeze, noise_score
-from grasp_refine.validation.simulation import CHUNK, close, push, simulate
+from grasp_refine.validation.simulation import CHUNK_GRASPS, close, push, simulate
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.world import World, build_world, volume
@@ -152,10 +152,10 @@ def various(count: int, seed: int = 0) -> Motion:
 
 def test_a_batch_equals_its_grasps_one_by_one_bit_for_bit_at_any_number_of_threads() -> None:
     world = build_world(gripper(), ball(), STRICT)
-    motion = various(CHUNK + 3)
+    motion = various(CHUNK_GRASPS + 3)
     together = simulate(world, motion, threads=2)
     again = simulate(world, motion, threads=1)
-    rows = [0, 1, CHUNK - 1, CHUNK, CHUNK + 2]
+    rows = [0, 1, CHUNK_GRASPS - 1, CHUNK_GRASPS, CHUNK_GRASPS + 2]
     single = Trials.join([simulate(world, motion.select(np.array([row])), threads=1) for row in rows])
     assert 0 < together.success.sum() < len(motion)
     for name in ("reason", "time_s", "displacement_m", "angle_rad", "contacts", "closing_m", "penetration_m"):

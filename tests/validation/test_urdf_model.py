@@ -17,7 +17,7 @@ from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.servos import servo_settings
-from grasp_refine.validation.urdf_model import Parts, apart, urdf_model
+from grasp_refine.validation.urdf_model import Parts, excluded_pairs, urdf_model
 
 SHARED = ("allegro", "robotiq3f", "shadow", "leap", "barrett")
 """Hands in the shared assets."""
@@ -266,13 +266,13 @@ BALL_MASS = 1000 * 4 / 3 * np.pi * 0.01**3
         ),
         (
             weight(0.03, 0, 0, 0) + BALL,
-            "inertia of b follows from mass and geometry, or is that of a ball of 1 cm: the URDF gives none above 0",
+            "inertia of b follows from mass and geometry, or is that of a sphere of 1 cm: the URDF gives none above 0",
             0.03,
             [0.4 * 0.03 * 1e-4] * 3,
         ),
         (
             '<inertial><mass value="0.5"/></inertial>',
-            "inertia of b follows from mass and geometry, or is that of a ball of 1 cm: the URDF gives none above 0",
+            "inertia of b follows from mass and geometry, or is that of a sphere of 1 cm: the URDF gives none above 0",
             0.5,
             [0.4 * 0.5 * 1e-4] * 3,
         ),
@@ -334,7 +334,7 @@ def test_links_meet_where_they_can(load: Callable[[], Hand]) -> None:
 def test_nothing_is_excluded_twice(chain: Hand) -> None:
     parts = Parts.by_joints(chain)
     assert parts.of["d"] == "c" and parts.carrier["c"] == "b" and parts.carrier["e"] == "c"
-    pairs = [frozenset(pair) for pair in apart(chain, parts)]
+    pairs = [frozenset(pair) for pair in excluded_pairs(chain, parts)]
     assert not {frozenset("cd"), frozenset("bc"), frozenset("bd"), frozenset("de")} & set(pairs)
     assert len(set(pairs)) == len(pairs) == urdf_model(chain).spec.compile().nexclude
 

@@ -16,10 +16,10 @@ from grasp_refine.witness.contact_kinematics import (
     ContactKinematics,
     _fit,
     contact_slip_jacobian,
-    counted_distance,
+    effective_distance,
     relative_curvature,
 )
-from grasp_refine.witness.curvature import raised
+from grasp_refine.witness.curvature import raise_eigenvalues
 from grasp_refine.witness.neighborhood import Adaptive, Neighbors
 from grasp_refine.witness.scene import WitnessScene
 from shapes_for_tests import convex_body
@@ -152,7 +152,7 @@ def test_the_slide_is_the_same_seen_from_the_other_body(depth: float) -> None:
     U_a, U_b = contact_slip_jacobian(x_b, n, d, E, K_a, K_b)
     # The tangents of -n, right-handed; the twist of a relative to b. Bounded, d is that between the points no more.
     turned, flip = E[..., ::-1], (slice(None), slice(None, None, -1), slice(None, None, -1))
-    share = counted_distance(K_a, K_b, d)[:, None]
+    share = effective_distance(K_a, K_b, d)[:, None]
     swapped_a, swapped_b = contact_slip_jacobian(x_b - share * n, -n, d, turned, K_b[flip], K_a[flip])
     np.testing.assert_allclose(turned @ swapped_a, -E @ U_b, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(turned @ swapped_b, -E @ U_a, rtol=1e-9, atol=1e-9)
@@ -275,6 +275,6 @@ def test_flat_faces_get_the_smallest_curvature() -> None:
 
 def test_raising_moves_small_eigenvalues_of_the_sum_and_no_others() -> None:
     K_a, K_b = np.diag([50.0, 1.0])[None, None], np.diag([10.0, -9.0])[None, None]
-    raised_a, raised_b = raised(K_a, K_b, np.array([20.0]))
+    raised_a, raised_b = raise_eigenvalues(K_a, K_b, np.array([20.0]))
     np.testing.assert_allclose(raised_a[0, 0], np.diag([50.0, 15.0]), atol=1e-12)
     np.testing.assert_allclose(raised_b[0, 0], np.diag([10.0, 5.0]), atol=1e-12)

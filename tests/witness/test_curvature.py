@@ -9,7 +9,7 @@ from grasp_refine.core.se3 import exp_so3, tangents
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import box, capsule, hull, sphere
 from grasp_refine.witness import curvature
-from grasp_refine.witness.curvature import Curvatures, raised, with_eigenvalues
+from grasp_refine.witness.curvature import Curvatures, raise_eigenvalues, with_eigenvalues
 
 FINE = 8192
 """Candidates of finely sampled bodies."""
@@ -206,7 +206,7 @@ def test_the_sum_is_raised_to_its_floor_and_the_difference_stays() -> None:
     rng = np.random.default_rng(6)
     K_a, K_b = (M + M.mT for M in rng.normal(size=(2, 30, 2, 2)) * 20)
     floor = rng.uniform(0, 40, 30)
-    new_a, new_b = raised(K_a, K_b, floor)
+    new_a, new_b = raise_eigenvalues(K_a, K_b, floor)
     np.testing.assert_allclose(new_a - new_b, K_a - K_b, atol=1e-12)
     before, vectors = np.linalg.eigh(K_a + K_b)
     expected = vectors @ (np.maximum(before, floor[:, None])[..., None] * vectors.mT)
@@ -219,5 +219,5 @@ def test_the_sum_is_raised_to_its_floor_and_the_difference_stays() -> None:
 def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     bodies, rows = many_rows(40)
     expected = bodies.fit(*rows)
-    monkeypatch.setattr(curvature, "_BLOCK", 7)
+    monkeypatch.setattr(curvature, "_BLOCK_POINTS", 7)
     np.testing.assert_array_equal(bodies.fit(*rows), expected)

@@ -11,7 +11,7 @@ from grasp_refine.refinement.losses import contact_direction_covectors
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.neighborhood import Adaptive
-from grasp_refine.witness.pair_curvature import CORNER, PairCurvatures
+from grasp_refine.witness.pair_curvature import CORNER_CURVATURE_PER_M, PairCurvatures
 from grasp_refine.witness.scene import WitnessScene
 from shapes_for_tests import ring_body
 from twists import poses_at_gap, random_poses
@@ -109,7 +109,11 @@ def test_without_width_faces_are_flat_edges_bend_across_and_vertices_all_round(g
     count = features(x, half)
     values = np.linalg.eigvalsh(K_b)
     assert (count >= 1).all() and (np.bincount(count, minlength=4)[1:] > 0).sum() >= 2
-    for faces, expected in ((1, (0.0, 0.0)), (2, (0.0, CORNER)), (3, (CORNER, CORNER))):
+    for faces, expected in (
+        (1, (0.0, 0.0)),
+        (2, (0.0, CORNER_CURVATURE_PER_M)),
+        (3, (CORNER_CURVATURE_PER_M, CORNER_CURVATURE_PER_M)),
+    ):
         np.testing.assert_allclose(values[count == faces], np.tile(expected, ((count == faces).sum(), 1)), atol=1e-6)
     # Along an edge it slides freely.
     for i in np.flatnonzero(count == 2):
@@ -129,13 +133,13 @@ def test_without_width_a_vertex_of_a_lies_where_a_is() -> None:
     w = query(pairs, T_a[:, None], T_b[:, None]).reshape(-1)
     assert w.distance[0] == pytest.approx(0.004, abs=1e-9)
     _, K_a, K_b = fit(pairs, T_a, T_b, w, width=0.0, smallest=0.0)
-    np.testing.assert_allclose(K_a[0], CORNER * np.eye(2), rtol=1e-9)
+    np.testing.assert_allclose(K_a[0], CORNER_CURVATURE_PER_M * np.eye(2), rtol=1e-9)
     np.testing.assert_allclose(K_b[0], 0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("gap", [0.005, 0.0, -0.002])
 def test_without_width_round_pieces_keep_their_radius(gap: float) -> None:
-    """It once was CORNER d / (r + d): flat at contact, concave in penetration."""
+    """It once was CORNER_CURVATURE_PER_M d / (r + d): flat at contact, concave in penetration."""
     pairs = pair(sphere(0.03, (0.01, 0, 0)), capsule(0.02, (0, 0, -0.05), (0, 0, 0.05)))
     T_a, T_b, w = items(pairs, gap)
     E, K_a, K_b = fit(pairs, T_a, T_b, w, width=0.0, smallest=0.0)

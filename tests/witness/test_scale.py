@@ -19,7 +19,7 @@ from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.finite_difference import FiniteDifference
 from grasp_refine.witness.neighborhood import Adaptive, Fixed
-from grasp_refine.witness.pair_curvature import CORNER, PairCurvatures
+from grasp_refine.witness.pair_curvature import CORNER_CURVATURE_PER_M, PairCurvatures
 from grasp_refine.witness.patch import Patch
 from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.size import length_factor
@@ -224,12 +224,12 @@ def test_fitted_curvatures_scale_with_the_bodies(s: float) -> None:
 def test_what_stands_for_a_sharp_edge_scales_with_bodies_that_are_not_as_large_as_a_hand() -> None:
     """10 000/m was a radius as large as the body at 0.1 mm."""
     hand = PairCurvatures.of(boxes(1.0).pairs, 1.0)
-    assert hand.corner == CORNER
+    assert hand.corner == CORNER_CURVATURE_PER_M
     for s, other in ((1e-3, 5e-4), (100.0, 50.0)):
         found = fits(s, 0.0)
         np.testing.assert_allclose(found, fits(other, 0.0), rtol=1e-6, atol=1e-6)
         # As of bodies of 1 cm, or 1 m.
-        limit = CORNER * (0.01 if s < 1 else 1.0) / boxes(1.0).pairs.a[0].diagonal
+        limit = CORNER_CURVATURE_PER_M * (0.01 if s < 1 else 1.0) / boxes(1.0).pairs.a[0].diagonal
         np.testing.assert_allclose(found.max(), limit, rtol=1e-6)
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.se3 import transform_from_pose
@@ -29,26 +29,26 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
     from PIL.ImageFont import FreeTypeFont
 
-OBJECT, ROW = "mug", 0
-"""Which grasp is shown."""
+OBJECT, EXAMPLE_ROW = "mug", 0
+"""Object of the shown grasp, and row of the grasp in its example file."""
 WIDTH, HEIGHT = 700, 600
 """Pixels of each half."""
 OVERSAMPLING = 2
-"""Everything is drawn this many times larger and averaged, for smooth edges."""
-EYE, TARGET, EXTENT = (0.71, -0.22, 0.4), (-0.012, 0.004, 0.062), 0.22
-"""Camera: where it stands, what it looks at, and how much it sees, metres in the object frame."""
-SUN = (0.5, -0.45, 1.0)
-"""Direction towards the light."""
-CREASE = 35.0
-"""Edges sharper than this (degrees) are shown as edges."""
+"""Factor by which the picture is drawn larger, then averaged for smooth edges."""
+EYE_M, TARGET_M, EXTENT_M = (0.71, -0.22, 0.4), (-0.012, 0.004, 0.062), 0.22
+"""Camera position, target point and visible height at the target, metres, object frame."""
+LIGHT_DIRECTION = (0.5, -0.45, 1.0)
+"""Direction towards the light, object frame."""
+CREASE_DEG = 35.0
+"""Angle above which edges are shaded as sharp, degrees."""
 OBJECT_OPACITY = 0.8
-"""The object lets through a little of the fingers behind it and inside it."""
+"""Opacity of the object; a little of the fingers behind and inside it shows through."""
 
 BACKGROUND = (0.976, 0.98, 0.988)
 OBJECT_COLOR, LINK_COLOR, CONTACT_COLOR = (0.66, 0.78, 0.93), (0.74, 0.76, 0.80), (0.95, 0.72, 0.40)
 INK, GREY, BAD, GOOD = "#1b2430", "#5b6675", "#c62828", "#1b8a3a"
-NEARLY = 0.0005
-"""Gaps and depths below this (metres) are drawn as a contact."""
+CONTACT_DISTANCE_M = 0.0005
+"""Gap and depth below which a contact is drawn, metres."""
 
 
 def hand_models(hand: Hand, T_world_root: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"]) -> list[Model]:
@@ -61,15 +61,15 @@ def hand_models(hand: Hand, T_world_root: Float[np.ndarray, "4 4"], q: Float[np.
     models = []
     for link, T in zip(links, poses, strict=True):
         mesh = trimesh.util.concatenate([piece.mesh() for piece in link.solid.pieces]).apply_transform(T)
-        models.append(Model.of(mesh, CONTACT_COLOR if link.name in touching else LINK_COLOR, crease=CREASE))
+        models.append(Model.of(mesh, CONTACT_COLOR if link.name in touching else LINK_COLOR, crease=CREASE_DEG))
     return models
 
 
 def photograph(hand: list[Model], obj: Model, camera: Camera) -> Float[np.ndarray, "H W 3"]:
-    """Hand and slightly transparent object before the background; red, green, blue in [0, 1]."""
+    """Render the hand and the slightly transparent object on the background; red, green, blue in [0, 1]."""
 
     def on_background(models: list[Model]) -> np.ndarray:
-        image = render(models, camera, np.array(SUN))
+        image = render(models, camera, np.array(LIGHT_DIRECTION))
         return image[..., :3] * image[..., 3:] + np.array(BACKGROUND) * (1.0 - image[..., 3:])
 
     return OBJECT_OPACITY * on_background([*hand, obj]) + (1.0 - OBJECT_OPACITY) * on_background(hand)
@@ -81,7 +81,7 @@ def annotate(draw: ImageDraw, camera: Camera, title: str, geometry: Geometry, co
     error, depth = np.nanmax(geometry.contact_error[0]), geometry.penetration[0]
     draw.text((28 * s, 20 * s), title, fill=INK, font=_font(36))
     summary = f"contact error {_mm(error)}, penetration {_mm(depth)}"
-    draw.text((28 * s, 66 * s), summary, fill=GOOD if error < NEARLY else BAD, font=_font(23))
+    draw.text((28 * s, 66 * s), summary, fill=GOOD if error < CONTACT_DISTANCE_M else BAD, font=_font(23))
     for k in range(contacts):
         points = geometry.witness.point_a[0, k], geometry.witness.point_b[0, k]
         _mark(draw, camera, *points, geometry.distance[0, k])
@@ -91,7 +91,7 @@ def _mark(draw: ImageDraw, camera: Camera, on_link: np.ndarray, on_object: np.nd
     """Draw two witness points (3,) with their signed distance beside them."""
     s = OVERSAMPLING
     link, obj = (camera.project(point)[:2] for point in (on_link, on_object))
-    if abs(distance) < NEARLY:
+    if abs(distance) < CONTACT_DISTANCE_M:
         color, kind = GOOD, ""
     else:
         color, kind = BAD, " gap" if distance > 0 else " inside"
@@ -108,7 +108,7 @@ def _mark(draw: ImageDraw, camera: Camera, on_link: np.ndarray, on_object: np.nd
 
 
 def _mm(metres: float) -> str:
-    """Metres as a person reads them, with more digits when it is little."""
+    """Format a length (metres) in millimetres, with two decimals below 1 mm."""
     value = 1e3 * metres
     return f"{value:.1f} mm" if value >= 1 else f"{value:.2f} mm"
 
@@ -121,17 +121,17 @@ def _font(size: float) -> FreeTypeFont:
     return font
 
 
-def draw_example() -> Float[np.ndarray, "H W 3"]:
-    """The picture, uint8 red, green, blue."""
+def draw_example() -> UInt8[np.ndarray, "H W 3"]:
+    """Draw the picture, uint8 red, green, blue."""
     from PIL import Image, ImageDraw
 
     hand, obj = load_hand("allegro"), load_object(OBJECT)
-    grasps = load_grasps(resource_dir("robots") / "allegro" / f"example_{OBJECT}.npz").select([ROW])
+    grasps = load_grasps(resource_dir("robots") / "allegro" / f"example_{OBJECT}.npz").select([EXAMPLE_ROW])
     q, _ = match_joints(grasps, hand)
     scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q)
     refined = refine(scene)
-    camera = Camera(np.array(EYE), np.array(TARGET), OVERSAMPLING * WIDTH, OVERSAMPLING * HEIGHT, EXTENT)
-    solid = Model.of(obj.mesh, OBJECT_COLOR, crease=CREASE)
+    camera = Camera(np.array(EYE_M), np.array(TARGET_M), OVERSAMPLING * WIDTH, OVERSAMPLING * HEIGHT, EXTENT_M)
+    solid = Model.of(obj.mesh, OBJECT_COLOR, crease=CREASE_DEG)
     halves = []
     for title, T, q in (
         ("Before", scene.T_world_root, scene.q),

@@ -1,1 +1,1 @@
-"""Batches of any number of grasps: shards, the processes or the cluster that work on them, and what is told of them."""
+"""Batches of any number of grasps: shards, the processes or the cluster that work on them, and their reports."""

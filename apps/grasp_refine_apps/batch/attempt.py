@@ -1,4 +1,4 @@
-"""One try of a shard, of which always something comes that can be told: what was done, or why it failed."""
+"""One attempt at a shard, which always ends with a result: the work done, or the reason of the failure."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from traceback import format_exception
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.batch.shard import Done, Failed, Heartbeat, Shard, Work
 
-_LONGEST_MESSAGE, _LONGEST_TRACEBACK = 500, 20_000
+_MAX_MESSAGE_CHARACTERS, _MAX_TRACEBACK_CHARACTERS = 500, 20_000
 
 
 def attempt(work: Work, shard: Shard, heartbeat: Heartbeat) -> Done | Failed:
-    """What comes of a shard; whatever the work raises is a Failed, which can be pickled whatever was raised."""
+    """Work on a shard; return its result, or a Failed for any exception, which can be pickled whatever was raised."""
     try:
         done = work(shard, heartbeat)
         pickle.dumps(done)
@@ -22,17 +22,17 @@ def attempt(work: Work, shard: Shard, heartbeat: Heartbeat) -> Done | Failed:
 
 
 def message_of(error: BaseException) -> str:
-    """One line: what a GraspRefineError says; of any other, its type, too."""
+    """One-line message of an exception, with its type unless it is a GraspRefineError."""
     try:
-        said = str(error)
+        text = str(error)
     except Exception:
-        said = "it cannot say what went wrong"
+        text = "its message cannot be printed"
     name = "" if isinstance(error, GraspRefineError) else type(error).__name__
-    line = ": ".join(filter(None, [name, " ".join(said.split())]))
-    return line if len(line) <= _LONGEST_MESSAGE else f"{line[:_LONGEST_MESSAGE]} ..."
+    line = ": ".join(filter(None, [name, " ".join(text.split())]))
+    return line if len(line) <= _MAX_MESSAGE_CHARACTERS else f"{line[:_MAX_MESSAGE_CHARACTERS]} ..."
 
 
 def traceback_of(error: BaseException) -> str:
-    """Where it was raised; of a long one the end."""
+    """Traceback of an exception; of a long one the end."""
     text = "".join(format_exception(error)).strip()
-    return text if len(text) <= _LONGEST_TRACEBACK else f"... {text[-_LONGEST_TRACEBACK:]}"
+    return text if len(text) <= _MAX_TRACEBACK_CHARACTERS else f"... {text[-_MAX_TRACEBACK_CHARACTERS:]}"

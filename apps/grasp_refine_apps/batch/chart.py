@@ -1,4 +1,4 @@
-"""Distributions before and after as SVG that follows the colours of the page; the same counts give the same bytes."""
+"""Distributions before and after as SVG in the colours of the page; the same counts give the same bytes."""
 
 from __future__ import annotations
 
@@ -13,45 +13,45 @@ from grasp_refine.results.verdict import HOLDS
 from grasp_refine_apps.batch import words
 from grasp_refine_apps.batch.histogram import LINEAR, Histogram
 
-WIDTH, HIGH, LEFT, TOP = 320, 104, 6, 8
-"""Units of the drawing: its width, how high the highest bar is, and what is left free beside and above."""
-BASE = TOP + HIGH
-"""How far down the bars stand."""
-BELOW = 22
-"""Room for the marks of the axis."""
-TOGETHER = 4
-"""So many bins are drawn as one: five to a power of ten, or 25 of the quality."""
-GAP = 0.5
-"""The bar of what lies below all bins stands so many bars apart."""
-CLEAR = 32
-"""Nothing is written nearer to what is written below the lowest bar."""
-FEWEST = 10
-"""Bars that there is room for at least, so that few are not huge."""
+WIDTH, BAR_HEIGHT, LEFT, TOP = 320, 104, 6, 8
+"""Width of the drawing, height of the highest bar, and margins beside and above, SVG units."""
+BASE = TOP + BAR_HEIGHT
+"""Height coordinate of the base line of the bars, downwards, SVG units."""
+LABEL_HEIGHT = 22
+"""Height of the labels of the axis, SVG units."""
+BINS_PER_BAR = 4
+"""Number of bins drawn as one bar: five bars per power of ten, or 25 of the quality."""
+LOWEST_BAR_GAP = 0.5
+"""Distance of the bar for values below all bins, in bar widths."""
+LABEL_DISTANCE = 32
+"""Smallest distance of a label from the label of the lowest bar, SVG units."""
+MIN_BARS = 10
+"""Minimum number of bars, so that few bars are not huge."""
 
 
 @dataclass(frozen=True)
 class Measure:
-    """What is measured of grasps, and how people read it."""
+    """Measure of grasps, and its format for people."""
 
     title: str
-    """What it is."""
+    """Name."""
     hint: str
-    """The same in a sentence."""
+    """Explanation in a sentence."""
     before: str | None
-    """Its column before; None: it is of refined grasps only."""
+    """Column of its values before; None: only refined grasps have it."""
     after: str
-    """Its column after."""
+    """Column of its values after."""
     words: Callable[[float], str]
-    """A value as it is read."""
+    """Formatter of a value."""
     unit: str
-    """Its unit there."""
+    """Unit of a formatted value."""
     bad: bool = True
-    """Whether large values are bad ones."""
+    """Whether large values are worse."""
     mark: float | None = None
-    """A value to be marked."""
+    """Value marked by a line; None: no mark."""
 
     def row(self, distributions: Mapping[str, Histogram]) -> list[str]:
-        """Mean, median, the value that 19 of 20 do not fall behind, and the worst; before, and after."""
+        """Mean, median, bound that 19 of 20 grasps meet, and worst value; before, and after."""
         cells = []
         for column in (self.before, self.after):
             its = distributions[column] if column else None
@@ -63,7 +63,7 @@ class Measure:
         return cells
 
 
-def _lengths(title: str, hint: str, name: str) -> Measure:
+def _length_measure(title: str, hint: str, name: str) -> Measure:
     return Measure(title, hint, f"{name}_before_m", f"{name}_after_m", words.millimetres, "mm")
 
 
@@ -80,122 +80,130 @@ MEASURES = (
     ),
     Measure(
         "wrench residual",
-        "what the best contact forces leave unbalanced, without unit",
+        "part of the load that the best contact forces leave unbalanced, without unit",
         "wrench_residual_before",
         "wrench_residual_after",
         words.plain,
         "",
     ),
-    _lengths("contact error", "the worst gap, or miss of a target, of the links that should touch", "contact_error"),
-    _lengths("penetration", "the deepest of any link in the object", "penetration"),
-    _lengths("self-penetration", "the deepest of links in each other", "self_penetration"),
+    _length_measure(
+        "contact error", "the worst gap, or miss of a target, of the links that should touch", "contact_error"
+    ),
+    _length_measure("penetration", "the deepest penetration of any link into the object", "penetration"),
+    _length_measure("self-penetration", "the deepest penetration of links into each other", "self_penetration"),
 )
-"""What is told before and after."""
-MOVED = (
-    Measure("hand moved", "how far its base link is from where it came", None, "moved_palm_m", words.millimetres, "mm"),
-    Measure("hand turned", "by how much its base link turned", None, "moved_palm_rad", words.degrees, "°"),
-    Measure("joints moved", "the one that moved most", None, "moved_joints_rad", words.degrees, "°"),
+"""Measures shown before and after."""
+MOVEMENTS = (
+    Measure(
+        "hand moved", "distance of its base link from the input grasp", None, "moved_palm_m", words.millimetres, "mm"
+    ),
+    Measure(
+        "hand turned", "rotation of its base link from the input grasp", None, "moved_palm_rad", words.degrees, "°"
+    ),
+    Measure("joints moved", "the joint that moved most", None, "moved_joints_rad", words.degrees, "°"),
 )
-"""What is told after only."""
+"""Measures shown of refined grasps only."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Axis:
-    """Which bars are drawn where."""
+    """Horizontal axis: the bars that are drawn, and their places."""
 
     edges: np.ndarray
-    """Edges of all bars but those of what lies below and above."""
+    """Edges (bars + 1,) of all bars but those for values below and above."""
     scale: str
-    """How they go on."""
+    """LINEAR or LOGARITHMIC."""
     first: int
-    """The leftmost bar,"""
+    """Index of the leftmost bar."""
     last: int
-    """and the rightmost one."""
+    """Index of the rightmost bar."""
     lowest: bool
-    """Whether what lies below is drawn, too, apart from the others."""
+    """Whether values below all bars are drawn too, apart from the others."""
 
     @staticmethod
     def of(edges: np.ndarray, scale: str, parts: Sequence[np.ndarray]) -> _Axis:
-        """The bars that are needed for some shares."""
+        """Return the axis with the bars that some shares need."""
         most = len(edges) - 2
         used = np.flatnonzero(sum(its[1:-1] for its in parts))
         first, last = (int(used.min()), int(used.max())) if len(used) else (0, 0)
         if scale == LINEAR:
             first, last = 0, most
-        while last - first + 1 < min(FEWEST, most + 1):
+        while last - first + 1 < min(MIN_BARS, most + 1):
             first, last = max(first - 1, 0), min(last + 1, most)
         return _Axis(edges, scale, first, last, any(its[0] > 0 for its in parts))
 
     @property
     def step(self) -> float:
-        """Room of a bar."""
-        return (WIDTH - 2 * LEFT) / (self.last - self.first + 1 + (1 + GAP) * self.lowest)
+        """Width of a bar, SVG units."""
+        return (WIDTH - 2 * LEFT) / (self.last - self.first + 1 + (1 + LOWEST_BAR_GAP) * self.lowest)
 
     @property
     def begin(self) -> float:
-        """Where the leftmost bar begins."""
-        return LEFT + (1 + GAP) * self.lowest * self.step
+        """Left end of the leftmost bar, SVG units."""
+        return LEFT + (1 + LOWEST_BAR_GAP) * self.lowest * self.step
 
     @property
     def places(self) -> list[tuple[float, int]]:
-        """Where each bar begins, and which share it shows."""
+        """Left end of each bar, and index of the share that it shows."""
         bars = range(self.first, self.last + 1)
         return [(LEFT, 0)] * self.lowest + [(self.begin + (k - self.first) * self.step, k + 1) for k in bars]
 
     def at(self, value: float) -> float:
-        """Where a value is."""
+        """Horizontal position of a value, SVG units."""
         low, high = self.edges[self.first], self.edges[self.last + 1]
         along = (value - low) / (high - low) if self.scale == LINEAR else log10(value / low) / log10(high / low)
         return self.begin + along * self.step * (self.last - self.first + 1)
 
 
 def chart(measure: Measure, distributions: Mapping[str, Histogram]) -> str:
-    """An SVG element: bars of the share of grasps, before behind after; empty where nothing was measured."""
+    """Draw an SVG element: bars of the share of grasps, before behind after; empty where nothing was measured."""
     after = distributions[measure.after]
     before = distributions[measure.before] if measure.before else Histogram(after.bins)
     if not before.count and not after.count:
         return ""
-    parts = [its.shares(TOGETHER) for its in (before, after)]
+    parts = [its.shares(BINS_PER_BAR) for its in (before, after)]
     for its in parts:
-        # What lies above the bins is drawn in the last one.
+        # Values above the bins are drawn in the last one.
         its[-2] += its[-1]
-    axis = _Axis.of(after.bins.edges[::TOGETHER], after.bins.scale, parts)
+    axis = _Axis.of(after.bins.edges[::BINS_PER_BAR], after.bins.scale, parts)
     label = escape(f"distribution of {measure.title}")
-    drawn = "".join([*_bars(axis, parts), *_scale(axis, measure), *_hovers(axis, measure, parts)])
-    return f'<svg class="bars" viewBox="0 0 {WIDTH} {BASE + BELOW}" role="img" aria-label="{label}">{drawn}</svg>'
+    drawn = "".join([*_bars(axis, parts), *_scale(axis, measure), *_tooltips(axis, measure, parts)])
+    return (
+        f'<svg class="bars" viewBox="0 0 {WIDTH} {BASE + LABEL_HEIGHT}" role="img" aria-label="{label}">{drawn}</svg>'
+    )
 
 
 def _bars(axis: _Axis, parts: Sequence[np.ndarray]) -> Iterator[str]:
-    """All bars, the highest as high as there is room."""
+    """Draw all bars, scaled to the height of the highest."""
     highest = max(its[k] for its in parts for _, k in axis.places)
     for name, its, inset in (("before", parts[0], 0.04), ("after", parts[1], 0.2)):
         for x, k in axis.places:
             if its[k] > 0:
-                height = HIGH * its[k] / highest
+                height = BAR_HEIGHT * its[k] / highest
                 yield (
                     f'<rect class="{name}" x="{x + inset * axis.step:.1f}" y="{BASE - height:.1f}" '
                     f'width="{(1 - 2 * inset) * axis.step:.1f}" height="{height:.1f}"/>'
                 )
 
 
-def _hovers(axis: _Axis, measure: Measure, parts: Sequence[np.ndarray]) -> Iterator[str]:
-    """What is told of each bar below the pointer."""
+def _tooltips(axis: _Axis, measure: Measure, parts: Sequence[np.ndarray]) -> Iterator[str]:
+    """Draw the tooltip of each bar."""
     for x, k in axis.places:
-        told = escape(f"{_range(measure, axis.edges, k)}: {_shares(measure, parts, k)}")
+        text = escape(f"{_range_text(measure, axis.edges, k)}: {_shares_text(measure, parts, k)}")
         yield (
-            f'<rect class="over" x="{x:.1f}" y="{TOP}" width="{axis.step:.1f}" height="{HIGH}">'
-            f"<title>{told}</title></rect>"
+            f'<rect class="over" x="{x:.1f}" y="{TOP}" width="{axis.step:.1f}" height="{BAR_HEIGHT}">'
+            f"<title>{text}</title></rect>"
         )
 
 
 def _scale(axis: _Axis, measure: Measure) -> Iterator[str]:
-    """The line below the bars, with what is written there, and the value that is marked."""
+    """Draw the line below the bars with its labels, and the line of the marked value."""
     yield f'<line class="axis" x1="{LEFT}" x2="{WIDTH - LEFT}" y1="{BASE}" y2="{BASE}"/>'
     for value, text in _marks(measure, axis.edges[axis.first], axis.edges[axis.last + 1], axis.scale):
         x = axis.at(value)
         yield f'<line class="axis" x1="{x:.1f}" x2="{x:.1f}" y1="{BASE}" y2="{BASE + 4}"/>'
-        # Nothing is written over what the lowest bar is called.
-        if not axis.lowest or x > LEFT + axis.step / 2 + CLEAR:
+        # No label overlaps that of the lowest bar.
+        if not axis.lowest or x > LEFT + axis.step / 2 + LABEL_DISTANCE:
             anchor = "end" if x > WIDTH - 20 else "start" if x < 12 else "middle"
             yield f'<text x="{x:.1f}" y="{BASE + 16}" text-anchor="{anchor}">{escape(text)}</text>'
     if axis.lowest:
@@ -206,7 +214,7 @@ def _scale(axis: _Axis, measure: Measure) -> Iterator[str]:
 
 
 def _marks(measure: Measure, low: float, high: float, scale: str) -> Sequence[tuple[float, str]]:
-    """Values of the axis, with what is written there: powers of ten in the unit that people read."""
+    """Values of the axis with their labels: powers of ten in the unit that people read."""
     if scale == LINEAR:
         return [(low + (high - low) * k / 4, f"{low + (high - low) * k / 4:g}") for k in range(5)]
     unit = {"mm": 1e-3, "°": 1.0 / degrees(1.0), "s": 1.0}.get(measure.unit, 1.0)
@@ -215,13 +223,13 @@ def _marks(measure: Measure, low: float, high: float, scale: str) -> Sequence[tu
         value = 10.0**power * unit
         if low * 0.999 <= value <= high * 1.001:
             text = f"{10.0**power:g}" if -3 <= power <= 4 else f"1e{power}"
-            text = words.micro(value) if measure.unit == "mm" else f"{text}{measure.unit}"
+            text = words.axis_length(value) if measure.unit == "mm" else f"{text}{measure.unit}"
             found.append((value, text if power % 2 == 0 or high / low < 1e4 else ""))
     return found
 
 
-def _range(measure: Measure, edges: np.ndarray, at: int) -> str:
-    """The values of a bar."""
+def _range_text(measure: Measure, edges: np.ndarray, at: int) -> str:
+    """Text for the range of values of a bar."""
     if at == 0:
         return f"below {measure.words(edges[0])} {measure.unit}".rstrip()
     last = at == len(edges) - 1 and measure.bad
@@ -229,6 +237,6 @@ def _range(measure: Measure, edges: np.ndarray, at: int) -> str:
     return f"{measure.words(edges[at - 1])}{high} {measure.unit}".rstrip()
 
 
-def _shares(measure: Measure, parts: Sequence[np.ndarray], at: int) -> str:
+def _shares_text(measure: Measure, parts: Sequence[np.ndarray], at: int) -> str:
     before, after = (f"{100 * its[at]:.1f} %" for its in parts)
     return f"{before} before, {after} after" if measure.before else after

@@ -1,4 +1,4 @@
-"""Shards on a Dask cluster: its workers do one at a time each, and those of lost workers are tried again."""
+"""Shards on a Dask cluster: each worker does one at a time, and the shards of lost workers are tried again."""
 
 from __future__ import annotations
 
@@ -19,19 +19,20 @@ def run_on_cluster(
     patience_s: float | None = None,
     heartbeat: Callable[[int, str, float, int], None],
 ) -> Generator[Done | Failed, None, None]:
-    """What comes of each shard, in the order in which they end.
+    """Work on shards; yield the result of each, in the order in which they end.
 
-    Workers may come and go meanwhile; one that comes late and is not fit gets nothing to do. Each has one shard at a
-    time, and keeps to a group as in `run_local`. When the iterator is closed or interrupted, workers end the shard
-    that they have, and no other is begun.
+    Workers may join and leave meanwhile; one that joins late and is not fit gets no shard. Each has one shard at a
+    time, and keeps to a group as in `run_local`. When the iterator is closed or interrupted, workers end their current
+    shard, and no other is begun.
 
     Args:
-        shards: What is to be done. Their paths must mean the same on all machines.
-        work: Called on a worker with a shard; can be pickled, and imported there.
-        address: Of the scheduler, such as tcp://host:8786, or the file that it writes with --scheduler-file.
-        tries: How often a shard is tried whose worker is lost or hangs; one whose work raises is tried once.
-        patience_s: A worker without a sign of life for so long (s) hangs, and is restarted; None: is waited for.
-        heartbeat: Gets the number of a shard, and what a `Sign` of it holds.
+        shards: The shards. Their paths must be valid on all machines.
+        work: Work function, called on a worker with a shard; can be pickled, and imported there.
+        address: Address of the scheduler, such as tcp://host:8786, or the file that it writes with --scheduler-file.
+        tries: Maximum attempts at a shard whose worker is lost or hangs; one whose work raises is tried once.
+        patience_s: Time without a heartbeat, seconds, after which a worker counts as hanging and is restarted; None:
+            no limit.
+        heartbeat: Called with the number of a shard and the entries of its `Sign`.
 
     Raises:
         GraspRefineError: Dask is not installed, the scheduler does not answer or is lost, there are no workers, or one
@@ -41,12 +42,12 @@ def run_on_cluster(
     if not shards:
         return
     try:
-        from grasp_refine_apps.batch.cluster_client import connected
+        from grasp_refine_apps.batch.cluster_client import connect
         from grasp_refine_apps.batch.cluster_workers import ClusterWorkers
     except ModuleNotFoundError as error:
         raise GraspRefineError(
             f"a cluster needs Dask distributed ({error.name} is missing): pip install 'grasp-refine[cluster]'"
         ) from error
-    with connected(address) as client:
+    with connect(address) as client:
         workers = ClusterWorkers(client, address, work, shards[0].path.parent, patience_s)
         yield from dispatch(Schedule(shards), workers, tries, heartbeat)

@@ -1,4 +1,4 @@
-"""The course of a batch, whoever works on it: shards go out, what came of them comes back, lost ones go out again."""
+"""Dispatch of a batch to any kind of workers: shards go out, results come back, lost shards go out again."""
 
 from __future__ import annotations
 
@@ -11,57 +11,57 @@ from grasp_refine_apps.batch.schedule import Schedule
 from grasp_refine_apps.batch.shard import Done, Failed, Shard, Sign
 
 Event = tuple[Shard, Sign | Done | Failed]
-"""What was heard about a shard: a sign of life, or what came of it."""
+"""A shard with its heartbeat, or with its result."""
 
 
 @runtime_checkable
 class Workers(Protocol):
-    """Those who work on shards."""
+    """Workers for shards."""
 
     @property
     def busy(self) -> int:
-        """How many have a shard."""
+        """Number of workers that have a shard."""
         ...
 
     def share_out(self, schedule: Schedule) -> None:
-        """Give shards to those who have none, as long as there are any."""
+        """Give shards to idle workers, as long as there are any."""
         ...
 
     def listen(self) -> list[Event]:
-        """What was heard since the last time, after a short wait if need be."""
+        """Return the events since the last call, after a short wait if there are none."""
         ...
 
 
 def dispatch(
     schedule: Schedule, workers: Workers, tries: int, heartbeat: Callable[[int, str, float, int], None]
 ) -> Iterator[Done | Failed]:
-    """What comes of each shard, in the order in which they end.
+    """Dispatch shards to workers; yield the result of each, in the order in which they end.
 
     Args:
         schedule: The shards.
-        workers: Those who work on them.
-        tries: How often a shard is tried whose worker crashes or hangs; one whose work raises is tried once.
-        heartbeat: Gets the number of a shard, and what a `Sign` of it holds.
+        workers: The workers.
+        tries: Maximum attempts at a shard whose worker crashes or hangs; one whose work raises is tried once.
+        heartbeat: Called with the number of a shard and the entries of its `Sign`.
     """
     lost: Counter[int] = Counter()
     ended: list[Done | Failed] = []
     while True:
         workers.share_out(schedule)
-        # Only now, so that workers have something to do while the caller looks at it.
+        # Only now, so that workers have shards while the caller handles the results.
         yield from ended
         if not workers.busy and not len(schedule):
             return
         ended = []
-        for shard, said in workers.listen():
-            if isinstance(said, tuple):
-                heartbeat(shard.number, *said)
+        for shard, event in workers.listen():
+            if isinstance(event, tuple):
+                heartbeat(shard.number, *event)
                 continue
-            if isinstance(said, Failed):
+            if isinstance(event, Failed):
                 lost[shard.number] += 1
-                if said.reason != "error" and lost[shard.number] < tries:
-                    schedule.again(shard)
+                if event.reason != "error" and lost[shard.number] < tries:
+                    schedule.requeue(shard)
                     continue
-                said = replace(said, tries=lost[shard.number])
+                event = replace(event, tries=lost[shard.number])
             lost.pop(shard.number, None)
-            schedule.ended(shard)
-            ended.append(said)
+            schedule.finish(shard)
+            ended.append(event)

@@ -1,4 +1,4 @@
-"""What did not come out of a batch, counted in words."""
+"""Counts of the failed and unfinished shards and jobs of a batch, as text."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from grasp_refine.core.plurals import count_text
 
 
 def failed_text(failed: Sequence[Mapping[str, Any]]) -> str:
-    """How many shards failed, and how many jobs did not come as far as to have any."""
+    """Text for the numbers of failed shards, and of jobs refused before they had shards."""
     shards = sum(one["shard"] is not None for one in failed)
     counts = (shards, "shard"), (len(failed) - shards, "job")
     return " and ".join(count_text(number, word) for number, word in counts if number)
 
 
 def left_over(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> int:
-    """How many shards are neither complete nor failed: those of an interrupted run, or of other parts of a batch."""
+    """Number of shards neither complete nor failed: those of an interrupted run, or of other parts of a batch."""
     if totals.get("shards") is None or totals.get("complete") is None:
         return 0
     return max(totals["shards"] - totals["complete"] - sum(one["shard"] is not None for one in failed), 0)

@@ -12,40 +12,40 @@ LINEAR, LOGARITHMIC = "linear", "logarithmic"
 
 @dataclass(frozen=True)
 class Bins:
-    """Where bins begin and end, and how the axis is marked."""
+    """Range, number and scale of bins."""
 
     low: float
-    """Where the first one begins."""
+    """Lower edge of the first bin."""
     high: float
-    """Where the last one ends."""
+    """Upper edge of the last bin."""
     count: int
-    """How many there are."""
+    """Number of bins."""
     scale: str = LOGARITHMIC
     """LINEAR or LOGARITHMIC."""
 
     @property
     def edges(self) -> np.ndarray:
-        """Their (count + 1,) edges."""
+        """Edges (count + 1,) of the bins."""
         space = np.geomspace if self.scale == LOGARITHMIC else np.linspace
         return space(self.low, self.high, self.count + 1)
 
 
 @dataclass(eq=False)
 class Histogram:
-    """Grows by `add`; what is not finite is left out. Fed in the same order, it says the same to the last bit."""
+    """Histogram that grows by `add`, without non-finite values; the same order gives bit-identical results."""
 
     bins: Bins
     counts: np.ndarray = field(init=False)
-    """So many values (count + 2,) below the bins, in each, and above."""
+    """Numbers of values (count + 2,) below the bins, in each bin, and above."""
     total: float = 0.0
-    """Their sum."""
+    """Sum of the values."""
     least: float = inf
-    """The smallest value."""
+    """Smallest value."""
     most: float = -inf
-    """The largest value."""
+    """Largest value."""
 
     def __post_init__(self) -> None:
-        """Begin with nothing."""
+        """Begin with empty bins."""
         self.counts = np.zeros(self.bins.count + 2, dtype=np.int64)
         self._edges = self.bins.edges
 
@@ -54,7 +54,7 @@ class Histogram:
         values = values[np.isfinite(values)]
         if not len(values):
             return
-        # The last bin holds its end, too: a quality of 1 is no outlier.
+        # The last bin includes its upper edge: a quality of 1 is no outlier.
         at = np.where(values == self._edges[-1], self.bins.count, np.searchsorted(self._edges, values, side="right"))
         self.counts += np.bincount(at, minlength=len(self.counts))
         self.total = fsum((self.total, *values.tolist()))
@@ -62,18 +62,18 @@ class Histogram:
 
     @property
     def count(self) -> int:
-        """How many values were added."""
+        """Number of values added."""
         return int(self.counts.sum())
 
     @property
     def mean(self) -> float:
-        """Their mean; NaN of none."""
+        """Mean of the values; NaN of none."""
         return self.total / self.count if self.count else nan
 
     def quantile(self, share: float) -> float:
-        """The value that a share of all do not exceed, to within the width of a bin; NaN of none.
+        """Quantile at a share of all values, to within the width of a bin; NaN of none.
 
-        Below the bins it is the smallest value, and above them the largest.
+        Below the bins it is the smallest value, above them the largest.
         """
         if not self.count:
             return nan
@@ -87,6 +87,6 @@ class Histogram:
         return float(np.clip(found, self.least, self.most))
 
     def shares(self, together: int) -> np.ndarray:
-        """Share of the values below the bins, in every so many bins `together`, and above them."""
+        """Shares of the values below the bins, in each run of `together` bins, and above them."""
         inner = self.counts[1:-1].reshape(-1, together).sum(axis=1)
         return np.array([self.counts[0], *inner, self.counts[-1]]) / max(self.count, 1)

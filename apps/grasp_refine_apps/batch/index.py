@@ -1,4 +1,4 @@
-"""The index of a batch: one row per grasp, as Parquet or CSV, written while it is read from the result files."""
+"""Index of a batch: one row per grasp, as Parquet or CSV, written while the result files are read."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
 
 IndexKind = Literal["auto", "parquet", "csv"]
 
-ROWS_AT_ONCE = 2**14
-"""So many rows are one group of a Parquet file; the memory that writing takes grows with it, and little else does."""
+ROW_GROUP_SIZE = 2**14
+"""Number of rows in one group of a Parquet file; it determines most of the memory that writing takes."""
 
 
 @runtime_checkable
 class IndexWriter(Protocol):
-    """Takes the rows of one result file after the other."""
+    """Writer of the rows of one result file after the other."""
 
     def add(self, rows: Rows) -> None:
-        """Write rows, sooner or later."""
+        """Write rows, at once or buffered."""
         ...
 
 
 def index_path(out: Path, kind: IndexKind) -> Path:
-    """Where the index of the results in `out` lies.
+    """Path of the index of the results in `out`.
 
     Raises:
-        GraspRefineError: Parquet is asked for, and pyarrow is not installed.
+        GraspRefineError: Parquet is chosen, and pyarrow is not installed.
     """
     if kind == "auto":
         kind = "parquet" if find_spec("pyarrow") is not None else "csv"
@@ -51,10 +51,10 @@ def index_path(out: Path, kind: IndexKind) -> Path:
 
 @contextmanager
 def index_writer(path: Path) -> Iterator[IndexWriter]:
-    """What writes an index, CSV or Parquet by the ending of its name; the file appears once the block is done, or not.
+    """Open an index for writing, CSV or Parquet by its suffix; the file appears only if the block succeeds.
 
     Raises:
-        GraspRefineError: another ending, Parquet without pyarrow, or the file cannot be written.
+        GraspRefineError: another suffix, Parquet without pyarrow, or the file cannot be written.
     """
     check_table(path)
     writing = _parquet if path.suffix.lower() == ".parquet" else _csv
@@ -69,9 +69,9 @@ def _csv(path: Path) -> Iterator[_CsvWriter]:
 
 
 class _CsvWriter:
-    """Null is empty, flags are true and false, numbers are as short as they can be read back exactly.
+    """CSV with empty cells for null, true and false for flags, and the shortest exact text of numbers.
 
-    Texts are no formulas of a spreadsheet, as `to_cell` has them.
+    Texts are escaped by `to_cell`, so that no spreadsheet reads them as formulas.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -79,11 +79,11 @@ class _CsvWriter:
         self._writer.writerow(COLUMNS)
 
     def add(self, rows: Rows) -> None:
-        self._writer.writerows(zip(*(_words(rows[name], kind) for name, kind in COLUMNS.items()), strict=True))
+        self._writer.writerows(zip(*(_csv_cells(rows[name], kind) for name, kind in COLUMNS.items()), strict=True))
 
 
-def _words(values: np.ndarray, kind: Kind) -> list[Any]:
-    """A column as CSV shows it."""
+def _csv_cells(values: np.ndarray, kind: Kind) -> list[Any]:
+    """Format a column for CSV."""
     if kind == "text":
         return [to_cell(text) for text in values.tolist()]
     words: dict[Kind, Callable[[Any], Any]]
@@ -103,7 +103,7 @@ def _parquet(path: Path) -> Iterator[_ParquetWriter]:
 
 
 class _ParquetWriter:
-    """Gathers rows to groups of a good size."""
+    """Buffer that gathers rows to groups of a good size."""
 
     def __init__(self, file: ParquetWriter) -> None:
         self._file = file
@@ -113,7 +113,7 @@ class _ParquetWriter:
     def add(self, rows: Rows) -> None:
         self._waiting.append(rows)
         self._count += len(rows)
-        if self._count >= ROWS_AT_ONCE:
+        if self._count >= ROW_GROUP_SIZE:
             self.flush()
 
     def flush(self) -> None:
@@ -123,15 +123,17 @@ class _ParquetWriter:
             return
         schema = _schema()
         arrays = [
-            _array(np.concatenate([rows[name] for rows in self._waiting]), COLUMNS[name], schema.field(name).type)
+            _parquet_array(
+                np.concatenate([rows[name] for rows in self._waiting]), COLUMNS[name], schema.field(name).type
+            )
             for name in COLUMNS
         ]
         self._file.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), row_group_size=self._count)
         self._waiting, self._count = [], 0
 
 
-def _array(values: np.ndarray, kind: Kind, type: pyarrow.DataType) -> pyarrow.Array:
-    """A column as Parquet keeps it."""
+def _parquet_array(values: np.ndarray, kind: Kind, type: pyarrow.DataType) -> pyarrow.Array:
+    """Convert a column for Parquet."""
     import pyarrow
 
     if kind == "text":
@@ -145,7 +147,7 @@ def _array(values: np.ndarray, kind: Kind, type: pyarrow.DataType) -> pyarrow.Ar
 
 
 def _schema() -> pyarrow.Schema:
-    """Names and types of all columns; texts, which repeat, are kept once and referred to."""
+    """Names and types of all columns; texts, which repeat, are stored once as a dictionary."""
     import pyarrow
 
     types = {

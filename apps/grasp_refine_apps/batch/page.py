@@ -1,4 +1,4 @@
-"""The report of a batch: one HTML file with distributions, pictures of the worst cases and all failures."""
+"""Report of a batch: one HTML file with distributions, pictures of the worst cases and all failures."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from grasp_refine.core.plurals import count_text, whole
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.verdict import BAR
 from grasp_refine_apps.batch import words
-from grasp_refine_apps.batch.chart import MEASURES, MOVED, chart
+from grasp_refine_apps.batch.chart import MEASURES, MOVEMENTS, chart
 from grasp_refine_apps.batch.failed import failed_text, left_over
 from grasp_refine_apps.batch.pictures import Picture
 from grasp_refine_apps.batch.statistics import Statistics, Tally
 from grasp_refine_apps.batch.worst import Case
 from grasp_refine_apps.report.html_page import rendered
 
-MOST_KINDS, MOST_ALIKE, MOST_JOBS = 30, 20, 500
-"""Most kinds of failures, shards of each, and jobs that are listed."""
+MAX_KINDS, MAX_SHARDS_PER_KIND, MAX_JOBS = 30, 20, 500
+"""Maximum numbers of listed kinds of failures, shards of each kind, and jobs."""
 
 ADVICE = {status.label: status.advice for status in Status}
 
 
 def page(document: Mapping[str, Any], statistics: Statistics, pictures: Sequence[Picture]) -> str:
-    """The report of a batch as HTML; the same input gives the same text.
+    """Format the report of a batch as HTML; the same input gives the same text.
 
     Args:
-        document: What the batch writes as JSON.
-        statistics: Of all grasps of complete shards.
-        pictures: The worst cases.
+        document: JSON document of the batch.
+        statistics: Statistics of all grasps of complete shards.
+        pictures: Pictures of the worst cases.
     """
     totals, failed = document.get("totals", {}), document.get("failed", [])
-    drawn = (*MEASURES, *MOVED)
+    drawn = (*MEASURES, *MOVEMENTS)
     panels = [{"title": one.title, "hint": one.hint, "svg": chart(one, statistics.distributions)} for one in drawn]
-    kinds = list(_kinds(failed))
+    kinds = list(_failure_kinds(failed))
     pairs, rest = statistics.by_pair()
     rows = [_row(*pair, tally) for pair, tally in pairs]
     if rest.count:
@@ -62,14 +62,14 @@ def page(document: Mapping[str, Any], statistics: Statistics, pictures: Sequence
         cases=[_case(picture) for picture in pictures],
         reasons=[
             (name, whole(count), words.share(count, statistics.all.simulated))
-            for name, count in _most(statistics.reasons)
+            for name, count in _most_frequent(statistics.reasons)
         ],
         statuses=[
             (name, whole(count), words.share(count, statistics.all.count), ADVICE.get(name, ""))
-            for name, count in _most(statistics.statuses)
+            for name, count in _most_frequent(statistics.statuses)
         ],
-        failures=kinds[:MOST_KINDS],
-        unlisted=max(len(kinds) - MOST_KINDS, 0),
+        failures=kinds[:MAX_KINDS],
+        unlisted=max(len(kinds) - MAX_KINDS, 0),
         costs=list(_costs(totals, statistics)),
         stages=_stages(document.get("profile") or {}),
         jobs=_jobs(document.get("jobs") or []),
@@ -79,8 +79,8 @@ def page(document: Mapping[str, Any], statistics: Statistics, pictures: Sequence
     )
 
 
-def _most(counts: Mapping[str, int]) -> list[tuple[str, int]]:
-    """The most frequent first."""
+def _most_frequent(counts: Mapping[str, int]) -> list[tuple[str, int]]:
+    """Sort counts, the most frequent first."""
     return sorted(counts.items(), key=lambda entry: (-entry[1], entry[0]))
 
 
@@ -96,13 +96,13 @@ def _subtitle(document: Mapping[str, Any], statistics: Statistics) -> str:
 
 
 def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[Any]) -> list[dict[str, str]]:
-    """The numbers that are read first."""
+    """Tiles with the most important numbers."""
     its = statistics.all
 
-    def change(before: int, after: int, of: int, said: str) -> dict[str, str]:
+    def change(before: int, after: int, of: int, label: str) -> dict[str, str]:
         tone = "good" if after > before else "bad" if after < before else ""
         numbers = f"{words.share(before, of).removesuffix(' %')} → {words.share(after, of)}"
-        return {"number": numbers, "words": f"{said}: {whole(before)} → {whole(after)}", "tone": tone}
+        return {"number": numbers, "words": f"{label}: {whole(before)} → {whole(after)}", "tone": tone}
 
     tiles = [
         {
@@ -115,28 +115,28 @@ def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[A
     if statistics.held is not None:
         tiles.insert(0, change(*statistics.held, its.simulated, "held in simulation"))
     if failed:
-        number, said = failed_text(failed).split(" ", 1)
-        tiles.append({"number": number, "words": f"{said} failed", "tone": "bad"})
+        number, kinds = failed_text(failed).split(" ", 1)
+        tiles.append({"number": number, "words": f"{kinds} failed", "tone": "bad"})
     if totals.get("grasps_per_s"):
         per, speed = totals.get("cpu_s_per_grasp"), words.rate(totals["grasps_per_s"])
-        said = "grasps" if per is None else f"grasps, at {words.duration(per)} of CPU time each"
-        tiles.append({"number": speed.replace(" grasps/", " / "), "words": said, "tone": ""})
+        label = "grasps" if per is None else f"grasps, at {words.duration(per)} of CPU time each"
+        tiles.append({"number": speed.replace(" grasps/", " / "), "words": label, "tone": ""})
     return tiles
 
 
 def _notes(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """What a reader must know before the numbers."""
+    """Notes that qualify the numbers below them."""
     if failed:
         its = "its" if len(failed) == 1 else "their"
         yield (
-            f"{failed_text(failed)} failed; these numbers are without {its} grasps. What went wrong is told below; the "
+            f"{failed_text(failed)} failed; these numbers are without {its} grasps. The reasons are listed below; the "
             "same command tries again."
         )
     left = left_over(totals, failed)
     if left:
         yield (
             f"This is a part of the batch: {whole(left)} of {count_text(totals['shards'], 'shard')} to be done "
-            "yet. The same command goes on from here."
+            "yet. The same command continues from here."
         )
 
 
@@ -156,14 +156,14 @@ def _row(hand: str, name: str, tally: Tally) -> dict[str, Any]:
 
 
 def view_command(case: Case) -> str:
-    """What shows a case, from the folder of the results."""
+    """Command that shows a case, run in the folder of the results."""
     return shlex.join(["refine-grasp", "view", case.file.as_posix(), "--index", str(case.row), *case.look])
 
 
 def _case(picture: Picture) -> dict[str, Any]:
     case = picture.case
     quality = " → ".join(map(words.plain, case.quality))
-    depth, error = (" → ".join(map(_hundredths, pair)) for pair in (case.penetration_m, case.contact_error_m))
+    depth, error = (" → ".join(map(_millimetres_text, pair)) for pair in (case.penetration_m, case.contact_error_m))
     missed = f"did not hold: {case.reason}" if case.held is False and case.reason else "did not hold"
     file = PurePath(case.source).name
     origin = f"row {case.source_row} of {file}" if file and case.source_row is not None else file
@@ -183,8 +183,8 @@ def _case(picture: Picture) -> dict[str, Any]:
     }
 
 
-def _hundredths(metres: float) -> str:
-    """A length in mm as the table of `run` has it."""
+def _millimetres_text(metres: float) -> str:
+    """Format a length (metres) in mm with two decimals, as in the table of `run`."""
     return words.NONE if isnan(metres) else f"{1e3 * metres:.2f}"
 
 
@@ -192,8 +192,8 @@ def _embedded(png: bytes) -> str:
     return f"data:image/png;base64,{b64encode(png).decode()}"
 
 
-def _kinds(failed: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
-    """Failed shards with the same reason and message together, the most frequent first."""
+def _failure_kinds(failed: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Group failed shards by reason and message, the most frequent first."""
     alike: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for one in failed:
         alike.setdefault((one["reason"], one["message"]), []).append(one)
@@ -202,15 +202,15 @@ def _kinds(failed: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
             "reason": reason,
             "message": message,
             "count": failed_text(shards),
-            "shards": shards[:MOST_ALIKE],
-            "more": max(len(shards) - MOST_ALIKE, 0),
+            "shards": shards[:MAX_SHARDS_PER_KIND],
+            "more": max(len(shards) - MAX_SHARDS_PER_KIND, 0),
             "traceback": shards[0].get("traceback", ""),
         }
 
 
 def _costs(totals: Mapping[str, Any], statistics: Statistics) -> Iterator[tuple[str, str]]:
     """Times and memory, of this run and per grasp."""
-    told = (
+    entries = (
         ("wall time", "wall_s", words.duration),
         ("CPU time", "cpu_s", words.duration),
         ("throughput", "grasps_per_s", words.rate),
@@ -219,15 +219,15 @@ def _costs(totals: Mapping[str, Any], statistics: Statistics) -> Iterator[tuple[
         ("shards", "shards", whole),
         ("done in this run", "done", whole),
     )
-    for name, key, say in told:
+    for name, key, formatter in entries:
         if totals.get(key) is not None:
-            yield name, say(totals[key])
-    own = statistics.distributions["cpu_s"]
-    if own.count:
-        low, high, most = own.quantile(0.5), own.quantile(0.95), own.most
+            yield name, formatter(totals[key])
+    spent = statistics.distributions["cpu_s"]
+    if spent.count:
+        low, high, most = spent.quantile(0.5), spent.quantile(0.95), spent.most
         yield (
             "refining a grasp",
-            f"{words.duration(own.mean)} of CPU time in the mean, median {words.duration(low)}, 19 of 20 at most "
+            f"{words.duration(spent.mean)} of CPU time in the mean, median {words.duration(low)}, 19 of 20 at most "
             f"{words.duration(high)}, the slowest {words.duration(most)}",
         )
     steps = statistics.distributions["iterations"]
@@ -236,7 +236,7 @@ def _costs(totals: Mapping[str, Any], statistics: Statistics) -> Iterator[tuple[
 
 
 def _stages(profile: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, str, str, str]]:
-    """Where the time went, most of it first."""
+    """Time of each stage, the longest first."""
     total = sum(spent["cpu_s"] for spent in profile.values())
     ranked = sorted(profile.items(), key=lambda entry: -entry[1]["cpu_s"])
     return [
@@ -253,15 +253,15 @@ def _stages(profile: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, 
 
 
 def _jobs(jobs: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
-    """A table of jobs; as many columns as they have entries."""
+    """Table of jobs, with a column for each of their entries."""
     if not jobs:
         return None
     names = list(dict.fromkeys(name for job in jobs for name in job))
-    more = "" if len(jobs) <= MOST_JOBS else f", the first {MOST_JOBS}"
+    more = "" if len(jobs) <= MAX_JOBS else f", the first {MAX_JOBS}"
     return {
         "count": f"{count_text(len(jobs), 'job')}{more}",
         "names": names,
-        "rows": [[_cell(job.get(name)) for name in names] for job in jobs[:MOST_JOBS]],
+        "rows": [[_cell(job.get(name)) for name in names] for job in jobs[:MAX_JOBS]],
     }
 
 
@@ -274,7 +274,7 @@ def _cell(value: Any) -> dict[str, Any]:
 
 
 def _flat(config: Any, name: str = "") -> Iterator[tuple[str, str]]:
-    """Settings, one a line: those within others with their names before."""
+    """Flatten settings to names and values; nested settings get the names of their parents as prefix."""
     if isinstance(config, Mapping):
         for key, value in config.items():
             yield from _flat(value, f"{name}.{key}" if name else str(key))

@@ -17,11 +17,11 @@ from grasp_refine.objects.object import Object
 from grasp_refine_apps.batch.thumbnail import Pose, Skeleton, skeleton, thumbnail
 from grasp_refine_apps.batch.worst import Case
 
-PATIENCE = 60.0
-"""CPU seconds after which no further picture is begun; a dozen takes a few."""
+TIME_LIMIT_S = 60.0
+"""CPU time after which no further picture is begun, seconds; a dozen takes a few."""
 
 Load = Callable[[Case], tuple[Hand, Object]]
-"""Gives the hand and the object of a case."""
+"""Function that returns the hand and the object of a case."""
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,13 @@ class Picture:
     """A case, seen before and after."""
 
     case: Case
-    """What is shown."""
+    """The case shown."""
     before: bytes = b""
-    """A PNG."""
+    """Picture of the input grasp, PNG."""
     after: bytes = b""
-    """A PNG."""
+    """Picture of the refined grasp, PNG."""
     problem: str = ""
-    """Why there are none; empty where there are."""
+    """Reason why there are no pictures; empty if there are."""
 
 
 def draw_cases(
@@ -43,35 +43,35 @@ def draw_cases(
     out: Path,
     load: Load,
     *,
-    patience_s: float = PATIENCE,
-    tell: Callable[[str, float], None] | None = None,
+    patience_s: float = TIME_LIMIT_S,
+    progress: Callable[[str, float], None] | None = None,
 ) -> tuple[Picture, ...]:
-    """A picture of each case; of one that cannot be drawn, why.
+    """Draw each case; a case that cannot be drawn gets the reason.
 
     Args:
-        cases: What is drawn.
-        out: Folder of the results, which their files lie in.
-        load: Called once for each case.
-        patience_s: CPU seconds after which no further picture is begun.
-        tell: Gets what is being drawn, and the share that is done.
+        cases: The cases.
+        out: Folder of the results, which contains their files.
+        load: Loader of hand and object, called once for each case.
+        patience_s: CPU time after which no further picture is begun, seconds.
+        progress: Called with the case being drawn, and the share that is done.
     """
     begun, prepared, found = time.process_time(), cache(skeleton), []
     for number, case in enumerate(cases):
-        if tell is not None:
-            tell(f"drawing {case.hand} on {case.object}", number / len(cases))
+        if progress is not None:
+            progress(f"drawing {case.hand} on {case.object}", number / len(cases))
         if time.process_time() - begun > patience_s:
             found.append(Picture(case, problem=f"not drawn: the others took more than {patience_s:g} s"))
             continue
         try:
-            found.append(_drawn(case, out, load, prepared))
-        # Whatever is wrong with one of many inputs takes its picture, not the report.
+            found.append(_draw_case(case, out, load, prepared))
+        # A fault of one of many inputs costs its picture, not the report.
         except (GraspRefineError, OSError, ValueError, LookupError) as error:
             found.append(Picture(case, problem=f"not drawn: {' '.join(str(error).split())}"))
     return tuple(found)
 
 
-def _drawn(case: Case, out: Path, load: Load, prepared: Callable[[Hand], Skeleton]) -> Picture:
-    """Both pictures of a case.
+def _draw_case(case: Case, out: Path, load: Load, prepared: Callable[[Hand], Skeleton]) -> Picture:
+    """Draw both pictures of a case.
 
     Raises:
         GraspRefineError: a file cannot be read.

@@ -19,20 +19,20 @@ def run_local(
     tries: int = 2,
     heartbeat: Callable[[int, str, float, int], None],
 ) -> Generator[Done | Failed, None, None]:
-    """What comes of each shard, in the order in which they end.
+    """Work on shards; yield the result of each, in the order in which they end.
 
     Each worker is a spawned process with one thread for linear algebra. When the iterator is closed or interrupted,
-    all workers are ended; when this process dies, so do they. One thread has to advance the iterator to its end,
+    all workers are ended; when this process dies, so do they. One thread must advance the iterator to its end,
     because the kernel ends workers with the thread that started them.
 
     Args:
-        shards: What is to be done; a worker that has done one of a group gets the others of it.
-        work: Called in a worker with a shard; can be pickled.
+        shards: The shards; a worker that has done one of a group gets the others of it.
+        work: Work function, called in a worker with a shard; can be pickled.
         workers: Number of processes; there are never more than shards.
-        patience_s: A worker without a sign of life for so long (s) hangs, and is killed. Only time in which this
-            process was there to hear one counts. Starting takes patience, too.
-        tries: How often a shard is tried whose worker crashes or hangs; one whose work raises is tried once.
-        heartbeat: Gets the number of a shard, and what a `Sign` of it holds.
+        patience_s: Time without a heartbeat, seconds, after which a worker counts as hanging and is killed. Only time
+            in which this process listens counts. The start of a worker counts, too.
+        tries: Maximum attempts at a shard whose worker crashes or hangs; one whose work raises is tried once.
+        heartbeat: Called with the number of a shard and the entries of its `Sign`.
 
     Raises:
         GraspRefineError: Workers cannot be started.

@@ -1,4 +1,4 @@
-"""What is said while a batch runs: a bar and what each worker does in a terminal, a line now and then elsewhere."""
+"""Progress of a batch: a bar and a line for each worker in a terminal, a line every 30 s elsewhere."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from grasp_refine.core.plurals import count_text, whole
 from grasp_refine_apps.batch import words
 from grasp_refine_apps.batch.shard import Done, Failed, Shard, Sign
 
-EVERY = 30.0
-"""Seconds between two lines where there is no terminal."""
-WINDOW = 600.0
-"""The speed is that of the last so many seconds, so that what remains is told by objects like those of now."""
-FIRST = 2.0
-"""Before so many seconds, nothing can be said of the speed."""
-LISTED = 8
-"""Most workers of which is told what they do."""
+PRINT_INTERVAL_S = 30.0
+"""Interval between two lines where there is no terminal, seconds."""
+SPEED_WINDOW_S = 600.0
+"""Window of the speed, seconds: the remaining time is estimated from recent objects."""
+MIN_SPEED_TIME_S = 2.0
+"""Time before which the speed is not known, seconds."""
+MAX_LISTED = 8
+"""Maximum number of workers, and of failures, listed in a terminal."""
 
 
 class Progress:
-    """Tells on a console how far a batch is; a context manager. To be called from one thread."""
+    """Progress of a batch, shown on a console; a context manager. To be called from one thread."""
 
     def __init__(
         self,
@@ -42,15 +42,15 @@ class Progress:
         simulated: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Say nothing yet.
+        """Prepare the display; nothing is printed yet.
 
         Args:
-            console: Where.
-            shards: What is to be done now.
-            workers: How many work at a time.
-            skipped: How many grasps were done before.
-            simulated: Whether grasps are simulated; then those that held are counted, else those that should hold.
-            clock: Seconds.
+            console: The console.
+            shards: Shards of this run.
+            workers: Number of workers at a time.
+            skipped: Number of grasps done before.
+            simulated: Grasps are simulated; then those that held are counted, else those that should hold.
+            clock: Clock, seconds.
         """
         self.console = console
         self._shards = {shard.number: shard for shard in shards}
@@ -90,20 +90,20 @@ class Progress:
         self.console.print(escape(line), style="dim", soft_wrap=not self.console.is_terminal)
 
     def wait(self, what: str) -> None:
-        """Show, in a terminal only, what takes a while when no shard is worked on."""
+        """Show the description of a lengthy step without a running shard, in a terminal only."""
         self._active.clear()
         self._waiting = what
 
     def heartbeat(self, number: int, what: str, share: float, refined: int = 0) -> None:
-        """Hear what is being done for a shard, how much of it is done, and how many of its grasps are refined."""
-        # A sign of life may come later than the end.
+        """Update a shard: its current step, the share that is done, and the number of its refined grasps."""
+        # A heartbeat may arrive after the end.
         if number in self._open:
             self._waiting = ""
             self._active[number] = (what, min(max(share, 0.0), 1.0), refined)
             self._note()
 
     def done(self, done: Done) -> None:
-        """Hear that a shard is complete."""
+        """Count a complete shard."""
         self._end(done.number)
         self._done += done.grasps
         self._counted += done.grasps
@@ -111,18 +111,18 @@ class Progress:
         self._note()
 
     def failed(self, failed: Failed) -> None:
-        """Hear that a shard did not come out, and say so."""
+        """Count a failed shard, and print its failure."""
         self._end(failed.number)
         shard = self._shards[failed.number]
         self._failed += 1
         self._lost += shard.size
-        # A terminal of a batch that fails everywhere is not to be flooded, a file may hold it all.
-        if self._failed <= LISTED or not self.console.is_terminal:
+        # Many failures must not flood a terminal; a file may hold them all.
+        if self._failed <= MAX_LISTED or not self.console.is_terminal:
             tries = f", tried {failed.tries} times" if failed.tries > 1 else ""
             line = Text.assemble((f"{shard.name} failed", "red"), f" ({failed.reason}{tries}): {failed.message}")
             self.console.print(line, soft_wrap=not self.console.is_terminal)
-        elif self._failed == LISTED + 1:
-            self.say("further failures are told at the end")
+        elif self._failed == MAX_LISTED + 1:
+            self.say("further failures are listed at the end")
         self._note()
 
     def _end(self, number: int) -> None:
@@ -136,45 +136,45 @@ class Progress:
             return 0.0
         now = self._clock()
         (before, at_first), grasps = self._past[0], self._running
-        return (grasps - at_first) / (now - before) if now - before >= FIRST else 0.0
+        return (grasps - at_first) / (now - before) if now - before >= MIN_SPEED_TIME_S else 0.0
 
     @property
     def remaining_s(self) -> float | None:
-        """How long it may yet take; None: not known yet."""
+        """Estimated remaining time, seconds; None: not known yet."""
         left = self._total - self._skipped - self._lost - self._running
         return max(left, 0.0) / self.speed if self.speed > 0 else None
 
     @property
     def _running(self) -> float:
-        """Grasps done now, with the shares of those at work."""
+        """Number of grasps done in this run, with the shares of the running shards."""
         return self._done + sum(self._shards[number].size * share for number, (_, share, _) in self._active.items())
 
     @property
     def _refined(self) -> int:
-        """Grasps refined now, in shards that are complete and in those at work."""
+        """Number of grasps refined in this run, in complete and in running shards."""
         return self._done + sum(refined for _, _, refined in self._active.values())
 
     def _note(self) -> None:
-        """Remember how far it is and, where there is no terminal, say so now and then."""
+        """Record the progress and, where there is no terminal, print it now and then."""
         now = self._clock()
-        if now - self._past[-1][0] >= WINDOW / 100:
+        if now - self._past[-1][0] >= SPEED_WINDOW_S / 100:
             self._past.append((now, self._running))
-        while len(self._past) > 2 and now - self._past[1][0] >= WINDOW:
+        while len(self._past) > 2 and now - self._past[1][0] >= SPEED_WINDOW_S:
             self._past.popleft()
-        if not self.console.is_terminal and now - self._told >= EVERY:
+        if not self.console.is_terminal and now - self._told >= PRINT_INTERVAL_S:
             self._told = now
             self.say(", ".join(self._facts()))
 
     def _facts(self) -> list[str]:
-        """What is told of the whole, the most important first."""
+        """Facts about the whole batch, the most important first."""
         facts = [f"{whole(self._skipped + self._refined)}/{words.grasps(self._total)} refined"]
         if self.speed > 0:
             facts.append(words.rate(self.speed))
         if self.remaining_s is not None and self._open:
             facts.append(f"{words.duration(self.remaining_s)} left")
         if self._counted:
-            said = "held" if self._simulated else "good"
-            facts.append(f"{words.share(self._good, self._counted)} {said}")
+            verdict = "held" if self._simulated else "good"
+            facts.append(f"{words.share(self._good, self._counted)} {verdict}")
         if self._failed:
             facts.append(f"{count_text(self._failed, 'shard')} failed")
         return facts
@@ -191,12 +191,12 @@ class Progress:
             self._spinner.update(text=Text(self._waiting, "dim", no_wrap=True, overflow="ellipsis"))
             lines.append(self._spinner)
         active = sorted(self._active.items())
-        for number, (what, share, _) in active[:LISTED]:
+        for number, (what, share, _) in active[:MAX_LISTED]:
             line = Table.grid(padding=(0, 1), expand=True)
             line.add_column(width=5, justify="right")
             line.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
             line.add_row(f"{100 * share:.0f} %", Text(f"{self._shards[number].name}: {what}"), style="dim")
             lines.append(line)
-        if len(active) > LISTED:
-            lines.append(Text(f"      and {len(active) - LISTED} more", "dim"))
+        if len(active) > MAX_LISTED:
+            lines.append(Text(f"      and {len(active) - MAX_LISTED} more", "dim"))
         return Group(*lines)

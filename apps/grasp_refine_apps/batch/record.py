@@ -1,4 +1,4 @@
-"""What a batch leaves of its shards: result files that say what they were made of, and notes of what failed."""
+"""Records of shards in the results folder: result files with a stamp of their inputs, and notes of failures."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from grasp_refine.core.json_files import save_json
 from grasp_refine.core.npz_files import DAMAGED, load_npz
 from grasp_refine_apps.batch.shard import Failed, Shard
 
-NOTE = ".failed.json"
-"""What is added to the name of a result file that did not come out."""
+NOTE_SUFFIX = ".failed.json"
+"""Suffix of a failure note, after the name of the missing result file."""
 
 _UNREADABLE = (*DAMAGED, zipfile.BadZipFile, zlib.error, ValueError, KeyError, GraspFileError)
-"""How a damaged file, or one of something else, shows."""
+"""Errors from a damaged file, or from a file that is no result."""
 
 
 class State(Enum):
-    """What there is of a shard."""
+    """State of a shard's result file."""
 
     COMPLETE = "complete"
     MISSING = "missing"
     CHANGED = "changed"
-    """The result is of other inputs, settings or versions."""
+    """Result of other inputs, settings or versions."""
     DAMAGED = "damaged"
-    """The result file cannot be read."""
+    """Unreadable result file."""
 
 
 def state_of(shard: Shard) -> State:
-    """What there is of a shard; every byte of the file is checked."""
+    """State of a shard's result file; every byte of it is checked."""
     if not shard.path.is_file():
         return State.MISSING
     try:
@@ -51,7 +51,7 @@ def state_of(shard: Shard) -> State:
 
 
 def is_result(path: Path) -> bool:
-    """Whether a file is a result of a batch."""
+    """Return True for a result file of a batch."""
     if path.suffix != ".npz":
         return False
     try:
@@ -61,27 +61,27 @@ def is_result(path: Path) -> bool:
 
 
 def _stamp(path: Path) -> str | None:
-    """What a result file of a batch is stamped with; None: it is another file."""
+    """Stamp of a result file of a batch; None: it is another file."""
     provenance = json.loads(str(load_npz(path, only=("provenance",)).entries["provenance"]))
     batch = provenance.get("batch") if isinstance(provenance, dict) else None
     return batch.get("stamp") if isinstance(batch, dict) else None
 
 
 def note_failure(shard: Shard, failed: Failed) -> None:
-    """Write down that a shard failed, beside where its result would be; a result of something else goes.
+    """Write the failure of a shard beside the path of its result; an outdated result there is removed.
 
     Raises:
         GraspRefineError: the note cannot be written.
     """
     with suppress(OSError):
         shard.path.unlink(missing_ok=True)
-    save_json(_note(shard), {"stamp": shard.stamp, "shard": shard.name, **asdict(failed)})
+    save_json(_note_path(shard), {"stamp": shard.stamp, "shard": shard.name, **asdict(failed)})
 
 
 def noted_failure(shard: Shard) -> Failed | None:
-    """What was noted of a shard that failed; None: nothing, or of other inputs or settings."""
+    """Noted failure of a shard; None: there is none, or it is of other inputs or settings."""
     try:
-        raw = json.loads(_note(shard).read_text(encoding="utf-8"))
+        raw = json.loads(_note_path(shard).read_text(encoding="utf-8"))
         if raw["stamp"] != shard.stamp:
             return None
         return Failed(shard.number, raw["reason"], raw["message"], raw["traceback"], raw["tries"])
@@ -90,13 +90,13 @@ def noted_failure(shard: Shard) -> Failed | None:
 
 
 def forget_failure(shard: Shard) -> None:
-    """Take the note away, once the shard came out."""
+    """Remove the failure note of a shard that succeeded."""
     with suppress(OSError):
-        _note(shard).unlink(missing_ok=True)
+        _note_path(shard).unlink(missing_ok=True)
 
 
 def clean(shards: Iterable[Shard]) -> None:
-    """Take away what processes of this machine that were killed have left of result files."""
+    """Remove partial result files left by killed processes of this machine."""
     names: dict[Path, set[str]] = {}
     for shard in shards:
         names.setdefault(shard.path.parent, set()).add(shard.path.name)
@@ -104,16 +104,16 @@ def clean(shards: Iterable[Shard]) -> None:
         with suppress(OSError):
             for entry in os.scandir(folder):
                 pid, name = half_written(entry.name)
-                if name in here and pid is not None and not _alive(pid):
+                if name in here and pid is not None and not _is_alive(pid):
                     Path(entry.path).unlink(missing_ok=True)
 
 
-def _note(shard: Shard) -> Path:
-    return shard.path.with_name(shard.path.name + NOTE)
+def _note_path(shard: Shard) -> Path:
+    return shard.path.with_name(shard.path.name + NOTE_SUFFIX)
 
 
-def _alive(pid: int) -> bool:
-    """Whether there is such a process on this machine."""
+def _is_alive(pid: int) -> bool:
+    """Return True if the process exists on this machine."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

@@ -1,4 +1,4 @@
-"""Rows of the index: one for each grasp, out of its result file and nothing else."""
+"""Rows of the index: one for each grasp, from its result file alone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.batch.shard import Shard
 
 Kind = Literal["text", "whole", "number", "flag"]
-"""What a column holds. Text is an array of strings in which "" stands for null; all others are float64 with NaN."""
+"""Kind of a column. Text is an array of strings in which "" is null; all others are float64 with NaN as null."""
 
 COLUMNS: Mapping[str, Kind] = {
     "job": "text",
@@ -56,10 +56,10 @@ COLUMNS: Mapping[str, Kind] = {
     "cpu_s": "number",
     "wall_s": "number",
 }
-"""Name -> kind of all columns, in their order; those that differ between two runs of the same come last.
+"""Name -> kind of all columns, in order; those that differ between two runs of the same command come last.
 
 `file` is relative to the folder of the results, and `row_in_file` the row in it; `row` is the row in the grasp file
-`source`. `good` says whether a grasp should hold by its quality, `held` whether it did in simulation. Lengths are in
+`source`. `good` is true if a grasp should hold by its quality, `held` if it did in simulation. Lengths are in
 metres, angles in radians, times in seconds.
 """
 
@@ -86,24 +86,24 @@ OPTIONAL = {
     "cpu_s": "cpu_s",
     "wall_s": "wall_s",
 }
-"""The same of those that only some have."""
+"""Column -> array of numbers that only some result files have."""
 TEXTS = ("hand", "object", "status", "provenance")
 NEEDED = (*TEXTS, "scale", *ENTRIES.values())
-"""Arrays without which a file is none of results."""
+"""Arrays that every result file must have."""
 DAMAGED = "provenance is damaged; delete the file, and run the batch again"
-"""What is said where it cannot be what a batch wrote."""
+"""Message for a provenance that no batch can have written."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The rows of one result file."""
+    """Rows of one result file."""
 
     columns: Mapping[str, np.ndarray]
-    """All of `COLUMNS`, each of the same length."""
+    """Arrays (N,) of all `COLUMNS`."""
     look: tuple[str, ...] = ()
-    """Options that `refine-grasp view` needs beside the file and --index to show a grasp of it."""
+    """Options of `refine-grasp view`, beside the file and --index, to show a grasp of it."""
     stamp: str = ""
-    """That of the shard which the file was made for."""
+    """Stamp of the shard that the file was made for."""
 
     def __len__(self) -> int:
         """Return the number of grasps."""
@@ -115,10 +115,10 @@ class Rows:
 
 
 def read_rows(shard: Shard, out: Path) -> Rows:
-    """The rows of a shard's result file.
+    """Read the rows of a shard's result file.
 
     Args:
-        shard: Which is complete.
+        shard: A complete shard.
         out: Folder of the results.
 
     Raises:
@@ -143,8 +143,8 @@ def read_rows(shard: Shard, out: Path) -> Rows:
     look = batch.get("look") or []
     if not (isinstance(source, dict) and isinstance(place, list) and isinstance(look, list)):
         raise file.error(DAMAGED)
-    said = (batch.get("job"), source.get("path"), source.get("sampled"), *look)
-    if not all(text is None or (isinstance(text, str) and is_valid(text)) for text in said):
+    texts = (batch.get("job"), source.get("path"), source.get("sampled"), *look)
+    if not all(text is None or (isinstance(text, str) and is_valid(text)) for text in texts):
         raise file.error(DAMAGED)
     columns = {
         "job": each(str(batch.get("job") or ""), str),
@@ -172,14 +172,14 @@ def read_rows(shard: Shard, out: Path) -> Rows:
 
 
 def _numbers(file: NpzFile, key: str, n: int) -> np.ndarray:
-    """An array of a result file as float64 (n,)."""
+    """Read an array of a result file as float64 (n,)."""
     value = file.entries[key]
     value = value.astype(float) if value.dtype.kind == "b" else file.numbers(key, allowed="nan")
     return file.per_row(key, value, n)
 
 
 def _provenance(file: NpzFile) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What a result file says about where it comes from, and what it says of the batch that made it."""
+    """Provenance of a result file, and its entry about the batch that made it."""
     try:
         found = json.loads(file.name("provenance"))
     except (ValueError, RecursionError) as error:

@@ -1,4 +1,4 @@
-"""Which shard a free worker gets: one whose hand and object it has loaded, as long as there are any."""
+"""Order of the shards: an idle worker first gets those whose hand and object it has loaded."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ from grasp_refine_apps.batch.shard import Shard
 
 
 class Schedule:
-    """The shards that nobody works on yet, by group, and which of them goes to whom.
+    """Shards waiting for a worker, by group, and the choice of the next one.
 
-    The first shard of a group is worked on alone, because it may decompose the object for all others; they wait for
-    it as long as there is anything else to do.
+    The first shard of a group runs alone, because it may decompose the object for all others; they wait for it as
+    long as there are other shards.
     """
 
     def __init__(self, shards: Iterable[Shard]) -> None:
-        """All shards of the batch; groups are opened in the order in which they occur."""
+        """Queue all shards of the batch; groups are opened in the order in which they occur."""
         self._waiting: defaultdict[str, deque[Shard]] = defaultdict(deque)
         for shard in shards:
             self._waiting[shard.group].append(shard)
         self._untouched = deque(self._waiting)
         self._touched: set[str] = set()
-        """Groups with shards left of which some shard was taken: about as many as there are workers."""
+        """Opened groups with shards left: about as many as there are workers."""
         self._first: dict[str, int] = {}
-        """Group -> number of its first shard, while that is worked on."""
+        """Group -> number of its first shard, while that one runs."""
         self._left = sum(map(len, self._waiting.values()))
 
     def __len__(self) -> int:
-        """How many shards are waiting."""
+        """Return the number of waiting shards."""
         return self._left
 
     def take(self, loaded: str | None) -> Shard | None:
-        """The next shard for a worker that has the group `loaded` at hand; None: nothing is left."""
+        """Take the next shard for a worker that has loaded the group `loaded`; None: none is left."""
         if loaded in self._touched and loaded not in self._first:
             return self._pop(loaded)
         if self._untouched:
@@ -43,15 +43,15 @@ class Schedule:
             return shard
         if not self._touched:
             return None
-        # Most shards left; one whose first shard is not done only if there is no other.
+        # The group with most shards left; one whose first shard still runs only if there is no other.
         return self._pop(max(sorted(self._touched), key=lambda each: (each not in self._first, self._count(each))))
 
-    def ended(self, shard: Shard) -> None:
-        """A shard is done with, well or not: the others of its group need not wait for it."""
+    def finish(self, shard: Shard) -> None:
+        """Mark a shard as complete or failed: the others of its group need not wait for it."""
         self._first.pop(shard.group, None)
 
-    def again(self, shard: Shard) -> None:
-        """A shard is to be tried once more, after the others of its group."""
+    def requeue(self, shard: Shard) -> None:
+        """Queue a shard for another attempt, after the others of its group."""
         opened = self._first.get(shard.group) == shard.number
         if opened:
             del self._first[shard.group]

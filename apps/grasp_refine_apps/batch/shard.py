@@ -1,4 +1,4 @@
-"""A shard, the unit of a batch: some grasps of one hand on one object, which become one result file."""
+"""Shard, the unit of a batch: some grasps of one hand on one object, which become one result file."""
 
 from __future__ import annotations
 
@@ -8,86 +8,86 @@ from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
 
 Sign = tuple[str, float, int]
-"""A sign of life while a shard is worked on: what is being done, the share (0 to 1) of the shard that is done, and how
-many of its grasps are refined."""
+"""Heartbeat of a running shard: its current step, the share (0 to 1) of the shard that is done, and the number of its
+refined grasps."""
 
 
 @runtime_checkable
 class Heartbeat(Protocol):
-    """Takes a sign of life."""
+    """Receiver of heartbeats."""
 
     def __call__(self, what: str, share: float, refined: int = 0) -> None:
-        """Tell what a `Sign` holds."""
+        """Report the entries of a `Sign`."""
         ...
 
 
 Reason = Literal["error", "crashed", "hung"]
-"""Why a shard failed: its work raised, or its worker ended, or gave no sign of life."""
+"""Reason of a failure: the work raised, the worker ended, or it gave no heartbeat."""
 
 
 @dataclass(frozen=True)
 class Shard:
-    """Some grasps of one hand on one object; what comes out depends on nothing else."""
+    """Some grasps of one hand on one object, whose result depends on nothing else."""
 
     number: int
-    """Its place among all shards of the batch."""
+    """Index among all shards of the batch."""
     group: str
-    """Shards of one group need the same hand and object, which are loaded once."""
+    """Key of the hand and object, which the shards of one group share and load once."""
     name: str
-    """What people call it: job, object and which grasps."""
+    """Name for people: job, object and part."""
     size: int
     """Number of grasps."""
     path: Path
-    """Its result file."""
+    """Path of the result file."""
     stamp: str
     """Hash of everything that the result depends on: contents of all inputs, rows, settings and versions."""
     task: Any
-    """What the work function needs to know; can be pickled."""
+    """Input of the work function; can be pickled."""
 
 
 @dataclass(frozen=True)
 class Done:
-    """What is told about a finished shard."""
+    """Result of a finished shard."""
 
     number: int
-    """That of the shard."""
+    """Number of the shard."""
     grasps: int
-    """How many grasps are in its result file."""
+    """Number of grasps in its result file."""
     usable: int
-    """How many of them were refined at all."""
+    """Number of grasps that were refined at all."""
     good: tuple[int, int]
-    """How many should hold, before and after."""
+    """Numbers of grasps that should hold, before and after."""
     held: tuple[int, int] | None
-    """How many held in simulation, before and after; None: not simulated."""
+    """Numbers of grasps that held in simulation, before and after; None: not simulated."""
     wall_s: float
-    """Wall time of the work."""
+    """Wall time of the work, seconds."""
     cpu_s: float
-    """CPU time of the work."""
+    """CPU time of the work, seconds."""
     peak_bytes: int
-    """Largest resident memory of the process so far."""
+    """Largest resident memory of the process so far, bytes."""
     notes: tuple[str, ...] = ()
-    """What a user should know about how hand, object and grasps were read."""
+    """Notes for the user on how hand, object and grasps were read."""
     convention_notes: tuple[str, ...] = ()
-    """Signs that the grasp file means something else than what was read; what is before the colon says what."""
+    """Signs that the grasp file has another convention than the one read; the kind of sign is before the colon."""
     profile: Mapping[str, tuple[float, float, int]] = field(default_factory=dict)
-    """Stage -> CPU seconds, wall seconds and calls; empty where nobody asked."""
+    """Stage -> CPU seconds, wall seconds and calls; empty without profiling."""
 
 
 @dataclass(frozen=True)
 class Failed:
-    """What is told about a shard that did not come out."""
+    """Result of a failed shard."""
 
     number: int
-    """That of the shard."""
+    """Number of the shard."""
     reason: Reason
-    """Why."""
+    """Kind of failure."""
     message: str
-    """One line for people: what went wrong."""
+    """Cause, in one line for people."""
     traceback: str
-    """Where, as Python or the operating system tells it."""
+    """Traceback of Python, or the end of the worker's log."""
     tries: int
-    """How often it was tried."""
+    """Number of attempts."""
 
 
 Work = Callable[[Shard, Heartbeat], Done]
-"""What makes a shard's result file; can be pickled."""
+"""Function that makes a shard's result file; can be pickled."""

@@ -1,4 +1,4 @@
-"""What is told of all grasps of a batch: counts, distributions and the worst cases, in memory that does not grow."""
+"""Statistics of all grasps of a batch: counts, distributions and the worst cases, in bounded memory."""
 
 from __future__ import annotations
 
@@ -19,36 +19,36 @@ from grasp_refine_apps.batch.worst import Case, Worst
 UNUSABLE = tuple(status.label for status in NEVER_REFINED)
 """Statuses of grasps that were not refined at all."""
 
-PAIRS = 5000
-"""Most pairs of hand and object that are counted each on its own; of more, those with the fewest failures are not."""
-SHOWN = 200
-"""Most pairs that are told of."""
+MAX_PAIRS = 5000
+"""Maximum number of pairs of hand and object counted separately; of more, those with the fewest failures are not."""
+MAX_LISTED_PAIRS = 200
+"""Maximum number of pairs listed."""
 
-LENGTH = Bins(1e-7, 1.0, 140)
+LENGTH_BINS = Bins(1e-7, 1.0, 140)
 MEASURES: Mapping[str, Bins] = {
     "quality_before": Bins(0.0, 1.0, 100, LINEAR),
     "quality_after": Bins(0.0, 1.0, 100, LINEAR),
     "wrench_residual_before": Bins(1e-5, 10.0, 120),
     "wrench_residual_after": Bins(1e-5, 10.0, 120),
-    "contact_error_before_m": LENGTH,
-    "contact_error_after_m": LENGTH,
-    "penetration_before_m": LENGTH,
-    "penetration_after_m": LENGTH,
-    "self_penetration_before_m": LENGTH,
-    "self_penetration_after_m": LENGTH,
-    "moved_palm_m": LENGTH,
+    "contact_error_before_m": LENGTH_BINS,
+    "contact_error_after_m": LENGTH_BINS,
+    "penetration_before_m": LENGTH_BINS,
+    "penetration_after_m": LENGTH_BINS,
+    "self_penetration_before_m": LENGTH_BINS,
+    "self_penetration_after_m": LENGTH_BINS,
+    "moved_palm_m": LENGTH_BINS,
     "moved_palm_rad": Bins(1e-5, 10.0, 120),
     "moved_joints_rad": Bins(1e-5, 10.0, 120),
     "iterations": Bins(1.0, 1e5, 100),
     "cpu_s": Bins(1e-4, 1e4, 160),
 }
-"""Column -> bins in which its values are counted; twenty to a power of ten, so that quantiles are known to 6 %."""
+"""Column -> bins of its values; twenty per power of ten, so that quantiles are known to 6 %."""
 
-SUMS = (
+SUMMED_FIELDS = (
     *("count", "usable", "converged", "good_before", "good_after"),
     *("simulated", "held_before", "held_after", "gained", "lost", "agreement_before", "agreement_after"),
 )
-"""Fields of a tally that are added up as they are."""
+"""Fields of a tally that `merge` adds."""
 
 
 @dataclass(eq=False)
@@ -56,42 +56,42 @@ class Tally:
     """Counts of some grasps."""
 
     count: int = 0
-    """How many there are."""
+    """Number of grasps."""
     usable: int = 0
-    """How many were refined at all."""
+    """Number of grasps refined at all."""
     converged: int = 0
-    """How many converged."""
+    """Number of grasps that converged."""
     good_before: int = 0
-    """How many had a quality of `HOLDS` or more before."""
+    """Number of grasps with a quality of `HOLDS` or more before."""
     good_after: int = 0
-    """How many have it now."""
+    """Number of grasps with such a quality after."""
     simulated: int = 0
-    """How many were simulated."""
+    """Number of grasps simulated."""
     held_before: int = 0
-    """How many of these held before."""
+    """Number of simulated grasps that held before."""
     held_after: int = 0
-    """How many of these hold now."""
+    """Number of simulated grasps that hold after."""
     gained: int = 0
-    """How many hold now that did not before."""
+    """Number of grasps that hold after, and did not before."""
     lost: int = 0
-    """How many held before and do not now."""
+    """Number of grasps that held before, and do not after."""
     agreement_before: Agreement = Agreement()
-    """Quality and simulation of those that were simulated, before."""
+    """Agreement of quality and simulation of the simulated grasps, before."""
     agreement_after: Agreement = Agreement()
-    """The same, now."""
+    """Agreement of quality and simulation of the simulated grasps, after."""
     quality: tuple[float, float] = (0.0, 0.0)
-    """Sums of the quality before and after, of those that have one."""
+    """Sums of the qualities before and after, without NaN."""
     rated: tuple[int, int] = (0, 0)
-    """How many have one."""
+    """Numbers of grasps with a quality, before and after."""
     deepest: float = 0.0
-    """The deepest penetration after, metres."""
+    """Deepest penetration after, metres."""
 
     def add(self, rows: Rows) -> None:
         """Count grasps."""
         before, after = (rows[f"quality_{when}"] for when in ("before", "after"))
         known = np.isfinite(rows["held_after"])
         held_before, held_after = (rows[f"held_{when}"][known] > 0 for when in ("before", "after"))
-        self.more(
+        self.merge(
             Tally(
                 count=len(rows),
                 usable=int((~np.isin(rows["status"], UNUSABLE)).sum()),
@@ -111,9 +111,9 @@ class Tally:
             )
         )
 
-    def more(self, other: Tally) -> None:
-        """Count those of another tally, too."""
-        for name in SUMS:
+    def merge(self, other: Tally) -> None:
+        """Add the counts of another tally."""
+        for name in SUMMED_FIELDS:
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.quality = self.quality[0] + other.quality[0], self.quality[1] + other.quality[1]
         self.rated = self.rated[0] + other.rated[0], self.rated[1] + other.rated[1]
@@ -121,37 +121,37 @@ class Tally:
 
     @property
     def mean_quality(self) -> tuple[float, float]:
-        """Mean quality before and after; NaN where none has one."""
+        """Mean quality before and after; NaN where no grasp has one."""
         before, after = (q / n if n else float("nan") for q, n in zip(self.quality, self.rated, strict=True))
         return before, after
 
     @property
     def failures(self) -> int:
-        """How many do not hold: in simulation, where they were simulated, else by their quality."""
+        """Number of grasps that do not hold: in simulation, where they were simulated, else by their quality."""
         return self.simulated - self.held_after if self.simulated else self.count - self.good_after
 
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Grows by `add`; the same rows in the same order give the same numbers to the last bit."""
+    """Statistics that grow by `add`; the same rows in the same order give the same numbers to the last bit."""
 
     all: Tally
-    """Of all grasps."""
+    """Tally of all grasps."""
     statuses: Counter[str]
-    """How refinements ended."""
+    """Counts of the statuses of refinement."""
     reasons: Counter[str]
-    """Why refined grasps did not hold in simulation."""
+    """Counts of the reasons why refined grasps did not hold in simulation."""
     distributions: Mapping[str, Histogram]
-    """Column -> distribution of its values, of the grasps that were refined."""
+    """Column -> distribution of its values over the refined grasps."""
     pairs: dict[tuple[str, str], Tally]
-    """Hand and object -> their grasps."""
+    """Hand and object -> tally of their grasps."""
     rest: Tally
-    """Grasps of pairs which are too many to count each on its own."""
+    """Tally of the grasps of all other pairs, which are too many to count separately."""
     _worst: Worst = field(default_factory=Worst)
 
     @staticmethod
     def empty() -> Statistics:
-        """Of no grasps."""
+        """Return the statistics of no grasps."""
         distributions = {name: Histogram(bins) for name, bins in MEASURES.items()}
         return Statistics(Tally(), Counter(), Counter(), distributions, {}, Tally())
 
@@ -170,35 +170,35 @@ class Statistics:
             its = (rows["hand"] == pair[0]) & (rows["object"] == pair[1])
             part = rows if its.all() else Rows({name: values[its] for name, values in rows.columns.items()})
             self.pairs.setdefault(pair, Tally()).add(part)
-        if len(self.pairs) > PAIRS:
-            self._pool()
+        if len(self.pairs) > MAX_PAIRS:
+            self._merge_rest()
         self._worst.add(rows, usable)
 
-    def _pool(self) -> None:
-        """Forget half of the pairs, those that say least; a pair that comes again begins anew."""
-        for pair, _ in _by_failures(self.pairs)[PAIRS // 2 :]:
-            self.rest.more(self.pairs.pop(pair))
+    def _merge_rest(self) -> None:
+        """Merge the half of the pairs with the fewest failures into `rest`; a pair that occurs again begins anew."""
+        for pair, _ in _by_failures(self.pairs)[MAX_PAIRS // 2 :]:
+            self.rest.merge(self.pairs.pop(pair))
 
-    def by_pair(self, most: int = SHOWN) -> tuple[list[tuple[tuple[str, str], Tally]], Tally]:
-        """Hands and objects with their grasps, those with the most failures first, and a tally of those left out."""
+    def by_pair(self, most: int = MAX_LISTED_PAIRS) -> tuple[list[tuple[tuple[str, str], Tally]], Tally]:
+        """Tallies by hand and object, those with the most failures first, and a tally of those left out."""
         ranked = _by_failures(self.pairs)
         rest = Tally()
-        rest.more(self.rest)
+        rest.merge(self.rest)
         for _, tally in ranked[most:]:
-            rest.more(tally)
+            rest.merge(tally)
         return ranked[:most], rest
 
     def worst(self) -> tuple[Case, ...]:
-        """The worst of the grasps that were refined; see `Worst`."""
+        """Worst of the refined grasps; see `Worst`."""
         return self._worst.cases()
 
     @property
     def held(self) -> tuple[int, int] | None:
-        """How many held in simulation before and after; None: none was simulated."""
+        """Numbers of grasps that held in simulation before and after; None: none was simulated."""
         return (self.all.held_before, self.all.held_after) if self.all.simulated else None
 
     def totals(self) -> dict[str, Any]:
-        """The counts of the JSON summary."""
+        """Counts of the JSON summary."""
         before, after = self.held or (None, None)
         return {
             "n": self.all.count,

@@ -1,4 +1,4 @@
-"""What a person reads when a batch ends: a line for each hand and object, totals, and what failed."""
+"""Terminal summary of a batch: a line for each hand and object, totals, and failures."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from grasp_refine_apps.batch import words
 from grasp_refine_apps.batch.failed import failed_text, left_over
 from grasp_refine_apps.batch.statistics import UNUSABLE, Statistics, Tally
 
-ROWS, FAILURES = 20, 20
-"""Most hands and objects, and most failed shards, that are listed."""
+MAX_PAIRS, MAX_FAILURES = 20, 20
+"""Maximum numbers of listed pairs of hand and object, and of failed shards."""
 
 
 def batch_table(document: Mapping[str, Any], statistics: Statistics) -> RenderableType:
-    """Tables and lines for a terminal of 80 columns or more.
+    """Format the summary for a terminal of 80 columns or more.
 
     Args:
-        document: What the batch writes as JSON.
-        statistics: Of all grasps of complete shards.
+        document: JSON document of the batch.
+        statistics: Statistics of all grasps of complete shards.
     """
     parts: list[RenderableType] = []
     if statistics.all.count:
@@ -39,12 +39,12 @@ def batch_table(document: Mapping[str, Any], statistics: Statistics) -> Renderab
 
 def _table(statistics: Statistics) -> Table:
     simulated = statistics.held is not None
-    pairs, rest = statistics.by_pair(ROWS)
+    pairs, rest = statistics.by_pair(MAX_PAIRS)
     hands = len({hand for hand, _ in statistics.pairs})
     table = plain_table(
         f"{words.grasps(statistics.all.count)}, most failures first" if len(pairs) > 1 else "", between=0
     )
-    # Where there is no room, names go on in a second line, numbers never.
+    # Where space is short, names wrap into a second line, numbers never.
     table.add_column("\nobject" if hands == 1 else "\nhand, object", overflow="fold")
     middle = "held\n%" if simulated else "con-\nverged"
     for head in ("\ngrasps", middle, f"quality ≥\n{HOLDS:.3f}, %", "quality\nmean", "deepest\nmm"):
@@ -53,7 +53,7 @@ def _table(statistics: Statistics) -> Table:
         table.add_row(escape(name if hands == 1 else f"{hand}, {name}"), *_cells(tally, simulated))
     others = len(statistics.pairs) - len(pairs)
     if rest.count:
-        # Those that are counted together only are too many to be told.
+        # The number of pairs that are only counted together is not known.
         table.add_row(f"{'many' if statistics.rest.count else others} others", *_cells(rest, simulated), style="dim")
     if len(pairs) > 1:
         table.add_section()
@@ -73,7 +73,7 @@ def _cells(tally: Tally, simulated: bool) -> list[RenderableType]:
 
 
 def _change(before: int, after: int, of: int) -> Text:
-    """Percentages, in green where nearly all hold, and in red where fewer do than before."""
+    """Percentages before and after, green if nearly all hold, red if fewer do than before."""
     if not of:
         return Text("-")
     shown = [words.share(part, of).removesuffix(" %") for part in (before, after)]
@@ -82,7 +82,7 @@ def _change(before: int, after: int, of: int) -> Text:
 
 
 def verdict_lines(document: Mapping[str, Any], statistics: Statistics) -> list[Text]:
-    """How many grasps held in simulation before and after, or what their quality lets expect."""
+    """Lines with the numbers of grasps that held in simulation before and after, or with an estimate by quality."""
     its = statistics.all
     if not its.simulated:
         return [estimate_line(its.good_after, its.good_before, its.count)]
@@ -99,13 +99,13 @@ def verdict_lines(document: Mapping[str, Any], statistics: Statistics) -> list[T
 
 
 def _unusable(statistics: Statistics) -> Iterator[Text]:
-    """How many grasps were not refined, and why."""
+    """Line with the number of grasps that were not refined, and their statuses."""
     its = statistics.all
     if its.usable < its.count:
         unusable = ((name, statistics.statuses[name]) for name in sorted(statistics.statuses) if name in UNUSABLE)
-        said = ", ".join(f"{whole(count)} {name}" for name, count in unusable)
+        counts = ", ".join(f"{whole(count)} {name}" for name, count in unusable)
         left = its.count - its.usable
-        yield Text.assemble((f"{whole(left)} {'was' if left == 1 else 'were'} not refined", "yellow"), f": {said}")
+        yield Text.assemble((f"{whole(left)} {'was' if left == 1 else 'were'} not refined", "yellow"), f": {counts}")
 
 
 def _failures(failed: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
@@ -113,24 +113,24 @@ def _failures(failed: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
         return
     yield ""
     yield Text(f"{failed_text(failed)} failed:", "red")
-    for one in failed[:FAILURES]:
+    for one in failed[:MAX_FAILURES]:
         tries = f", {one['tries']} times" if one.get("tries", 1) > 1 else ""
         yield Text.assemble("  ", (str(one["name"]), "bold"), f": {one['reason']}{tries}: {one['message']}")
-    if len(failed) > FAILURES:
-        yield Text(f"  and {whole(len(failed) - FAILURES)} more, in the JSON summary and the report")
+    if len(failed) > MAX_FAILURES:
+        yield Text(f"  and {whole(len(failed) - MAX_FAILURES)} more, in the JSON summary and the report")
 
 
 def _account(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
-    """What it took, and what is left."""
+    """Lines with the cost, and with the shards left."""
     left = left_over(totals, failed)
     if left:
         yield Text(f"{whole(left)} of {count_text(totals['shards'], 'shard')} to be done yet", "yellow")
-    said = []
+    costs = []
     if totals.get("grasps_per_s"):
-        said.append(words.rate(totals["grasps_per_s"]))
+        costs.append(words.rate(totals["grasps_per_s"]))
     if totals.get("cpu_s_per_grasp") is not None:
-        said.append(f"{words.duration(totals['cpu_s_per_grasp'])} of CPU time each")
+        costs.append(f"{words.duration(totals['cpu_s_per_grasp'])} of CPU time each")
     if totals.get("peak_bytes"):
-        said.append(f"at most {words.mebibytes(totals['peak_bytes'])} a process")
-    if said:
-        yield Text(", ".join(said))
+        costs.append(f"at most {words.mebibytes(totals['peak_bytes'])} a process")
+    if costs:
+        yield Text(", ".join(costs))

@@ -1,6 +1,6 @@
-"""Small pictures of a hand at an object in several poses, all from one side: that which shows most of its fingertips.
+"""Small pictures of a hand at an object in several poses, all from the side that shows most of its fingertips.
 
-Convex pieces are drawn with fewer corners than they have, which at this size is not to be seen and bounds the time.
+Convex pieces are drawn with fewer corners than they have, which is invisible at this size and bounds the time.
 """
 
 from __future__ import annotations
@@ -28,77 +28,77 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
 WIDTH, HEIGHT = 300, 260
-"""Pixels of a picture."""
+"""Width and height of a picture, pixels."""
 OVERSAMPLING = 1.5
-"""Everything is drawn this many times larger and averaged, for smooth edges."""
-COLORS = 128
-"""Colours of a picture, which halve the size of its file."""
+"""Factor by which a picture is drawn larger, then averaged for smooth edges."""
+NUM_COLORS = 128
+"""Number of colours of a picture; the palette halves the size of its file."""
 SHADOW_SIZE = 300
-"""Pixels along each side of the shadow map."""
-EXTENT = 0.2
-"""Metres that a picture is high after scaling; the rasterizer's outlines and shadows are made for this size."""
-OPACITY = 0.72
-"""The object lets through a little of the fingers behind it and inside it."""
-CREASE = 35.0
-"""Edges sharper than this (degrees) are shown as edges."""
-MOST_FACES = 4000
-"""Most triangles of an object that is drawn by its mesh; of a finer one, the convex pieces are drawn."""
-GRID = 0.012
-"""Corners of a convex piece nearer to each other than this share of the whole size are drawn as one."""
-SEEN = 2.3
-"""What is farther from the middle of the fingertips than so many times the farthest of them need not be seen."""
-MARGIN = 1.08
-"""How much larger than what is to be seen the picture is."""
-NEAR = 0.08
-"""In the look for a side, a point hides what lies farther behind it than this share of the farthest fingertip's way."""
-LIGHT = (0.5, 0.35)
-"""The light comes from the camera, moved this far (in units of the way to it) to the right and up."""
-TILTS, TURNS = (0.35, -0.1, 0.8), 12
-"""Sides that are tried: angles above the object's horizon (radians), and how many around it."""
+"""Side of the shadow map, pixels."""
+EXTENT_M = 0.2
+"""Height of a picture after scaling, metres; the rasterizer's outlines and shadows are made for this size."""
+OBJECT_OPACITY = 0.72
+"""Opacity of the object; a little of the fingers behind and inside it shows through."""
+CREASE_DEG = 35.0
+"""Angle above which edges are shaded as sharp, degrees."""
+MAX_FACES = 4000
+"""Maximum number of triangles of an object drawn by its mesh; of a finer one, the convex pieces are drawn."""
+MERGE_SHARE = 0.012
+"""Share of the whole size within which corners of a convex piece are merged."""
+VISIBLE_RADIUS = 2.3
+"""Radius of the visible region about the middle of the fingertips, in distances of the farthest fingertip."""
+MARGIN_FACTOR = 1.08
+"""Size of the picture relative to the visible region."""
+HIDING_DEPTH = 0.08
+"""Depth behind a point from which others are hidden in the choice of a side, in distances of the farthest fingertip."""
+LIGHT_OFFSET = (0.5, 0.35)
+"""Offsets of the light from the camera to the right and up, in units of the camera's distance."""
+TILTS_RAD, NUM_TURNS = (0.35, -0.1, 0.8), 12
+"""Candidate sides: angles above the object's horizon, radians, and number of directions around it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Where a hand is."""
+    """Pose and joint values of a hand."""
 
     T_world_root: Float[np.ndarray, "4 4"]
-    """Pose of its base link."""
+    """Pose (4, 4) of the base link, world frame."""
     q: Float[np.ndarray, " n"]
-    """Joint values."""
+    """Joint values (n,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """What is drawn of a hand, link by link, in link frames."""
+    """Drawable surfaces of a hand, link by link, in link frames."""
 
     kinematics: Kinematics
-    """Poses of the links that have geometry."""
+    """Forward kinematics of the links that have geometry."""
     models: tuple[Model, ...]
-    """Their surfaces."""
+    """Surfaces of the links."""
     points: tuple[Float[np.ndarray, "N 3"], ...]
-    """Points on them, metres."""
+    """Surface points (N, 3) of each link, metres."""
     touching: tuple[bool, ...]
-    """Which of them are meant to touch."""
+    """True for contact links."""
 
     def posed(self, pose: Pose) -> Float[np.ndarray, "L 4 4"]:
-        """Poses of the links."""
+        """Return the poses (L, 4, 4) of the links in the world frame."""
         T, q = torch.as_tensor(pose.T_world_root)[None], torch.as_tensor(pose.q)[None]
         return self.kinematics(T, q)[0].numpy()
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """From where, and what is seen, before it is scaled to the size that the rasterizer is made for."""
+    """View of a scene: centre, scale to the size that the rasterizer is made for, and camera."""
 
     middle: Float[np.ndarray, " 3"]
-    """What lies in the middle of the picture, metres."""
+    """Point (3,) in the middle of the picture, world frame, metres."""
     scale: float
-    """By what lengths are multiplied."""
+    """Factor of all lengths."""
     camera: Camera
-    """Of the scaled scene, about its origin."""
+    """Camera of the scaled scene, which is centred at the origin."""
 
     def of(self, model: Model, T: Float[np.ndarray, "4 4"]) -> Model:
-        """A surface as the camera meets it, without the faces that it sees from behind."""
+        """Transform a surface to the scaled scene, without faces that the camera sees from behind."""
         vertices = self.scale * (transform_points(T, model.vertices) - self.middle)
         a, b, c = vertices[model.faces].transpose(1, 0, 2)
         seen = np.cross(b - a, c - a) @ self.camera.axes[2] < 0
@@ -106,13 +106,13 @@ class View:
 
 
 def skeleton(hand: Hand) -> Skeleton:
-    """What is drawn of a hand."""
+    """Return the drawable surfaces of a hand."""
     links = [link for link in hand.links if link.body is not None]
     kinematics = Kinematics(hand, [link.name for link in links])
     points = tuple(link.solid.candidates.points for link in links)
     resting = kinematics(torch.eye(4, dtype=torch.float64)[None], torch.as_tensor(hand.rest)[None])[0].numpy()
     posed = np.concatenate([transform_points(T, its) for T, its in zip(resting, points, strict=True)])
-    grid = GRID * np.ptp(posed, axis=0).max()
+    grid = MERGE_SHARE * np.ptp(posed, axis=0).max()
     touching = tuple(link.name in {contact.link for contact in hand.contacts} for link in links)
     models = (
         _pieces(link.solid, CONTACT_COLOR if touches else LINK_COLOR, grid)
@@ -122,7 +122,7 @@ def skeleton(hand: Hand) -> Skeleton:
 
 
 def thumbnail(skeleton: Skeleton, obj: Object, poses: Sequence[Pose]) -> list[bytes]:
-    """A PNG of the hand at the object in each pose; the last one decides from which side.
+    """Draw a PNG of the hand at the object in each pose; the last pose decides the side.
 
     Raises:
         ValueError: a pose is not finite.
@@ -139,23 +139,23 @@ def thumbnail(skeleton: Skeleton, obj: Object, poses: Sequence[Pose]) -> list[by
 
 
 def _surface(obj: Object) -> Model:
-    """What is drawn of an object."""
-    if len(obj.mesh.faces) <= MOST_FACES:
-        return Model.of(obj.mesh, OBJECT_COLOR, crease=CREASE)
-    return _pieces(obj.body, OBJECT_COLOR, GRID * obj.body.diagonal)
+    """Drawable surface of an object."""
+    if len(obj.mesh.faces) <= MAX_FACES:
+        return Model.of(obj.mesh, OBJECT_COLOR, crease=CREASE_DEG)
+    return _pieces(obj.body, OBJECT_COLOR, MERGE_SHARE * obj.body.diagonal)
 
 
 def _pieces(body: Body, color: tuple[float, float, float], grid: float) -> Model:
-    """The convex pieces of a body, with one corner where there are several within `grid` metres."""
+    """Convex pieces of a body, with corners merged within `grid` metres."""
     import trimesh
 
-    whole = trimesh.util.concatenate([_simpler(piece, grid).mesh() for piece in body.pieces])
+    whole = trimesh.util.concatenate([_simplified(piece, grid).mesh() for piece in body.pieces])
     assert isinstance(whole, trimesh.Trimesh)
-    return Model.of(whole, color, crease=CREASE)
+    return Model.of(whole, color, crease=CREASE_DEG)
 
 
-def _simpler(piece: Piece, grid: float) -> Piece:
-    """A convex piece with fewer corners."""
+def _simplified(piece: Piece, grid: float) -> Piece:
+    """Reduce the corners of a convex piece."""
     corners = np.asarray(piece.mesh().vertices)
     _, first = np.unique(np.round((corners - corners.mean(0)) / grid), axis=0, return_index=True)
     try:
@@ -166,7 +166,7 @@ def _simpler(piece: Piece, grid: float) -> Piece:
 
 
 def _view(skeleton: Skeleton, obj: Object, links: Sequence[np.ndarray]) -> View:
-    """From where the hand is seen best: most of the points of links that should touch, in the last pose."""
+    """View that shows most of the points of contact links, in the last pose."""
     posed = [[transform_points(T, p) for T, p in zip(its, skeleton.points, strict=True)] for its in links]
     hand = np.concatenate([points for its in posed for points in its])
     of_object = obj.body.candidates.points
@@ -175,28 +175,30 @@ def _view(skeleton: Skeleton, obj: Object, links: Sequence[np.ndarray]) -> View:
     middle = (tips.min(0) + tips.max(0)) / 2
     size = np.linalg.norm(tips - middle, axis=1).max()
     interest = np.concatenate([hand, of_object])
-    interest = interest[np.linalg.norm(interest - middle, axis=1) < SEEN * size]
+    interest = interest[np.linalg.norm(interest - middle, axis=1) < VISIBLE_RADIUS * size]
     points = np.concatenate([*posed[-1], of_object])
     wanted = np.concatenate([np.full(len(p), t) for p, t in zip(posed[-1], skeleton.touching, strict=True)])
     wanted = np.concatenate([wanted, np.zeros(len(of_object), dtype=bool)])
-    tilt, turn = (grid.ravel() for grid in np.meshgrid(TILTS, 2 * np.pi * np.arange(TURNS) / TURNS, indexing="ij"))
+    tilt, turn = (
+        grid.ravel() for grid in np.meshgrid(TILTS_RAD, 2 * np.pi * np.arange(NUM_TURNS) / NUM_TURNS, indexing="ij")
+    )
     directions = np.stack([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.sin(tilt)], axis=1)
-    seen = [_seen(points, wanted, direction, NEAR * size) for direction in directions]
+    seen = [_visible_share(points, wanted, direction, HIDING_DEPTH * size) for direction in directions]
     # Rounding keeps the choice the same where sides are alike.
     direction = directions[np.round(seen - 0.05 * np.arange(len(seen)) / len(seen), 3).argmax()]
     flat = Camera(direction, np.zeros(3), WIDTH, HEIGHT, 1.0, perspective=False)
     at = interest @ flat.axes.T
     low, high = at.min(0), at.max(0)
     middle = (low + high) / 2 @ flat.axes
-    height = MARGIN * max(high[1] - low[1], (high[0] - low[0]) * HEIGHT / WIDTH)
-    scale = EXTENT / height
+    height = MARGIN_FACTOR * max(high[1] - low[1], (high[0] - low[0]) * HEIGHT / WIDTH)
+    scale = EXTENT_M / height
     far = scale * max(np.linalg.norm(hand - middle, axis=1).max(), np.linalg.norm(of_object - middle, axis=1).max())
     pixels = int(OVERSAMPLING * WIDTH), int(OVERSAMPLING * HEIGHT)
-    return View(middle, scale, Camera(2.0 * far * direction, np.zeros(3), *pixels, EXTENT, perspective=False))
+    return View(middle, scale, Camera(2.0 * far * direction, np.zeros(3), *pixels, EXTENT_M, perspective=False))
 
 
-def _seen(points: np.ndarray, wanted: np.ndarray, direction: np.ndarray, near: float) -> float:
-    """Share of the `wanted` points (N,) that no other point (N, 3) hides from this direction (3,)."""
+def _visible_share(points: np.ndarray, wanted: np.ndarray, direction: np.ndarray, near: float) -> float:
+    """Share of the masked points (N,) that no other point (N, 3) hides from this direction (3,)."""
     if not wanted.any():
         return 0.0
     axes = Camera(direction, np.zeros(3), 1, 1, 1.0, perspective=False).axes
@@ -210,24 +212,24 @@ def _seen(points: np.ndarray, wanted: np.ndarray, direction: np.ndarray, near: f
 
 
 def _photo(hand: list[Model], obj: Model, camera: Camera) -> Float[np.ndarray, "H W 3"]:
-    """Hand and slightly transparent object before the background; red, green, blue in [0, 1]."""
+    """Render the hand and the slightly transparent object on the background; red, green, blue in [0, 1]."""
     right, down, forward = camera.axes
-    light = LIGHT[0] * right - LIGHT[1] * down - forward
-    image = OPACITY * render([*hand, obj], camera, light, SHADOW_SIZE)
-    image += (1.0 - OPACITY) * render(hand, camera, light, SHADOW_SIZE)
-    # Where there is nothing the picture is black, so that the background can be added.
+    light = LIGHT_OFFSET[0] * right - LIGHT_OFFSET[1] * down - forward
+    image = OBJECT_OPACITY * render([*hand, obj], camera, light, SHADOW_SIZE)
+    image += (1.0 - OBJECT_OPACITY) * render(hand, camera, light, SHADOW_SIZE)
+    # Empty pixels are black, so that the background can be added.
     return image[..., :3] + np.array(BACKGROUND) * (1.0 - image[..., 3:])
 
 
 def _png(photo: np.ndarray, scale: float) -> bytes:
-    """A picture as a file, with a bar that tells its scale."""
+    """Encode a picture as PNG, with a scale bar."""
     from PIL import Image, ImageDraw
 
     image = Image.fromarray((255 * photo).round().astype(np.uint8))
-    _bar(ImageDraw.Draw(image), scale * HEIGHT / EXTENT)
+    _bar(ImageDraw.Draw(image), scale * HEIGHT / EXTENT_M)
     small = image.resize((WIDTH, HEIGHT), Image.Resampling.HAMMING)
     out = io.BytesIO()
-    small.quantize(COLORS, dither=Image.Dither.NONE).save(out, format="PNG", optimize=True)
+    small.quantize(NUM_COLORS, dither=Image.Dither.NONE).save(out, format="PNG", optimize=True)
     return out.getvalue()
 
 

@@ -7,16 +7,16 @@ from math import isfinite
 from grasp_refine.core.plurals import count_text, whole
 
 NONE = "–"
-"""Stands for what there is none of."""
+"""Text for a missing value."""
 
 
 def grasps(number: int) -> str:
-    """So many grasps."""
+    """Number of grasps as text."""
     return count_text(number, "grasp")
 
 
 def share(part: int, of: int) -> str:
-    """So many of so many in percent; of nothing, none."""
+    """Share in percent; `NONE` of an empty set."""
     if not of:
         return NONE
     percent = 100.0 * part / of
@@ -27,24 +27,24 @@ def share(part: int, of: int) -> str:
 
 
 def millimetres(metres: float) -> str:
-    """A length in mm with three digits; below a tenth of a micrometre, digits mean nothing."""
+    """Length in mm with three digits; digits below a tenth of a micrometre are meaningless."""
     if not isfinite(metres):
         return NONE
     return "0" if metres == 0 else "< 0.0001" if metres < 0.95e-7 else _short(1e3 * metres)
 
 
 def degrees(radians: float) -> str:
-    """An angle in degrees with three digits."""
+    """Angle in degrees with three digits."""
     return _three(57.29577951308232 * radians)
 
 
 def plain(value: float) -> str:
-    """A number with three digits."""
+    """Number with three digits."""
     return _three(value)
 
 
-def micro(metres: float) -> str:
-    """A power of ten of lengths, as axes say it."""
+def axis_length(metres: float) -> str:
+    """Length that is a power of ten, as a label of an axis."""
     for unit, size in (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6)):
         if metres > 0.99 * size * (0.1 if unit == "mm" else 1.0):
             return f"{metres / size:.3g} {unit}"
@@ -65,7 +65,7 @@ def _three(value: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time in its two largest units, or in milliseconds where it is short."""
+    """Time in its two largest units, or in milliseconds where it is short."""
     if not isfinite(seconds):
         return NONE
     if seconds < 0.9995:
@@ -80,7 +80,7 @@ def duration(seconds: float) -> str:
 
 
 def rate(per_second: float) -> str:
-    """Grasps per second, minute or hour, whichever is not tiny."""
+    """Grasps per second, minute or hour, by the smallest unit that gives about 1 or more."""
     for factor, unit in ((1, "s"), (60, "min"), (3600, "h")):
         if per_second * factor >= 0.995 or unit == "h":
             return f"{_three(per_second * factor)} grasps/{unit}"
@@ -88,5 +88,5 @@ def rate(per_second: float) -> str:
 
 
 def mebibytes(count: int) -> str:
-    """Memory."""
+    """Memory in MiB."""
     return f"{whole(round(count / 2**20))} MiB"

@@ -1,4 +1,4 @@
-"""The worst grasps of a batch, to be looked at: those that are least likely to hold, of several hands and objects."""
+"""Worst grasps of a batch for inspection: those least likely to hold, of several hands and objects."""
 
 from __future__ import annotations
 
@@ -12,84 +12,84 @@ import numpy as np
 
 from grasp_refine_apps.batch.rows import Rows
 
-CASES = 12
-"""So many are shown,"""
-ALIKE = 3
-"""and no more than so many of one hand and object, as long as there are others."""
-KEPT = 240
-"""So many are remembered, of which these are chosen."""
+NUM_CASES = 12
+"""Number of cases shown."""
+MAX_CASES_PER_PAIR = 3
+"""Maximum number of cases of one hand and object, as long as there are others."""
+MAX_KEPT = 240
+"""Number of cases kept, from which those shown are chosen."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A refined grasp, and where it is to be found."""
+    """A refined grasp, and its place in the results."""
 
     shard: int
-    """Number of its shard."""
+    """Number of the shard."""
     file: Path
-    """Its result file, relative to the folder of results."""
+    """Result file, relative to the folder of results."""
     row: int
-    """Its row there."""
+    """Row in the result file."""
     hand: str
     """Name of the hand."""
     object: str
     """Name of the object."""
     scale: float
-    """What takes the object's mesh to metres."""
+    """Factor from the object's mesh to metres."""
     source: str
-    """The grasp file that it comes from; empty where the result does not say it."""
+    """Grasp file of the input grasp; empty if the result does not name it."""
     source_row: int | None
-    """Its row there."""
+    """Row in the grasp file; None: not known."""
     status: str
-    """How its refinement ended."""
+    """Status of the refinement."""
     quality: tuple[float, float]
-    """Before and after; NaN: none, because nothing touches."""
+    """Quality before and after; NaN: no contact."""
     penetration_m: tuple[float, float]
-    """Before and after, metres."""
+    """Penetration before and after, metres."""
     contact_error_m: tuple[float, float]
-    """Before and after, metres; NaN where nothing touches."""
+    """Contact error before and after, metres; NaN: no contact."""
     held: bool | None
     """Whether it held in simulation; None: not simulated."""
     reason: str
-    """Why not."""
+    """Reason why it did not hold in simulation; empty if it held or was not simulated."""
     look: tuple[str, ...]
-    """What `refine-grasp view` needs to be told beside file and row to show it."""
+    """Options of `refine-grasp view`, beside file and row, to show it."""
 
     @property
     def badness(self) -> tuple[bool, float, float, int, int]:
-        """By what cases are ranked, the worst being greatest; no two are alike."""
-        # A grasp that does not hold although it should is worth a look before one of which this was said.
+        """Sort key, greatest for the worst case and unique for each case."""
+        # A grasp without contact has no quality, and ranks as the worst.
         quality = -1.0 if isnan(self.quality[1]) else self.quality[1]
         return (self.held is not True, -quality, self.penetration_m[1], -self.shard, -self.row)
 
 
 @dataclass(eq=False)
 class Worst:
-    """Grows by `add`, up to `KEPT` cases."""
+    """Collection of the worst cases that grows by `add`, up to `MAX_KEPT` cases."""
 
     _heap: list[tuple[tuple[bool, float, float, int, int], Case]] = field(default_factory=list)
 
     def add(self, rows: Rows, usable: np.ndarray) -> None:
-        """Look through the grasps of a result file of which some (N,) were refined."""
+        """Add the grasps of a result file; `usable` (N,) is True for refined ones."""
         quality = np.nan_to_num(rows["quality_after"], nan=-1.0)
         penetration = np.nan_to_num(rows["penetration_after_m"])
         held = rows["held_after"] == 1.0
         order = np.lexsort((rows["row_in_file"], -penetration, quality, held))
-        for i in order[usable[order]][:KEPT].tolist():
+        for i in order[usable[order]][:MAX_KEPT].tolist():
             case = _case(rows, i)
-            if len(self._heap) < KEPT:
+            if len(self._heap) < MAX_KEPT:
                 heapq.heappush(self._heap, (case.badness, case))
             elif case.badness > self._heap[0][0]:
                 heapq.heapreplace(self._heap, (case.badness, case))
             else:
-                # The others are better still.
+                # All further ones are even better.
                 break
 
     def cases(self) -> tuple[Case, ...]:
-        """At most `CASES`, the worst first.
+        """Return at most `NUM_CASES`, the worst first.
 
-        What did not hold in simulation, or was not simulated, comes before what held; then low quality comes before
-        high, and deep penetration before shallow.
+        Grasps that did not hold in simulation, or were not simulated, come before those that held; then low quality
+        before high, and deep penetration before shallow.
         """
         ranked = [case for _, case in sorted(self._heap, reverse=True)]
         seen: Counter[tuple[str, str]] = Counter()
@@ -97,8 +97,8 @@ class Worst:
         others: list[Case] = []
         for case in ranked:
             seen[case.hand, case.object] += 1
-            (first if seen[case.hand, case.object] <= ALIKE else others).append(case)
-        chosen = (first + others)[:CASES]
+            (first if seen[case.hand, case.object] <= MAX_CASES_PER_PAIR else others).append(case)
+        chosen = (first + others)[:NUM_CASES]
         return tuple(sorted(chosen, key=lambda case: case.badness, reverse=True))
 
 

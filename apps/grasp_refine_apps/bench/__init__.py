@@ -1,1 +1,1 @@
-"""Benchmarks: what the parts cost, measured against named peers in the same run."""
+"""Benchmarks: costs of the parts, measured against named peers in the same run."""

@@ -7,7 +7,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 
 def progress_bar(console: Console) -> Progress:
-    """A bar that disappears at the end, and shows where there is a terminal only."""
+    """Make a bar that disappears at the end, and is shown only in a terminal."""
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(bar_width=None),

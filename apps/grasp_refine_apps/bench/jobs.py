@@ -1,4 +1,4 @@
-"""Runs the jobs of a benchmark, in this process or in several; an interruption keeps what is done."""
+"""Jobs of a benchmark, run in this process or in several; an interruption keeps the results so far."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from grasp_refine.core.interruption import end_with
 
 @runtime_checkable
 class Job(Protocol):
-    """A piece of work that goes to one process."""
+    """A piece of work for one process."""
 
     @property
     def work(self) -> float:
-        """About how long it takes, in arbitrary units."""
+        """Approximate duration, in arbitrary units."""
         ...
 
     @property
     def label(self) -> str:
-        """What it is, for a progress bar."""
+        """Label of the job, for a progress bar."""
         ...
 
     def do(self, progress: Callable[[float], None]) -> Any:
-        """The result, in this process; `progress` gets the share that is done."""
+        """Run the job in this process; `progress` is called with the share that is done."""
         ...
 
 
 def run_jobs(todo: Sequence[Job], workers: int, progress: Callable[[float, str], None]) -> tuple[list[Any], list[str]]:
-    """The results of the jobs, in their order, and what went wrong with those that gave none.
+    """Run the jobs; return their results, in order, and the errors of those without a result.
 
-    A job that fails does not end the others; an interruption ends those that are left, and what is done is kept.
+    A failing job does not end the others; an interruption ends those that are left and keeps the finished results.
 
     Args:
         todo: Jobs.
-        workers: Processes; with 1, everything is done in this one.
-        progress: Gets the share of the work that is done, and what is.
+        workers: Processes; with 1, all jobs run in this one.
+        progress: Called with the share of the work that is done, and its label.
     """
     results: dict[int, Any] = {}
     problems: list[str] = []
     try:
-        for index, outcome in _in_turn(todo, progress) if workers == 1 else _side_by_side(todo, workers, progress):
-            # A process that is interrupted hands back a KeyboardInterrupt, which is no result.
+        for index, outcome in _run_serially(todo, progress) if workers == 1 else _run_parallel(todo, workers, progress):
+            # An interrupted process returns a KeyboardInterrupt, which is not a result.
             if isinstance(outcome, BaseException):
                 problems.append(f"{todo[index].label}: {''.join(format_exception(outcome)).strip()}")
             else:
@@ -55,8 +55,8 @@ def run_jobs(todo: Sequence[Job], workers: int, progress: Callable[[float, str],
     return [results[index] for index in sorted(results)], problems
 
 
-def _in_turn(todo: Sequence[Job], progress: Callable[[float, str], None]) -> Iterator[tuple[int, Any]]:
-    """Each job with what came of it, in this process."""
+def _run_serially(todo: Sequence[Job], progress: Callable[[float, str], None]) -> Iterator[tuple[int, Any]]:
+    """Run each job in this process and yield its index with its result or error."""
     total, finished = sum(job.work for job in todo), 0.0
     for index, job in enumerate(todo):
 
@@ -70,10 +70,10 @@ def _in_turn(todo: Sequence[Job], progress: Callable[[float, str], None]) -> Ite
         finished += job.work
 
 
-def _side_by_side(
+def _run_parallel(
     todo: Sequence[Job], workers: int, progress: Callable[[float, str], None]
 ) -> Iterator[tuple[int, Any]]:
-    """Each job with what came of it, in several processes, as they end."""
+    """Run the jobs in several processes and yield each index with its result or error, as they end."""
     total, finished = sum(job.work for job in todo), 0.0
     # A forked child of a process that has used torch may hang.
     context = multiprocessing.get_context("spawn")
@@ -81,7 +81,7 @@ def _side_by_side(
         min(workers, len(todo)), mp_context=context, initializer=end_with, initargs=(os.getpid(),)
     ) as pool:
         try:
-            # The longest first, so that no process is left alone with one at the end.
+            # The longest first, so that no process is left with a long job at the end.
             order = sorted(range(len(todo)), key=lambda index: -todo[index].work)
             futures = {pool.submit(_do, todo[index]): index for index in order}
             for future in as_completed(futures):
@@ -98,5 +98,5 @@ def _side_by_side(
 
 
 def _do(job: Job) -> Any:
-    """The result of a job that nobody watches."""
+    """Run a job without progress."""
     return job.do(lambda share: None)

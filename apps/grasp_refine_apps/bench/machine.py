@@ -1,4 +1,4 @@
-"""What a benchmark ran on."""
+"""The machine that a benchmark ran on."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 
 
 def machine() -> dict[str, Any]:
-    """Number and name of the processors, and the system."""
+    """Return number and name of the processors, and the system."""
     return {"cpus": os.cpu_count(), "cpu": _processor(), "system": platform.platform()}
 
 
 def _processor() -> str:
-    """What the processor calls itself."""
+    """Return the model name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

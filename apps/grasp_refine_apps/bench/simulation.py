@@ -1,9 +1,9 @@
-"""What validating a grasp costs: ours against the protocol as it is written, on the same grasps, in CPU seconds.
+"""Cost of validating a grasp: ours against the protocol as it is written, on the same grasps, in CPU seconds.
 
 Run `python -m grasp_refine_apps.bench.simulation GRASPS --hand HAND --objects DIR`. The peer is a plain loop over
 MuJoCo's own functions, as a user would write it: each grasp compiles its scene, and for each direction the hand
-starts at the pregrasp, closes and the object is pushed; the first direction that fails ends the grasp. It does the
-same physics, so that both must come to the same verdicts, which is checked. Its model is ours, with one contact per
+starts at the pregrasp, closes and the object is pushed; the first direction that fails ends the grasp. The physics
+are the same, so that both must reach the same verdicts, which is checked. Its model is ours, with one contact per
 pair of pieces; with MuJoCo 4's own default, up to four, it takes about twice as long.
 """
 
@@ -34,7 +34,7 @@ from grasp_refine.validation.world import World, build_world
 
 
 def plain(world: World, motion: Motion) -> bool:
-    """Whether one grasp holds, as a plain loop over directions and steps finds it."""
+    """Return True where one grasp holds, by a plain loop over directions and steps."""
     protocol = world.protocol
     model = world.spec.compile()
     data = mujoco.MjData(model)
@@ -65,7 +65,7 @@ def plain(world: World, motion: Motion) -> bool:
 
 
 def measure(hand: Hand, scene: Scene, motion: Motion) -> dict[str, float]:
-    """CPU seconds per grasp of both ways, and in how many verdicts they agree."""
+    """Measure CPU seconds per grasp of both ways, and the number of equal verdicts."""
     start = time.process_time()
     world = build_world(model_of(hand), scene.object, FORCE_CLOSURE)
     built = time.process_time()
@@ -74,7 +74,7 @@ def measure(hand: Hand, scene: Scene, motion: Motion) -> dict[str, float]:
     with unlogged():
         peer = [plain(world, motion.select(np.array([i]))) for i in range(len(motion))]
     end = time.process_time()
-    # A grasp that fails before the push has no verdict of the peer's.
+    # A grasp that fails before the push has no verdict of the peer.
     tried = np.isfinite(ours.displacement_m).all(axis=1)
     count = len(motion)
     return {
@@ -88,14 +88,14 @@ def measure(hand: Hand, scene: Scene, motion: Motion) -> dict[str, float]:
 
 
 def main() -> None:
-    """Measure the grasps of a file and print what they cost."""
+    """Measure the grasps of a file and print their costs."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("grasps", type=Path, help="grasp file (.npz)")
     parser.add_argument("--hand", default="allegro")
     parser.add_argument("--urdf", type=Path)
     parser.add_argument("--mjcf", type=Path)
     parser.add_argument("--objects", type=Path, help="folder of meshes or of folders of convex pieces; else embedded")
-    parser.add_argument("--count", type=int, default=5, help="at most so many grasps of each object and scale")
+    parser.add_argument("--count", type=int, default=5, help="largest number of grasps of each object and scale")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     torch.set_num_threads(1)

@@ -1,4 +1,4 @@
-"""CPU time of several ways to do the same, taken in turn, so that a busy machine disturbs all alike."""
+"""CPU times of several ways to do one thing, measured alternately, so that a busy machine disturbs all alike."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ import numpy as np
 
 from grasp_refine.collision.engine import why_not_native
 
-WARM_UP = 2
-"""Calls before anything is timed."""
+WARM_UP_CALLS = 2
+"""Calls before the first measurement."""
 
-MOST = 1000
-"""Calls in a row at most."""
+MAX_CALLS = 1000
+"""Largest number of calls in a measurement."""
 
 Name = TypeVar("Name", bound=Hashable)
 
 
 def cpu_times(runs: Mapping[Name, Callable[[], object]], rounds: int, least_s: float) -> dict[Name, np.ndarray]:
-    """CPU seconds of a call of each (rounds,), of all threads; element k of all was measured in the same round.
+    """Measure CPU seconds of a call of each (rounds,), over all threads; element k of all is from the same round.
 
     Args:
-        runs: Name -> what is called.
-        rounds: How often each is measured.
-        least_s: CPU seconds of a measurement, for which short calls are repeated.
+        runs: Name -> the call to measure.
+        rounds: Number of measurements of each.
+        least_s: Minimum CPU seconds of a measurement, for which short calls are repeated.
     """
     calls = {}
     for name, run in runs.items():
-        for _ in range(WARM_UP):
+        for _ in range(WARM_UP_CALLS):
             once = _timed(run, 1)
-        calls[name] = int(np.clip(np.ceil(least_s / max(once, 1e-7)), 1, MOST))
+        calls[name] = int(np.clip(np.ceil(least_s / max(once, 1e-7)), 1, MAX_CALLS))
     times = {name: np.empty(rounds) for name in runs}
     for round_ in range(rounds):
         for name, run in runs.items():
@@ -42,14 +42,14 @@ def cpu_times(runs: Mapping[Name, Callable[[], object]], rounds: int, least_s: f
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """The compiled engine works with one thread, as all others do: waiting for a second one would count as its time."""
+    """Restrict the compiled engine to one thread, like all others: waiting for a second one would count as its time."""
     if why_not_native():
         yield
         return
     from grasp_refine.collision import native_search
 
     before = native_search._available
-    native_search._available = lambda: 1  # type: ignore[assignment]  # it stands in for a cached function
+    native_search._available = lambda: 1  # type: ignore[assignment]  # replaces a cached function
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""`refine-grasp assets fetch NAME`: other people's hands, objects and grasps onto this machine, on their terms."""
+"""`refine-grasp assets fetch NAME`: download hands, objects and grasps of others, on their terms."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ class AssetsFetch:
     """Fetch hands, objects or grasp sets of others, each file checked, and show their licences and what to cite."""
 
     names: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME [NAME ...]", help_behavior_hint="(required)")] = ()
-    """As `refine-grasp assets list` shows them; the end of a name after a _ will do where it is the only one."""
+    """Names from `refine-grasp assets list`; the part after a _ is enough where it is unique."""
     accept_license: bool = False
-    """You have read the licence and may use what is fetched; for licences that restrict use or are not clear."""
+    """Confirm that you have read the licence and may use the assets; required unless the licence is open."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write what was fetched, and where it lies, to this file."""
+    """Write the fetched assets and their paths to this file."""
     overwrite: Overwrite = False
 
     def execute(self) -> int:
-        """Do it; returns the exit code.
+        """Run the command and return its exit code.
 
         Raises:
             AssetError: no such asset, a licence that is not accepted, or one that cannot be fetched.
@@ -58,12 +58,12 @@ class AssetsFetch:
 
 
 def _fetch(asset: Asset, origin: Origin, accepted: bool, console: Console) -> dict[str, Any]:
-    """Fetch an asset and tell about it."""
+    """Fetch an asset, and print its source, licence and path; return the facts for JSON."""
     console.print(f"[bold]{escape(asset.full_name)}[/]")
-    told = {"source": asset.source, "licence": f"{asset.licence} ({asset.terms})", "cite": asset.citation}
+    facts = {"source": asset.source, "licence": f"{asset.licence} ({asset.terms})", "cite": asset.citation}
     if asset.note:
-        told["note"] = asset.note
-    for word, text in told.items():
+        facts["note"] = asset.note
+    for word, text in facts.items():
         console.print(f"  {word + ':':<9}{text}", markup=False, soft_wrap=True)
     began, here = time.perf_counter(), _is_here(asset, origin)
     with Progress(

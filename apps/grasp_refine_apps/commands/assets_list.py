@@ -1,4 +1,4 @@
-"""`refine-grasp assets list`: the hands, objects and grasp sets of others that can be fetched, and on what terms."""
+"""`refine-grasp assets list`: hands, objects and grasp sets of others that can be fetched, and their terms."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from grasp_refine_apps.commands.options import Overwrite
 from grasp_refine_apps.report.screen import screen
 
 COLORS = {"open": "green", "unclear": "yellow", "non-commercial": "red"}
-"""How the terms of a licence are shown."""
+"""Terms of a licence -> colour."""
 
 HEADER = ("", "what", "MB", "licence", "terms", "here")
 
-NARROWEST_LICENCE, GAP = 12, 2
-"""Columns of the terminal that a licence has at least, and between two cells."""
+MIN_LICENCE_WIDTH, COLUMN_GAP = 12, 2
+"""Minimum width of the licence column, and gap between two columns, characters."""
 
 
 @dataclass(frozen=True)
@@ -42,14 +42,14 @@ class AssetsList:
     ] = None
     """hands, objects or grasps; or a part of their names."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write what is known about them to this file."""
+    """Write the facts about them to this file."""
     overwrite: Overwrite = False
 
     def execute(self) -> int:
-        """Do it; returns the exit code.
+        """Run the command and return its exit code.
 
         Raises:
-            AssetError: nothing fits, or a manifest cannot be used.
+            AssetError: nothing matches, or a manifest cannot be used.
         """
         check_writable(self.json, overwrite=self.overwrite)
         assets, origin = _chosen(self.which), chosen_origin()
@@ -73,11 +73,11 @@ def _chosen(which: str | None) -> list[Asset]:
 
 
 def asset_facts(asset: Asset, origin: Origin) -> dict[str, Any]:
-    """What is known about an asset, for JSON; sizes are in bytes and are those of the origin."""
+    """Return the facts about an asset, for JSON; sizes are in bytes and are those of the origin."""
     return {
         "kind": asset.kind,
         "name": asset.name,
-        "what": what(asset),
+        "what": asset_type(asset),
         "hand": asset.hand,
         "source": asset.source,
         "files": len(asset.files),
@@ -92,8 +92,8 @@ def asset_facts(asset: Asset, origin: Origin) -> dict[str, Any]:
     }
 
 
-def what(asset: Asset) -> str:
-    """What an asset is, in a word or two."""
+def asset_type(asset: Asset) -> str:
+    """Type of an asset, in a word or two."""
     if asset.kind == "hands":
         return "MJCF" if asset.main is not None and asset.main.mirror_place.endswith(".xml") else "URDF"
     if asset.kind == "objects":
@@ -118,17 +118,17 @@ def _show(assets: list[Asset], origin: Origin, console: Console) -> None:
 
 
 def _table(kind: str, assets: list[Asset], origin: Origin, width: int) -> Table:
-    """The assets of a kind; licences are cut where a line ends, names never."""
+    """Table of the assets of a kind; licences are cut at the end of a line, names never."""
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0), header_style="dim")
     table.add_column(f"{kind} ({len(assets)})", overflow="fold")
     for column in HEADER[1:]:
         table.add_column(column, justify="right" if column == "MB" else "left", no_wrap=True)
     rows = [_cells(asset, origin) for asset in assets]
-    others = sum(max(len(row[i]) for row in (HEADER, *rows)) + GAP for i in (0, 1, 2, 4, 5))
-    room = max(NARROWEST_LICENCE, width - others - GAP)
+    others = sum(max(len(row[i]) for row in (HEADER, *rows)) + COLUMN_GAP for i in (0, 1, 2, 4, 5))
+    width_left = max(MIN_LICENCE_WIDTH, width - others - COLUMN_GAP)
     for row in rows:
         name, what, size, licence, terms, here = map(escape, row)
-        licence = licence if len(row[3]) <= room else escape(f"{row[3][: room - 1]}…")
+        licence = licence if len(row[3]) <= width_left else escape(f"{row[3][: width_left - 1]}…")
         table.add_row(name, what, size, licence, f"[{COLORS[terms]}]{terms}[/]", here)
     return table
 
@@ -137,4 +137,4 @@ def _cells(asset: Asset, origin: Origin) -> tuple[str, ...]:
     size = total_bytes(asset, origin.layout)
     megabytes = "?" if size is None else f"{size / 1e6:.2f}"
     here = "yes" if seems_here(asset, origin.layout) else "-"
-    return asset.name, what(asset), megabytes, asset.licence, asset.terms, here
+    return asset.name, asset_type(asset), megabytes, asset.licence, asset.terms, here

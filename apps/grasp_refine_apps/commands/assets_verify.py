@@ -1,4 +1,4 @@
-"""`refine-grasp assets verify`: whether fetched assets are still what they were."""
+"""`refine-grasp assets verify`: check that fetched assets are complete and unchanged."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from grasp_refine_apps.commands.ending import NOTHING_USABLE
 from grasp_refine_apps.commands.options import Overwrite
 from grasp_refine_apps.report.screen import screen
 
-SHOWN = 3
-"""Files that are named of each asset; the JSON document has all."""
+MAX_NAMED = 3
+"""Maximum number of files named for each asset; the JSON document has all."""
 
 
 @dataclass(frozen=True)
 class AssetsVerify:
-    """Compute the hashes of all fetched files anew; exit code 1 when one is not what the manifest says."""
+    """Recompute the hashes of all fetched files; exit code 1 if one differs from the manifest."""
 
     names: Annotated[
         Positional[tuple[str, ...]], arg(metavar="[NAME ...]", help_behavior_hint="(default: all that is here)")
     ] = ()
-    """Which assets; ones that are not here count as failures then."""
+    """Assets to check; named ones that are not here count as failures."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write what was found to this file."""
+    """Write the results to this file."""
     overwrite: Overwrite = False
 
     def execute(self) -> int:
-        """Do it; returns the exit code.
+        """Run the command and return its exit code.
 
         Raises:
             AssetError: no such asset.
@@ -97,5 +97,5 @@ def _show(verdicts: list[Verdict], absent: list[str], console: Console) -> None:
 
 
 def _some(names: tuple[str, ...]) -> str:
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return ", ".join(names[:SHOWN]) + more
+    more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
+    return ", ".join(names[:MAX_NAMED]) + more

@@ -1,4 +1,4 @@
-"""`refine-grasp batch`: refine whole datasets of grasps, in processes or on a cluster, and go on where it stopped."""
+"""`refine-grasp batch`: refine whole datasets of grasps, in processes or on a cluster, and resume where it stopped."""
 
 from __future__ import annotations
 
@@ -46,36 +46,36 @@ from grasp_refine_apps.commands.sharding import Sharding
 from grasp_refine_apps.commands.validation_options import ValidationOptions
 from grasp_refine_apps.report.screen import screen
 
-MOST_NAMED = 10
-"""Most damaged files that are named."""
+MAX_NAMED = 10
+"""Maximum number of damaged files listed."""
 
 
 @dataclass(frozen=True)
 class Defaults(Inputs):
-    """What a job does not say itself."""
+    """Inputs of a job that it does not specify itself."""
 
     grasps: Suppress[Path | None] = None
     index: Suppress[tuple[int, ...]] = ()
 
     def plain(self) -> Inputs:
-        """The same as inputs of one job."""
+        """Return these inputs as those of one job."""
         return Inputs(**{option.name: getattr(self, option.name) for option in fields(Inputs)})
 
 
 @dataclass(frozen=True)
 class Output:
-    """What is told."""
+    """Outputs of the command."""
 
     out: Path = Path("grasp-refine-batch")
     """Folder of the results: <job>/<hand>_<object>_<part>.npz, index.parquet or .csv, report.html."""
     index: IndexKind = "auto"
-    """The table of all grasps with all measures; auto: Parquet where pyarrow is installed, else CSV."""
+    """Format of the table of all grasps with all measures; auto: Parquet if pyarrow is installed, else CSV."""
     report: bool = True
-    """Write report.html: distributions before and after, the worst cases with pictures, what failed and why."""
+    """Write report.html: distributions before and after, the worst cases with pictures, failures and their causes."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write a summary and what was measured of each grasp to this file, in SI units."""
+    """Write a summary and the measures of each grasp to this file, in SI units."""
     profile: bool = False
-    """Say where the time goes: loading, kinematics, collision queries, derivatives, solver, simulation."""
+    """Show the time of each stage: loading, kinematics, collision queries, derivatives, solver, simulation."""
 
 
 @dataclass(frozen=True)
@@ -84,15 +84,15 @@ class Batch:
 
     JOBS are grasp files (any format that `run` reads), folders of them at any depth, patterns such as 'sets/*.npz',
     sample:N, or lists of jobs: a TOML file with a [[job]] table for each, or a CSV file with a line for each. A job
-    says grasps, and whatever else differs from the options here: hand, object, objects, scale, name, ...
+    names its grasps, and everything that differs from the options here: hand, object, objects, scale, name, ...
 
-    Interrupted or killed, the same command goes on where it stopped: what is complete is skipped, and what was made
-    of other inputs or with other settings is made anew. The exit code is 0 when all came out, 1 when something failed
-    (report.html and the summary name it; the rest is done), 2 for bad input, 130 when interrupted.
+    After an interruption or a crash, the same command resumes: complete results are skipped, and results of other
+    inputs or settings are computed again. The exit code is 0 on success, 1 when something failed (report.html and the
+    summary name it; the rest is done), 2 for bad input, 130 when interrupted.
     """
 
     jobs: Annotated[Positional[tuple[str, ...]], arg(metavar="JOBS [JOBS ...]", help_behavior_hint="")] = ()
-    """What is refined."""
+    """Grasps to refine."""
     inputs: Annotated[Defaults, arg(name="")] = field(default_factory=Defaults)
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
     validation: Annotated[ValidationOptions, arg(name="")] = field(default_factory=ValidationOptions)
@@ -100,35 +100,35 @@ class Batch:
     output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
     def execute(self) -> int:
-        """Do it; returns the exit code.
+        """Run the command and return its exit code.
 
         Raises:
             GraspRefineError: an input that cannot be used at all; then nothing is written.
         """
         wall, cpu = time.perf_counter(), cpu_seconds()
-        config, protocol, part = self._checked()
+        config, protocol, part = self._read_settings()
         outputs = self._outputs()
         described = {
             "refine": settings(config),
             "validation": settings(self.validation),
             "protocol": settings(protocol),
-            # Both engines give the same to rounding, but not to the last bit.
+            # Both engines agree up to rounding, but not to the last bit.
             "engine": chosen("auto"),
         }
         console = screen(stderr=True)
         with Progress(console, (), 1) as progress:
             plan = self._plan(outputs.out, described, config.seed, progress)
             outputs.check(plan)
-            progress.wait("looking at what is there")
-            asked = part_of(plan.shards, *part)
-            states = {shard.number: State.MISSING if self.sharding.again else state_of(shard) for shard in asked}
-            _tell_states(asked, states, progress)
-        todo = [shard for shard in asked if states[shard.number] is not State.COMPLETE]
-        session = Session({number for number, state in states.items() if state is State.COMPLETE}, len(asked))
-        session.skipped = sum(shard.size for shard in asked if shard.number in session.complete)
-        self._work(todo, ShardWork(config, protocol, described, self.output.profile), session, console)
+            progress.wait("checking existing results")
+            shards = part_of(plan.shards, *part)
+            states = {shard.number: State.MISSING if self.sharding.again else state_of(shard) for shard in shards}
+            _report_states(shards, states, progress)
+        todo = [shard for shard in shards if states[shard.number] is not State.COMPLETE]
+        session = Session({number for number, state in states.items() if state is State.COMPLETE}, len(shards))
+        session.skipped = sum(shard.size for shard in shards if shard.number in session.complete)
+        self._run_shards(todo, ShardWork(config, protocol, described, self.output.profile), session, console)
         with Progress(console, (), 1) as progress:
-            summary = outputs.read(Summary.of(asked, plan.refused, session), progress)
+            summary = outputs.read(Summary.of(shards, plan.refused, session), progress)
             document = {
                 "schema": SCHEMA,
                 "command": "batch",
@@ -143,13 +143,13 @@ class Batch:
             }
             outputs.write(document, summary, progress)
         self._show(document, summary, session, outputs, time.perf_counter() - wall)
-        return NOTHING_USABLE if summary.failed or (asked and not summary.statistics.all.usable) else 0
+        return NOTHING_USABLE if summary.failed or (shards and not summary.statistics.all.usable) else 0
 
     def _outputs(self) -> Outputs:
-        """The files that are written; a part of a batch has results and a summary only.
+        """Return the files to write; a part of a batch has results and a summary only.
 
         Raises:
-            GraspRefineError: the index cannot be of the kind that is asked for.
+            GraspRefineError: the index cannot be written in the chosen format.
         """
         out = self.output.out.absolute()
         index = index_path(out, self.output.index)
@@ -169,22 +169,22 @@ class Batch:
         written = outputs.files or (outputs.out,)
         console.print(f"{wall_s:.1f} s; wrote", *written, soft_wrap=True, markup=False)
 
-    def _checked(self) -> tuple[Config, Protocol | None, tuple[int, int]]:
-        """How grasps are refined and simulated, and which part of how many is done.
+    def _read_settings(self) -> tuple[Config, Protocol | None, tuple[int, int]]:
+        """Return the settings of refinement and simulation, and the part of the batch, as (part, parts).
 
         Raises:
-            GraspRefineError: an option that cannot be.
+            GraspRefineError: an invalid option.
         """
         if not self.jobs:
             raise GraspRefineError(
-                "name what is to be refined: grasp files, a folder, a pattern, sample:N, or a job list (.toml, .csv)"
+                "name the grasps to refine: grasp files, a folder, a pattern, sample:N, or a job list (.toml, .csv)"
             )
         part = self.sharding.part()
         config = self.settings.config(nearest=self.inputs.targets == NEAREST)
         return config, self.validation.protocol(), part
 
     def _plan(self, out: Path, described: dict[str, Any], seed: int, progress: Progress) -> Plan:
-        """All shards of all jobs; those that cannot be done are told.
+        """Plan the shards of all jobs; jobs that cannot be done are reported.
 
         Raises:
             GraspRefineError: none can be done.
@@ -214,11 +214,11 @@ class Batch:
         lists = (Path(source) for source in self.jobs if not source.startswith(SAMPLE))
         return replace(plan, files=(*plan.files, *lists))
 
-    def _work(self, todo: list[Shard], work: ShardWork, session: Session, console: Console) -> None:
-        """Do what is left, and note what becomes of each shard.
+    def _run_shards(self, todo: list[Shard], work: ShardWork, session: Session, console: Console) -> None:
+        """Work on the shards that are left, and record the result of each.
 
         Raises:
-            KeyboardInterrupt: as it came; what is complete by then stays.
+            KeyboardInterrupt: raised again; shards complete by then are kept.
         """
         if not todo:
             return
@@ -253,25 +253,25 @@ class Batch:
                     for result in results:
                         session.take(result, by_number[result.number], progress)
             except KeyboardInterrupt:
-                there = f"{len(session.complete)} of {count_text(session.asked, 'shard')} complete"
-                goes_on = "without --again, the command" if self.sharding.again else "the same command"
-                progress.say(f"{there}; {goes_on} goes on from there")
+                there = f"{len(session.complete)} of {count_text(session.num_shards, 'shard')} complete"
+                command = "without --again, the command" if self.sharding.again else "the same command"
+                progress.say(f"{there}; {command} continues from there")
                 raise
             finally:
-                # What workers that were killed have half written.
+                # Killed workers leave partial files.
                 clean(todo)
         session.wall_s = time.perf_counter() - began
 
 
-def _tell_states(shards: Sequence[Shard], states: Mapping[int, State], progress: Progress) -> None:
-    """Say what there is already, and what of it is made anew."""
+def _report_states(shards: Sequence[Shard], states: Mapping[int, State], progress: Progress) -> None:
+    """Print the numbers of existing results, and of those computed again."""
     count = Counter(states.values())
     if count[State.COMPLETE]:
         progress.say(f"{count[State.COMPLETE]} of {count_text(len(shards), 'shard')} complete and skipped")
     if count[State.CHANGED]:
-        progress.say(f"of other inputs, settings or versions, and made anew: {count[State.CHANGED]}")
+        progress.say(f"of other inputs, settings or versions, and computed again: {count[State.CHANGED]}")
     damaged = [shard.path for shard in shards if states[shard.number] is State.DAMAGED]
-    for path in damaged[:MOST_NAMED]:
-        progress.say(f"{path} cannot be read and is made anew")
-    if len(damaged) > MOST_NAMED:
-        progress.say(f"and so for {count_text(len(damaged) - MOST_NAMED, 'other')}")
+    for path in damaged[:MAX_NAMED]:
+        progress.say(f"{path} cannot be read and is computed again")
+    if len(damaged) > MAX_NAMED:
+        progress.say(f"and {count_text(len(damaged) - MAX_NAMED, 'more damaged file')}")

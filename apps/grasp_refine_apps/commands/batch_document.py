@@ -1,4 +1,4 @@
-"""The JSON document of a batch, written while it is read from the result files: it may be of a million grasps."""
+"""JSON document of a batch, written while the result files are read: it may hold a million grasps."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ MEASURES = {
     "self_penetration_m": "self_penetration",
     "wrench_residual": "wrench_residual",
 }
-"""Key of a grasp in the document -> how the arrays in a result file begin."""
+"""Key of a grasp in the document -> prefix of the arrays in a result file."""
 
 SIMULATED = ("success", "reason", "direction", "displacement_m", "angle_rad")
-"""Keys of what simulation says of a grasp; the result file has that of the worst direction."""
+"""Keys of the simulation of a grasp; the result file has that of the worst direction."""
 
 
 def save_batch(path: Path, document: Mapping[str, Any], complete: Iterable[Shard]) -> None:
     """Write the document with an entry for each grasp, as `run --json` has them; whole or not at all.
 
     Args:
-        path: The file.
-        document: All but the grasps.
+        path: Output file.
+        document: Document without the grasps.
         complete: Shards with result files.
 
     Raises:
@@ -48,7 +48,7 @@ def save_batch(path: Path, document: Mapping[str, Any], complete: Iterable[Shard
 
 
 def grasp_entries(shard: Shard) -> Iterator[dict[str, Any]]:
-    """What is told of each grasp of a shard, with the keys of `run --json`.
+    """Entry of each grasp of a shard, with the keys of `run --json`.
 
     Raises:
         GraspFileError: the result file cannot be read.
@@ -84,7 +84,7 @@ def grasp_entries(shard: Shard) -> Iterator[dict[str, Any]]:
 
 
 def _simulated(values: Mapping[str, Any], when: str, i: int, setting: str | None) -> dict[str, Any] | None:
-    """What simulation says of one grasp; None: it was not simulated."""
+    """Simulation result of one grasp; None: it was not simulated."""
     if f"simulation_{when}" not in values:
         return None
     names = {key: f"simulation_{when}" if key == "success" else f"simulation_{key}_{when}" for key in SIMULATED}

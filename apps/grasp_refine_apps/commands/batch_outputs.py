@@ -1,4 +1,4 @@
-"""What a batch writes besides its result files: index, report and summary, from the result files alone."""
+"""Outputs of a batch besides its result files: index, report and summary, from the result files alone."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ REPORT = "report.html"
 
 @dataclass(frozen=True)
 class Outputs:
-    """The files of a batch."""
+    """Output files of a batch."""
 
     out: Path
     """Folder of the result files."""
     index: Path | None
-    """The table of all grasps; None: only a part of the batch is done."""
+    """Path of the table of all grasps; None: only a part of the batch is done."""
     report: bool
-    """Whether there is a report."""
+    """Whether a report is written."""
     json: Path | None
-    """The summary."""
+    """Path of the summary; None: there is none."""
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -49,12 +49,12 @@ class Outputs:
         return tuple(path for path in found if path is not None)
 
     def check(self, plan: Plan) -> None:
-        """Nothing, when all can be written and takes the place of no input.
+        """Refuse outputs that cannot be written or would overwrite an input.
 
         Raises:
-            GraspRefineError: it cannot, or would.
+            GraspRefineError: names the file.
         """
-        # The same command goes on where it stopped, and writes them again.
+        # The same command resumes where it stopped, and writes them again.
         check_writable(*self.files, plan.shards[0].path, overwrite=True, inside=self.out)
         inputs = {identity for path in plan.files if (identity := _identity(path)) is not None}
         for path in (*self.files, *(shard.path for shard in plan.shards)):
@@ -62,13 +62,13 @@ class Outputs:
                 raise GraspRefineError(f"{path}: the results would overwrite an input; give another --out or --json")
 
     def read(self, summary: Summary, progress: Progress) -> Summary:
-        """Write the index, if there is one, and gather statistics; what cannot be read is complete no more."""
+        """Write the index, if there is one, and gather statistics; unreadable shards are no longer complete."""
         if self.index is None:
             return self._read(summary, None, progress)
         progress.wait("writing the index")
         with index_writer(self.index) as writer:
             found = self._read(summary, writer, progress)
-        # One of the other kind would be of another day.
+        # One in the other format would be outdated.
         _remove_index(self.index.with_suffix({".csv": ".parquet", ".parquet": ".csv"}[self.index.suffix]))
         return found
 
@@ -81,7 +81,7 @@ class Outputs:
                 progress.say(str(error))
                 continue
             if rows.stamp != shard.stamp:
-                progress.say(f"{shard.path}: was replaced meanwhile by that of another batch in this folder")
+                progress.say(f"{shard.path}: was replaced meanwhile by the result of another batch in this folder")
                 continue
             readable.append(shard)
             summary.statistics.add(rows)
@@ -90,12 +90,12 @@ class Outputs:
         return replace(summary, complete=tuple(readable))
 
     def write(self, document: Mapping[str, Any], summary: Summary, progress: Progress) -> None:
-        """Write report and summary, as far as they are wanted."""
+        """Write report and summary, as far as they are enabled."""
         if self.report:
             shards = {shard.number: shard for shard in summary.complete}
-            load = partial(_shown, shards, InputCache(), document["seed"])
+            load = partial(_load_case, shards, InputCache(), document["seed"])
             worst = summary.statistics.worst()
-            pictures = draw_cases(worst, self.out, load, tell=lambda what, share: progress.wait(what))
+            pictures = draw_cases(worst, self.out, load, progress=lambda what, share: progress.wait(what))
             save_text(self.out / REPORT, page(document, summary.statistics, pictures))
         if self.json is not None:
             progress.wait("writing the summary")
@@ -103,7 +103,7 @@ class Outputs:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """What is the same for two names of one file; None: there is no file."""
+    """Identity of a file, equal for all of its names; None: there is no file."""
     try:
         found = path.stat()
     except OSError:
@@ -112,7 +112,7 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 
 def _remove_index(path: Path) -> None:
-    """Take an index away; another file of its name stays."""
+    """Remove an index; another file of its name stays."""
     with suppress(OSError, UnicodeDecodeError):
         if path.suffix == ".parquet":
             with path.open("rb") as file:
@@ -124,7 +124,7 @@ def _remove_index(path: Path) -> None:
             path.unlink()
 
 
-def _shown(shards: Mapping[int, Shard], cache: InputCache, seed: int, case: Case) -> tuple[Hand, Object]:
+def _load_case(shards: Mapping[int, Shard], cache: InputCache, seed: int, case: Case) -> tuple[Hand, Object]:
     """Hand and object of one of the worst cases."""
     shard = shards[case.shard]
     problem = cache.get("problem", case.shard, lambda: problem_of(shard.task, seed, cache, lambda *sign: None))

@@ -1,4 +1,4 @@
-"""What becomes of a batch: in one run of the command, and in all."""
+"""State of a batch: in one run of the command, and after all runs."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ from grasp_refine_apps.commands.shard_work import peak_bytes
 
 @dataclass(eq=False)
 class Session:
-    """What happens in one run of the command."""
+    """Results and costs of one run of the command."""
 
     complete: set[int]
     """Numbers of the shards with result files."""
-    asked: int
-    """How many shards were asked for."""
+    num_shards: int
+    """Number of shards of this run or part."""
     skipped: int = 0
-    """Grasps that were there already."""
+    """Number of grasps that were complete before."""
     done: int = 0
-    """Shards that came out."""
+    """Number of shards completed."""
     failed: dict[int, Failed] = field(default_factory=dict)
-    """Number of each shard that did not -> why."""
+    """Number of each failed shard -> failure."""
     grasps: int = 0
-    """Grasps that came out."""
+    """Number of grasps in completed shards."""
     wall_s: float = 0.0
-    """How long shards were worked on."""
+    """Wall time of the work on shards, seconds."""
     cpu_s: float = 0.0
-    """CPU time of the work, without starting the workers."""
+    """CPU time of the work, without starting the workers, seconds."""
     peak_bytes: int = 0
-    """Largest resident memory of a worker."""
+    """Largest resident memory of a worker, bytes."""
     notes: set[str] = field(default_factory=set)
-    """What was said."""
+    """Notes that were printed."""
     profile: dict[str, tuple[float, float, int]] = field(default_factory=dict)
     """Stage -> CPU seconds, wall seconds and calls of all shards."""
 
     def take(self, result: Done | Failed, shard: Shard, progress: Progress) -> None:
-        """Note and show what became of a shard."""
+        """Record and show the result of a shard."""
         if isinstance(result, Failed):
             self.failed[shard.number] = result
             progress.failed(result)
@@ -68,7 +68,7 @@ class Session:
                 self.notes.add(note)
                 progress.say(f"note: {note}")
         for note in result.convention_notes:
-            # Shards of a job differ in how many of their own grasps agree.
+            # Notes of the shards of a job differ in the number of affected grasps.
             sign = f"{shard.task.job}: {note.partition(':')[0]}"
             if sign not in self.notes:
                 self.notes.add(sign)
@@ -78,33 +78,33 @@ class Session:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """What there is of a batch, or of a part of it, after a run of the command, whichever runs made it."""
+    """State of a batch, or of a part of it, after a run of the command, from this and earlier runs."""
 
     shards: tuple[Shard, ...]
-    """All shards that were asked for."""
+    """All shards of the batch or part."""
     complete: tuple[Shard, ...]
-    """Those with result files, in order."""
+    """Shards with result files, in order."""
     failed: list[dict[str, Any]]
-    """Shards, and jobs, that did not come out, and why."""
+    """Entries of failed shards and refused jobs, with reasons."""
     statistics: Statistics
-    """Of all grasps in the result files."""
+    """Statistics of all grasps in the result files."""
 
     @staticmethod
     def of(shards: tuple[Shard, ...], refused: Sequence[Refused], session: Session) -> Summary:
-        """The summary, still without statistics."""
+        """Return the summary, still without statistics."""
         failed = [_entry(None, one.job, None, "refused", one.message, 0, "") for one in refused]
         for shard in shards:
             if shard.number not in session.complete:
                 # A note may be missing: it could not be written.
-                why = session.failed.get(shard.number) or noted_failure(shard)
-                if why is not None:
-                    told = (why.reason, why.message, why.tries, why.traceback)
-                    failed.append(_entry(shard.number, shard.name, shard.path, *told))
+                failure = session.failed.get(shard.number) or noted_failure(shard)
+                if failure is not None:
+                    details = (failure.reason, failure.message, failure.tries, failure.traceback)
+                    failed.append(_entry(shard.number, shard.name, shard.path, *details))
         complete = tuple(shard for shard in shards if shard.number in session.complete)
         return Summary(shards, complete, failed, Statistics.empty())
 
     def totals(self, session: Session, wall_s: float, cpu_s: float) -> dict[str, Any]:
-        """Counts of the whole batch, and what this run cost."""
+        """Counts of the whole batch, and costs of this run."""
         return {
             **self.statistics.totals(),
             "shards": len(self.shards),
@@ -120,7 +120,7 @@ class Summary:
         }
 
     def jobs(self) -> list[dict[str, Any]]:
-        """How many grasps and shards each job has, and how many of them are there."""
+        """Numbers of grasps, shards and complete shards of each job."""
         there = {shard.number for shard in self.complete}
         counts: dict[str, Counter[str]] = {}
         for shard in self.shards:
@@ -133,7 +133,7 @@ class Summary:
 def _entry(
     number: int | None, name: str, path: Path | None, reason: str, message: str, tries: int, traceback: str
 ) -> dict[str, Any]:
-    """What is told of a shard or a job that did not come out."""
+    """Entry of a failed shard or a refused job."""
     return {
         "shard": number,
         "name": name,

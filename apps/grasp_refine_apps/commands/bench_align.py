@@ -1,4 +1,4 @@
-"""`refine-grasp bench align`: how well, and how fast, witness derivatives bring two bodies into contact."""
+"""`refine-grasp bench align`: accuracy and speed of witness derivatives that bring two bodies into contact."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from grasp_refine_apps.bench.align.saved import save_task
 from grasp_refine_apps.bench.align.study import Outcome, Study, run_study
 from grasp_refine_apps.bench.align.table import bench_table
 from grasp_refine_apps.bench.align.variants import MethodName, NeighborhoodName, SolverName, Variant, WitnessName
-from grasp_refine_apps.commands.benchmark import check_asked, run_benchmark
+from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
 from grasp_refine_apps.commands.options import Overwrite, check_device, check_numbers, flag
 
 Class = Literal["vertex-vertex", "face-vertex", "vertex-face", "face-face"]
@@ -30,21 +30,21 @@ PresetName = Literal[
 ]
 
 VARIED = ("methods", "neighborhoods", "couplings", "transport", "optimise", "step_sizes")
-"""Options that say what is compared of descent."""
+"""Options that vary descent."""
 DESCENT_ONLY = (*VARIED, "dtype", "device")
 """Options that only descent reads."""
 COMPARED = ("solvers", *VARIED, "margins", "witnesses", "epsilon")
-"""Options that say what is compared; a preset says it itself."""
+"""Options that choose the comparison; a preset excludes them."""
 
 
 @dataclass(frozen=True)
 class BenchAlign:
     """Measure run time against error on the alignment task of arXiv 2511.06267.
 
-    Two random bodies, a wanted contact point on each: body 2 moves by normalised gradient descent, or by
+    Two random bodies, a target contact point on each: body 2 moves by normalised gradient descent, or by
     Levenberg-Marquardt, until the witness points lie on the targets. The error of a task is
     |x_a - t_a|^2 + |x_b - t_b|^2 + (d - margin)^2 in m^2, so that 1e-6 is about a millimetre. Every combination of
-    what is asked for is run on the same tasks. Without options, the paper's method on the embedded objects.
+    the options is run on the same tasks. Without options, the paper's method on the embedded objects.
     """
 
     preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
@@ -57,33 +57,33 @@ class BenchAlign:
     kinds: tuple[Kind, ...] = ("convex", "concave")
     """convex: hulls of the meshes; concave: their CoACD pieces (cached)."""
     pairs: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 8, or the preset's)")] = None
-    """Pairs of bodies of each kind."""
+    """Number of pairs of bodies of each kind."""
     targets: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 64, or the preset's)")] = None
-    """Accepted targets of each pair. zeroth-order and finite-difference run an eighth of them."""
+    """Number of accepted targets of each pair. zeroth-order and finite-difference run an eighth of them."""
     classes: Annotated[
         DisallowNone[tuple[Class, ...] | None], arg(help_behavior_hint="(default: all but face-face)")
     ] = None
-    """Where the targets lie, on body 1 and on body 2. Face-face targets are counted apart."""
+    """Features of body 1 and body 2 on which the targets lie. Face-face targets are counted separately."""
     solvers: Annotated[DisallowNone[tuple[SolverName, ...] | None], arg(help_behavior_hint="(default: descent)")] = None
-    """How the bodies move: the paper's normalised gradient descent, or levenberg-marquardt, which ends each task when
-    its error is below 1e-14 m^2. The latter differentiates by contact kinematics over neighbourhoods of its own, moves
-    body 2 and runs in double precision on the CPU; a budget is the most iterations, each one query, of a task."""
+    """Solver: the paper's normalised gradient descent, or levenberg-marquardt, which ends each task when its error is
+    below 1e-14 m^2. The latter differentiates by contact kinematics over neighbourhoods of its own, moves body 2 and
+    runs in double precision on the CPU; a budget is the maximum number of iterations, each one query, of a task."""
     methods: Annotated[DisallowNone[tuple[MethodName, ...] | None], arg(help_behavior_hint="(default: distance)")] = (
         None
     )
-    """How descent differentiates witness points."""
+    """Derivative of the witness points in descent."""
     neighborhoods: Annotated[
         DisallowNone[tuple[NeighborhoodName, ...] | None], arg(help_behavior_hint="(default: adaptive)")
     ] = None
-    """Which samples smoothing uses."""
+    """Samples used for smoothing."""
     couplings: Annotated[DisallowNone[tuple[Coupling, ...] | None], arg(help_behavior_hint="(default: one-sided)")] = (
         None
     )
-    """How the slips of both bodies act together; one-sided are the paper's equations."""
+    """Coupling of the slips of both bodies; one-sided: the paper's equations."""
     transport: Annotated[DisallowNone[bool | None], arg(help_behavior_hint="(default: on)")] = None
     """Equivalent gradient transport: the gradient of body 1 acts through body 2."""
     optimise: Annotated[DisallowNone[Literal["T2", "T1T2"] | None], arg(help_behavior_hint="(default: T2)")] = None
-    """Which bodies move."""
+    """Bodies that move."""
     margins: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: 0.001)")] = None
     """Contact margins in metres."""
     step_sizes: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: 10)")] = None
@@ -91,8 +91,8 @@ class BenchAlign:
     witnesses: Annotated[DisallowNone[tuple[WitnessName, ...] | None], arg(help_behavior_hint="(default: plain)")] = (
         None
     )
-    """Which witness points the solver sees: plain, or patch, of all that are within epsilon of being the closest those
-    nearest to the targets, for targets on two faces. With patch, all rows are also judged by it."""
+    """Witness points of the solver: plain, or patch, which takes, among all points within epsilon of the closest, those
+    nearest to the targets, for targets on two faces. With patch, all rows are also evaluated by it."""
     epsilon: Annotated[
         DisallowNone[float | None], arg(metavar="METRES", help_behavior_hint=f"(default: {EPSILON:g} with patch)")
     ] = None
@@ -100,9 +100,9 @@ class BenchAlign:
     budgets: Annotated[
         DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 2000, or the preset's)")
     ] = None
-    """Budgets in iterations; several make a line in the picture of error against time."""
+    """Budgets in iterations; several give a line in the plot of error against time."""
     seconds: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: none)")] = None
-    """Budgets in CPU seconds per pair, all its targets together, instead of iterations; of descent only."""
+    """Budgets in CPU seconds per pair, all its targets together, instead of iterations; for descent only."""
     seed: int = 0
     """Seed of pairs, targets, initial poses and samples."""
     dtype: Literal["float64", "float32"] = "float64"
@@ -118,13 +118,13 @@ class BenchAlign:
     html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write a report with charts and pictures of typical failures to this file."""
     save: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write one task as an .npz that `refine-grasp view` opens: both bodies, their targets, and where each method
-    moved them, iterate by iterate. It is the first task of the first pair that can surely be solved, run once more and
-    alone by each method, at its largest budget; another --seed, --kinds or --classes gives another task."""
+    """Write one task as an .npz that `refine-grasp view` opens: both bodies, their targets, and their poses at every
+    iterate of each method. It is the first task of the first pair that can surely be solved, run once more and alone
+    by each method, at its largest budget; another --seed, --kinds or --classes gives another task."""
     overwrite: Overwrite = False
 
     def execute(self) -> int:
-        """Do it; returns the exit code.
+        """Run the command and return its exit code.
 
         Raises:
             GraspRefineError: options that do not go together, or meshes that cannot be used.
@@ -149,13 +149,13 @@ class BenchAlign:
         )
 
     def study(self) -> Study:
-        """What the options ask for.
+        """Return the study that the options define.
 
         Raises:
             GraspRefineError: a number out of its range, or options that do not go together.
         """
         check_numbers(self)
-        check_asked(self, COMPARED)
+        check_comparison(self, COMPARED)
         for name in ("seconds", "epsilon"):
             value = getattr(self, name)
             if 0.0 in (value if isinstance(value, tuple) else (value,)):
@@ -168,7 +168,7 @@ class BenchAlign:
         check_device(self.device, self.dtype)
         if self.seconds is not None and any(variant.solver != "descent" for variant in preset.variants):
             raise GraspRefineError(
-                "--seconds is of descent only: levenberg-marquardt ends each task on its own, so give --budgets"
+                "--seconds is for descent only: levenberg-marquardt ends each task on its own, so give --budgets"
             )
         budgets = preset.budgets if self.budgets is None else self.budgets
         timed: list[dict[str, Any]] = (
@@ -192,16 +192,16 @@ class BenchAlign:
         )
 
     def _variants(self) -> tuple[Variant, ...]:
-        """Every combination of what is compared; what a method ignores is not varied."""
+        """Return every combination of the compared options; options that a method ignores are not varied."""
         solvers, witnesses = self.solvers or ("descent",), self.witnesses or ("plain",)
         if "descent" not in solvers:
             for name in DESCENT_ONLY:
                 if getattr(self, name) != getattr(BenchAlign, name):
                     raise GraspRefineError(
-                        f"{flag(name)} is of descent only: leave it out, or add descent to --solvers"
+                        f"{flag(name)} is for descent only: leave it out, or add descent to --solvers"
                     )
         if self.epsilon is not None and "patch" not in witnesses:
-            raise GraspRefineError("--epsilon is of the patch witness only: leave it out, or give --witnesses patch")
+            raise GraspRefineError("--epsilon is for the patch witness only: leave it out, or give --witnesses patch")
         made = [
             Variant(method, near, coupling, margin=margin, step_size=size)
             for method, near, coupling, margin, size in product(

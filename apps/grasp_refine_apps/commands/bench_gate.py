@@ -1,4 +1,4 @@
-"""`refine-grasp bench --gate`: is the program still as fast and as good as the committed baseline says?"""
+"""`refine-grasp bench --gate`: compare speed and accuracy of the program with a committed baseline."""
 
 from __future__ import annotations
 
@@ -23,31 +23,31 @@ from grasp_refine_apps.bench.machine import machine
 from grasp_refine_apps.commands.options import Overwrite
 from grasp_refine_apps.report.screen import screen
 
-WORSE = 1
-"""Exit code when something got worse."""
+GOT_WORSE = 1
+"""Exit code when a ratio got worse."""
 
 
 @dataclass(frozen=True)
 class BenchGate:
     """Check that nothing got slower or worse: some twenty ratios of one run, against those of a baseline.
 
-    Ratios, not times, so that it is the same on any machine: our query against coal's, a batch against single grasps,
-    how many queries a grasp takes and how many grasps are solved. Exit code 1 says that something is beyond its limit.
+    Ratios, not times, so that the check is valid on any machine: our query against coal's, a batch against single
+    grasps, the number of queries per grasp and of solved grasps. Exit code 1: a ratio is beyond its limit.
     """
 
     baseline: Annotated[
         DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: the one that comes along)")
     ] = None
-    """What to compare with."""
+    """Baseline to compare with."""
     update: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Compare with nothing, but write what is measured now as a new baseline; there, what other collision engines came
-    to is kept."""
+    """Compare with nothing, but write the ratios measured now as a new baseline; the entries of other collision engines
+    in this file are kept."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write all ratios to this file."""
     overwrite: Overwrite = False
 
     def execute(self) -> int:
-        """Do it; returns the exit code.
+        """Run the command and return its exit code.
 
         Raises:
             GraspRefineError: a baseline that cannot be used, or a file that cannot be written.
@@ -60,7 +60,7 @@ class BenchGate:
                 now = {name: value for group in get_args(Group) for name, value in bar.measured(group).items()}
             save_json(self.update, updated(self.update, engine, now, {"versions": versions(), "machine": machine()}))
             rows, worse, baseline = [{"name": name, "now": value} for name, value in now.items()], [], None
-            said = f"wrote {len(rows)} ratios to {self.update}"
+            message = f"wrote {len(rows)} ratios to {self.update}"
         else:
             baseline = self.baseline or BASELINE
             known = load_baseline(baseline, engine)
@@ -68,7 +68,7 @@ class BenchGate:
                 verdicts = judged(known, bar.measured)
             console.print(gate_table(verdicts))
             rows, worse = [one.row() for one in verdicts], [one.ratio.name for one in verdicts if one.ok is False]
-            said = f"worse than allowed: {', '.join(worse)}" if worse else "nothing is worse than allowed"
+            message = f"worse than allowed: {', '.join(worse)}" if worse else "nothing is worse than allowed"
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
         if self.json is not None:
             document = {
@@ -84,9 +84,9 @@ class BenchGate:
                 "rows": rows,
             }
             save_json(self.json, document)
-            said += f"; wrote {self.json}"
-        console.print(f"{said}\n{engine} engine, {wall:.1f} s, {cpu:.1f} s of CPU", soft_wrap=True, markup=False)
-        return WORSE if worse else 0
+            message += f"; wrote {self.json}"
+        console.print(f"{message}\n{engine} engine, {wall:.1f} s, {cpu:.1f} s of CPU", soft_wrap=True, markup=False)
+        return GOT_WORSE if worse else 0
 
     def _check(self) -> None:
         """Refuse options that do not go together.
@@ -96,13 +96,13 @@ class BenchGate:
         """
         if self.update is not None and self.baseline is not None:
             raise GraspRefineError("--update compares with nothing: leave out --baseline")
-        # An update keeps what a baseline has of other engines.
+        # An update keeps the baseline's entries of other engines.
         check_writable(self.update, self.json, overwrite=True)
         check_writable(self.json, overwrite=self.overwrite)
 
 
 class _Bar:
-    """A progress bar over all groups."""
+    """Progress bar over all groups."""
 
     def __init__(self) -> None:
         self._bar = progress_bar(screen(stderr=True))
@@ -117,13 +117,13 @@ class _Bar:
         self._bar.__exit__(*error)
 
     def measured(self, group: Group) -> dict[str, float]:
-        """What a group comes to."""
+        """Measure the ratios of a group."""
         again = group in self._begun
         before, what = len(set(self._begun)) - again, f"{group}, once more" if again else group
         self._begun.append(group)
 
-        def told(share: float) -> None:
+        def progress(share: float) -> None:
             self._bar.update(self._task, completed=before + share, description=what)
 
-        told(0.0)
-        return measure(group, told)
+        progress(0.0)
+        return measure(group, progress)

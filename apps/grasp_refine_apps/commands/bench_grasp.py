@@ -1,4 +1,4 @@
-"""`refine-grasp bench grasp`: how accurate and how fast grasps are refined, by solver and batch size."""
+"""`refine-grasp bench grasp`: accuracy and speed of the refinement of grasps, by solver and batch size."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from grasp_refine_apps.bench.grasp.study import COUNT, Outcome, Study, run_study
 from grasp_refine_apps.bench.grasp.table import bench_tables
 from grasp_refine_apps.bench.grasp.tasks import Disturbance, Kind
 from grasp_refine_apps.bench.grasp.variants import DerivativeName, SolverName, Variant
-from grasp_refine_apps.commands.benchmark import check_asked, run_benchmark
+from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
@@ -37,86 +37,86 @@ SetName = Literal[
 ]
 
 COMPARED = ("tasks", "solvers", "derivatives", "budgets")
-"""Options that say what is compared; a preset says it itself."""
+"""Options that choose the comparison; a preset excludes them."""
 BATCHES = (1, 16, 64, 256)
-"""Batch sizes where nobody says which."""
+"""Default batch sizes."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What is measured, and how."""
+    """Options of the study."""
 
     preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
-    """An experiment: targets (disturbed true grasps, batch 1 to 256), nothing (real grasps as they come, batch 1 to
-    256), time-to-error (all solvers at several budgets, for a picture of error over time), contacts (time by number of
+    """An experiment: targets (disturbed true grasps, batch 1 to 256), nothing (real grasps as given, batch 1 to
+    256), time-to-error (all solvers at several budgets, for a plot of error over time), contacts (time by number of
     contacts, and of joints: all hands), pieces (by number of convex pieces: a box cut into 1 to 64), workers (grasps
     per second with 1 and 2 processes), smoke (under a minute)."""
     assets: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
-    """Folder with hands/, objects/ and grasps/normalised/, of which --sets are taken, instead of --hand, --object and
+    """Folder with hands/, objects/ and grasps/normalised/, from which --sets choose, instead of --hand, --object and
     --grasps. Without any of these, the embedded Allegro examples."""
     sets: Annotated[
         DisallowNone[tuple[SetName, ...] | None], arg(help_behavior_hint="(default: all; sampled: of contacts only)")
     ] = None
-    """Sets of grasps in the folder of assets; grasps of sampled ones are drawn."""
+    """Sets of grasps in the folder of assets; grasps of sampled sets are drawn."""
     tasks: Annotated[DisallowNone[tuple[Kind, ...] | None], arg(help_behavior_hint="(default: both)")] = None
-    """targets: true grasps, whose fingertips all touch, are disturbed and must come back to where they touched;
-    nothing: real grasps as they come are to touch and not to penetrate."""
+    """targets: true grasps, whose fingertips all touch, are disturbed and must return to their contact points; nothing:
+    real grasps as given should touch and not penetrate."""
     solvers: Annotated[
         DisallowNone[tuple[SolverName, ...] | None], arg(help_behavior_hint="(default: levenberg-marquardt)")
     ] = None
-    """How the hand moves."""
+    """Solvers."""
     derivatives: Annotated[
         DisallowNone[tuple[DerivativeName, ...] | None], arg(help_behavior_hint="(default: contact-kinematics)")
     ] = None
-    """How descent and adam differentiate witness points."""
+    """Derivatives of the witness points in descent and adam."""
     budgets: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: the solver's)")] = None
-    """Most iterations of a grasp; each budget is a run of its own, a point in the picture of error over time."""
+    """Maximum iterations of a grasp; each budget is a separate run, a point in the plot of error over time."""
     batches: Annotated[
         DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 1 16 64 256, or the preset's)")
     ] = None
-    """Grasps that are worked on at once; with 1, each is a call of its own. Times are means."""
+    """Batch sizes; with 1, each grasp is a separate call. Times are means."""
     count: Annotated[
         DisallowNone[int | None], arg(help_behavior_hint=f"(default: {COUNT} with targets, else all; or the preset's)")
     ] = None
-    """Tasks on each object at each scale."""
+    """Number of tasks on each object at each scale."""
     scenes: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all, or the preset's)")] = None
-    """Objects at one scale of each set, evenly chosen."""
+    """Number of objects at one scale of each set, evenly chosen."""
     singles: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 32, or the preset's)")] = None
-    """Tasks of a set that are run at batch 1, about evenly from all objects."""
+    """Number of tasks of a set that are run at batch 1, about evenly from all objects."""
     shift: float = Disturbance.translation
-    """Disturbance: metres by which the root is moved in a random direction."""
+    """Disturbance: translation of the root in a random direction, metres."""
     turn: Annotated[float, arg(help_behavior_hint="(default: 0.2618, which is 15 degrees)")] = Disturbance.rotation
-    """Disturbance: radians by which the root is turned about a random axis."""
+    """Disturbance: rotation of the root about a random axis, radians."""
     noise: float = Disturbance.joints
-    """Disturbance: standard deviation of joint values in radians, clipped to the limits."""
+    """Disturbance: standard deviation of the joint values, radians, clipped to the limits."""
     tolerance: float = Config.tolerance
-    """A grasp is done when its loss (m^2) is below this."""
+    """Loss below which a grasp is converged, m^2."""
     seed: int = 0
-    """Seed of disturbances, and of what solvers draw."""
+    """Seed of disturbances and solvers."""
     threads: int = 1
     """Threads of torch in each process."""
     workers: int = 1
     """Processes. CPU times are least disturbed with 1."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write all rows to this file, in SI units but for times, which are in ms."""
+    """Write all rows to this file, in SI units, except times in ms."""
     html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write a report with a picture of error over time to this file."""
+    """Write a report with a plot of error over time to this file."""
     overwrite: Overwrite = False
 
 
 @dataclass(frozen=True)
 class BenchGrasp:
-    """Measure how accurate and how fast grasps are refined, by solver, batch size and budget.
+    """Measure accuracy and speed of the refinement of grasps, by solver, batch size and budget.
 
-    All accuracies and penetrations are those of a plain query of the final grasps, not what a solver says. Without
-    options, Levenberg-Marquardt on the embedded Allegro examples.
+    All accuracies and penetrations are from a plain query of the final grasps, not from the solver. Without options,
+    Levenberg-Marquardt on the embedded Allegro examples.
     """
 
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     options: Annotated[Options, arg(name="")] = field(default_factory=Options)
 
     def execute(self) -> int:
-        """Do it; returns the exit code.
+        """Run the command and return its exit code.
 
         Raises:
             GraspRefineError: options that do not go together, or grasps that cannot be used.
@@ -140,14 +140,14 @@ class BenchGrasp:
         )
 
     def study(self) -> Study:
-        """What the options ask for.
+        """Return the study that the options define.
 
         Raises:
             GraspRefineError: a number out of its range, or options that do not go together.
         """
         options = self.options
         check_numbers(options)
-        check_asked(options, COMPARED)
+        check_comparison(options, COMPARED)
         if self.inputs.targets != AUTO:
             raise GraspRefineError("--targets: the benchmark makes its own targets, from grasps that touch exactly")
         preset = PRESETS[options.preset] if options.preset is not None else Preset(self._variants())
@@ -170,11 +170,11 @@ class BenchGrasp:
         )
 
     def _variants(self) -> tuple[Variant, ...]:
-        """Every combination of what is compared; Levenberg-Marquardt has no derivatives to choose."""
+        """Return every combination of the compared options; Levenberg-Marquardt has no choice of derivatives."""
         options = self.options
         solvers = options.solvers or (Variant.solver,)
         if options.derivatives is not None and set(solvers) == {"levenberg-marquardt"}:
-            raise GraspRefineError("--derivatives is of descent and adam only: leave it out, or add one to --solvers")
+            raise GraspRefineError("--derivatives is for descent and adam only: leave it out, or add one to --solvers")
         usual = (Variant.derivative,)
         return tuple(
             Variant(solver, derivative, budget, batch)
@@ -187,7 +187,7 @@ class BenchGrasp:
         )
 
     def _sources(self) -> list[tuple[str, list[Inputs]]]:
-        """Names of the sets, each with what is to be loaded."""
+        """Return the names of the sets, each with its inputs."""
         inputs, options = self.inputs, self.options
         hand = inputs.hand or EXAMPLE_HAND
         plain = replace(inputs, threshold=Inputs.threshold) == Inputs()
@@ -227,7 +227,7 @@ class BenchGrasp:
         return found
 
     def _load(self, name: str, parts: list[Inputs], say: Callable[[str], None]) -> GraspSet:
-        """A set, joined of what several inputs mean."""
+        """Load a set that consists of several inputs."""
         problems = [load_problem(part, seed=self.options.seed, on_message=say) for part in parts]
         return GraspSet(
             name,
@@ -240,5 +240,5 @@ class BenchGrasp:
 
 
 def _examples(hand: str) -> list[Path]:
-    """The example grasps of a hand that comes with the program."""
+    """Example grasps of a hand that ships with the program."""
     return sorted((resource_dir("robots") / hand).glob("*.npz"))

@@ -1,4 +1,4 @@
-"""`refine-grasp bench hold`: how many grasps hold after refinement, against what it costs."""
+"""`refine-grasp bench hold`: success rate of grasps after refinement, against its cost."""
 
 from __future__ import annotations
 
@@ -26,41 +26,41 @@ from grasp_refine_apps.bench.hold.presets import PRESETS, Preset
 from grasp_refine_apps.bench.hold.runner import Group
 from grasp_refine_apps.bench.hold.study import Outcome, Study, run_study
 from grasp_refine_apps.bench.hold.table import bench_tables
-from grasp_refine_apps.commands.benchmark import check_asked, run_benchmark
+from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
 PresetName = Literal["smoke"]
 
 COMPARED = ("starts",)
-"""Options that say what is compared; a preset says it itself."""
+"""Options that choose the comparison; a preset excludes them."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What is measured, and how."""
+    """Options of the study."""
 
     preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
     """An experiment: smoke (every method on two grasps, in seconds)."""
     starts: Annotated[
         DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 1 6, or the preset's)")
     ] = None
-    """From how many starts grasps that may not hold are tried; each number is a run of its own."""
+    """Numbers of starts of the search for grasps that may not hold; each number is a separate run."""
     settings: tuple[SettingName, ...] = ("force-closure", "strict")
-    """How grasps are simulated: force-closure (friction 0.6), strict (friction 0.3), or tabletop (lifted off a
+    """Protocols of the simulation: force-closure (friction 0.6), strict (friction 0.3), or tabletop (lifted off a
     table)."""
     count: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all, or the preset's)")] = None
-    """Most grasps on each object at each scale, the first ones."""
+    """Maximum number of grasps on each object at each scale, the first ones."""
     width: int = Config.width
-    """Most grasps that are refined at once."""
+    """Maximum number of grasps refined at once."""
     threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
-    """CPU threads of the simulation; refinement has one."""
+    """CPU threads of the simulation; refinement uses one."""
     seed: int = 0
-    """Seed of everything that is drawn."""
+    """Random seed."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write all rows to this file, in SI units but for times, which are in ms."""
+    """Write all rows to this file, in SI units, except times in ms."""
     html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write a report with a picture of success over time to this file."""
+    """Write a report with a plot of success over time to this file."""
     overwrite: Overwrite = False
 
 
@@ -68,8 +68,8 @@ class Options:
 class BenchHold:
     """Measure how many grasps hold in simulation, against the CPU time of refinement.
 
-    The same grasps as they came, with pregrasps and squeezes of our own, refined by geometry only, and refined so that
-    forces balance, from one start or several. Without options, the example grasps of the embedded hand on the embedded
+    The methods are: grasps as given, with pregrasps and squeezes of our own, refined by geometry only, and refined for
+    force balance, from one start or several. Without options, the example grasps of the embedded hand on the embedded
     mug.
     """
 
@@ -77,16 +77,16 @@ class BenchHold:
     options: Annotated[Options, arg(name="")] = field(default_factory=Options)
 
     def execute(self) -> int:
-        """Do it; returns the exit code.
+        """Run the command and return its exit code.
 
         Raises:
             GraspRefineError: options that do not go together, or grasps that cannot be used.
         """
         options = self.options
         check_numbers(options)
-        check_asked(options, COMPARED)
+        check_comparison(options, COMPARED)
         if self.inputs.targets != AUTO:
-            raise GraspRefineError("--targets: the benchmark refines grasps for which nobody says where to touch")
+            raise GraspRefineError("--targets: the benchmark refines grasps without targets")
         preset = PRESETS[options.preset] if options.preset is not None else Preset()
         count = options.count if options.count is not None else preset.count
         settings = tuple(dict.fromkeys(options.settings))
@@ -102,7 +102,7 @@ class BenchHold:
             stages = "file" in problem.closing().values()
             notes = [*problem.notes, *model.notes]
             if not stages:
-                notes.append("the grasps come without pregrasps and squeezes: as they came, they get ours")
+                notes.append("the grasps have no pregrasps and squeezes: the grasps as given get ours")
             for note in notes:
                 say(f"note: {note}")
             study = Study(
@@ -125,7 +125,7 @@ class BenchHold:
 
 
 def _groups(problem: Problem, count: int | None, *, stages: bool) -> list[Group]:
-    """The first grasps on each object at each scale, without their targets."""
+    """First grasps on each object at each scale, without their targets."""
     groups = []
     for group in problem.groups:
         scene, rows = group.scene, np.arange(len(group.rows))[:count]

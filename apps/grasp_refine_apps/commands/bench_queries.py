@@ -1,4 +1,4 @@
-"""`refine-grasp bench queries`: what a witness query costs, forward and backward, and what skips save."""
+"""`refine-grasp bench queries`: cost of a witness query, forward and backward, and savings by skipping."""
 
 from __future__ import annotations
 
@@ -25,72 +25,72 @@ from grasp_refine_apps.bench.queries.runner import MethodName
 from grasp_refine_apps.bench.queries.skip import Example, several
 from grasp_refine_apps.bench.queries.study import Outcome, Study, run_study
 from grasp_refine_apps.bench.queries.table import bench_tables
-from grasp_refine_apps.commands.benchmark import check_asked, run_benchmark
+from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
 PresetName = Literal["full", "skips", "smoke"]
 EngineName = Literal["native", "python"]
 
 COMPARED = ("kinds", "pieces", "vertices", "states", "batches")
-"""Options that say what is measured; a preset says it itself."""
+"""Options that choose the measured cases; a preset excludes them."""
 
 
 @dataclass(frozen=True)
 class BenchQueries:
-    """Measure what a witness query costs, forward and backward, against coal and MuJoCo, and what skips save.
+    """Measure the cost of a witness query, forward and backward, against coal and MuJoCo, and what skips save.
 
-    A query finds the closest or deepest points of two bodies over all their convex pieces; its derivative says how
-    these points follow the motion of both bodies. Bodies and poses are generated. The peers, timed in the same run, ask
+    A query finds the closest or deepest points of two bodies over all their convex pieces; its derivative gives the
+    motion of these points with both bodies. Bodies and poses are generated. The peers, timed in the same run, query
     every pair of pieces. Without options: batches, vertices, pieces and states, one varied at a time, in a few minutes.
     """
 
     preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
-    """An experiment: full (every combination, about half an hour), skips (only what skips save), smoke (in seconds)."""
+    """An experiment: full (every combination, half an hour), skips (only what skips save), smoke (in seconds)."""
     kinds: Annotated[DisallowNone[tuple[Kind, ...] | None], arg(help_behavior_hint="(default: all)")] = None
     """convex: one piece against one; mixed: one against several, as a link against an object; concave: several against
-    several. With any of these five options, every combination of their values is measured, and skips only if asked."""
+    several. With any of these five options, all combinations of their values are measured; skips need --skips."""
     pieces: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 16)")] = None
-    """Convex pieces of each body that is not convex."""
+    """Number of convex pieces of each body that is not convex."""
     vertices: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 32)")] = None
-    """Vertices of each piece."""
+    """Number of vertices of each piece."""
     states: Annotated[DisallowNone[tuple[State, ...] | None], arg(help_behavior_hint="(default: near)")] = None
     """far (200 mm apart), near (4 mm), touching, shallow (1 mm deep), deep (5 mm)."""
     batches: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 1 16 256 1024)")] = None
-    """Poses in one call."""
+    """Number of poses in one call."""
     engines: Annotated[DisallowNone[tuple[EngineName, ...] | None], arg(help_behavior_hint="(default: all there)")] = (
         None
     )
-    """Who answers; the others are compared with the first."""
+    """Collision engines; the others are compared with the first."""
     methods: tuple[MethodName, ...] = Study.methods
-    """How witness points are differentiated."""
+    """Derivatives of the witness points."""
     peers: tuple[PeerName, ...] = Study.peers
     """coal-fresh: coal.distance with new objects each time; coal-reused: its ComputeDistance, with the same ones;
     mujoco: mj_geomDistance."""
     rounds: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 7, or the preset's)")] = None
-    """How often each time of a query is taken; medians count."""
+    """Number of timings of each query; their median counts."""
     skips: Annotated[DisallowNone[bool | None], arg(help_behavior_hint="(default: yes, see --kinds)")] = None
-    """Whether to undo what the program skips, and to count what that costs."""
+    """Run the program without its skips, and count the extra cost."""
     hands: Annotated[DisallowNone[tuple[str, ...] | None], arg(help_behavior_hint="(default: allegro shadow)")] = None
-    """Hands with example grasps, on which skips are shown."""
+    """Hands whose example grasps show the savings by skipping."""
     objects: Annotated[DisallowNone[tuple[str, ...] | None], arg(help_behavior_hint="(default: mug rounded_box)")] = (
         None
     )
     """Objects of these examples."""
     count: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 16, or the preset's)")] = None
-    """Grasps of each example: its own, then disturbed ones."""
+    """Number of grasps of each example: its own, then disturbed ones."""
     seed: int = 0
-    """Seed of bodies, poses, and what solvers draw."""
+    """Seed of bodies, poses and solvers."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write all rows to this file, in SI units but for times of queries, which are in us."""
+    """Write all rows to this file, in SI units, except times of queries in us."""
     html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write a report with charts to this file."""
     overwrite: Overwrite = False
 
     def execute(self) -> int:
-        """Do it; returns the exit code.
+        """Run the command and return its exit code.
 
         Raises:
-            GraspRefineError: options that do not go together, or an engine or example that is not there.
+            GraspRefineError: options that do not go together, or an engine or example that is not available.
         """
         preset, study = self.preset_of(), self.study()
 
@@ -110,13 +110,13 @@ class BenchQueries:
         )
 
     def preset_of(self) -> Preset:
-        """The experiment that the options ask for.
+        """Return the experiment that the options define.
 
         Raises:
             GraspRefineError: a number out of its range, or options that do not go together.
         """
         check_numbers(self)
-        check_asked(self, COMPARED)
+        check_comparison(self, COMPARED)
         for name, values, least in (("pieces", self.pieces, 2), ("vertices", self.vertices, 4)):
             if values and min(values) < least:
                 raise GraspRefineError(f"--{name} must be at least {least}, got {min(values)}")
@@ -141,22 +141,22 @@ class BenchQueries:
                 raise GraspRefineError("--preset skips --no-skips: nothing is left to measure")
             return replace(preset, examples=(), commands=())
         hands, objects = (
-            tuple(dict.fromkeys(asked or (both[side] for both in preset.examples)))
-            for side, asked in enumerate((self.hands, self.objects))
+            tuple(dict.fromkeys(names or (both[side] for both in preset.examples)))
+            for side, names in enumerate((self.hands, self.objects))
         )
         return replace(preset, examples=tuple(product(hands, objects)))
 
     def study(self) -> Study:
-        """What is run.
+        """Return the study that the options define.
 
         Raises:
-            GraspRefineError: as `preset_of`, or an engine that is not there.
+            GraspRefineError: as `preset_of`, or an engine that is not available.
         """
         preset = self.preset_of()
-        asked = dict.fromkeys(self.engines or engines())
+        names = dict.fromkeys(self.engines or engines())
         return Study(
             cases=preset.cases,
-            engines=tuple(chosen(name) for name in asked),
+            engines=tuple(chosen(name) for name in names),
             methods=tuple(dict.fromkeys(self.methods)),
             peers=tuple(dict.fromkeys(self.peers)),
             rounds=preset.rounds if self.rounds is None else self.rounds,
@@ -167,6 +167,6 @@ class BenchQueries:
         )
 
     def _example(self, hand: str, obj: str, count: int, say: Callable[[str], None]) -> Example:
-        """So many grasps of a hand on an object, the example's own first."""
+        """Load `count` grasps of a hand on an object, the example's own first."""
         (group,) = load_problem(ProblemSpec(hand=hand, object=obj), seed=self.seed, on_message=say).groups
         return Example(hand, obj, several(group.scene, count, self.seed), Config(seed=self.seed))

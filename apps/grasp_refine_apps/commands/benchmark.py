@@ -1,4 +1,4 @@
-"""What all benchmarks do around their study: checks before it, a progress bar, and the results as files and tables."""
+"""Common frame of all benchmarks: checks before the study, a progress bar, and the results as files and tables."""
 
 from __future__ import annotations
 
@@ -26,56 +26,56 @@ from grasp_refine_apps.report.screen import screen
 
 @runtime_checkable
 class Options(Protocol):
-    """Options that every benchmark has."""
+    """Options common to all benchmarks."""
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     @property
     def preset(self) -> str | None:
-        """The experiment, one of those that are known by name."""
+        """Name of the experiment; None: the options define it."""
         ...
 
     @property
     def seed(self) -> int:
-        """Seed of everything that is drawn."""
+        """Random seed."""
         ...
 
     @property
     def json(self) -> Path | None:
-        """Where results go as JSON."""
+        """Path of the results as JSON; None: none are written."""
         ...
 
     @property
     def html(self) -> Path | None:
-        """Where the report goes."""
+        """Path of the report; None: none is written."""
         ...
 
     @property
     def overwrite(self) -> bool:
-        """Whether files that exist may be replaced."""
+        """Whether existing files may be replaced."""
         ...
 
 
 @runtime_checkable
 class Outcome(Protocol):
-    """What comes out of every study."""
+    """Outcome of a study."""
 
     @property
     def rows(self) -> list[dict[str, Any]]:
-        """The entries of the tables."""
+        """Rows of the results."""
         ...
 
     @property
     def problems(self) -> list[str]:
-        """What went wrong."""
+        """Problems, one line each."""
         ...
 
 
 Found = TypeVar("Found", bound=Outcome)
 
 
-def check_asked(options: Options, compared: Sequence[str]) -> None:
-    """Refuse options without a value, and beside a preset those that say what is compared.
+def check_comparison(options: Options, compared: Sequence[str]) -> None:
+    """Refuse options without a value, and beside a preset those that choose the comparison.
 
     Raises:
         GraspRefineError: names the option.
@@ -87,28 +87,28 @@ def check_asked(options: Options, compared: Sequence[str]) -> None:
         for name in compared:
             if getattr(options, name) is not None:
                 raise GraspRefineError(
-                    f"--preset {options.preset} says itself what is compared: leave out {flag(name)}"
+                    f"--preset {options.preset} defines the comparison itself: leave out {flag(name)}"
                 )
 
 
 def run_benchmark(
     command: str,
-    asked: Any,
+    invoked: Any,
     options: Options,
     run: Callable[[Console, Callable[[float, str], None]], Found],
     tables: Callable[[Found], Iterable[RenderableType]],
     page: Callable[[dict[str, Any], Found], str],
     also: Sequence[Path] = (),
 ) -> int:
-    """Run a study, write and show what came out; returns the exit code.
+    """Run a study, write and show its results, and return the exit code.
 
     Args:
         command: Words of the command, such as "bench align".
-        asked: Its dataclass.
-        options: The part of it with the options that every benchmark has.
-        run: Does the study; gets the console of the progress bar, and what takes the share of the work that is done.
-        tables: What is printed of the results.
-        page: The HTML report of the JSON document and the results.
+        invoked: Dataclass of the command, for the invocation and the settings.
+        options: Its part with the options common to all benchmarks.
+        run: Runs the study; gets the console of the progress bar, and the callback for the share of the work done.
+        tables: Tables to print of the results.
+        page: HTML report of the JSON document and the results.
         also: Further files that `run` writes.
 
     Raises:
@@ -127,12 +127,12 @@ def run_benchmark(
     document = {
         "schema": SCHEMA,
         "command": command,
-        "invocation": invocation(command, asked),
+        "invocation": invocation(command, invoked),
         "versions": versions(),
         "machine": machine(),
         "engine": chosen("auto"),
         "preset": options.preset,
-        "config": settings(asked),
+        "config": settings(invoked),
         "seed": options.seed,
         "wall_s": time.perf_counter() - wall,
         "cpu_s": cpu_seconds() - cpu,
@@ -143,7 +143,7 @@ def run_benchmark(
     for problem in outcome.problems:
         screen(stderr=True).print(problem, style="red", markup=False, soft_wrap=True)
     if not outcome.rows:
-        console.print("nothing usable came out; nothing was written")
+        console.print("no usable results; nothing was written")
         return NOTHING_USABLE
     if options.json is not None:
         save_json(options.json, document)

@@ -1,4 +1,4 @@
-"""`refine-grasp convert`: grasps of one program as files of another."""
+"""`refine-grasp convert`: convert grasp files of one program to those of another."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from grasp_refine_apps.commands.ending import NOTHING_USABLE
 from grasp_refine_apps.commands.options import Overwrite
 from grasp_refine_apps.report.screen import screen
 
-LIMIT = 1e-6
-"""How far apart fingertips may be, in metres, when a written file is read again."""
+MAX_DIFFERENCE_M = 1e-6
+"""Largest allowed distance of fingertips when a written file is read again, metres."""
 
-CANDIDATES = 16
-"""Surface points per link; nothing here looks at them."""
+NUM_CANDIDATES = 16
+"""Number of surface points per link; they are not used here."""
 
 
 @dataclass(frozen=True)
@@ -45,30 +45,30 @@ class Convert:
     ours: one .npz file with everything. dexgraspbench, dexonomy: folders with one .npy file per grasp. bodex,
     dexgraspnet: folders with one .npy file per object. leap_cache: one .npy file of the LEAP hand with a cube.
 
-    What was written is read again before it takes its place: fingertips must be where they were to 1e-6 m, which shows
-    that nothing was lost on the way. A folder is never replaced. Pickles are read without running them. Grasps that are
-    not finite are left out, and counted.
+    Before a file takes its place, it is read again: fingertips must agree to 1e-6 m, which shows that nothing was lost
+    in the conversion. A folder is never replaced. Pickles are read without executing them. Non-finite grasps are left
+    out, and counted.
     """
 
     source: Annotated[Positional[Path], arg(metavar="IN")]
     """A grasp file, or a folder of them."""
     output: Annotated[Positional[Path], arg(metavar="OUT")]
-    """The new file, or a new folder."""
+    """Output file, or a new folder."""
     to: FormatName
-    """The format to write."""
-    format: Annotated[DisallowNone[FormatName | None], arg(help_behavior_hint="(default: as IN looks)")] = None
-    """The format of IN."""
-    hand: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: as IN says)")] = None
-    """The hand that the grasps are for: a name that `refine-grasp hands` lists, a folder or a .urdf file. Needed where
-    IN names neither hand nor joints and fits several."""
+    """Output format."""
+    format: Annotated[DisallowNone[FormatName | None], arg(help_behavior_hint="(default: detected)")] = None
+    """Format of IN."""
+    hand: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of IN)")] = None
+    """Hand of the grasps: a name from `refine-grasp hands`, a folder or a .urdf file. Required if IN names neither hand
+    nor joints and fits several hands."""
     urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
-    """The hand's URDF, where it comes without one."""
+    """URDF of the hand, if it ships without one."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write what was done to this file."""
+    """Write a summary of the conversion to this file."""
     overwrite: Overwrite = False
 
     def execute(self) -> int:
-        """Do it; returns the exit code.
+        """Run the command and return its exit code.
 
         Raises:
             GraspRefineError: an input that cannot be used; then nothing is written.
@@ -77,11 +77,11 @@ class Convert:
         outputs = [path for path in (self.output, self.json) if path is not None]
         for path in outputs:
             check_no_input(path, (self.source,), "is the input; give another name")
-        # Whether OUT is to be a folder is known once the grasps are.
+        # Whether OUT becomes a folder is known only after the grasps are read.
         check_writable(self.json, None if self.output.is_dir() else self.output, overwrite=self.overwrite)
-        said, console = screen(stderr=True), screen()
-        hand = None if self.hand is None else load_hand(self.hand, urdf=self.urdf, candidates=CANDIDATES)
-        with Progress(console=said, transient=True, disable=not said.is_terminal) as bar:
+        messages, console = screen(stderr=True), screen()
+        hand = None if self.hand is None else load_hand(self.hand, urdf=self.urdf, candidates=NUM_CANDIDATES)
+        with Progress(console=messages, transient=True, disable=not messages.is_terminal) as bar:
             task = bar.add_task("reading", total=None)
             read = reading(
                 self.source,
@@ -103,19 +103,19 @@ class Convert:
                 lost = [*lost, f"{left} of {len(read.grasps)} grasps {'is' if left == 1 else 'are'} left out"]
             check_output(self.output, to, parts)
             bar.update(task, description="writing and checking", total=None)
-            own = load(grasps.base_link)
-            doubts = (*joint_notes(own, match_joints(grasps, own)[0]), *position_notes(grasps.hand_pose))
-            # They may be why what was written is read as something else.
-            _tell(doubts, said)
+            loaded = load(grasps.base_link)
+            doubts = (*joint_notes(loaded, match_joints(grasps, loaded)[0]), *position_notes(grasps.hand_pose))
+            # They may explain a written file that does not agree.
+            _print_notes(doubts, messages)
             try:
                 with written(self.output, to, parts) as (place, rows):
                     again = reading(place, format=self.to, hand=load(grasps.base_link))
-                    difference, changed = _checked(grasps.select(rows), again.grasps, load)
+                    difference, changed = _compare(grasps.select(rows), again.grasps, load)
             except _Disagreement as found:
-                said.print(f"{self.output}: not written: {found}", soft_wrap=True, markup=False)
+                messages.print(f"{self.output}: not written: {found}", soft_wrap=True, markup=False)
                 return NOTHING_USABLE
         notes = tuple(dict.fromkeys([*doubts, *read.notes, *lost, *changed]))
-        _tell(notes[len(doubts) :], said)
+        _print_notes(notes[len(doubts) :], messages)
         if self.json is not None:
             document = {
                 "schema": SCHEMA,
@@ -128,7 +128,7 @@ class Convert:
                 "left_out": left,
                 "objects": Counter(grasps.object.tolist()),
                 "largest_difference_m": difference,
-                "limit_m": LIMIT,
+                "limit_m": MAX_DIFFERENCE_M,
                 "notes": notes,
                 "wall_s": time.perf_counter() - began,
             }
@@ -138,29 +138,29 @@ class Convert:
         return 0
 
     def _load(self, grasps: GraspSet) -> Load:
-        """What gives the hand of the grasps."""
+        """Return the loader of the hand of the grasps, by base link."""
         source = self.hand or grasps.hand
         if self.hand is None:
             check_known(source, self.source)
 
         @cache
         def load(base_link: str) -> Hand:
-            return load_hand(source, base_link=base_link, urdf=self.urdf, candidates=CANDIDATES)
+            return load_hand(source, base_link=base_link, urdf=self.urdf, candidates=NUM_CANDIDATES)
 
         return load
 
 
-def _tell(notes: Sequence[str], console: Console) -> None:
+def _print_notes(notes: Sequence[str], console: Console) -> None:
     for note in notes:
         console.print(f"note: {note}", style="dim", soft_wrap=True, markup=False)
 
 
 class _Disagreement(GraspRefineError):
-    """What was written is read as something else."""
+    """A written file that is read as something else."""
 
 
-def _checked(before: GraspSet, after: GraspSet, load: Load) -> tuple[float, list[str]]:
-    """The largest distance of fingertips in metres, and what else is not as it was, in words.
+def _compare(before: GraspSet, after: GraspSet, load: Load) -> tuple[float, list[str]]:
+    """Largest distance of fingertips in metres, and descriptions of all other differences.
 
     Raises:
         _Disagreement: the distance is too large.
@@ -169,17 +169,17 @@ def _checked(before: GraspSet, after: GraspSet, load: Load) -> tuple[float, list
         raise _Disagreement(f"{len(before)} grasps were written, {len(after)} are read")
     distances = fingertip_distances(before, after, load)
     worst = int(np.argmax(np.nan_to_num(distances, nan=np.inf)))
-    if not distances[worst] <= LIMIT:
+    if not distances[worst] <= MAX_DIFFERENCE_M:
         raise _Disagreement(
             f"read again, the fingertips of grasp {worst} ('{before.object[worst]}') are {distances[worst]:.3g} m from "
-            f"where they were, more than {LIMIT:g} m"
+            f"their original positions, more than {MAX_DIFFERENCE_M:g} m"
         )
-    pairs = zip(*(_named(grasps) for grasps in (before, after)), strict=True)
+    pairs = zip(*(_object_texts(grasps) for grasps in (before, after)), strict=True)
     other = [f"{one} will be read as {two}" for one, two in dict.fromkeys(pairs) if one != two]
     return float(distances[worst]), other
 
 
-def _named(grasps: GraspSet) -> Sequence[str]:
+def _object_texts(grasps: GraspSet) -> Sequence[str]:
     return [f"object '{n}' of scale {s:g}" for n, s in zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)]
 
 
@@ -189,9 +189,9 @@ def _summary(read: Reading, source: Path, output: Path, to: Format, files: int, 
         f"read   {source}: {read.format.name}, {_count(len(read.files), 'file')}",
         f"       {_count(len(read.grasps), 'grasp')} of hand {read.grasps.hand} on {_count(objects, 'object')}",
         f"wrote  {output}: {to.name}, {_count(files, 'file')}",
-        f"check  read again, fingertips are at most {difference:.2g} m from where they were (limit {LIMIT:g} m)",
+        f"check  read again, fingertips differ by at most {difference:.2g} m (limit {MAX_DIFFERENCE_M:g} m)",
     ]
 
 
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from grasp_refine import __version__
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.json_files import dumps
+from grasp_refine.core.versions import own_version
 from grasp_refine.hands.mesh_files import resolve_mesh
 from grasp_refine.hands.source import hand_files
 from grasp_refine.objects.source import ObjectSource
@@ -18,38 +18,38 @@ from grasp_refine.pipeline.spec import AUTO, NEAREST, ProblemSpec, SourceSpec
 from grasp_refine.results.document import settings
 from grasp_refine.results.result_files import fingerprint
 
-LAYOUT = 1
-"""Of result files; another number makes all of them be computed again."""
+LAYOUT_VERSION = 1
+"""Version of the layout of result files; a new number makes all results outdated."""
 
-PATHS = ("hand", "urdf", "mjcf", "object", "object_name", "objects", "grasps", "targets", "index")
-"""Inputs whose contents count, not what they are called."""
+CONTENT_INPUTS = ("hand", "urdf", "mjcf", "object", "object_name", "objects", "grasps", "targets", "index")
+"""Inputs that are hashed by their contents, not by their names."""
 
-NO_MATTER = ("other_object",)
-"""Inputs that say only whether a command is taken."""
+IGNORED_INPUTS = ("other_object",)
+"""Inputs that only permit a command, and do not change its results."""
 
-_NAMED = re.compile(r"""(?:filename|file)\s*=\s*["']([^"']+)["']""")
-"""How URDF and MJCF files name meshes."""
+_MESH_NAME = re.compile(r"""(?:filename|file)\s*=\s*["']([^"']+)["']""")
+"""Pattern of the names of meshes in URDF and MJCF files."""
 
-_FOLDER = re.compile(r"""(?:meshdir|assetdir)\s*=\s*["']([^"']+)["']""")
-"""How MJCF files name the folder of their meshes."""
+_MESH_FOLDER = re.compile(r"""(?:meshdir|assetdir)\s*=\s*["']([^"']+)["']""")
+"""Pattern of the mesh folder in MJCF files."""
 
 
 class Digests:
     """Hashes of files, each read once."""
 
     def __init__(self) -> None:
-        """Know none yet."""
+        """Begin with an empty cache."""
         self._files: dict[Path, dict[str, str]] = {}
         self._hands: dict[tuple[Any, ...], tuple[str, str]] = {}
 
     def file(self, path: Path) -> dict[str, str]:
-        """Path and sha256 of a file or a folder, as `report.results.fingerprint`."""
+        """Path and sha256 of a file or a folder, as `results.result_files.fingerprint`."""
         if path not in self._files:
             self._files[path] = fingerprint(path)
         return self._files[path]
 
     def hand(self, source: str, inputs: SourceSpec, say: Callable[[str], None]) -> tuple[str, str]:
-        """The hand's name, and a hash of its files and all meshes that they name.
+        """Name of a hand, and hash of its files and all meshes that they name.
 
         Raises:
             AssetError, HandError: there is no such hand, or it cannot be read.
@@ -60,34 +60,38 @@ class Digests:
             assert toml.urdf is not None
             described = [path for path in (toml.urdf, toml.path, toml.mjcf) if path is not None]
             files = dict.fromkeys(file for path in described for file in (path, *_meshes(path)))
-            # Not where they lie: a copy of a hand is the same hand.
+            # Without their folders: a copy of a hand is the same hand.
             contents = [(file.name, self.file(file)["sha256"]) for file in files]
             self._hands[key] = (toml.name or name, _sha256(contents))
         return self._hands[key]
 
     def object(self, source: ObjectSource) -> str:
-        """Hash of a mesh file or a folder of pieces; of what has no file, its name."""
+        """Hash of a mesh file or a folder of pieces; the name of an object without a file."""
         path = Path(source.source)
         return self.file(path)["sha256"] if path.exists() else str(source.source)
 
     def stamp(self, inputs: ProblemSpec, **depends: Any) -> str:
-        """Hash of the inputs' settings, the targets, this version, and all that it `depends` on besides."""
-        told = {name: value for name, value in settings(inputs).items() if name not in (*PATHS, *NO_MATTER)}
+        """Hash of the inputs' settings, the targets, this version, and everything else that the result `depends` on."""
+        described = {
+            name: value for name, value in settings(inputs).items() if name not in (*CONTENT_INPUTS, *IGNORED_INPUTS)
+        }
         targets = inputs.targets
         if targets not in (AUTO, NEAREST):
             targets = self.file(Path(targets))["sha256"]
-        return _sha256({"layout": LAYOUT, "version": __version__, "inputs": told, "targets": targets, **depends})
+        return _sha256(
+            {"layout": LAYOUT_VERSION, "version": own_version(), "inputs": described, "targets": targets, **depends}
+        )
 
 
 def _meshes(path: Path, seen: tuple[Path, ...] = ()) -> list[Path]:
-    """The meshes, and the files with more of them, that a URDF or MJCF file names and that are there."""
+    """Existing meshes, and included files with more of them, that a URDF or MJCF file names."""
     text = path.read_text(encoding="utf-8", errors="replace")
-    found, folders = [], sorted(set(_FOLDER.findall(text)))
-    for name in sorted(set(_NAMED.findall(text))):
+    found, folders = [], sorted(set(_MESH_FOLDER.findall(text)))
+    for name in sorted(set(_MESH_NAME.findall(text))):
         try:
             files = [resolve_mesh(name, path)]
         except HandError:
-            # What is missing is told when the hand is loaded; MJCF files may name a folder for their meshes.
+            # Missing meshes are reported when the hand is loaded; MJCF files may name a folder for their meshes.
             files = [file for folder in folders if (file := path.parent / folder / name).is_file()]
         found += files
         for file in files:

@@ -1,4 +1,4 @@
-"""`refine-grasp doctor`: what is installed here, what is missing, and what this machine can do."""
+"""`refine-grasp doctor`: check the installation, missing packages, and the capabilities of this machine."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ from grasp_refine_apps.commands.options import Overwrite
 from grasp_refine_apps.report.screen import screen
 
 BROKEN = 1
-"""Exit code when something that is always needed is missing or too old."""
+"""Exit code when a required package is missing or too old."""
 
 DEVELOPMENT = "test"
-"""Extra of what only the test suite needs; users are not told of it."""
+"""Extra of the test suite, which is not shown to users."""
 
 
 @dataclass(frozen=True)
 class Doctor:
-    """Say what is installed here, what is missing, and what this machine can do."""
+    """Check the installation: versions of packages, missing extras, devices, collision engine, caches."""
 
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write what was found to this file."""
+    """Write the findings to this file."""
     overwrite: Overwrite = False
 
     def execute(self) -> int:
-        """Do it; returns the exit code: 0 also when what is optional lacks."""
+        """Run the command and return its exit code, which is 0 also when optional packages are missing."""
         check_writable(self.json, overwrite=self.overwrite)
         found = examine()
         if self.json is not None:
@@ -56,7 +56,7 @@ class Doctor:
 
 
 def examine() -> dict[str, Any]:
-    """Everything that is found, for JSON; `problems` holds what keeps the program from working."""
+    """Return all findings, for JSON; `problems` lists those that keep the program from working."""
     packages = [_package(need) for need in requirements() if need.extra != DEVELOPMENT]
     problems = [
         f"{package['name']} is {package['state']}, {package['range']} is needed"
@@ -64,7 +64,7 @@ def examine() -> dict[str, Any]:
         if package["extra"] is None and package["state"] in ("missing", "too old")
     ]
     if not packages:
-        problems.append("grasp-refine is not installed: what it needs is not known")
+        problems.append("grasp-refine is not installed: its requirements are not known")
     devices, fault = _devices()
     if fault:
         problems.append(f"torch does not load: {fault}")
@@ -102,7 +102,7 @@ def _package(need: Requirement) -> dict[str, Any]:
 
 
 def _devices() -> tuple[list[dict[str, str]], str]:
-    """The devices that torch can use, and why it cannot be loaded."""
+    """Devices that torch can use, and the reason why torch cannot be loaded, or ""."""
     try:
         import torch
     except (ImportError, OSError) as error:
@@ -117,21 +117,21 @@ def _devices() -> tuple[list[dict[str, str]], str]:
 
 
 def _engine() -> dict[str, Any]:
-    """Who answers collision queries, the coal that the compiled engine is for, and why that one is not there."""
-    lacks, used, fault, coal, threads = why_not_native(), None, None, None, None
+    """Collision engine in use, coal version of the compiled engine, and reason why that one is not available."""
+    reason, used, fault, coal, threads = why_not_native(), None, None, None, None
     try:
         used = chosen("auto")
     except CollisionError as error:
         fault = str(error)
-    if not lacks:
+    if not reason:
         from grasp_refine.collision.native_search import built_for, has_threads
 
         coal, threads = built_for(), has_threads()
-    return {"used": used, "coal": coal, "threads": threads, "why_not_native": lacks or None, "fault": fault}
+    return {"used": used, "coal": coal, "threads": threads, "why_not_native": reason or None, "fault": fault}
 
 
 def _pictures() -> str | None:
-    """The OpenGL that films of simulations are drawn with; None: none."""
+    """OpenGL backend for films of simulations; None: there is none."""
     try:
         return choose_gl()
     except GraspRefineError:
@@ -139,14 +139,14 @@ def _pictures() -> str | None:
 
 
 def _cache() -> dict[str, Any]:
-    """Where decompositions are kept, how many and how large."""
+    """Folder, number and size of the cached decompositions."""
     folder = default_cache()
     sizes = [path.stat().st_size for path in folder.glob("*.npz")] if folder.is_dir() else []
     return {"folder": folder, "entries": len(sizes), "bytes": sum(sizes)}
 
 
 def _assets() -> dict[str, Any]:
-    """Where assets of others are kept, how many of those that are known are here, and the mirror, if there is one."""
+    """Folder of fetched assets, numbers of those here and of all known ones, and the mirror, if there is one."""
     here = sum(any(seems_here(asset, layout) for layout in LAYOUTS) for asset in all_assets())
     mirror, fault = os.environ.get(VARIABLE), None
     try:
@@ -172,12 +172,12 @@ def _show(found: dict[str, Any], console: Console) -> None:
         optional = package["extra"]
         state = package["state"]
         color = "green" if state == "ok" else "yellow" if optional or state == "too new" else "red"
-        what = "not installed" if optional and state == "missing" else state
+        text = "not installed" if optional and state == "missing" else state
         table.add_row(
             package["name"],
             package["installed"] or "-",
             package["range"],
-            f"[{color}]{'untested, too new' if state == 'too new' else what}[/]",
+            f"[{color}]{'untested, too new' if state == 'too new' else text}[/]",
             f"extra '{optional}'" if optional else "",
         )
     console.print(table, "")
@@ -188,13 +188,13 @@ def _show(found: dict[str, Any], console: Console) -> None:
     if set(found["problems"]) - {found["engine"]["fault"]}:
         console.print(f"install again: pip install --upgrade {NAME}")
     elif not found["problems"]:
-        console.print("[green]everything that is needed is here[/]")
+        console.print("[green]everything required is installed[/]")
 
 
 def _lines(found: dict[str, Any]) -> list[str]:
     cache, assets = found["cache"], found["assets"]
     devices = [f"{device['name']} ({device['what']})" for device in found["devices"]]
-    lacking = sorted({p["extra"] for p in found["packages"] if p["extra"] and p["state"] == "missing"})
+    missing = sorted({p["extra"] for p in found["packages"] if p["extra"] and p["state"] == "missing"})
     lines = [
         f"devices: {', '.join(devices) or 'none'}" + ("" if found["gpu"] else "; no GPU, none is needed"),
         f"engine:  {_engine_text(found['engine'])}",
@@ -205,8 +205,8 @@ def _lines(found: dict[str, Any]) -> list[str]:
         f"hands:   {', '.join(found['hands']) or 'none'}",
         f"films:   {found['pictures'] or 'none, no OpenGL without a screen; apt install libegl1 libgl1-mesa-dri'}",
     ]
-    if lacking:
-        lines.append(f'optional: pip install "{NAME}[{",".join(lacking)}]"')
+    if missing:
+        lines.append(f'optional: pip install "{NAME}[{",".join(missing)}]"')
     return lines
 
 
@@ -214,5 +214,5 @@ def _engine_text(engine: dict[str, Any]) -> str:
     if engine["used"] == "native":
         alone = "" if engine["threads"] else "; one thread, as it was built without OpenMP"
         return f"native, compiled for coal {engine['coal']}{alone}"
-    reason = f"; native: {engine['why_not_native']}" if engine["why_not_native"] else f", as {ENGINE} says"
+    reason = f"; native: {engine['why_not_native']}" if engine["why_not_native"] else f", chosen by {ENGINE}"
     return "none, see the problem" if engine["fault"] else f"python, the slower one{reason}"

@@ -1,4 +1,4 @@
-"""How commands end: with an exit code."""
+"""Exit codes of commands."""
 
 NOTHING_USABLE = 1
-"""Exit code when nothing usable came out."""
+"""Exit code when there are no usable results."""

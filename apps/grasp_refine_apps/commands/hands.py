@@ -1,4 +1,4 @@
-"""`refine-grasp hands`: the hands that come with the program, or everything that was read of one hand."""
+"""`refine-grasp hands`: hands that ship with the program, or everything that was read of one hand."""
 
 from __future__ import annotations
 
@@ -25,43 +25,49 @@ from grasp_refine_apps.report.screen import screen
 if TYPE_CHECKING:
     from grasp_refine_apps.report.hand_check import HandCheck
 
-CANDIDATES = 16
-"""Surface points per link; nothing here looks at them."""
+NUM_CANDIDATES = 16
+"""Number of surface points per link; they are not used here."""
 
-ASK_FOR_ONE = "without a hand, by its name or URDF: refine-grasp hands HAND"
+NEEDS_HAND = "without a hand, by its name or URDF: refine-grasp hands HAND"
 
 
 @dataclass(frozen=True)
 class Hands:
-    """List the hands that come with the program, show what is read of one, or check a URDF that you bring."""
+    """List the hands that ship with the program, show the joints and links of one, or check your own URDF."""
 
     hand: Annotated[
         Positional[DisallowNone[str | None]], arg(metavar="[HAND]", help_behavior_hint="(default: list all)")
     ] = None
-    """A name from the list, a folder with a hand.toml or one URDF, or a .urdf file."""
-    urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: as named)")] = None
-    """The hand's URDF, where it comes without one."""
-    mjcf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: as named)")] = None
-    """The same hand as an MJCF file, to see whether they match."""
-    base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: as said)")] = None
-    """Link that the hand begins at; the root of the URDF moves all joints, also those of an arm. By default what the
-    hand.toml says, else the palm of a hand on an arm, else the root."""
+    """Name from the list, folder with a hand.toml or one URDF, or .urdf file."""
+    urdf: Annotated[
+        DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: that of the hand)")
+    ] = None
+    """URDF of the hand, if it ships without one."""
+    mjcf: Annotated[
+        DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: that of the hand)")
+    ] = None
+    """MJCF file of the same hand, to check that it matches the URDF."""
+    base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: see above)")] = (
+        None
+    )
+    """Base link of the hand; with the root of the URDF, the joints of an arm move, too. By default that of the
+    hand.toml, else the palm of a hand on an arm, else the root."""
     hull_limit: float = HULL_LIMIT
-    """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it, as for `run`."""
+    """Largest distance (metres) by which the convex hull of a link's mesh may exceed the mesh, as for `run`."""
     check: Annotated[bool, arg(help_behavior_hint="")] = False
-    """Say what was understood and why, and what looks wrong."""
+    """Show how the files were read and why, and what looks wrong."""
     write: Annotated[bool, arg(help_behavior_hint="")] = False
-    """With --check: write a hand.toml to start from, beside the URDF."""
+    """With --check: write a hand.toml to start from beside the URDF."""
     out: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: that of the URDF)")] = (
         None
     )
-    """With --write: the folder of the hand.toml."""
+    """With --write: folder of the hand.toml."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write what is known about the hands to this file."""
+    """Write the facts about the hands to this file."""
     overwrite: Overwrite = False
 
     def execute(self) -> int:
-        """Do it; returns the exit code.
+        """Run the command and return its exit code.
 
         Raises:
             GraspRefineError: no such hand, one that cannot be read, or files that cannot be written.
@@ -77,7 +83,7 @@ class Hands:
             base_link=self.base_link,
             urdf=self.urdf,
             mjcf=self.mjcf,
-            candidates=CANDIDATES,
+            candidates=NUM_CANDIDATES,
             hull_limit=self.hull_limit,
             progress=lambda line: screen(stderr=True).print(line, markup=False, style="dim", soft_wrap=True),
         )
@@ -85,12 +91,12 @@ class Hands:
 
     def _list(self) -> int:
         given = {"--urdf": self.urdf, "--mjcf": self.mjcf, "--base-link": self.base_link, "--out": self.out}
-        asked = [option for option, value in given.items() if value is not None]
-        asked += ["--check"] * self.check + ["--write"] * self.write
-        if asked:
-            raise GraspRefineError(f"{' and '.join(asked)} {ASK_FOR_ONE} {asked[0]}")
+        named = [option for option, value in given.items() if value is not None]
+        named += ["--check"] * self.check + ["--write"] * self.write
+        if named:
+            raise GraspRefineError(f"{' and '.join(named)} {NEEDS_HAND} {named[0]}")
         waiting = [name for name in list_hands() if needs_urdf(name)]
-        hands = [load_hand(name, candidates=CANDIDATES) for name in list_hands() if name not in waiting]
+        hands = [load_hand(name, candidates=NUM_CANDIDATES) for name in list_hands() if name not in waiting]
         self._save([hand_facts(hand) for hand in hands] + [facts_without_urdf(name) for name in waiting])
         console = screen()
         console.print(list_table(hands, waiting), "")
@@ -104,8 +110,8 @@ class Hands:
                 markup=False,
             )
         console.print(
-            "refine-grasp hands HAND shows the joints, links and contact links of one; a URDF file will do.\n"
-            "refine-grasp hands --check my_hand.urdf says what looks wrong in yours; --write writes a hand.toml."
+            "refine-grasp hands HAND shows the joints, links and contact links of a hand or a URDF file.\n"
+            "refine-grasp hands --check my_hand.urdf checks your own URDF; --write writes a hand.toml."
         )
         return 0
 
@@ -142,12 +148,12 @@ class Hands:
         _show_examples(hand, console)
         if written is not None:
             used = "its folder, or this URDF," if written.parent == hand.urdf.parent else "its folder"
-            told = f"wrote {written}: edit it; it is read when you name {used} as the hand"
+            message = f"wrote {written}: edit it; it is read when you name {used} as the hand"
         elif hand.toml is not None:
-            told = f"{hand.toml} was used"
+            message = f"{hand.toml} was used"
         else:
-            told = f"no {HAND_TOML} says what the URDF does not; --write writes one to start from"
-        console.print(f"\n{told}", markup=False, soft_wrap=True)
+            message = f"there is no {HAND_TOML} beside the URDF; --write writes one to start from"
+        console.print(f"\n{message}", markup=False, soft_wrap=True)
         return NOTHING_USABLE if found.refused else 0
 
     def _save(self, facts: list[dict[str, Any]]) -> None:
@@ -156,20 +162,20 @@ class Hands:
 
 
 def _show_check(hand: Hand, found: HandCheck, console: Console) -> None:
-    # Sections of their own say these.
+    # These have sections of their own.
     begins = [note for note in hand.notes if note.startswith("the hand begins")]
     notes = [note for note in hand.notes if note not in begins and not note.startswith("contact links guessed")]
     pairs = found.pairs
     ignored = [f"ignored: {a} and {b}, which overlap at the rest pose" for a, b in pairs.at_rest]
     ignored += [f"ignored: {a} and {b}, which overlap nearly always" for a, b in pairs.nearly_always]
     if ignored:
-        ignored.append("if they should be watched, say a rest_pose in which they do not overlap")
-    refused = [f"MuJoCo does not take the hand: {found.refused}"] if found.refused else []
+        ignored.append("to check them, set a rest_pose in which they do not overlap")
+    refused = [f"MuJoCo rejects the hand: {found.refused}"] if found.refused else []
     sections = {
         "begins at": [f"link '{hand.base_link}': {hand.base_why}", *begins],
         "meant to touch the object": found.contacts,
         "links that must not run into each other": [
-            f"pairs that are watched: {len(pairs.watched)}; neighbours: {pairs.neighbours}; never meet: {pairs.never}",
+            f"pairs that are checked: {len(pairs.watched)}; neighbours: {pairs.neighbours}; never meet: {pairs.never}",
             *ignored,
         ],
         "in simulation": [*refused, *found.simulation],

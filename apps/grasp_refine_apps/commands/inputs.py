@@ -1,4 +1,4 @@
-"""Options that name what is refined: grasps of a file, the hand's example, or new ones; `pipeline.load` reads them."""
+"""Options for the grasps to refine: from a file, the hand's example, or sampled; `pipeline.load` reads them."""
 
 from __future__ import annotations
 

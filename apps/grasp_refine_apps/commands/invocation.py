@@ -1,4 +1,4 @@
-"""The command line that asks for the same again."""
+"""Command line that repeats a run."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from typing import Any
 from grasp_refine_apps.commands.options import flag
 
 WRITTEN = ("json", "html", "overwrite")
-"""Options about files that are written."""
+"""Options for output files."""
 
 POSITIONAL = ("jobs",)
 """Options without a name on the command line."""
 
 
 def invocation(command: str, options: Any) -> str:
-    """The command line that asks for what `options` do, without the files that are written.
+    """Return the command line of some options, without the output files.
 
     Args:
         command: Words of the command, such as "bench align".
-        options: Its dataclass; the options of those inside it have no prefix.
+        options: Dataclass of the command; the options of nested dataclasses have no prefix.
     """
     return shlex.join(["refine-grasp", *command.split(), *words(options)])
 
 
 def words(options: Any) -> Iterator[str]:
-    """The options that differ from their defaults."""
+    """Yield the options that differ from their defaults."""
     for option in fields(options):
         value = getattr(options, option.name)
         if is_dataclass(value):

@@ -1,4 +1,4 @@
-"""What a batch is asked to refine: grasp files in folders, by patterns, or listed in a TOML or CSV file."""
+"""Jobs of a batch: grasp files in folders, by patterns, or listed in a TOML or CSV file."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from grasp_refine.pipeline.spec import SAMPLE
 from grasp_refine_apps.commands.inputs import Inputs
 
 LISTS = (".toml", ".csv")
-"""Endings of job lists."""
+"""Suffixes of job lists."""
 
 KEYS = tuple(field.name for field in fields(Inputs) if field.name != "index")
-"""What a job list may say of a job, besides its name: the options of `refine-grasp run` of these names."""
+"""Keys of a job in a list, besides its name: the options of `refine-grasp run` of these names."""
 
 NAMES_OR_PATHS = ("hand", "object", "targets")
-"""Inputs that are names, or paths where they can be nothing else."""
+"""Inputs that are names, or paths if they cannot be names."""
 
 
 @dataclass(frozen=True)
@@ -36,29 +36,29 @@ class Job:
     """Grasps of one file, or sampled ones, with their hand and objects."""
 
     name: str
-    """What it is called in results; no two jobs of a batch are called the same. That of a file may not be sound."""
+    """Name in results, unique in a batch. A name derived from a file may be invalid."""
     inputs: Inputs
-    """What is refined; the grasps are always given, and nothing depends on the working folder."""
+    """Inputs; grasps are always given, and nothing depends on the working folder."""
     named: bool = True
-    """Whether its file was named, and not found in a folder or by a pattern: then it is refined whatever it is."""
+    """Whether its file was named explicitly, not found in a folder or by a pattern: then it is always refined."""
 
 
 def read_jobs(sources: Sequence[str], defaults: Inputs, *, together: bool = False) -> list[Job]:
-    """The jobs that some sources name; what is named twice counts once.
+    """Return the jobs that some sources name; duplicates count once.
 
     Args:
         sources: Job lists (.toml, .csv), grasp files, folders of them at any depth, patterns such as "sets/*.npz", or
             sample:N.
-        defaults: What a job does not say itself.
-        together: A folder is one job.
+        defaults: Inputs that a job does not specify itself.
+        together: Treat a folder as one job.
 
     Raises:
-        GraspRefineError: a source that names nothing, or a list that cannot be read; names the line.
+        GraspRefineError: a source without jobs, or a list that cannot be read; names the line.
     """
     found: list[Job] = []
     for source in sources:
         if Path(source).suffix.lower() in LISTS and not is_folder(Path(source)):
-            found += _listed(Path(source), defaults, together)
+            found += _jobs_of_list(Path(source), defaults, together)
         else:
             found += _jobs(source, defaults, "", together)
     if not found:
@@ -73,36 +73,40 @@ def read_jobs(sources: Sequence[str], defaults: Inputs, *, together: bool = Fals
 
 
 def _jobs(source: str, inputs: Inputs, name: str, together: bool) -> Iterator[Job]:
-    """A job for each grasp file that a source means, with these inputs.
+    """Yield a job for each grasp file of a source, with these inputs.
 
     Raises:
-        GraspRefineError: it means none.
+        GraspRefineError: the source has no grasp files.
     """
     if source.startswith(SAMPLE):
-        yield Job(name or source.replace(":", "_"), _anywhere(replace(inputs, grasps=Path(source))))
+        yield Job(name or source.replace(":", "_"), _with_absolute_paths(replace(inputs, grasps=Path(source))))
         return
     path = expand_user(Path(source))
     if not glob.has_magic(source) or exists(path):
-        # A file that is not there is told with its job, so that the others can go on.
+        # A missing file is reported with its job, so that the other jobs can run.
         folder = is_folder(path)
         named = together or not folder
-        found = [(path.stem if path.suffix and not folder else path.name, path)] if named else _below(path, path)
+        found = (
+            [(path.stem if path.suffix and not folder else path.name, path)]
+            if named
+            else _grasp_files_below(path, path)
+        )
     else:
         fixed = Path(*itertools.takewhile(lambda part: not glob.has_magic(part), path.parts))
         found, named = [], False
         for match in map(Path, sorted(glob.glob(str(path), recursive=True), key=natural)):
             whole = together or not match.is_dir()
-            found += [(_named(match, fixed), match)] if whole else _below(match, fixed)
+            found += [(_job_name(match, fixed), match)] if whole else _grasp_files_below(match, fixed)
     if not found:
         what = "matches no grasp files" if glob.has_magic(source) else "no grasp files in this folder or below it"
         raise GraspRefineError(f"{source}: {what}; they end with {', '.join(SUFFIXES)}")
     for stem, file in found:
         label = stem if not name else name if len(found) == 1 else f"{name}/{stem}"
-        yield Job(label, _anywhere(replace(inputs, grasps=file)), named)
+        yield Job(label, _with_absolute_paths(replace(inputs, grasps=file)), named)
 
 
-def _below(folder: Path, within: Path) -> list[tuple[str, Path]]:
-    """Name and path of each grasp file in a folder and below it, also behind links; names begin at `within`."""
+def _grasp_files_below(folder: Path, within: Path) -> list[tuple[str, Path]]:
+    """Name and path of each grasp file in a folder and below it, also behind links; names are relative to `within`."""
     found, seen = [], set()
     for place, folders, files in os.walk(folder, followlinks=True):
         real = os.path.realpath(place)
@@ -110,20 +114,20 @@ def _below(folder: Path, within: Path) -> list[tuple[str, Path]]:
             folders.clear()
             continue
         seen.add(real)
-        # Hidden files are half written ones of another batch.
+        # Hidden files are partial files of another batch.
         found += [Path(place, file) for file in files if not file.startswith(".")]
     found = [file for file in found if file.suffix.lower() in SUFFIXES and file.is_file()]
     found.sort(key=lambda file: natural(file.relative_to(folder).as_posix()))
-    return [(_named(file, within), file) for file in found]
+    return [(_job_name(file, within), file) for file in found]
 
 
-def _named(file: Path, within: Path) -> str:
-    """The name of a file that was found in a folder."""
+def _job_name(file: Path, within: Path) -> str:
+    """Name of a file found in a folder, relative to `within`."""
     return file.relative_to(within).with_suffix("").as_posix()
 
 
-def _listed(path: Path, defaults: Inputs, together: bool) -> Iterator[Job]:
-    """The jobs of a list."""
+def _jobs_of_list(path: Path, defaults: Inputs, together: bool) -> Iterator[Job]:
+    """Yield the jobs of a list."""
     rows, common = _read_toml(path) if path.suffix.lower() == ".toml" else (_read_csv(path), {})
     defaults = replace(defaults, **_values(common, path, f"{path}: [defaults]"))
     for number, row in enumerate(rows, 1):
@@ -138,29 +142,27 @@ def _listed(path: Path, defaults: Inputs, together: bool) -> Iterator[Job]:
             )
         inputs = replace(defaults, **_values(row, path, where))
         if inputs.grasps is None:
-            raise GraspRefineError(f'{where}: says no grasps = "FILE" (or a folder, a pattern, or sample:N)')
+            raise GraspRefineError(f'{where}: needs grasps = "FILE" (or a folder, a pattern, or sample:N)')
         yield from _jobs(str(inputs.grasps), inputs, name, together)
 
 
 def _read_toml(path: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """The [[job]] tables, and what [defaults] says."""
+    """Read the [[job]] tables, and the [defaults] table."""
     try:
         raw = read_toml(path)
     except UNREADABLE as error:
         raise GraspRefineError(f"{path}: cannot be read as a TOML job list ({_reason(error)})") from None
     unknown = [key for key in raw if key not in ("job", "defaults")]
     if unknown:
-        raise GraspRefineError(
-            f"{path}: '{unknown[0]}' means nothing here; a job list has [defaults] and [[job]] tables"
-        )
+        raise GraspRefineError(f"{path}: '{unknown[0]}' is unknown; a job list has [defaults] and [[job]] tables")
     jobs, common = raw.get("job", []), raw.get("defaults", {})
     if not (isinstance(jobs, list) and all(isinstance(job, dict) for job in jobs) and isinstance(common, dict)):
-        raise GraspRefineError(f"{path}: jobs are [[job]] tables, what they share is a [defaults] table")
+        raise GraspRefineError(f"{path}: jobs must be [[job]] tables, and their shared inputs a [defaults] table")
     return jobs, common
 
 
 def _read_csv(path: Path) -> list[dict[str, Any]]:
-    """The rows below the header; empty cells are left out."""
+    """Read the rows below the header; empty cells are left out."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file, strict=True)
@@ -171,7 +173,7 @@ def _read_csv(path: Path) -> list[dict[str, Any]]:
     _check_keys(header, f"{path}: its header")
     for number, row in enumerate(rows, 1):
         if None in row or None in row.values():
-            raise GraspRefineError(f"{path}: job {number}: has not as many cells as the header, {len(header)}")
+            raise GraspRefineError(f"{path}: job {number}: must have {len(header)} cells, as many as the header")
     return [{key: cell.strip() for key, cell in row.items() if cell.strip()} for row in rows]
 
 
@@ -180,23 +182,23 @@ def _reason(error: Exception) -> str:
 
 
 def _check_keys(keys: Sequence[str], where: str) -> None:
-    """Refuse what no job has."""
+    """Refuse unknown keys."""
     for key in keys:
         if key not in (*KEYS, "name"):
-            raise GraspRefineError(f"{where}: '{key}' is nothing that a job has; there are name, {', '.join(KEYS)}")
+            raise GraspRefineError(f"{where}: '{key}' is no key of a job; there are name, {', '.join(KEYS)}")
 
 
 def _values(raw: Mapping[str, Any], path: Path, where: str) -> dict[str, Any]:
-    """The fields of `Inputs` that a table gives."""
+    """Convert a table to fields of `Inputs`."""
     _check_keys(list(raw), where)
     if "name" in raw:
-        raise GraspRefineError(f"{where}: a name is what no two jobs share; give it in [[job]]")
+        raise GraspRefineError(f"{where}: the name of a job must be unique; give it in [[job]]")
     hints = get_type_hints(Inputs)
     return {key: _value(key, value, hints[key], path.parent, f"{where}: {key}") for key, value in raw.items()}
 
 
 def _value(key: str, value: Any, hint: Any, folder: Path, where: str) -> Any:
-    """A value of a list as its field holds it; paths are relative to the list, where something lies there."""
+    """Convert a value of a list to the type of its field; paths are relative to the list, if they exist there."""
     kinds = [kind for kind in _alternatives(hint) if kind is not type(None)]
     choices = [choice for kind in kinds if get_origin(kind) is Literal for choice in get_args(kind)]
     if float in kinds:
@@ -220,12 +222,12 @@ def _value(key: str, value: Any, hint: Any, folder: Path, where: str) -> Any:
 
 
 def _is_path(name: str) -> bool:
-    """Whether a name of a hand or an object can only be a path: names win over folders that are called the same."""
+    """Return True if a hand, object or targets can only be a path: names take precedence over folders of that name."""
     return ":" not in name and ("/" in name or bool(Path(name).suffix))
 
 
 def _alternatives(hint: Any) -> tuple[Any, ...]:
-    """The types of a field, without what is annotated to them."""
+    """Types of a field, without annotations."""
     if hasattr(hint, "__metadata__"):
         return _alternatives(get_args(hint)[0])
     if get_origin(hint) in (Union, UnionType):
@@ -233,8 +235,8 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
     return (hint,)
 
 
-def _anywhere(inputs: Inputs) -> Inputs:
-    """The same, with absolute paths: a worker may run in another folder."""
+def _with_absolute_paths(inputs: Inputs) -> Inputs:
+    """Return the inputs with absolute paths: a worker may run in another folder."""
 
     def absolute(value: Any) -> Any:
         if value is None or str(value).startswith(SAMPLE):

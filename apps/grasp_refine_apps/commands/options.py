@@ -1,4 +1,4 @@
-"""Options from the command line into the dataclass of a command, and the ranges of the numbers in them."""
+"""Parsing of the command line into the dataclass of a command, and checks of the numbers in it."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from grasp_refine.core.errors import GraspRefineError
 Command = TypeVar("Command")
 
 Overwrite = Annotated[
-    bool, tyro.conf.arg(help="Replace files that exist; without it they are kept.", help_behavior_hint="")
+    bool, tyro.conf.arg(help="Replace existing files; without it they are kept.", help_behavior_hint="")
 ]
 """The option `--overwrite` of commands that write files."""
 
 LARGEST_SEED = 2**32 - 1
 
 MAY_BE_ZERO = ("seed", "restarts", "noise")
-"""Whole numbers that may be 0."""
+"""Numbers that may be 0."""
 
 MAY_BE_INFINITE = ("max_move",)
-"""Limits, of which there may be none."""
+"""Limits that may be infinite."""
 
 
 def _indices(words: list[str]) -> tuple[int, ...]:
     """Integers separated by spaces or commas.
 
     Raises:
-        ValueError: a word is none.
+        ValueError: a word is no integer.
     """
     return tuple(int(word) for word in ",".join(words).split(",") if word)
 
@@ -48,38 +48,48 @@ INDICES = PrimitiveConstructorSpec(
     is_instance=lambda value: isinstance(value, tuple),
     str_from_instance=lambda value: [str(number) for number in value],
 )
-"""Option that takes integers, as in 0 3 7 or 0,3,7."""
+"""Constructor of an option that takes integers, as in 0 3 7 or 0,3,7."""
 
 _FRAME, _RULE = "│| \n", "│╭╮╰╯─|+- "
-"""What tyro draws its boxes with, also where it has only ASCII."""
+"""Characters of tyro's boxes, also of its ASCII ones."""
 _ANSI = re.compile(r"\x1b\[[0-9;]*m")
 _PUNCTUATION = re.compile(r"[.;:?]$")
 _CHOICES = re.compile(r"(?<=one of )\('[^()]*'\)")
 _UNRECOGNIZED = "unrecognized options: "
+_OPTIONS_CLASS = re.compile(r"^(\w+)Options: (\w+)")
+"""Beginning of a message about a field of a class of options, as in "WeightsOptions: contact"."""
 
 
 def parse(command: type[Command], program: str, arguments: Sequence[str]) -> Command:
-    """The options of a command.
+    """Parse the options of a command.
 
     Raises:
-        GraspRefineError: options that do not exist, lack a value or have a wrong one.
+        GraspRefineError: options that do not exist, have no value or a wrong one.
         SystemExit: with code 0, after `--help` was printed.
     """
-    said = io.StringIO()
+    stderr = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
+        with contextlib.redirect_stderr(stderr):
             parsed = tyro.cli(command, prog=program, args=arguments)
+    except GraspRefineError as error:
+        raise GraspRefineError(_OPTIONS_CLASS.sub(_option_of_field, str(error))) from None
     except SystemExit as end:
         if not end.code:
             raise
-        complaint = _one_line(said.getvalue())
+        complaint = _one_line(stderr.getvalue())
         raise GraspRefineError(f"{complaint}{_grasps_hint(complaint, command)}; see {program} --help") from None
-    sys.stderr.write(said.getvalue())
+    sys.stderr.write(stderr.getvalue())
     return parsed
 
 
+def _option_of_field(found: re.Match[str]) -> str:
+    """Return the option of a field: "WeightsOptions: contact" -> "--weights.contact"."""
+    group = re.sub(r"(?<!^)(?=[A-Z])", "-", found[1]).lower()
+    return f"--{group}.{found[2].replace('_', '-')}"
+
+
 def _one_line(box: str) -> str:
-    """What tyro says in a box of several paragraphs: the complaint, and the options that may have been meant."""
+    """Extract the error from tyro's box of several paragraphs, and the options that may have been meant."""
     paragraphs: list[list[str]] = [[]]
     for line in _ANSI.sub("", box).splitlines()[1:]:
         text = line.strip(_FRAME)
@@ -101,34 +111,34 @@ def _one_line(box: str) -> str:
 
 
 def _sorted_choices(found: re.Match[str]) -> str:
-    """The choices that tyro lists, in alphabetical order: it has them in that of a set, with the None of no option."""
+    """Sort the choices that tyro lists: it has them in the order of a set, with the None of an absent option."""
     return ", ".join(sorted(set(re.findall(r"'([^']*)'", found[0])) - {"None"}))
 
 
 def _grasps_hint(complaint: str, command: type[Any]) -> str:
-    """Say how a grasp file is given where a word without an option looks like one."""
+    """Return a hint how a grasp file is given, if a word without an option looks like one."""
     word = complaint.removeprefix(_UNRECOGNIZED).split()[0] if complaint.startswith(_UNRECOGNIZED) else "-"
     return "" if word.startswith("-") or not _has_option(command, "grasps") else f"; perhaps --grasps {word}"
 
 
 def _has_option(command: Any, name: str) -> bool:
-    """Whether a dataclass of options, or one inside it, has a field of this name."""
+    """Return True if a dataclass of options, or one nested in it, has a field of this name."""
     types = get_type_hints(command)
     return name in types or any(_has_option(kind, name) for kind in types.values() if is_dataclass(kind))
 
 
 def flag(name: str, prefix: str = "--") -> str:
-    """The option of a field."""
+    """Name of the option of a field."""
     return prefix + name.replace("_", "-")
 
 
 def check_numbers(options: Any, prefix: str = "--") -> None:
-    """Nothing, when the numbers in a dataclass, and in those inside it, are such as settings can be.
+    """Refuse numbers out of range in a dataclass, and in those nested in it.
 
-    Floats are finite and not negative, whole numbers at least 1, some of them at least 0.
+    Floats must be finite and not negative, integers at least 1, some of them at least 0.
 
     Raises:
-        GraspRefineError: names the option, its value and what it may be.
+        GraspRefineError: names the option, its value and its range.
     """
     for field in fields(options):
         value = getattr(options, field.name)
@@ -152,10 +162,10 @@ def check_numbers(options: Any, prefix: str = "--") -> None:
 
 
 def check_device(device: str, dtype: str) -> None:
-    """Nothing, when torch can hold numbers of a type on a device.
+    """Refuse a device on which torch cannot hold numbers of a type.
 
     Raises:
-        GraspRefineError: it cannot.
+        GraspRefineError: names the device and the type.
     """
     if device == "cpu":
         return

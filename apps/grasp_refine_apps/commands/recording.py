@@ -1,4 +1,4 @@
-"""The options that record simulations, to be looked at: replays, models that open in any MuJoCo, films."""
+"""Options for recordings of simulations: replays, models that open in any MuJoCo, films."""
 
 from __future__ import annotations
 
@@ -24,36 +24,35 @@ from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.world import World
 
-MOST = 20
-"""Most grasps that are recorded at once: each takes some megabytes."""
+MAX_RECORDED = 20
+"""Maximum number of grasps recorded at once: each takes some megabytes."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What is recorded of a simulation."""
+    """Recordings of a simulation."""
 
     replays: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
-    """Record each grasp in the direction that is worst for it into this folder: .npz with all joint values over
-    time, .xml that opens in any MuJoCo; of several files, each into a folder of its own therein. At most 20 grasps:
-    choose them with --index."""
+    """Record each grasp in its worst direction into this folder: .npz with all joint values over time, .xml that opens
+    in any MuJoCo; with several FILEs, each into its own subfolder. At most 20 grasps: choose them with --index."""
     direction: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: the worst)")] = None
     """Record this direction: +x, -x, +y, -y, +z, -z; with --setting tabletop, lift."""
     film: bool = False
-    """Beside each replay, a short film (.gif); needs an offscreen OpenGL, MUJOCO_GL=egl or osmesa."""
+    """Write a short film (.gif) beside each replay; needs offscreen OpenGL, MUJOCO_GL=egl or osmesa."""
 
     def check(
         self, protocol: Protocol | None, files: Sequence[Path], drafts: Sequence[Draft], *, overwrite: bool
     ) -> None:
-        """Nothing, when it can be recorded what is asked for.
+        """Refuse recordings that cannot be made.
 
         Args:
-            protocol: How grasps are simulated; None: not at all.
-            files: The grasp files.
-            drafts: The grasps of each.
-            overwrite: Whether files that exist may be replaced.
+            protocol: Protocol of the simulation; None: grasps are not simulated.
+            files: Grasp files.
+            drafts: Grasps of each file.
+            overwrite: Whether existing files may be replaced.
 
         Raises:
-            GraspRefineError: it cannot.
+            GraspRefineError: names the option or file.
         """
         if self.replays is None:
             if self.film or self.direction is not None:
@@ -65,9 +64,11 @@ class Recording:
         if self.direction is not None and self.direction not in names:
             raise GraspRefineError(f"--direction {self.direction}: there are {', '.join(names)}")
         count = sum(len(draft.names) for draft in drafts)
-        if count > MOST:
-            raise GraspRefineError(f"--replays records at most {MOST} grasps, here are {count}: choose with --index")
-        # Which direction is the worst is known in the end.
+        if count > MAX_RECORDED:
+            raise GraspRefineError(
+                f"--replays records at most {MAX_RECORDED} grasps, here are {count}: choose with --index"
+            )
+        # The worst direction is known only after the simulation.
         directions = names if self.direction is None else (self.direction,)
         for folder, draft in zip(self.folders(files), drafts, strict=True):
             for group, direction in product(draft.groups, directions):
@@ -82,7 +83,7 @@ class Recording:
             check_renderer()
 
     def folders(self, files: Sequence[Path]) -> tuple[Path, ...]:
-        """For each grasp file the folder that its replays go to, none being another's; empty: nothing is recorded."""
+        """Folder of the replays of each grasp file, all distinct; empty: nothing is recorded."""
         if self.replays is None:
             return ()
         if len(files) == 1:
@@ -93,13 +94,13 @@ class Recording:
     def record(
         self, group: Group, world: World, motion: Motion, trials: Trials, hand: str, folder: Path
     ) -> Iterator[str]:
-        """Record the grasps of a group; yields what to tell about each, also where something could not be written.
+        """Record the grasps of a group; yield a message about each, also on failure.
 
         Args:
-            group: The grasps.
-            world: In which they were simulated.
-            motion: How the hand closed to them.
-            trials: What became of them.
+            group: Grasps.
+            world: Simulated world.
+            motion: Closing motion of the hand.
+            trials: Results of the simulation.
             hand: Name of the hand.
             folder: One of `folders`.
         """
@@ -114,30 +115,30 @@ class Recording:
             yield f"{name}: {direction} {replay.reason}, {self._save(replay, world, path)}"
 
     def _save(self, replay: Replay, world: World, path: Path) -> str:
-        """Write all files of a replay, the most important one first; returns which there are, and why others not."""
+        """Write all files of a replay, the most important one first; return a message of what was written."""
         try:
             save_replay(path, replay)
         except GraspRefineError as error:
             return f"not recorded: {error}"
-        said = f"recorded in {path}"
+        message = f"recorded in {path}"
         try:
             export_xml(world.spec, world.model, replay, path.with_suffix(".xml"))
-            said += ", .xml"
+            message += ", .xml"
         except GraspRefineError as error:
-            said += f"; no XML: {error}"
+            message += f"; no XML: {error}"
         if self.film:
             from grasp_refine.validation.replay.render import film
 
             try:
                 film(world.model, replay, path.with_suffix(".gif"))
-                said += ", .gif"
+                message += ", .gif"
             except GraspRefineError as error:
-                said += f"; no film: {error}"
-        return said
+                message += f"; no film: {error}"
+        return message
 
 
 def _path(folder: Path, hand: str, group: Group | UncutGroup, number: int, direction: str) -> Path:
-    """The replay of a grasp; those of one call differ in grasp, object, size or folder."""
-    # An object in another size is another object to who looks at it.
-    thing = group.object if group.scale == 1 else f"{group.object}_x{group.scale:g}"
-    return folder / f"{UNUSUAL.sub('_', f'{hand}_{thing}_{number}_{direction}')}.npz"
+    """Path of the replay of a grasp; those of one call differ in grasp, object, size or folder."""
+    # An object in another size counts as another object.
+    name = group.object if group.scale == 1 else f"{group.object}_x{group.scale:g}"
+    return folder / f"{UNUSUAL.sub('_', f'{hand}_{name}_{number}_{direction}')}.npz"

@@ -1,4 +1,4 @@
-"""`refine-grasp run`: refine the grasps of a hand, say before and after what changed, and write them to files."""
+"""`refine-grasp run`: refine the grasps of a hand, compare them before and after, and write them to files."""
 
 from __future__ import annotations
 
@@ -44,24 +44,24 @@ from grasp_refine_apps.report.screen import screen
 
 @dataclass(frozen=True)
 class Output:
-    """What is told."""
+    """Outputs of the command."""
 
     out: Path = Path("grasp-refine-results")
     """Folder for the refined grasps, <hand>_<object>.npz."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write what was measured of each grasp to this file, in SI units."""
+    """Write the measures of each grasp to this file, in SI units."""
     overwrite: Overwrite = False
     verbose: bool = False
-    """List all grasps, also when there are more than 40."""
+    """List all grasps, even if there are more than 40."""
     profile: bool = False
-    """Show where the time went, by stage: also in the --json file."""
+    """Show the time of each stage, also in the --json file."""
     view: bool = False
-    """Show what came out in a browser, as `refine-grasp view` does."""
+    """Show the refined grasps in a browser, as `refine-grasp view` does."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """Refine grasps of a hand on an object, and say before and after what changed.
+    """Refine grasps of a hand on an object, and compare them before and after.
 
     Without options, the example grasps of the embedded hand on the embedded mug.
     """
@@ -72,7 +72,7 @@ class Run:
     output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
     def execute(self) -> int:
-        """Do it; returns the exit code.
+        """Run the command and return its exit code.
 
         Raises:
             GraspRefineError: an input that cannot be used; then nothing is written.
@@ -95,7 +95,7 @@ class Run:
             check_writable(self.output.json, overwrite=self.output.overwrite, inside=self.output.out)
             loader = Loader(self.inputs, config.seed, reporter.say, reporter.wait)
             draft = loader.draft()
-            self._check_used(draft, config)
+            self._check_applicable(draft, config)
             stamps = self._stamps(draft, described["refine"])
             paths = self._paths(draft, stamps, protocol)
             problem = loader.cut(draft)
@@ -122,32 +122,32 @@ class Run:
         console.print(refined.table(verbose=self.output.verbose))
         if not should_hold(outcome.quality[:, 1]).all():
             for note in problem.convention_notes:
-                console.print(f"mend the file first: {note}", soft_wrap=True, markup=False)
+                console.print(f"fix the file first: {note}", soft_wrap=True, markup=False)
         if profile is not None:
             console.print(profile_table(profile))
         if not outcome.usable.any():
-            console.print("nothing usable came out; no grasps were written")
+            console.print("no usable results; no grasps were written")
             return NOTHING_USABLE
         written = [*paths.values(), *([self.output.json] if self.output.json else [])]
         between = " " if len(written) == 1 else "\n  "
         console.print(f"{wall:.1f} s; wrote", *written, sep=between, soft_wrap=True, markup=False)
-        return self._viewed(paths) if self.output.view else 0
+        return self._show_result(paths) if self.output.view else 0
 
-    def _viewed(self, paths: dict[str, Path]) -> int:
+    def _show_result(self, paths: dict[str, Path]) -> int:
         """Show the result of the first object until interrupted."""
         from grasp_refine_apps.commands.view import Serving, View
 
         first, path = next(iter(paths.items()))
         if len(paths) > 1:
             screen().print(f"showing {first}; refine-grasp view {self.output.out} shows all", soft_wrap=True)
-        # The result's scale takes the mesh to metres.
+        # The scale in the result is the factor from the mesh to metres.
         other = ("index", "targets", "scale", "unit", "format", "other_object")
         inputs = replace(self.inputs, grasps=path, **{name: getattr(Inputs, name) for name in other})
-        # Not to fail now because some port is taken.
+        # Any free port, so that this does not fail at the end.
         return View(inputs=inputs, settings=self.settings, serving=Serving(port=0)).execute()
 
-    def _check_used(self, draft: Draft, config: Config) -> None:
-        """Refuse options that would mean nothing for these grasps.
+    def _check_applicable(self, draft: Draft, config: Config) -> None:
+        """Refuse options that have no effect for these grasps.
 
         Raises:
             GraspRefineError: names them.
@@ -156,14 +156,14 @@ class Run:
         touching.named(draft.hand, links_of(draft.hand))
         if touching != ContactSelection() and draft.aimed:
             raise GraspRefineError(
-                "--contacts, --reach and --other-link-distance are for grasps without targets: the targets say what "
-                "touches"
+                "--contacts, --reach and --other-link-distance are for grasps without targets: the targets choose the "
+                "contact links"
             )
         if _aimed(draft, config):
             self.settings.check_aimed()
 
     def _stamps(self, draft: Draft, refine: Any) -> dict[str, str]:
-        """Object name -> hash of all that its refined grasps depend on, where they are not simulated."""
+        """Object name -> hash of everything that its refined grasps depend on, apart from the simulation."""
         digests = Digests()
         _, hand = digests.hand(self.inputs.hand or draft.hand.name, self.inputs, lambda line: None)
         source = draft.sampled or digests.file(draft.files[0])["sha256"]
@@ -184,10 +184,10 @@ class Run:
         return {name: stamp([group for group in draft.groups if group.object == name]) for name in names}
 
     def _paths(self, draft: Draft, stamps: Mapping[str, str], protocol: Protocol | None) -> dict[str, Path]:
-        """Object name -> result file, which takes the place of no input, and of the same result only.
+        """Object name -> result file, which may overwrite no input, and only the same result.
 
         Raises:
-            GraspRefineError: it would.
+            GraspRefineError: names the file.
         """
         out = self.output
         paths = result_paths(out.out, draft.hand.name, tuple(stamps))
@@ -201,12 +201,12 @@ class Run:
 
 
 def _aimed(draft: Draft, config: Config) -> bool:
-    """Whether links have targets."""
+    """Return True if links have targets."""
     return config.nearest or draft.aimed
 
 
 class _Listener(Listener):
-    """Shows the progress of a refinement with a reporter."""
+    """Listener that shows the progress of a refinement with a reporter."""
 
     def __init__(self, reporter: Reporter) -> None:
         self._reporter = reporter
@@ -218,4 +218,4 @@ class _Listener(Listener):
         self._reporter.say(f"note: {line}")
 
     def simulating(self, group: Group) -> Callable[[str, float], None]:
-        return self._reporter.telling(group.object, len(group.rows))
+        return self._reporter.validation_callback(group.object, len(group.rows))

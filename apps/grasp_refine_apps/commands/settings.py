@@ -1,4 +1,4 @@
-"""The options that say how grasps are refined; every command that refines has them."""
+"""Options of the refinement, common to all commands that refine."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from grasp_refine.witness.zeroth_order import ZerothOrder
 from grasp_refine_apps.commands.options import check_device, check_numbers
 
 FIRST_ORDER_TOLERANCE = 1e-7
-"""Default of --tolerance with descent and adam, which slow down on the way to smaller losses."""
+"""Default of --tolerance with descent and adam, which converge slowly to smaller losses, m^2."""
 
 
 def _three(words: list[str]) -> tuple[float, ...]:
-    """Three numbers, with commas or spaces between them.
+    """Parse three numbers, separated by commas or spaces.
 
     Raises:
-        ValueError: they are others.
+        ValueError: there are more or fewer, or a word is no number.
     """
     numbers = [word for word in ",".join(words).split(",") if word]
     if len(numbers) != 3:
@@ -51,13 +51,13 @@ THREE = PrimitiveConstructorSpec(
     is_instance=lambda value: value is None or isinstance(value, tuple),
     str_from_instance=lambda value: [",".join(f"{number:g}" for number in value or ())],
 )
-"""How three numbers are written as one option."""
+"""Constructor of an option that takes three numbers."""
 
 
-# What has an option of its own, without a prefix, is left out of the options of a method.
+# Fields with an option of their own, without a prefix, are left out of the options of a method.
 @dataclass(frozen=True)
 class DescentOptions(Descent):
-    """The options of normalised gradient descent."""
+    """Options of normalised gradient descent."""
 
     iterations: Suppress[int] = Descent.iterations
     transport: Suppress[bool] = Descent.transport
@@ -65,7 +65,7 @@ class DescentOptions(Descent):
 
 @dataclass(frozen=True)
 class AdamOptions(Adam):
-    """The options of Adam."""
+    """Options of Adam."""
 
     iterations: Suppress[int] = Adam.iterations
     transport: Suppress[bool] = Adam.transport
@@ -73,14 +73,14 @@ class AdamOptions(Adam):
 
 @dataclass(frozen=True)
 class LevenbergMarquardtOptions(LevenbergMarquardt):
-    """The options of Levenberg-Marquardt."""
+    """Options of Levenberg-Marquardt."""
 
     iterations: Suppress[int] = LevenbergMarquardt.iterations
 
 
 @dataclass(frozen=True)
 class ContactKinematicsOptions(ContactKinematics):
-    """The options of contact kinematics."""
+    """Options of contact kinematics."""
 
     neighborhood: Suppress[Adaptive | Fixed | Neighbor] = field(default_factory=Adaptive)
     seed: Suppress[int] = ContactKinematics.seed
@@ -88,7 +88,7 @@ class ContactKinematicsOptions(ContactKinematics):
 
 @dataclass(frozen=True)
 class DistanceOptions(Distance):
-    """The options of distance smoothing."""
+    """Options of distance smoothing."""
 
     neighborhood: Suppress[Adaptive | Fixed | Neighbor] = field(default_factory=Adaptive)
     seed: Suppress[int] = Distance.seed
@@ -96,7 +96,7 @@ class DistanceOptions(Distance):
 
 @dataclass(frozen=True)
 class DirectionOptions(Direction):
-    """The options of direction smoothing."""
+    """Options of direction smoothing."""
 
     neighborhood: Suppress[Adaptive | Fixed | Neighbor] = field(default_factory=Adaptive)
     seed: Suppress[int] = Direction.seed
@@ -104,86 +104,86 @@ class DirectionOptions(Direction):
 
 @dataclass(frozen=True)
 class ZerothOrderOptions(ZerothOrder):
-    """The options of zeroth-order smoothing."""
+    """Options of zeroth-order smoothing."""
 
     seed: Suppress[int] = ZerothOrder.seed
 
 
 @dataclass(frozen=True)
 class AnalyticalOptions(Analytical):
-    """The options of analytical derivatives."""
+    """Options of analytical derivatives."""
 
 
 @dataclass(frozen=True)
 class FiniteDifferenceOptions(FiniteDifference):
-    """The options of finite differences."""
+    """Options of finite differences."""
 
 
 @dataclass(frozen=True)
 class RigidOptions(Rigid):
-    """Rigid points have no options."""
+    """Options of rigid points: there are none."""
 
 
 @dataclass(frozen=True)
 class WeightsOptions(Weights):
-    """The weights of the terms; directions of contacts can be wanted in Python only."""
+    """Weights of the loss terms; target directions of contacts exist in Python only."""
 
     direction: Suppress[float] = Weights.direction
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How grasps are refined. A method that is chosen by name has its options in the field of that name."""
+    """Options of the refinement. A method chosen by name has its options in the field of that name."""
 
     solver: Literal["levenberg-marquardt", "descent", "adam"] = "levenberg-marquardt"
-    """How the hand moves: by damped Gauss-Newton steps, normalised gradient descent (the paper's), or Adam."""
+    """Solver: damped Gauss-Newton steps, normalised gradient descent (the paper's), or Adam."""
     derivative: Literal[
         "contact-kinematics", "distance", "direction", "analytical", "zeroth-order", "finite-difference", "rigid"
     ] = "contact-kinematics"
-    """How descent and adam differentiate witness points: by fitted curvatures, by the paper's distance smoothing, or by
-    what it is compared with (`bench align` measures them all)."""
+    """Derivative of witness points in descent and adam: from fitted curvatures, by the paper's distance smoothing, or
+    by one of the methods for comparison (`bench align` measures them all)."""
     neighborhood: Literal["adaptive", "fixed", "neighbor"] = "adaptive"
-    """Which samples stand for the surface near a witness: as far as the target is, within a fixed fraction of the body,
+    """Surface samples around a witness point: within the distance of the target, within a fixed fraction of the body,
     or the mesh vertices around it."""
     iterations: Annotated[
         DisallowNone[int | None],
         arg(help_behavior_hint=f"(default: {LevenbergMarquardt.iterations}; descent, adam: {Descent.iterations})"),
     ] = None
-    """Most iterations per grasp or, where grasps should hold, of each stage of a start, which has 15 to 40 anyway."""
+    """Maximum iterations per grasp or, in the search for force closure, per phase of a start, which has 15 to 40."""
     starts: int = Config.starts
-    """Without targets, a grasp that may still slip is tried again from starts nearby, until it should hold or was tried
-    from so many; the best one counts. More find more grasps that hold, farther from those that were given."""
+    """Without targets: maximum number of starts for a grasp that may still slip, each nearby, until one should hold;
+    the best one counts. More starts find more grasps that hold, farther from the input grasps."""
     max_move: Annotated[
         DisallowNone[tuple[float, ...] | None], THREE, arg(help_behavior_hint="(default: no limit)")
     ] = None
-    """How far a refined grasp may be from the given one, as in 0.01,0.1,0.2: the hand by so many metres and radians,
-    each joint by so many radians (a prismatic one: metres); inf: no limit."""
+    """Largest change of a grasp, as in 0.01,0.1,0.2: translation of the hand in metres, its rotation in radians, and
+    each joint in radians (a prismatic one: metres); inf: no limit."""
     seconds: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: no limit)")] = None
-    """CPU time after which levenberg-marquardt tries no more at a grasp; the best until then counts."""
+    """CPU time after which levenberg-marquardt ends the work on a grasp; the best result until then counts."""
     geometry_only: bool = False
-    """Links should touch and nothing should penetrate, as near as possible; whether the grasp holds is only told. Much
-    faster, and grasps move less."""
+    """Solve only for contact without penetration, close to the input grasp; whether the grasp should hold is only
+    reported. Much faster, and grasps move less."""
     tolerance: Annotated[
         DisallowNone[float | None],
         arg(help_behavior_hint=f"(default: {Config.tolerance:g}; descent, adam: {FIRST_ORDER_TOLERANCE:g})"),
     ] = None
-    """Converged when the loss (m^2) is below this; 1e-10 is a hundredth of a millimetre, 1e-7 a third of one."""
+    """Loss (m^2) below which a grasp is converged; 1e-10 is a hundredth of a millimetre, 1e-7 a third of one."""
     margin: float = Config.margin
-    """Gap in metres that contact links should keep."""
+    """Gap that contact links should keep, metres."""
     reach: float = ContactSelection.reach
     """Without targets, contact links (fingertips) within this distance (metres) of the object should touch it."""
     other_link_distance: float = ContactSelection.other_link_distance
-    """The same of all other links."""
+    """Without targets, all other links within this distance (metres) of the object should touch it."""
     contacts: Annotated[
         tuple[str, ...], arg(metavar="LINK|FINGER [...]", help_behavior_hint="(default: those within reach)")
     ] = ()
     """Links, or fingers as `refine-grasp hands` lists them, that should touch, instead of those within reach."""
     transport: bool = Descent.transport
-    """Equivalent gradient transport with descent or adam: the object's gradient acts through the links."""
+    """With descent or adam, equivalent gradient transport: the object's gradient acts through the links."""
     width: int = Config.width
-    """Most grasps that levenberg-marquardt works on at once."""
+    """Maximum batch size of levenberg-marquardt."""
     seed: int = Config.seed
-    """Seed of everything that is drawn."""
+    """Random seed."""
     dtype: Literal["float64", "float32"] = Config.dtype
     """Number type of kinematics and losses; collision queries always run in double precision."""
     device: str = Config.device
@@ -214,35 +214,35 @@ class Settings:
     neighbor: Neighbor = field(default_factory=Neighbor)
     """With --neighborhood neighbor."""
     weights: WeightsOptions = field(default_factory=WeightsOptions)
-    """How much each term of the loss, a sum of squares, counts."""
+    """Weights of the terms of the loss, a sum of squares."""
     scales: Scales = field(default_factory=Scales)
-    """Which movements count the same, with --weights.stay-near."""
+    """Movements that count the same, with --weights.stay-near."""
 
     def config(self, *, nearest: bool = False) -> Config:
-        """The settings of the refinement.
+        """Return the settings of the refinement.
 
         Args:
-            nearest: Links should touch where they are nearest at first.
+            nearest: Links should touch at their initial closest points.
 
         Raises:
             GraspRefineError: a number out of its range, options of a method that was not chosen, or a device that
-                is not here.
+                is not available.
         """
         check_numbers(self)
         for choice in ("solver", "derivative", "neighborhood"):
             self._check_unused(choice)
         check_device(self.device, self.dtype)
         if self.neighborhood != Settings.neighborhood and not self._has_samples():
-            raise GraspRefineError(f"--derivative {self.derivative} has no use for --neighborhood {self.neighborhood}")
+            raise GraspRefineError(f"--derivative {self.derivative} does not use --neighborhood {self.neighborhood}")
         if self.solver == "levenberg-marquardt":
             self._check_least_squares()
-            self._check_holding()
+            self._check_force_closure()
             if nearest:
                 self.check_aimed()
         else:
             self._check_first_order()
         if self.scales != Scales() and self.weights.stay_near == 0:
-            raise GraspRefineError("--scales.* say what --weights.stay-near means, which is 0")
+            raise GraspRefineError("--scales.* apply to --weights.stay-near, which is 0")
         solver, derivative, neighborhood = (
             getattr(self, name.replace("-", "_")) for name in (self.solver, self.derivative, self.neighborhood)
         )
@@ -271,16 +271,16 @@ class Settings:
         )
 
     def check_aimed(self) -> None:
-        """Refuse what means nothing where links have targets.
+        """Refuse options that have no effect on links with targets.
 
         Raises:
-            GraspRefineError: names it.
+            GraspRefineError: names the option.
         """
-        for option in self._of_holding():
-            raise GraspRefineError(f"{option} is for grasps without targets: here the targets say where links touch")
+        for option in self._force_closure_options():
+            raise GraspRefineError(f"{option} is for grasps without targets: here the targets determine the contacts")
 
-    def _of_holding(self) -> list[str]:
-        """The options that say how grasps are made to hold, of those that were given."""
+    def _force_closure_options(self) -> list[str]:
+        """Given options of the search for force closure."""
         given = {
             "--starts": self.starts != Settings.starts,
             "--geometry-only": self.geometry_only,
@@ -289,33 +289,33 @@ class Settings:
         return [option for option, is_given in given.items() if is_given]
 
     def _check_first_order(self) -> None:
-        """Refuse what descent and Adam would ignore."""
+        """Refuse options that descent and Adam would ignore."""
         given = {
             "--width": self.width != Settings.width,
             "--max-move": self.max_move is not None,
             "--seconds": self.seconds is not None,
         }
-        for option in (*(option for option, is_given in given.items() if is_given), *self._of_holding()):
+        for option in (*(option for option, is_given in given.items() if is_given), *self._force_closure_options()):
             raise GraspRefineError(f"{option} is for --solver levenberg-marquardt; it is {self.solver}")
 
-    def _check_holding(self) -> None:
-        """Refuse what cannot be, or would mean nothing, where grasps should hold or should not."""
+    def _check_force_closure(self) -> None:
+        """Refuse invalid options of the search for force closure, and those without effect."""
         if self.seconds == 0:
             raise GraspRefineError("--seconds must be above 0, got 0")
-        others = [option for option in self._of_holding() if option != "--geometry-only"]
+        others = [option for option in self._force_closure_options() if option != "--geometry-only"]
         if self.geometry_only and others:
-            raise GraspRefineError(f"with --geometry-only, {others[0]} means nothing: leave one of them out")
+            raise GraspRefineError(f"with --geometry-only, {others[0]} has no effect: leave one of them out")
         if self.weights.wrench == 0 and self.starts != Settings.starts:
-            raise GraspRefineError("--starts is for grasps that should hold: with --weights.wrench 0 it means nothing")
+            raise GraspRefineError("--starts is for grasps that should hold: with --weights.wrench 0 it has no effect")
 
     def _check_least_squares(self) -> None:
-        """Refuse what Levenberg-Marquardt would ignore."""
+        """Refuse options that Levenberg-Marquardt would ignore."""
         for name in ("derivative", "neighborhood", "transport", "dtype", "device"):
             value = getattr(self, name)
             if value != getattr(Settings, name):
-                said = f"--{name}" if isinstance(value, bool) else f"--{name} {value}"
+                option = f"--{name}" if isinstance(value, bool) else f"--{name} {value}"
                 raise GraspRefineError(
-                    f"{said} is for --solver descent or adam: levenberg-marquardt has contact kinematics of its own, "
+                    f"{option} is for --solver descent or adam: levenberg-marquardt always uses contact kinematics, "
                     "in double precision on the CPU"
                 )
 
@@ -328,7 +328,7 @@ class Settings:
             raise GraspRefineError("--weights.joint-limits is for --solver descent or adam: here limits hold exactly")
 
     def _has_samples(self) -> bool:
-        """Whether the derivative method looks at surface samples."""
+        """Return True if the derivative method uses surface samples."""
         return hasattr(getattr(self, self.derivative.replace("-", "_")), "neighborhood")
 
     def _check_unused(self, choice: str) -> None:
@@ -341,7 +341,7 @@ class Settings:
 
 
 def _method(options: Any, **others: object) -> Any:
-    """The method that `options` describe, with the values of what has options of its own, where it has such a field."""
+    """Return the method that `options` describe; `others` are values with options of their own, for its fields."""
     given = {field.name: getattr(options, field.name) for field in fields(options)}
     described: Any = type(options).__base__
     return described(**given | {name: value for name, value in others.items() if name in given})

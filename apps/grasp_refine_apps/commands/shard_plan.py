@@ -1,4 +1,4 @@
-"""What a batch consists of: the grasps of each job, by object, in shards of a size that fits into memory."""
+"""Plan of a batch: the grasps of each job, by object, in shards of a size that fits into memory."""
 
 from __future__ import annotations
 
@@ -27,92 +27,92 @@ from grasp_refine_apps.commands.digests import Digests
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.job_list import Job
 
-READ = ("grasps", "hand", "urdf", "mjcf", "object", "objects", "targets")
+INPUT_PATHS = ("grasps", "hand", "urdf", "mjcf", "object", "objects", "targets")
 """Inputs that may be files or folders."""
 
 RESERVED = ("report.html", "index.csv", "index.parquet")
-"""Files beside the folders of results."""
+"""Names of files beside the folders of results."""
 
-LONGEST = 150
-"""Bytes of a name; what is added to it while it is written, and when it fails, has to fit as well (255)."""
+MAX_NAME_BYTES = 150
+"""Maximum length of a name, bytes; suffixes of partial files and failure notes must also fit (255)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What a worker needs to know of a shard."""
+    """Inputs of a shard for a worker."""
 
     batch: str
-    """Tells batches apart: what is kept in memory for one may not be used for another."""
+    """Unique id of the batch: a worker's cache for one batch must not be used for another."""
     job: str
     """Name of the job."""
     inputs: Inputs
     """The inputs of the job."""
     source: dict[str, Any]
-    """The grasp file, or the hand of sampled grasps, and its hash."""
+    """Grasp file and its hash, or number, draw and hand of sampled grasps."""
     hand: tuple[str, str]
-    """Where the hand comes from, and the hash of its files."""
+    """Source of the hand, and hash of its files."""
     object: str
-    """The object, as the grasp file calls it."""
+    """Name of the object in the grasp file."""
     object_digest: str
     """Hash of the object's files."""
     object_source: ObjectSource
-    """Where the object comes from."""
+    """Source of the object."""
     scales: tuple[float, ...]
     """Scales of the object, as `Sources.read_object` takes them."""
     rows: np.ndarray
     """Rows in the grasp file (n,); empty where grasps are sampled."""
     index: np.ndarray
-    """Their numbers among the grasps of the object (n,)."""
+    """Indices (n,) of the grasps among those of the object."""
     sampled: tuple[int, int] | None = None
-    """How many grasps are sampled, and in the how manieth draw."""
+    """Number of sampled grasps, and index of the draw; None: grasps are from a file."""
 
 
 @dataclass(frozen=True)
 class Refused:
-    """A job that cannot be done at all."""
+    """A job that cannot be done."""
 
     job: str
-    """Its name."""
+    """Name of the job."""
     message: str
-    """Why, in one line."""
+    """Reason, in one line."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All shards of a batch, those of one hand and object after each other."""
+    """All shards of a batch, grouped by hand and object."""
 
     shards: tuple[Shard, ...]
-    """The shards; a shard's `number` is its place."""
+    """Shards; a shard's `number` is its index."""
     refused: tuple[Refused, ...]
     """Jobs that cannot be done."""
     files: tuple[Path, ...]
-    """All files and folders that are named as inputs, none of which may be overwritten."""
+    """All input files and folders, none of which may be overwritten."""
     results: int
-    """How many files were found that are results of a batch, and so no grasps to refine."""
+    """Number of files found that are results of a batch, and so not refined."""
 
 
 @dataclass(frozen=True)
 class Planner:
-    """How jobs are cut into shards."""
+    """Planner that divides jobs into shards."""
 
     out: Path
     """Folder of the results."""
     size: int
-    """Most grasps of a shard."""
+    """Maximum number of grasps of a shard."""
     batch: str
-    """What `Task.batch` will be."""
+    """Value of `Task.batch`."""
     depends: dict[str, Any]
     """All settings that results depend on."""
     seed: int
-    """Of everything that is drawn."""
+    """Random seed."""
 
     def plan(self, jobs: list[Job], say: Callable[[str], None], progress: Callable[[int, str], None]) -> Plan:
-        """The shards of all jobs.
+        """Plan the shards of all jobs.
 
         Args:
-            jobs: What is refined.
-            say: Hears what is fetched.
-            progress: Hears how many jobs are planned, and which one is next.
+            jobs: Jobs of the batch.
+            say: Called with messages about fetched files.
+            progress: Called with the number of planned jobs, and the name of the next one.
         """
         digests, cache, results = Digests(), InputCache(), 0
         shards: list[Shard] = []
@@ -129,21 +129,21 @@ class Planner:
                 shards += list(self._shards(job, loader, digests))
             except GraspRefineError as error:
                 refused.append(Refused(visible(job.name), " ".join(str(error).split())))
-        # What shares a hand and an object is done together; else jobs stay in order.
+        # Shards that share a hand and an object are done together; else jobs stay in order.
         first: dict[str, int] = {}
         for place, shard in enumerate(shards):
             first.setdefault(shard.group, place)
         shards.sort(key=lambda shard: first[shard.group])
-        named = [getattr(job.inputs, name) for job in jobs for name in READ]
+        named = [getattr(job.inputs, name) for job in jobs for name in INPUT_PATHS]
         files = dict.fromkeys(Path(path) for path in named if path is not None)
-        paths = _distinct([shard.path for shard in shards])
+        paths = _rename_duplicates([shard.path for shard in shards])
         numbered = [
             replace(shard, number=n, path=path) for n, (shard, path) in enumerate(zip(shards, paths, strict=True))
         ]
         return Plan(tuple(numbered), tuple(refused), tuple(files), results)
 
     def _shards(self, job: Job, loader: Loader, digests: Digests) -> Iterator[Shard]:
-        """The shards of a job, still without numbers.
+        """Yield the shards of a job, still without numbers.
 
         Raises:
             GraspRefineError: the job cannot be done.
@@ -172,10 +172,10 @@ class Planner:
                 yield self._shard(of_object(rows=rows[index], index=index, scales=some), hand, number, digests)
 
     def _sampled(self, job: Job, loader: Loader, digests: Digests) -> Iterator[Shard]:
-        """The shards of a job whose grasps are drawn, each in a draw of its own."""
+        """Yield the shards of a job with sampled grasps, each from a separate draw."""
         inputs = loader.spec
         count = check_sampled(inputs)
-        assert inputs.hand is not None and inputs.object is not None  # or it refuses
+        assert inputs.hand is not None and inputs.object is not None  # checked by `check_sampled`
         hand, digest = digests.hand(inputs.hand, inputs, loader.on_message)
         where = chosen_object(inputs.object, loader.on_message)
         name = where.asset.name if where.asset is not None else Path(str(where.source)).stem
@@ -208,8 +208,8 @@ class Planner:
             rows=task.rows,
             sampled=task.sampled,
         )
-        stem = _short(f"{object_folder(hand)}_{object_folder(task.object)}")
-        first, *rest = (_short(object_folder(part)) for part in task.job.split("/") if part)
+        stem = _shorten(f"{object_folder(hand)}_{object_folder(task.object)}")
+        first, *rest = (_shorten(object_folder(part)) for part in task.job.split("/") if part)
         folder = self.out.joinpath(f"{first}_" if first in RESERVED else first, *rest)
         size = task.sampled[0] if task.sampled is not None else len(task.rows)
         return Shard(
@@ -224,15 +224,15 @@ class Planner:
 
 
 def part_of(shards: tuple[Shard, ...], part: int, parts: int) -> tuple[Shard, ...]:
-    """The shards of one of several parts (from 1 on) of a batch: a run of them, with about as many grasps as others."""
+    """Shards of one of several parts (from 1 on) of a batch: consecutive ones, with about equal numbers of grasps."""
     sizes = np.array([shard.size for shard in shards])
     middles = np.cumsum(sizes) - 0.5 * sizes
     place = (middles * parts / sizes.sum()).astype(int)
     return tuple(shard for shard, at in zip(shards, place.tolist(), strict=True) if at == part - 1)
 
 
-def _distinct(paths: list[Path]) -> list[Path]:
-    """The paths, those that came before with another name: what differs in a name may be what no file can have."""
+def _rename_duplicates(paths: list[Path]) -> list[Path]:
+    """Rename duplicate paths: names may differ only in characters that no file name can have."""
     taken: set[Path] = set()
     for place, path in enumerate(paths):
         while path in taken:
@@ -242,8 +242,10 @@ def _distinct(paths: list[Path]) -> list[Path]:
     return paths
 
 
-def _short(name: str) -> str:
-    """The name, or what stands for one that is too long for a file."""
-    if len(name.encode()) <= LONGEST:
+def _shorten(name: str) -> str:
+    """Shorten a name that is too long for a file, with a hash for uniqueness."""
+    if len(name.encode()) <= MAX_NAME_BYTES:
         return name
-    return f"{name.encode()[: LONGEST - 9].decode(errors='ignore')}_{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+    return (
+        f"{name.encode()[: MAX_NAME_BYTES - 9].decode(errors='ignore')}_{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+    )

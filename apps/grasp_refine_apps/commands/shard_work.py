@@ -1,4 +1,4 @@
-"""The work on a shard of a batch: from its inputs to its result file, and to nothing else."""
+"""Work on a shard of a batch: from its inputs to its result file alone."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ from grasp_refine_apps.commands.shard_plan import Task
 
 @dataclass(frozen=True)
 class ShardWork:
-    """Refines the grasps of a shard, simulates them if asked, and writes the result file."""
+    """Work function that refines the grasps of a shard, simulates them if enabled, and writes the result file."""
 
     config: Config
-    """How grasps are refined."""
+    """Settings of the refinement."""
     protocol: Protocol | None
-    """How they are simulated; None: not at all."""
+    """Protocol of the simulation; None: grasps are not simulated."""
     described: dict[str, Any]
     """All settings, for provenance."""
     profile: bool = False
-    """Whether it is told where the time goes."""
+    """Whether the time of each stage is measured."""
 
     def __call__(self, shard: Shard, heartbeat: Heartbeat) -> Done:
-        """Do it.
+        """Work on a shard.
 
         Raises:
-            GraspRefineError: something cannot be used, or the file cannot be written.
+            GraspRefineError: an input cannot be used, or the file cannot be written.
         """
-        # It takes a second to load, which only workers need.
+        # It takes a second to load, and only workers need it.
         import torch
 
         # Each worker has a core of its own.
@@ -70,11 +70,11 @@ class ShardWork:
         wall, cpu = time.perf_counter(), time.process_time()
         task, cache = shard.task, cache_of(shard.task.batch)
         problem = problem_of(task, self.config.seed, cache, heartbeat)
-        share = _Share(heartbeat, len(problem), self._most(), simulates=self.protocol is not None)
+        share = _ShardProgress(heartbeat, len(problem), self._most(), simulates=self.protocol is not None)
         refined = refine_problem(problem, self.config, self.protocol, listener=share, cache=cache, threads=1)
         outcome, simulated = refined.outcome, refined.simulated
         if task.sampled is None:
-            # The rows of the whole file, of which the problem has only some.
+            # Rows of the whole file; the problem contains only some of them.
             outcome = replace(outcome, row=task.rows[outcome.row], index=task.index[outcome.index])
         heartbeat("writing", 1.0, len(outcome))
         self._save(shard, replace(refined, outcome=outcome))
@@ -93,7 +93,7 @@ class ShardWork:
         )
 
     def _most(self) -> int:
-        """Most iterations of a grasp, to tell how far it is."""
+        """Maximum iterations of a grasp, for the progress."""
         return most_iterations(self.config) if self.config.holds else self.config.solver.iterations
 
     def _save(self, shard: Shard, refined: RefinedGrasps) -> None:
@@ -101,7 +101,7 @@ class ShardWork:
         provenance = {
             "config": self.described | {"inputs": settings(task.inputs)},
             "source": task.source,
-            "batch": {"stamp": shard.stamp, "job": task.job, "look": _look(task.inputs)},
+            "batch": {"stamp": shard.stamp, "job": task.job, "look": _view_options(task.inputs)},
             "advice": advice(refined.outcome, self.config),
         }
         name = str(refined.outcome.object[0])
@@ -115,25 +115,25 @@ def cache_of(batch: str) -> InputCache:
 
 
 @dataclass
-class _Share(Listener):
-    """Tells the share of a shard that is done."""
+class _ShardProgress(Listener):
+    """Listener that reports the share of a shard that is done."""
 
     heartbeat: Heartbeat
-    """Is called with it."""
+    """Receiver of the share."""
     total: int
-    """Grasps of the shard."""
+    """Number of grasps of the shard."""
     most: int
-    """Most iterations of a grasp."""
+    """Maximum iterations of a grasp."""
     simulates: bool
     """Whether grasps are simulated, which counts for half."""
     share: float = 0.0
-    """The largest share so far."""
+    """Largest share so far."""
     refined: int = 0
-    """The largest number of refined grasps so far."""
+    """Largest number of refined grasps so far."""
     counted: int = 0
-    """Grasps of the groups that were refined before."""
+    """Number of grasps of the groups refined before."""
     simulated: int = 0
-    """Grasps of the groups that were simulated before."""
+    """Number of grasps of the groups simulated before."""
 
     def refining(self, group: Group) -> Progress:
         """Return the progress callback of `refine` for a group."""
@@ -141,9 +141,9 @@ class _Share(Listener):
         self.counted += count
 
         def progress(finished: int, iteration: int, mean_loss: float) -> None:
-            # Most grasps finish late: those that run count by how far they are.
+            # Most grasps finish late: those still running count by their share of iterations.
             done = before + finished + (count - finished) * min(iteration / self.most, 1.0)
-            self._tell("refining", 0.5 * done if self.simulates else done, before + finished)
+            self._report("refining", 0.5 * done if self.simulates else done, before + finished)
 
         return progress
 
@@ -151,17 +151,17 @@ class _Share(Listener):
         """Return the callback of the simulation of a group."""
         before, count = self.simulated, len(group.rows)
         self.simulated += count
-        return lambda what, done: self._tell(what, 0.5 * (self.total + before + 0.5 * count), self.total)
+        return lambda what, done: self._report(what, 0.5 * (self.total + before + 0.5 * count), self.total)
 
-    def _tell(self, what: str, done: float, refined: int) -> None:
-        # Another start may take up grasps that were finished.
+    def _report(self, what: str, done: float, refined: int) -> None:
+        # Another start may resume finished grasps.
         self.share = max(self.share, done / max(self.total, 1))
         self.refined = max(self.refined, refined)
         self.heartbeat(what, self.share, self.refined)
 
 
 def problem_of(task: Task, seed: int, cache: InputCache, heartbeat: Heartbeat) -> Problem:
-    """The grasps of a shard with hand and objects; rows and numbers count within the shard."""
+    """Load the grasps of a shard with hand and objects; rows and indices count within the shard."""
 
     def say(line: str) -> None:
         heartbeat(line, 0.0)
@@ -184,9 +184,10 @@ def problem_of(task: Task, seed: int, cache: InputCache, heartbeat: Heartbeat) -
 
 
 def unusable_objects(shards: Sequence[Shard], progress: Callable[[int], None]) -> list[Failed]:
-    """Those of the shards whose object is a mesh that cannot be read or used; found before any mesh is cut.
+    """Return failures of the shards whose object is an unreadable or unusable mesh; found before any mesh is cut.
 
-    Folders of pieces are left to the workers: they need not be cut. `progress` hears how many shards are looked at.
+    Folders of pieces are left to the workers: they need not be cut. `progress` is called with the number of shards
+    checked so far.
     """
     cache, failed = InputCache(), []
     for number, shard in enumerate(shards):
@@ -203,10 +204,10 @@ def unusable_objects(shards: Sequence[Shard], progress: Callable[[int], None]) -
 
 
 def _check_unchanged(task: Task, loader: Loader, path: Path) -> None:
-    """Nothing, when grasps, hand and object are still those that the shard was planned with.
+    """Refuse grasps, a hand or an object that changed since the shard was planned.
 
     Raises:
-        GraspRefineError: they are not, so that the stamp would not be true.
+        GraspRefineError: names the changed input; the stamp would be wrong.
     """
     digests, (source, hand) = Digests(), task.hand
     named = replace(loader, spec=replace(loader.spec, object_name=task.object))
@@ -220,13 +221,13 @@ def _check_unchanged(task: Task, loader: Loader, path: Path) -> None:
             raise GraspRefineError(f"{what}: changed since the batch was planned; give the same command again")
 
 
-def _look(inputs: Inputs) -> list[str]:
-    """The options that `refine-grasp view` needs to show the result, whose scale takes the mesh to metres."""
+def _view_options(inputs: Inputs) -> list[str]:
+    """Options of `refine-grasp view` to show the result, whose scale is the factor from the mesh to metres."""
     other = ("grasps", "targets", "scale", "unit", "format", "object_name", "index", "other_object")
     return list(words(replace(inputs, **{name: getattr(Inputs, name) for name in other})))
 
 
 def peak_bytes() -> int:
-    """Largest resident memory of this process so far."""
+    """Largest resident memory of this process so far, bytes."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else peak * 1024

@@ -1,4 +1,4 @@
-"""The options that say how the work of a batch is divided."""
+"""Options for the division of the work of a batch."""
 
 from __future__ import annotations
 
@@ -11,43 +11,43 @@ from tyro.conf import DisallowNone, arg
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.commands.options import check_numbers
 
-LEAST_PATIENCE = 5.0
-"""Seconds that a worker has in any case: it takes some to start."""
+MIN_PATIENCE_S = 5.0
+"""Minimum of --patience, seconds: a worker takes some to start."""
 
 
 @dataclass(frozen=True)
 class Sharding:
-    """How the work is divided."""
+    """Division of the work."""
 
     workers: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: the cores of this machine)")] = None
-    """Processes on this machine; each is replaced when it crashes or hangs, and takes 0.4 to 1 GB."""
+    """Number of processes on this machine; each takes 0.4 to 1 GB, and is replaced when it crashes or hangs."""
     shard_size: int = 64
-    """Most grasps of a shard, the unit of all work: a shard becomes one result file, or none."""
+    """Maximum number of grasps of a shard, the unit of work: a shard becomes one result file, or fails."""
     together: bool = False
-    """A folder is one set of grasps, as it is for `run`, and not a job for each file in it: for generators that write a
-    file for each grasp."""
+    """Treat a folder as one set of grasps, as `run` does, instead of one job per file: for generators that write a file
+    for each grasp."""
     shard: Annotated[DisallowNone[str | None], arg(metavar="I/N", help_behavior_hint="(default: everything)")] = None
-    """Do only part I (from 1 on) of N of the batch, for the array jobs of a scheduler; all parts share --out."""
+    """Do only part I (from 1 on) of N of the batch, for array jobs of a scheduler; all parts share --out."""
     dask: Annotated[DisallowNone[str | None], arg(metavar="ADDRESS", help_behavior_hint="(default: none)")] = None
-    """Work on the Dask cluster with this scheduler, such as tcp://host:8786, which sees the same folders; needs the
-    extra `cluster`."""
+    """Address of the scheduler of a Dask cluster, such as tcp://host:8786; all machines must share the folders. Needs
+    the extra `cluster`."""
     patience: float = 600.0
-    """Seconds without a sign of life after which a worker is killed and its shard tried again; while a mesh is cut into
-    convex pieces, there is none."""
+    """Seconds without a heartbeat after which a worker is killed and its shard tried again; there is none while a mesh
+    is cut into convex pieces."""
     tries: int = 2
-    """How often a shard is tried whose worker crashed or hung, before it is recorded as failed."""
+    """Maximum attempts at a shard whose worker crashes or hangs, before it is recorded as failed."""
     again: bool = False
-    """Refine everything anew, also what is there already."""
+    """Refine everything again, including complete results."""
 
     def part(self) -> tuple[int, int]:
-        """Which part, from 1 on, of how many is done.
+        """Return the part to do, from 1 on, and the number of parts.
 
         Raises:
-            GraspRefineError: an option that cannot be.
+            GraspRefineError: an invalid option.
         """
         check_numbers(self)
-        if self.patience < LEAST_PATIENCE:
-            raise GraspRefineError(f"--patience must be at least {LEAST_PATIENCE:g} seconds, got {self.patience:g}")
+        if self.patience < MIN_PATIENCE_S:
+            raise GraspRefineError(f"--patience must be at least {MIN_PATIENCE_S:g} seconds, got {self.patience:g}")
         if self.dask is not None and self.workers is not None:
             raise GraspRefineError("--workers is for this machine; a cluster (--dask) has workers of its own")
         if self.shard is None:

@@ -1,4 +1,4 @@
-"""Options that name hand and objects; `pipeline.load` reads them."""
+"""Options for hand and objects; `pipeline.load` reads them."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ class Sources(SourceSpec):
     hand: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of the grasp file)")] = None
     urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
     mjcf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
-    base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: as said)")] = None
+    base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: see above)")] = (
+        None
+    )
     object: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of the grasp file)")] = None
     object_name: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: the only one)")] = None
     objects: Annotated[DisallowNone[Path | None], arg(help_behavior_hint="(default: none)")] = None
     unit: Annotated[DisallowNone[Unit | None], arg(help_behavior_hint="(default: m, asked about if unlikely)")] = None
-    format: Annotated[DisallowNone[FormatName | None], arg(help_behavior_hint="(default: as its content says)")] = None
+    format: Annotated[DisallowNone[FormatName | None], arg(help_behavior_hint="(default: detected)")] = None
     index: Annotated[tuple[int, ...], INDICES, arg(help_behavior_hint="(default: all)")] = ()
     table: Annotated[DisallowNone[float | None], arg(metavar="Z", help_behavior_hint="(default: none)")] = None
     other_object: Annotated[bool, arg(help_behavior_hint="")] = False

@@ -1,4 +1,4 @@
-"""`refine-grasp validate`: what grasps of any file are worth, by geometry and in simulation."""
+"""`refine-grasp validate`: evaluate grasps of any file, by geometry and in simulation."""
 
 from __future__ import annotations
 
@@ -38,27 +38,27 @@ from grasp_refine_apps.report.screen import screen
 
 
 @dataclass(frozen=True)
-class Told:
-    """What is told."""
+class Output:
+    """Outputs of the command."""
 
     compare: Annotated[
         DisallowNone[tuple[Path, Path] | None], arg(metavar="BEFORE AFTER", help_behavior_hint="(default: none)")
     ] = None
-    """Two files with the same grasps, instead of FILE: say what became better and worse."""
+    """Two files with the same grasps, instead of FILE: show what became better and worse."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write everything that was found of each grasp to this file, in SI units."""
+    """Write all results of each grasp to this file, in SI units."""
     rows: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write one row per grasp to this .csv or .parquet file."""
     overwrite: Overwrite = False
     verbose: bool = False
-    """List all grasps, also when there are more than 40."""
+    """List all grasps, even if there are more than 40."""
 
 
 @dataclass(frozen=True)
 class Validate:
-    """Say what grasps are worth: measure their geometry, and simulate whether they hold.
+    """Evaluate grasps: measure their geometry, and simulate whether they hold.
 
-    Any grasp file will do, refined or not. The hand closes from the pregrasp over the grasp to the squeeze; then the
+    Takes any grasp file, refined or not. The hand closes from the pregrasp over the grasp to the squeeze; then the
     object, without gravity, is pushed in six directions for two seconds each. A grasp holds if the object never moves
     by 5 cm or turns by 15 degrees (the protocol of DexGraspBench).
     """
@@ -69,10 +69,10 @@ class Validate:
     simulation: Annotated[Simulation, arg(name="")] = field(default_factory=Simulation)
     robustness: Annotated[Robustness, arg(name="")] = field(default_factory=Robustness)
     recording: Annotated[Recording, arg(name="")] = field(default_factory=Recording)
-    told: Annotated[Told, arg(name="")] = field(default_factory=Told)
+    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
     def execute(self) -> int:
-        """Do it; returns the exit code.
+        """Run the command and return its exit code.
 
         Raises:
             GraspRefineError: an input that cannot be used; then nothing is written.
@@ -80,19 +80,19 @@ class Validate:
         wall, cpu, started = time.perf_counter(), cpu_seconds(), time.process_time()
         check_numbers(self.simulation)
         protocol = self.simulation.protocol() if self.simulation.simulate else None
-        files = self.told.compare or self.files
+        files = self.output.compare or self.files
         self._check(protocol, files)
         torch.set_num_threads(1)
         with Reporter(screen(stderr=True)) as reporter:
             loaders = [Loader(self.sources.of(path), self.robustness.seed, reporter.say) for path in files]
             drafts = [loader.draft() for loader in loaders]
-            if self.told.compare is not None:
+            if self.output.compare is not None:
                 _check_comparable(*drafts)
-            self.recording.check(protocol, files, drafts, overwrite=self.told.overwrite)
+            self.recording.check(protocol, files, drafts, overwrite=self.output.overwrite)
             problems = [loader.cut(draft) for loader, draft in zip(loaders, drafts, strict=True)]
             for note in dict.fromkeys(note for problem in problems for note in problem.notes):
                 reporter.say(f"note: {note}")
-            examined = [self._examined(problem, protocol, reporter) for problem in problems]
+            examined = [self._examine(problem, protocol, reporter) for problem in problems]
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
         found = [part.validated for part in examined]
         compiling = sum(part.compile_cpu_s for part in examined)
@@ -101,7 +101,7 @@ class Validate:
         written = self._write(files, examined, protocol, times)
         console = screen()
         console.print(f"{wall:.1f} s" + ("; wrote" if written else ""), *written, soft_wrap=True, markup=False)
-        # Last, so that a replay that cannot be written costs nothing but itself.
+        # Last, so that a replay that cannot be written affects nothing else.
         for folder, part in zip(self.recording.folders(files), examined, strict=False):
             for trial in part.trials:
                 for line in self.recording.record(*trial, part.problem.hand.name, folder):
@@ -121,7 +121,7 @@ class Validate:
         for path, part in zip(files, examined, strict=True):
             if len(files) > 1:
                 console.print(f"[bold]{escape(str(path))}[/]\n", soft_wrap=True)
-            frictions, verbose = self.robustness.frictions, self.told.verbose
+            frictions, verbose = self.robustness.frictions, self.output.verbose
             console.print(
                 validation_table(part.validated, part.problem.hand.name, protocol, frictions, verbose=verbose)
             )
@@ -129,7 +129,7 @@ class Validate:
                 console.print(closing_line(part.problem.closing(self.simulation.closing)))
             if len(files) > 1:
                 console.print()
-        if self.told.compare is not None:
+        if self.output.compare is not None:
             before, after = examined
             console.print(comparison_table(before.validated, after.validated, before.problem.hand.name, protocol))
         if protocol is not None:
@@ -141,18 +141,18 @@ class Validate:
             )
 
     def _check(self, protocol: Protocol | None, files: tuple[Path, ...]) -> None:
-        """Refuse options that cannot be, or that would mean nothing.
+        """Refuse invalid options, and those without effect.
 
         Raises:
             GraspRefineError: names them.
         """
         check_numbers(self.robustness)
-        if self.told.compare is not None and self.files:
-            raise GraspRefineError("--compare BEFORE AFTER stands instead of FILE: give one of them")
+        if self.output.compare is not None and self.files:
+            raise GraspRefineError("--compare BEFORE AFTER replaces FILE: give one of them")
         if not files:
             raise GraspRefineError("name a grasp file: refine-grasp validate FILE, or --compare BEFORE AFTER")
         if protocol is None and (self.simulation != Simulation(simulate=False) or self.robustness != Robustness()):
-            raise GraspRefineError("with --no-simulate, options of the simulation mean nothing: leave them out")
+            raise GraspRefineError("with --no-simulate, options of the simulation have no effect: leave them out")
         if 0 in self.robustness.frictions:
             raise GraspRefineError("--frictions must be above 0")
         if len(set(self.robustness.frictions)) < len(self.robustness.frictions):
@@ -161,14 +161,16 @@ class Validate:
             for option in ("noise_offset", "noise_degrees"):
                 if getattr(self.robustness, option) != getattr(Robustness, option):
                     raise GraspRefineError(f"{flag(option)} needs --noise N")
-        for path in filter(None, (self.told.json, self.told.rows)):
+        for path in filter(None, (self.output.json, self.output.rows)):
             check_no_input(path, files, "would overwrite an input; give another name")
-        check_writable(self.told.json, self.told.rows, overwrite=self.told.overwrite, inside=self.recording.replays)
-        if self.told.rows is not None:
-            check_table(self.told.rows)
+        check_writable(
+            self.output.json, self.output.rows, overwrite=self.output.overwrite, inside=self.recording.replays
+        )
+        if self.output.rows is not None:
+            check_table(self.output.rows)
 
-    def _examined(self, problem: Problem, protocol: Protocol | None, reporter: Reporter) -> _Examined:
-        """All grasps of a file."""
+    def _examine(self, problem: Problem, protocol: Protocol | None, reporter: Reporter) -> _Examined:
+        """Validate all grasps of a file."""
         model, compiling = None, -time.process_time()
         if protocol is not None:
             model = model_of(problem.hand)
@@ -194,7 +196,7 @@ class Validate:
                 world=world,
                 motion=motion,
                 checks=checks,
-                tell=reporter.telling(group.object, len(group.rows)),
+                tell=reporter.validation_callback(group.object, len(group.rows)),
             )
             parts.append(found)
             if world is not None and motion is not None and found.trials is not None:
@@ -209,10 +211,10 @@ class Validate:
         protocol: Protocol | None,
         times: Mapping[str, float],
     ) -> list[Path]:
-        """Write the files that were asked for; returns them."""
+        """Write the output files; return their paths."""
         frictions, written = self.robustness.frictions, []
         found = [part.validated for part in examined]
-        if self.told.json is not None:
+        if self.output.json is not None:
             described = {
                 "files": [
                     {**fingerprint(path), "closing": part.problem.closing(self.simulation.closing)}
@@ -232,33 +234,33 @@ class Validate:
                 seed=self.robustness.seed,
                 times=times,
             )
-            save_json(self.told.json, document)
-            written.append(self.told.json)
-        if self.told.rows is not None:
-            save_table(self.told.rows, flat_rows(found, files, protocol, frictions))
-            written.append(self.told.rows)
+            save_json(self.output.json, document)
+            written.append(self.output.json)
+        if self.output.rows is not None:
+            save_table(self.output.rows, flat_rows(found, files, protocol, frictions))
+            written.append(self.output.rows)
         return written
 
 
 @dataclass(frozen=True, eq=False)
 class _Examined:
-    """The grasps of one file, with what was found of them."""
+    """Grasps of one file, with their validation."""
 
     problem: Problem
-    """The grasps."""
+    """Grasps of the file."""
     validated: Validated
-    """What was found, in the order in which they were asked for."""
+    """Results of all grasps, in the order of the input."""
     trials: tuple[tuple[Group, World, Motion, Trials], ...]
-    """By object and scale: where and how the grasps were simulated, and what it came to."""
+    """Grasps, simulated world, closing motion and trials, by object and scale."""
     compile_cpu_s: float
-    """CPU time of making models for MuJoCo, seconds."""
+    """CPU time of compiling models for MuJoCo, seconds."""
 
 
 def _check_comparable(before: Draft, after: Draft) -> None:
-    """Nothing, when two files hold the same grasps as far as one can tell.
+    """Refuse two files that evidently hold different grasps.
 
     Raises:
-        GraspRefineError: they do not.
+        GraspRefineError: their numbers or objects differ.
     """
     counts = len(before.names), len(after.names)
     if counts[0] != counts[1]:

@@ -1,4 +1,4 @@
-"""`refine-grasp view`: grasps in a browser, to be looked at, refined, steered, tested and taken away."""
+"""`refine-grasp view`: view, refine, edit, validate and export grasps in a browser."""
 
 from __future__ import annotations
 
@@ -43,60 +43,60 @@ if TYPE_CHECKING:
     from grasp_refine_apps.viewer.validations import ValidationFile
 
 
-LOOK = 0.2
-"""Seconds after which a signal is noticed at the latest."""
+SIGNAL_POLL_S = 0.2
+"""Longest delay until a signal is noticed, seconds."""
 
-LONGEST_END = 5.0
-"""Seconds that cleaning up may take at the end."""
+CLEANUP_LIMIT_S = 5.0
+"""Time limit for cleaning up at the end, seconds."""
 
 
 @dataclass(frozen=True)
 class Serving:
-    """Where the page is."""
+    """Address of the page."""
 
     host: str = "127.0.0.1"
-    """Address to listen on. Whoever can reach it can do everything that the page can: only this machine by default."""
+    """Address to listen on. Whoever can reach it can do everything that the page can; by default only this machine."""
     port: int = 8080
     """Port to listen on; 0: any that is free."""
     open: bool = True
-    """Open the page in a browser, where there is a screen."""
+    """Open the page in a browser, if there is a screen."""
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write to this file, once the page is there, where it is."""
+    """Write the address to this file once the page is served."""
     overwrite: Overwrite = False
 
 
 @dataclass(frozen=True)
 class View:
-    """Show grasps in a browser: refine them before your eyes, steer them, test them, compare them, take them away.
+    """Show grasps in a browser: watch their refinement, edit, validate, compare and export them.
 
-    Opens grasp files of any kind, what `run` and `validate` write, and tasks that `bench align --save` wrote. Without
-    files, the example grasps of the embedded hand on the embedded mug. The page stays until Ctrl-C.
+    Opens grasp files of any format, the files of `run` and `validate`, and tasks of `bench align --save`. Without
+    files, the example grasps of the embedded hand on the embedded mug. The page is served until Ctrl-C.
     """
 
     files: Annotated[
         Positional[tuple[Path, ...]], arg(metavar="[FILE ...]", help_behavior_hint="(default: an example)")
     ] = ()
-    """A grasp file or a folder of them, instead of --grasps, and with it, if you like, what `validate --json` or
-    `run --json` wrote about it; or a replay of `validate --replays`; or a task of `bench align --save`."""
+    """A grasp file or a folder of them, instead of --grasps, optionally with the `validate --json` or `run --json` file
+    about it; or a replay of `validate --replays`; or a task of `bench align --save`."""
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
     serving: Annotated[Serving, arg(name="")] = field(default_factory=Serving)
 
     def execute(self) -> int:
-        """Show it until interrupted; returns the exit code.
+        """Serve the page until interrupted; return the exit code.
 
         Raises:
-            GraspRefineError: what should be opened cannot be used, the port is taken, or viser is not installed.
+            GraspRefineError: a file cannot be used, the port is taken, or viser is not installed.
         """
         if find_spec("viser") is None:
             raise GraspRefineError("the viewer needs viser: pip install 'grasp-refine[viewer]'")
         from grasp_refine_apps.viewer.page import address, close_server, open_server
 
         check_writable(self.serving.json, overwrite=self.serving.overwrite)
-        # First, so that a browser can load the page while the rest is being loaded.
+        # First, so that a browser can load the page while the rest loads.
         server = open_server(self.serving.host, self.serving.port)
         try:
-            with self._shown(server):
+            with self._open_page(server):
                 screen().print(f"{address(server)} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
                 if self.serving.json is not None:
                     where = {"address": address(server), "host": server.get_host(), "port": server.get_port()}
@@ -105,14 +105,14 @@ class View:
                     webbrowser.open(address(server))
                 _wait()
         except KeyboardInterrupt:
-            # While it was still being loaded.
+            # Interrupted while loading.
             return 0
         finally:
             close_server(server)
         return 0
 
-    def _shown(self, server: viser.ViserServer) -> AbstractContextManager[Any]:
-        """What the files mean, on the page.
+    def _open_page(self, server: viser.ViserServer) -> AbstractContextManager[Any]:
+        """Open the page with the files.
 
         Raises:
             GraspRefineError: they cannot be opened, or not together.
@@ -130,7 +130,7 @@ class View:
         return Viewer(server, self._controller())
 
     def _controller(self) -> Controller:
-        """The grasps that the files mean, with what documents say of them."""
+        """Load the grasps of the files, with the results of documents about them."""
         from grasp_refine_apps.viewer.collection import Collection
         from grasp_refine_apps.viewer.controller import Controller
         from grasp_refine_apps.viewer.shown_motion import is_replay
@@ -148,9 +148,9 @@ class View:
         inputs = self.inputs if not grasps else replace(self.inputs, grasps=grasps[0])
         with Reporter(screen(stderr=True)) as reporter:
             if grasps and is_replay(grasps[0]):
-                return self._replayed(grasps[0], reporter)
+                return self._replay_controller(grasps[0], reporter)
             if documents and inputs.grasps is None:
-                inputs = replace(inputs, grasps=_told_file(documents[0]))
+                inputs = replace(inputs, grasps=_grasp_file(documents[0]))
             loader = Loader(inputs, self.settings.seed, reporter.say, reporter.wait)
             problem = loader.cut(loader.draft())
             for note in problem.notes:
@@ -163,8 +163,8 @@ class View:
             with_trials(collection, trials_by_grasp) if trials_by_grasp else collection, self.settings, trials_by_grasp
         )
 
-    def _replayed(self, path: Path, reporter: Reporter) -> Controller:
-        """The grasp of a replay, with its motion."""
+    def _replay_controller(self, path: Path, reporter: Reporter) -> Controller:
+        """Load the grasp of a replay, with its motion."""
         from grasp_refine.validation.replay.replay import load_replay
         from grasp_refine.validation.validate import model_of
         from grasp_refine_apps.viewer.collection import Collection
@@ -202,11 +202,11 @@ def show(problem: Problem) -> Viewer:
     return viewer
 
 
-def _told_file(document: ValidationFile) -> Path:
-    """The grasp file that a document is about.
+def _grasp_file(document: ValidationFile) -> Path:
+    """Return the grasp file that a document is about.
 
     Raises:
-        GraspRefineError: it does not name one that is there.
+        GraspRefineError: it does not name exactly one existing file.
     """
     found = [Path(path) for path in document.files.values() if Path(path).exists()]
     if len(found) != 1:
@@ -215,7 +215,7 @@ def _told_file(document: ValidationFile) -> Path:
 
 
 def _grasp_of(motion: ShownMotion, hand: Hand) -> Reading:
-    """The grasp that a simulation closed to: where the hand was when it began to squeeze."""
+    """Return the grasp of a simulation: the hand at the beginning of the squeeze."""
     at = max(int(np.searchsorted(motion.stage, Stage.SQUEEZE)) - 1, 0)
     grasps = GraspSet(
         hand=motion.hand,
@@ -230,16 +230,16 @@ def _grasp_of(motion: ShownMotion, hand: Hand) -> Reading:
 
 
 def _wait() -> None:
-    """Return when the user has had enough; then there are so many seconds to clean up."""
+    """Wait for an interrupt; from then on, the time for cleaning up is limited."""
     with suppress(KeyboardInterrupt):
         while True:
-            # Where another thread gets the signal, this one is not woken by it.
-            time.sleep(LOOK)
-    last = threading.Timer(LONGEST_END, os._exit, (0,))
+            # If another thread gets the signal, this one is not woken by it.
+            time.sleep(SIGNAL_POLL_S)
+    last = threading.Timer(CLEANUP_LIMIT_S, os._exit, (0,))
     last.daemon = True
     last.start()
 
 
 def _has_screen() -> bool:
-    """Whether a browser could open here."""
+    """Return True if a browser can open here."""
     return sys.platform == "darwin" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))

@@ -1,4 +1,4 @@
-"""What was understood of a hand's files, why, and what in them deserves a second look."""
+"""Check of a hand: how its files were read and why, and what in them deserves a second look."""
 
 from __future__ import annotations
 
@@ -19,40 +19,40 @@ from grasp_refine.validation.messages import complaint, unlogged
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.urdf_model import urdf_model
 
-TURN, SLIDE = 4 * np.pi, 1.0
-"""Limits beyond these, in rad and m, look like degrees or millimetres."""
+MAX_TURN_RAD, MAX_SLIDE_M = 4 * np.pi, 1.0
+"""Joint limits, rad and m, beyond which they look like degrees or millimetres."""
 
-SIZES = (0.02, 1.0)
-"""Hands are of a size between these, in metres."""
+SIZE_RANGE_M = (0.02, 1.0)
+"""Range of plausible hand sizes, metres."""
 
-HEAVY = 20.0
-"""Mass in kg above which a hand is not one."""
+MAX_MASS_KG = 20.0
+"""Mass above which a hand is implausible, kg."""
 
 
 @dataclass(frozen=True)
 class HandCheck:
-    """What there is to say of a hand beyond its joints and links."""
+    """Findings about a hand beyond its joints and links."""
 
     contacts: tuple[str, ...]
-    """Each contact link, and why it is one."""
+    """Contact links, each with the reason why it is one."""
     pairs: Judged
-    """Which links are watched for touching each other."""
+    """Link pairs that are checked for self-collision, and those that are not."""
     simulation: tuple[str, ...]
-    """What is different in simulation."""
+    """Differences in simulation."""
     refused: str
-    """Why MuJoCo does not take the hand; "" where it does."""
+    """Reason why MuJoCo rejects the hand; "" if it accepts it."""
     suspicious: tuple[str, ...]
-    """What is missing or looks wrong."""
+    """Missing or suspicious values."""
     size: tuple[float, ...]
-    """Extent (3,) in metres along the axes of the base link, at the rest pose; empty where nothing is solid."""
+    """Extent (3,) in metres along the axes of the base link, at the rest pose; empty if no link has geometry."""
 
     def document(self) -> dict[str, Any]:
-        """The same for JSON."""
+        """Return the check as a JSON object."""
         return asdict(self)
 
 
 def check_hand(hand: Hand) -> HandCheck:
-    """Look at a hand.
+    """Check a hand.
 
     Raises:
         HandError: it has an MJCF that cannot be used.
@@ -71,11 +71,11 @@ def _simulated(hand: Hand) -> tuple[tuple[str, ...], str]:
         return notes, complaint(error)
     sizes = {"joints": model.njnt, "followers": model.neq, "convex geoms": model.ngeom, "actuators": model.nu}
     listed = ", ".join(f"{what} {number}" for what, number in sizes.items())
-    return (f"MuJoCo takes the hand: {listed}", *notes), ""
+    return (f"MuJoCo accepts the hand: {listed}", *notes), ""
 
 
 def simulation_notes(hand: Hand) -> tuple[str, ...]:
-    """What there is to know of how the hand is simulated.
+    """Return notes on how the hand is simulated.
 
     Raises:
         HandError: its MJCF cannot be used.
@@ -104,18 +104,18 @@ def _contacts(hand: Hand) -> tuple[str, ...]:
         own = [joint.name for joint in ways[contact.link] if moves[joint.name] == 1]
         own = own or [joint.name for joint in ways[contact.link][:1]] or ["none"]
         guess = f"the last solid link of the branch that joint '{own[-1]}' moves"
-        why = guess if hand.contacts_guessed else "hand.toml says so"
+        why = guess if hand.contacts_guessed else "named in hand.toml"
         finger = "" if contact.group == contact.link else f", finger '{contact.group}'"
         lines.append(f"{contact.link}{finger}: {why}")
     return tuple(lines)
 
 
 def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
-    """What is missing or looks wrong; each entry says what follows from it."""
+    """List missing or suspicious values, each with its consequence."""
     independent = [hand.joints_by_name[name] for name in hand.joint_names]
     unlimited = [hand.joint_names[i] for i in np.flatnonzero(np.isinf(hand.actuator.force_limit))]
-    turning = [j.name for j in independent if j.kind != "prismatic" and max(abs(j.lower), j.upper) > TURN]
-    far = [j.name for j in hand.joints if j.kind == "prismatic" and max(abs(j.lower), j.upper) > SLIDE]
+    turning = [j.name for j in independent if j.kind != "prismatic" and max(abs(j.lower), j.upper) > MAX_TURN_RAD]
+    far = [j.name for j in hand.joints if j.kind == "prismatic" and max(abs(j.lower), j.upper) > MAX_SLIDE_M]
     visible = links_with_visuals(hand.urdf)
     unseen = [link.name for link in hand.links if link.body is None and link.name in visible]
     endless = [j.name for j in independent if j.kind == "continuous"]
@@ -123,26 +123,26 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
     mass = sum(link.mass or 0.0 for link in hand.links)
     found = {
         "no joint moves: there is nothing to refine but the pose of the palm": [""] * (not independent),
-        "no effort limit for {}: they push as hard as their error times kp; say force_limit in hand.toml": unlimited,
-        "{} can turn more than twice round: are the limits degrees? They must be radians": [
+        "no effort limit for {}: they push as hard as their error times kp; set force_limit in hand.toml": unlimited,
+        "{} can turn by more than two revolutions: are the limits degrees? They must be radians": [
             name for name in turning if name not in endless
         ],
         "{} can slide more than a metre: are the limits millimetres? They must be metres": far,
-        "{} turn without end and rest at 0": endless,
+        "{} are continuous joints and rest at 0": endless,
         "{} are fixed though they mimic a joint: they do not move": fixed,
-        "{} can be seen but have no collision geometry: nothing keeps them out of the object": unseen,
-        "{} move nothing that is solid": _idle(hand),
+        "{} have visuals but no collision geometry: nothing keeps them out of the object": unseen,
+        "{} move no link with collision geometry": _idle_joints(hand),
         f"the hand is {max(size, default=0):.3g} m large: are the meshes millimetres? URDF is in metres, a mesh has a "
-        "scale": [""] * bool(size and max(size) > SIZES[1]),
+        "scale": [""] * bool(size and max(size) > SIZE_RANGE_M[1]),
         f"the hand is only {max(size, default=0) * 1e3:.3g} mm large: is a mesh's scale wrong?": [""]
-        * bool(size and max(size) < SIZES[0]),
-        f"the hand weighs {mass:.3g} kg": [""] * (mass > HEAVY),
-        "nothing that moves is solid: there is no link that could touch an object": [""] * (not hand.contacts),
+        * bool(size and max(size) < SIZE_RANGE_M[0]),
+        f"the hand weighs {mass:.3g} kg": [""] * (mass > MAX_MASS_KG),
+        "no moving link has collision geometry: no link could touch an object": [""] * (not hand.contacts),
     }
     return [text.format(", ".join(names)) for text, names in found.items() if names]
 
 
-def _idle(hand: Hand) -> list[str]:
+def _idle_joints(hand: Hand) -> list[str]:
     """Independent joints that move no link with collision geometry, not even by followers."""
     carries = {link.name for link in hand.links if link.body is not None}
     for joint in reversed(hand.joints):  # children before parents

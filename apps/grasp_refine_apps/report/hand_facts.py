@@ -1,4 +1,4 @@
-"""What is known about a hand, for JSON and for tables."""
+"""Facts about a hand, for JSON and for tables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _COMMENT = re.compile(r"<!--(.*?)-->", re.DOTALL)
 
 
 def hand_facts(hand: Hand) -> dict[str, Any]:
-    """What is known about a hand; SI units."""
+    """Return the known facts about a hand, SI units."""
     row = {name: i for i, name in enumerate(hand.joint_names)}
     joints = []
     for joint in hand.joints:
@@ -59,15 +59,15 @@ def hand_facts(hand: Hand) -> dict[str, Any]:
 
 
 def facts_without_urdf(name: str) -> dict[str, Any]:
-    """The same of a hand of ours that needs the user's URDF: little."""
-    note = f"its URDF is fetched when it is used, or is yours with --urdf FILE; {HAND_TOML} says the rest"
+    """Return the few facts about a shipped hand that needs the user's URDF."""
+    note = f"its URDF is fetched when it is used, or given with --urdf FILE; {HAND_TOML} has the rest"
     nothing = dict.fromkeys(("urdf", "hand_toml", "base_link", "base_link_why", "licence"))
     lists: dict[str, list[str]] = {"joints": [], "links": [], "contacts": [], "examples": []}
     return {"name": name, **nothing, **lists, "notes": [note]}
 
 
 def licence(urdf: Path) -> str:
-    """The licence that a comment in the URDF names, else the licence file beside it, else ""."""
+    """Licence named in a comment of the URDF, else the licence file beside it, else ""."""
     comments = " ".join(_COMMENT.findall(urdf.read_text(encoding="utf-8", errors="replace")))
     named = _LICENCE.search(comments)
     if named:

@@ -18,15 +18,15 @@ from grasp_refine.hands.mimics import followed
 from grasp_refine.hands.tree import Joint
 from grasp_refine_apps.report.hand_facts import examples, licence
 
-NUMBERS = ("joints", "links", "lower", "upper", "mass, g", "grasps", "effort")
-"""Columns that are aligned to the right."""
+NUMERIC_COLUMNS = ("joints", "links", "lower", "upper", "mass, g", "grasps", "effort")
+"""Right-aligned columns."""
 
-WHOLE = ("hand", "turns, deg", "licence", "kind")
-"""Columns whose text is not broken."""
+UNWRAPPED_COLUMNS = ("hand", "turns, deg", "licence", "kind")
+"""Columns whose text is never wrapped."""
 
 
 def list_table(hands: Sequence[Hand], waiting: Sequence[str]) -> Table:
-    """The hands that come with the program; `waiting` are those without a URDF."""
+    """Table of the hands that ship with the program; `waiting` are those without a URDF."""
     table = _table("hand", "joints", "turns, deg", "links", "fingers", "licence", "grasps")
     for hand in hands:
         followers = sum(joint.mimic is not None for joint in hand.joints)
@@ -67,21 +67,21 @@ def _joints(hand: Hand) -> Table:
     for joint in hand.joints:
         if not joint.movable:
             continue
-        rest = show_value(joint, hand.rest[row[joint.name]]) if joint.mimic is None else _follows(hand, joint)
+        rest = show_value(joint, hand.rest[row[joint.name]]) if joint.mimic is None else _mimic_text(hand, joint)
         effort = "-" if joint.effort is None else f"{joint.effort:g} {'N' if joint.kind == 'prismatic' else 'Nm'}"
         limits = (show_value(joint, joint.lower), show_value(joint, joint.upper))
         table.add_row(*map(escape, (joint.name, joint.kind, *limits, rest, effort)))
     return table
 
 
-def _follows(hand: Hand, joint: Joint) -> str:
-    """What a mimic joint follows in the end, such as "-2 x a + 5.0, by way of b"."""
+def _mimic_text(hand: Hand, joint: Joint) -> str:
+    """Independent joint that a mimic joint follows, such as "-2 x a + 5.0, via b"."""
     leads = followed(joint, hand.joints_by_name)
     text = f"{leads.multiplier:.4g} x {leads.joint}"
     if leads.offset:
         text += f" {'-' if leads.offset < 0 else '+'} {show_value(joint, abs(leads.offset))}"
     assert joint.mimic is not None
-    return text if joint.mimic.joint == leads.joint else f"{text}, by way of {joint.mimic.joint}"
+    return text if joint.mimic.joint == leads.joint else f"{text}, via {joint.mimic.joint}"
 
 
 def _links(hand: Hand) -> Table:
@@ -91,17 +91,17 @@ def _links(hand: Hand) -> Table:
     for link in hand.links:
         table.add_row(
             escape(link.name),
-            escape(_mover(above.get(link.name))),
-            _shapes(link.body.pieces) if link.body else "none",
+            escape(_mover_text(above.get(link.name))),
+            _shapes_text(link.body.pieces) if link.body else "none",
             "-" if link.mass is None else f"{link.mass * 1e3:.1f}",
-            "; ".join(_where(contact) for contact in hand.contacts if contact.link == link.name),
+            "; ".join(_contact_text(contact) for contact in hand.contacts if contact.link == link.name),
             style="bold" if link.name in touching else "",
         )
     return table
 
 
-def _mover(joint: Joint | None) -> str:
-    """What moves the child of a joint; the base has none."""
+def _mover_text(joint: Joint | None) -> str:
+    """Text for the joint that moves a link; the base link has none."""
     if joint is None:
         return "(base)"
     return joint.name if joint.movable else f"fixed to {joint.parent}"
@@ -121,7 +121,10 @@ def _table(*columns: str) -> Table:
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0), header_style="dim")
     for column in columns:
         table.add_column(
-            column, justify="right" if column in NUMBERS else "left", overflow="fold", no_wrap=column in WHOLE
+            column,
+            justify="right" if column in NUMERIC_COLUMNS else "left",
+            overflow="fold",
+            no_wrap=column in UNWRAPPED_COLUMNS,
         )
     return table
 
@@ -134,14 +137,14 @@ def _range(hand: Hand) -> str:
     return f"{_degrees(min(j.lower for j in turning))} to {_degrees(max(j.upper for j in turning))}"
 
 
-def _shapes(pieces: Sequence[Piece]) -> str:
-    """What convex pieces are, such as "3 x hull of 8, ball"."""
+def _shapes_text(pieces: Sequence[Piece]) -> str:
+    """Summary of convex pieces, such as "3 x hull of 8, sphere"."""
     counts = Counter(len(piece.vertices) for piece in pieces)
-    names = {corners: {1: "ball", 2: "capsule"}.get(corners, f"hull of {corners}") for corners in counts}
+    names = {corners: {1: "sphere", 2: "capsule"}.get(corners, f"hull of {corners}") for corners in counts}
     return ", ".join(f"{n} x {names[c]}" if n > 1 else names[c] for c, n in counts.items())
 
 
-def _where(contact: Contact) -> str:
+def _contact_text(contact: Contact) -> str:
     point = "" if contact.point is None else " at {:.1f} {:.1f} {:.1f} mm".format(*np.multiply(contact.point, 1e3))
     return escape(("contact" if contact.group == contact.link else contact.group) + point)
 

@@ -1,4 +1,4 @@
-"""The text of a hand.toml that says all that a hand.toml can say of a hand, with comments for who edits it."""
+"""Text of a hand.toml with all keys of a hand, and comments for whoever edits it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from grasp_refine_apps.report.hand_table import show_value
 
 
 def hand_toml_text(hand: Hand, folder: Path) -> str:
-    """What a hand.toml in `folder` says so that the same hand is read from it, to the last digit."""
+    """Text of a hand.toml in `folder` from which the same hand is read, exact to the last digit."""
     parts = [_head(hand, folder), _rest(hand), _contacts(hand), _coupled(hand), _actuator(hand)]
     if hand.mjcf_joints:
         lines = [f"{_text(joint)} = {_text(name)}" for joint, name in hand.mjcf_joints.items()]
-        parts.append("\n".join(["# What joints are called in the MJCF file.", "[mjcf_joints]", *lines]))
+        parts.append("\n".join(["# Names of the joints in the MJCF file.", "[mjcf_joints]", *lines]))
     return "\n\n".join(parts) + "\n"
 
 
@@ -38,14 +38,14 @@ def _head(hand: Hand, folder: Path) -> str:
         ]
     return "\n".join(
         [
-            *_comment(f"What {hand.urdf.name} does not say. Written by: refine-grasp hands --check {hand.urdf.name}"),
+            *_comment(f"Settings beyond {hand.urdf.name}. Written by: refine-grasp hands --check {hand.urdf.name}"),
             "# A key that is left out is derived from the URDF. Units are metres, radians, newtons and newton metres.",
             "",
             "# Name in results and grasp files; left out, that of this folder.",
             f"name = {_text(hand.name)}",
             f"urdf = {_text(_relative(hand.urdf, folder))}",
             "",
-            *_comment(f"The link that the hand begins at; what is above it does not move. Why this: {hand.base_why}."),
+            *_comment(f"Base link of the hand; links above it do not move. Reason for this choice: {hand.base_why}."),
             f"base_link = {_text(hand.base_link)}",
             "",
             *mjcf,
@@ -63,7 +63,7 @@ def _rest(hand: Hand) -> str:
         joint = hand.joints_by_name[name]
         unit = "" if joint.kind == "prismatic" else " deg"
         low, high = show_value(joint, joint.lower), show_value(joint, joint.upper)
-        span = "turns without end" if joint.kind == "continuous" else f"from {low} to {high}"
+        span = "continuous" if joint.kind == "continuous" else f"from {low} to {high}"
         lines.append(f"{_text(name)} = {value!r}  # {show_value(joint, value)}{unit}, {span}")
     return "\n".join(lines)
 
@@ -72,8 +72,8 @@ def _contacts(hand: Hand) -> str:
     lines = [
         "# Links that are meant to touch the object, and the finger (group) that each belongs to.",
         *(["# Guessed: the last link with collision geometry of each moving branch."] * hand.contacts_guessed),
-        "# point: where the link should touch, in metres in its own frame; left out: wherever it comes nearest.",
-        "# normal: the outward direction there; left out: that of the surface.",
+        "# point: contact point in the link's frame, in metres; left out: the point nearest to the object.",
+        "# normal: the outward normal there; left out: that of the surface.",
     ]
     if not hand.contacts:
         lines += ["# [[contact]]", '# link = "fingertip"', '# group = "index"', "# point = [0.0, 0.0, 0.02]"]
@@ -86,7 +86,7 @@ def _contacts(hand: Hand) -> str:
 
 
 def _coupled(hand: Hand) -> str:
-    lines = ["# Joints that one actuator pulls by one tendon: its length is the sum of ratio x joint value."]
+    lines = ["# Joints that one actuator drives through one tendon: its length is the sum of ratio x joint value."]
     if not hand.coupled:
         names = json.dumps((list(hand.joint_names) + ["outer", "inner"])[:2], ensure_ascii=False)
         lines += ["# [[coupled]]", f"# joints = {names}", "# ratio = [1.0, 1.0]"]
@@ -97,12 +97,12 @@ def _coupled(hand: Hand) -> str:
 
 
 def _actuator(hand: Hand) -> str:
-    """Each key as one number where all joints have the same, else as a table of them."""
-    said = {
+    """Format each key as one number if all joints have the same value, else as a table."""
+    meanings = {
         "kp": "stiffness of the position actuators, Nm/rad or N/m",
-        "force_limit": "greatest torque or force, Nm or N: the URDF's effort unless you say otherwise",
+        "force_limit": "largest torque or force, Nm or N; by default the URDF's effort",
         "damping": "Nm s/rad or N s/m",
-        "armature": "inertia of the rotor as seen at the joint, kg m^2 or kg",
+        "armature": "rotor inertia reflected to the joint, kg m^2 or kg",
         "frictionloss": "dry friction, Nm or N",
     }
     lines = [
@@ -113,22 +113,22 @@ def _actuator(hand: Hand) -> str:
         values = dict(zip(hand.joint_names, getattr(hand.actuator, key).tolist(), strict=True))
         known = {name: value for name, value in values.items() if np.isfinite(value)}
         if not known:
-            lines += [f"# {key}: {said[key]}; the URDF names none", f"# {key} = 3.0"]
+            lines += [f"# {key}: {meanings[key]}; not in the URDF", f"# {key} = 3.0"]
         elif len(set(known.values())) == 1 and len(known) == len(values):
-            lines.append(f"{key} = {next(iter(known.values()))!r}  # {said[key]}")
+            lines.append(f"{key} = {next(iter(known.values()))!r}  # {meanings[key]}")
         else:
             table = ", ".join(f"{_text(name)} = {value!r}" for name, value in known.items())
-            lines += [f"# {key}: {said[key]}", f"{key} = {{ {table} }}"]
+            lines += [f"# {key}: {meanings[key]}", f"{key} = {{ {table} }}"]
     return "\n".join(lines)
 
 
 def _comment(text: str) -> list[str]:
-    printable = "".join(letter if letter.isprintable() else " " for letter in text)
+    printable = "".join(character if character.isprintable() else " " for character in text)
     return [f"# {line}" for line in textwrap.wrap(" ".join(printable.split()), 116)]
 
 
 def _relative(file: Path, folder: Path) -> str:
-    """`file` as seen from `folder`; absolute where there is no way between them."""
+    """Path of `file` relative to `folder`; absolute where there is no relative path."""
     try:
         return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
     except ValueError:  # another drive
@@ -136,5 +136,5 @@ def _relative(file: Path, folder: Path) -> str:
 
 
 def _text(value: str) -> str:
-    """A TOML string."""
+    """Quote a TOML string."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,4 +1,4 @@
-"""The HTML reports of benchmarks: one file, and nothing from outside."""
+"""HTML reports of benchmarks and batches: one file each, without external resources."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from grasp_refine_apps.report.panels import stylesheet
 
 TEMPLATE = "page.html.jinja"
 STYLE = "page.css"
-"""What pages of all apps have in common."""
+"""Style sheet shared by all pages."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """Something of each row of a table."""
+    """Column of a table."""
 
     name: str
-    """Its head."""
+    """Heading."""
     hint: str
-    """What it is, in words."""
+    """Description."""
     words: Callable[[dict[str, Any]], str]
-    """How it is shown."""
+    """Formatter of the cell, given its row."""
 
 
 def rendered(package: str, **values: Any) -> str:
-    """The page of a package's template, with the colours of the panels, `STYLE` as `style`, and these values."""
+    """Render a package's template with the colours of the panels, `STYLE` as `style`, and these values."""
     import jinja2
 
     light, dark = stylesheet()

@@ -36,7 +36,7 @@ MARKERS = "os^DvPX*<>p"
 
 @dataclass(frozen=True)
 class Style:
-    """How the line of a variant looks, in all panels."""
+    """Style of a variant's line, in all panels."""
 
     color: str
     marker: str
@@ -52,7 +52,7 @@ class Line:
     x: tuple[float, ...]
     y: tuple[float, ...]
     open: tuple[bool, ...]
-    """Points that stand for a smaller value than where they are drawn."""
+    """True for points whose value is smaller than drawn."""
 
 
 def stylesheet() -> tuple[str, str]:
@@ -70,15 +70,15 @@ def draw(
     salt: str,
     title: str,
 ) -> str:
-    """An SVG element of panels, a row a measure and a column a kind, with labels right of the line ends.
+    """Draw an SVG element of panels, one row per measure and one column per kind, labels right of the line ends.
 
     Args:
         grid: Title, lines and vertical axis of each panel.
-        names: What the vertical axis of each row shows.
-        x_name: What all horizontal axes show.
-        x_axis: Sets a horizontal axis up.
-        salt: Keeps names inside this SVG apart from those of others on the page.
-        title: What a screen reader says.
+        names: Label of the vertical axis of each row.
+        x_name: Label of all horizontal axes.
+        x_axis: Sets up a horizontal axis.
+        salt: Keeps names in this SVG distinct from those of others on the page.
+        title: Text for screen readers.
     """
     import matplotlib
     from matplotlib.figure import Figure
@@ -151,7 +151,7 @@ def _plot(axes: Axes, lines: Sequence[Line]) -> None:
 
 
 def _label_ends(axes: Axes, lines: Sequence[Line], high: float) -> None:
-    """Write each label right of the panel of `high` inches, at the height of its line's end if there is room."""
+    """Write each label right of the panel of `high` inches, at the height of its line's end if space allows."""
     if not lines:
         axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", color=PLAIN["muted"][0])
         return
@@ -189,17 +189,17 @@ def spread(heights: np.ndarray, gap: float) -> np.ndarray:
 
 
 def time_axis(axes: Axes, lines: list[Line]) -> None:
-    """A horizontal axis of seconds, wide enough for the lines."""
+    """Set up a horizontal axis of seconds, wide enough for the lines."""
     logarithmic(axes.xaxis, axes.set_xscale, axes.set_xlim, [x for line in lines for x in line.x], _seconds)
 
 
 def time_height(axes: Axes, lines: list[Line]) -> None:
-    """A vertical axis of seconds, wide enough for the lines."""
+    """Set up a vertical axis of seconds, wide enough for the lines."""
     logarithmic(axes.yaxis, axes.set_yscale, axes.set_ylim, [y for line in lines for y in line.y], _seconds)
 
 
 def count_axis(axes: Axes, lines: list[Line]) -> None:
-    """A horizontal axis of numbers of things, logarithmic, with ticks at those that occur."""
+    """Set up a logarithmic horizontal axis of counts, with ticks at those that occur."""
     from matplotlib.ticker import FixedLocator, NullLocator
 
     values = sorted({x for line in lines for x in line.x})
@@ -210,25 +210,25 @@ def count_axis(axes: Axes, lines: list[Line]) -> None:
 
 
 def number_height(axes: Axes, lines: list[Line]) -> None:
-    """A vertical axis of numbers from 0 on."""
+    """Set up a vertical axis of numbers from 0 on."""
     axes.set_ylim(0.0, 1.15 * max((y for line in lines for y in line.y), default=1.0))
 
 
 def share_axis(axes: Axes, lines: list[Line]) -> None:
-    """A vertical axis of shares up to 100 %, logarithmic so that few misses can be told from none."""
+    """Set up a vertical axis of shares up to 100 %, logarithmic so that few misses stand out from none."""
     values = [y for line in lines for y in line.y]
     logarithmic(axes.yaxis, axes.set_yscale, axes.set_ylim, [*values, 1.0], lambda value: f"{100 * value:g} %")
 
 
 def logarithmic(axis: Any, scale: Callable, limits: Callable, values: list[float], words: Callable) -> None:
-    """Set an axis up for values, with ticks at 1, 2 and 5 where there are few decades."""
+    """Set up a logarithmic axis for values, with ticks at 1, 2 and 5 where there are few decades."""
     from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
 
     low, high = (min(values), max(values)) if values else (0.1, 1.0)
     decades = np.log10(high / low)
     # Within less than a decade there would be ticks at any value, and too many.
     pad = 10 ** max(0.06 * decades, 0.12, 0.53 - 0.5 * decades)
-    # In this order the old limits, which may be alike, are never made logarithmic.
+    # In this order the old limits, which may be equal, are never made logarithmic.
     limits(low / pad, high * pad)
     scale("log")
     if decades < 2.2:
@@ -249,7 +249,7 @@ def _seconds(value: float) -> str:
 
 
 def _inlined(svg: str, title: str) -> str:
-    """The SVG element alone, as wide as there is room, with the page's variables for colours."""
+    """Extract the SVG element, at full width, with the page's variables for colours."""
     svg = svg[svg.index("<svg") :]
     head, body = svg.split(">", 1)
     head = re.sub(r' (width|height)="[^"]*"', "", head)

@@ -1,4 +1,4 @@
-"""What is said while grasps are refined: a bar in a terminal, single lines elsewhere."""
+"""Progress of a refinement: a bar in a terminal, single lines elsewhere."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from grasp_refine.core.plurals import count_text
 
 
 class Reporter:
-    """Tells on a console how far a refinement of several groups of grasps is; a context manager."""
+    """Progress of a refinement of several groups of grasps, shown on a console; a context manager."""
 
     def __init__(self, console: Console) -> None:
-        """Say nothing yet."""
+        """Prepare the bar; nothing is printed yet."""
         self.console = console
         self._bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=None),
-            TextColumn("{task.fields[said]}"),
+            TextColumn("{task.fields[status]}"),
             TimeElapsedColumn(),
             console=console,
             transient=True,
@@ -29,7 +29,7 @@ class Reporter:
         )
         self._finished = self._total = self._iterations = 0
         self._done = "done"
-        self._task = self._bar.add_task("", total=None, visible=False, said="")
+        self._task = self._bar.add_task("", total=None, visible=False, status="")
 
     def __enter__(self) -> Reporter:
         """Show the bar, once there is something to show."""
@@ -47,13 +47,13 @@ class Reporter:
         self.console.print(escape(line), style="dim", soft_wrap=not self.console.is_terminal)
 
     def start(self, hand: str, total: int, iterations: int, starts: int = 0) -> None:
-        """Announce the refinement of `total` grasps, each of at most so many `iterations`.
+        """Announce the refinement of `total` grasps, each of at most `iterations`.
 
         Args:
             hand: Name of the hand.
             total: Number of grasps.
-            iterations: Most iterations of a grasp.
-            starts: From how many starts grasps are made to hold; 0: they are not.
+            iterations: Maximum number of iterations of a grasp.
+            starts: Number of starts of the force-closure search; 0: there is no search.
         """
         if not self.console.is_terminal:
             most = count_text(starts, "start") if starts else count_text(iterations, "iteration")
@@ -62,11 +62,11 @@ class Reporter:
         self._bar.update(self._task, description="refining", total=total, visible=True)
 
     def wait(self, what: str) -> None:
-        """Show, in a terminal only, what takes a while."""
+        """Show the description of a lengthy step, in a terminal only."""
         self._bar.update(self._task, description=escape(what), total=None, visible=True)
 
-    def telling(self, name: str, total: int) -> Callable[[str, float], None]:
-        """The `tell` of `validate` for `total` grasps on the object `name`."""
+    def validation_callback(self, name: str, total: int) -> Callable[[str, float], None]:
+        """Return the `tell` callback of `validate` for `total` grasps on the object `name`."""
 
         def tell(what: str, done: float) -> None:
             self._bar.update(
@@ -75,27 +75,27 @@ class Reporter:
                 description=f"{what}, {escape(name)}",
                 total=total,
                 completed=done,
-                said=f"{int(done)}/{total} grasps",
+                status=f"{int(done)}/{total} grasps",
             )
 
         return tell
 
     def group(self, name: str, count: int) -> Callable[[int, int, float], None]:
-        """The `progress` of `refine` for a group of `count` grasps on the object `name`.
+        """Return the `progress` callback of `refine` for a group of `count` grasps on the object `name`.
 
-        Where grasps are made to hold, those that are finished are good, and others may yet become so.
+        In a force-closure search, finished grasps are good, and others may still become good.
         """
         before, self._finished = self._finished, self._finished + count
 
         def progress(finished: int, iteration: int, mean_loss: float) -> None:
-            # Most grasps finish late: those that run count by how far they are.
+            # Most grasps finish late: those still running count by their share of iterations.
             running = (count - finished) * min(iteration / self._iterations, 1.0)
             done = f"{before + finished}/{self._total} {self._done}"
             self._bar.update(
                 self._task,
                 completed=before + finished + running,
                 description=f"refining {escape(name)}",
-                said=f"{done}, iteration {iteration}, mean loss {mean_loss:.1e} m²",
+                status=f"{done}, iteration {iteration}, mean loss {mean_loss:.1e} m²",
             )
 
         return progress

@@ -16,17 +16,17 @@ from jaxtyping import Float, Int
 if TYPE_CHECKING:
     import trimesh
 
-LIGHT = 0.5
+DIRECTIONAL_SHARE = 0.5
 """Share of the directional light; the rest comes from all sides, more of it from above."""
-SHADOW_SIZE = 1400
+SHADOW_SIZE_PX = 1400
 """Pixels along each side of the shadow map."""
-SHADOW_BIAS = 0.0012
-"""How much farther from the light than the shadow map says (metres) a point must be to lie in shadow."""
-SLACK = 1e-9
-"""A triangle is larger than it is by this share of its height, so that no gaps open between neighbours."""
-BLOCK = 2**16
-"""Triangles are drawn together up to so many pixels of the boxes around them, which bounds the memory."""
-OUTLINE, CREASE = 0.006, 0.0005
+SHADOW_BIAS_M = 0.0012
+"""Distance behind the depth of the shadow map from which a point lies in shadow, metres."""
+RELATIVE_SLACK = 1e-9
+"""Share of its height by which a triangle is enlarged, so that no gaps open between neighbours."""
+BLOCK_PIXELS = 2**16
+"""Number of bounding-box pixels up to which triangles are drawn together, which bounds the memory."""
+OUTLINE_STEP_M, CREASE_STEP_M = 0.006, 0.0005
 """Depth step between neighbouring pixels (metres) that is drawn as an outline: in a model, between two models."""
 
 
@@ -35,17 +35,17 @@ class Model:
     """A coloured mesh in world coordinates."""
 
     vertices: Float[np.ndarray, "V 3"]
-    """(V, 3) in metres."""
+    """Vertices (V, 3), world frame, metres."""
     normals: Float[np.ndarray, "V 3"]
     """Unit normals (V, 3) of the vertices; shading is smooth between them."""
     faces: Int[np.ndarray, "F 3"]
-    """(F, 3) indices of vertices."""
+    """Vertex indices (F, 3)."""
     color: tuple[float, float, float]
     """Red, green and blue in [0, 1]."""
 
     @staticmethod
     def of(mesh: trimesh.Trimesh, color: tuple[float, float, float], *, crease: float) -> Model:
-        """A mesh with smooth shading, except across edges sharper than `crease` degrees."""
+        """Make a model of a mesh with smooth shading, except across edges sharper than `crease` degrees."""
         import trimesh
 
         smooth = trimesh.graph.smooth_shade(mesh, angle=np.radians(crease))
@@ -57,15 +57,15 @@ class Camera:
     """A pinhole camera, or a parallel projection when `focal` is infinite."""
 
     eye: np.ndarray
-    """Where it stands (3,), metres."""
+    """Position (3,), world frame, metres."""
     target: np.ndarray
-    """What it looks at (3,), metres; lies in the middle of the picture."""
+    """Target point (3,), world frame, metres; lies in the middle of the picture."""
     width: int
-    """Pixels."""
+    """Width of the picture, pixels."""
     height: int
-    """Pixels."""
+    """Height of the picture, pixels."""
     extent: float
-    """Height in metres of what is visible at the target's distance."""
+    """Visible height at the target's distance, metres."""
     perspective: bool = True
     """False: a parallel projection."""
 
@@ -103,13 +103,13 @@ class Camera:
 
 
 def render(
-    models: Sequence[Model], camera: Camera, light: np.ndarray, shadow_size: int = SHADOW_SIZE
+    models: Sequence[Model], camera: Camera, light: np.ndarray, shadow_size: int = SHADOW_SIZE_PX
 ) -> Float[np.ndarray, "H W 4"]:
-    """The picture of `models`: red, green, blue in [0, 1] and 1 where there is a model, else 0.
+    """Render `models`: red, green, blue in [0, 1] and 1 where there is a model, else 0.
 
     Args:
-        models: What is shown; surfaces seen from behind are lit as from the front.
-        camera: From where; render at twice the wanted size and average for smooth edges.
+        models: Shown models; surfaces seen from behind are lit as from the front.
+        camera: Camera; render at twice the final size and average for smooth edges.
         light: Direction towards the light (3,), world frame.
         shadow_size: Pixels along each side of the shadow map; small pictures need fewer.
     """
@@ -137,7 +137,7 @@ def render(
     lit[facing] *= _unshadowed(vertices, faces, point[facing], normal[facing], light, shadow_size)
     mirrored = np.clip(_dot(normal, _unit(view + light)), 0.0, 1.0)
     shine = 0.12 * lit * _power_of_30(mirrored)
-    brightness = LIGHT * lit + (1.0 - LIGHT) * (0.95 + 0.2 * normal[:, 2])
+    brightness = DIRECTIONAL_SHARE * lit + (1.0 - DIRECTIONAL_SHARE) * (0.95 + 0.2 * normal[:, 2])
     colors = np.array([model.color for model in models])[owner[seen]]
 
     image = np.zeros((*face.shape, 4))
@@ -153,12 +153,12 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
-    """The vectors (N, 3) at length one."""
+    """Normalise vectors (N, 3)."""
     return vectors / np.sqrt(_dot(vectors, vectors))[:, None]
 
 
 def _power_of_30(base: np.ndarray) -> np.ndarray:
-    """What `base ** 30` gives, in a fifth of its time."""
+    """Compute `base ** 30` in a fifth of its time."""
     second = base * base
     fourth = second * second
     eighth = fourth * fourth
@@ -173,12 +173,12 @@ def _rasterize(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple
     key = -1.0 / depth if camera.perspective else depth
     nearest, least = np.full(camera.height * camera.width, -1), np.full(camera.height * camera.width, np.inf)
     for face, begin, count, start, slope in _spans(x, y, key, shape):
-        span, step = _counted(count)
+        span, step = _repeat_indices(count)
         pixel, value = begin[span] + step, start[span] + slope[span] * step
         nearer = np.flatnonzero(value < least[pixel])
         span, pixel, value = span[nearer], pixel[nearer], value[nearer]
         np.minimum.at(least, pixel, value)
-        # Of values assigned to the same pixel the last one stays, so that the order is turned round.
+        # Of values assigned to the same pixel the last one stays, so that the order is reversed.
         won = np.flatnonzero(value == least[pixel])[::-1]
         nearest[pixel[won]] = face[span[won]]
     if camera.perspective:
@@ -189,35 +189,35 @@ def _rasterize(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple
 def _spans(
     x: np.ndarray, y: np.ndarray, key: np.ndarray, shape: tuple[int, int]
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """What triangles cover, row by row: on the line of a row their weights are linear, so it lies between two columns.
+    """Pixel spans of triangles, row by row: their weights are linear along a row, so a span lies between two columns.
 
     Args:
         x: Pixel coordinates of the corners (3, F), to the right.
-        y: The same, downwards.
-        key: Values (3, F) at the corners of what is linear in between.
+        y: Pixel coordinates of the corners (3, F), downwards.
+        key: Values (3, F) at the corners of the linearly interpolated depth key.
         shape: Height and width of the picture.
 
     Yields:
         Face, first pixel (counted row by row), number of pixels, key there and how much it grows from pixel to pixel;
-        one for each span (S,), in order of faces, in blocks of about `BLOCK` pixels.
+        one for each span (S,), in order of faces, in blocks of about `BLOCK_PIXELS` pixels.
     """
     left, right = _centers(x, shape[1])
     top, bottom = _centers(y, shape[0])
     area = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0])
     box = (right - left) * (bottom - top)
     drawn = np.flatnonzero((box > 0) & (np.abs(area) >= 1e-9))
-    block = np.cumsum(box[drawn]) // BLOCK
+    block = np.cumsum(box[drawn]) // BLOCK_PIXELS
     for some in np.split(drawn, np.flatnonzero(np.diff(block)) + 1):
         (ax, bx, cx), (ay, by, cy), (a, b, c) = x[:, some], y[:, some], key[:, some]
-        # By how much the weights of a, b and c, and so the key, grow from pixel to pixel to the right and downwards.
+        # Increments of the weights of a, b and c, and so of the key, from pixel to pixel to the right and downwards.
         to_right = np.stack([by - cy, cy - ay, ay - by]) / area[some]
         downwards = np.stack([cx - bx, ax - cx, bx - ax]) / area[some]
         key_right, key_down = ((b - a) * weight[1] + (c - a) * weight[2] for weight in (to_right, downwards))
-        # In which column, from a's on, a weight is zero: at + shift * (rows from a's on). A tiny slope stands for none.
+        # Column, relative to a's, where a weight is zero: at + shift * (rows from a's on). A tiny slope replaces zero.
         slope = np.where(to_right == 0.0, 1e-30, to_right)
-        at, shift = (-SLACK - np.array([[1.0], [0.0], [0.0]])) / slope, -downwards / slope
+        at, shift = (-RELATIVE_SLACK - np.array([[1.0], [0.0], [0.0]])) / slope, -downwards / slope
 
-        face, row = _counted((bottom - top)[some])
+        face, row = _repeat_indices((bottom - top)[some])
         row += top[some][face]
         below = row + 0.5 - ay[face]
         zero, rising = at[:, face] + shift[:, face] * below, (slope > 0.0)[:, face]
@@ -237,10 +237,10 @@ def _centers(corners: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(low, 0, size).astype(int), np.clip(high, 0, size).astype(int)
 
 
-def _counted(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each index as often as `count` (N,) says, and beside it 0, 1, 2 ... from its first time on."""
-    which = np.repeat(np.arange(len(count)), count)
-    return which, np.arange(len(which)) - (np.cumsum(count) - count)[which]
+def _repeat_indices(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Repeat each index `count` (N,) times; return the indices, and the number 0, 1, 2 ... of each repetition."""
+    index = np.repeat(np.arange(len(count)), count)
+    return index, np.arange(len(index)) - (np.cumsum(count) - count)[index]
 
 
 def _weights(corner_x: np.ndarray, corner_y: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -255,14 +255,14 @@ def _weights(corner_x: np.ndarray, corner_y: np.ndarray, x: np.ndarray, y: np.nd
 def _unshadowed(
     vertices: np.ndarray, faces: np.ndarray, point: np.ndarray, normal: np.ndarray, light: np.ndarray, size: int
 ) -> np.ndarray:
-    """How much of the light reaches each point, 0 to 1, from a shadow map that looks along the light."""
+    """Share of the light that reaches each point, 0 to 1, from a shadow map that looks along the light."""
     center = vertices.mean(axis=0)
     reach = float(np.linalg.norm(vertices - center, axis=1).max())
     eye = center + 2.0 * reach * light
     camera = Camera(eye, center, size, size, 2.0 * reach, perspective=False)
     _, depths = _rasterize(vertices, faces, camera)
-    farthest = depths.ravel() + SHADOW_BIAS
-    x, y, depth = camera.project(point + SHADOW_BIAS * normal).T
+    farthest = depths.ravel() + SHADOW_BIAS_M
+    x, y, depth = camera.project(point + SHADOW_BIAS_M * normal).T
     # Nine neighbours soften the edge.
     columns, rows = ([np.clip(at + d, 0, size - 1).astype(int) for d in (-1.5, 0.0, 1.5)] for at in (x, y))
     reached = np.zeros(len(point))
@@ -275,9 +275,9 @@ def _unshadowed(
 def _outline(owner: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """Mask (H, W) of the nearer pixels at steps in depth; a smaller step suffices where two models meet."""
     mask = np.zeros(owner.shape, dtype=bool)
-    # The second view of a table is turned, so that what lies below lies to the right.
+    # The second view is transposed, so that the pixel below becomes the one to the right.
     for owners, depths, marked in ((owner, depth, mask), (owner.T, depth.T, mask.T)):
-        needed = np.where(owners[:, 1:] == owners[:, :-1], OUTLINE, CREASE)
+        needed = np.where(owners[:, 1:] == owners[:, :-1], OUTLINE_STEP_M, CREASE_STEP_M)
         with np.errstate(invalid="ignore"):
             step = depths[:, 1:] - depths[:, :-1]
         marked[:, :-1] |= step > needed

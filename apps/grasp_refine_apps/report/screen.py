@@ -1,4 +1,4 @@
-"""Where people read: the terminal, at most 100 columns wide, or a pipe."""
+"""Console for people to read: a terminal, at most 100 columns wide, or a pipe."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from rich.segment import Segment
 
 from grasp_refine.core.errors import visible
 
-NARROWEST, WIDEST = 80, 100
-"""Narrower tables would lose their numbers, and longer lines are hard to read."""
+MIN_COLUMNS, MAX_COLUMNS = 80, 100
+"""Range of the width, columns: narrower tables would lose their numbers, and longer lines are hard to read."""
 
 
 class _Visible:
-    """Renderable whose text controls no terminal: other characters than printable ones and line ends are escaped."""
+    """Renderable whose text cannot control a terminal: all but printable characters and line ends is escaped."""
 
     def __init__(self, shown: RenderableType) -> None:
         self._shown = shown
@@ -27,7 +27,7 @@ class _Visible:
 
 
 class _EscapeControls(RenderHook):
-    """What is printed may hold names out of files of others."""
+    """Hook that escapes control characters: printed text may hold names from other people's files."""
 
     def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
         return [_Visible(shown) for shown in renderables]
@@ -40,12 +40,12 @@ class _Console(Console):
 
 
 def screen(*, stderr: bool = False) -> Console:
-    r"""A console as wide as the terminal, but not wider than is good to read; plain text where there is none.
+    r"""Return a console as wide as the terminal, but not wider than is good to read; plain text where there is none.
 
-    Names of files may come from others: what controls a terminal is printed as an escape, such as \x1b.
+    Names of files may come from others: control characters are printed as escapes, such as \x1b.
     """
-    columns = shutil.get_terminal_size((WIDEST, 24)).columns
-    width = max(NARROWEST, min(WIDEST, columns))
+    columns = shutil.get_terminal_size((MAX_COLUMNS, 24)).columns
+    width = max(MIN_COLUMNS, min(MAX_COLUMNS, columns))
     console = _Console(width=width, stderr=stderr, highlight=False, emoji=False)
     console.push_render_hook(_EscapeControls())
     return console

@@ -1,4 +1,4 @@
-"""Make the README's pictures of the viewer: a refined grasp, and a push that the hand does not withstand.
+"""Make the documentation's pictures of the viewer: a refined grasp, and a push that the hand does not withstand.
 
 Run `python -m grasp_refine_apps.viewer.pictures` after changes of the viewer's appearance. It writes
 `overview.png` and `replay.png` beside this file. It needs playwright, which the extra 'test' installs, and chromium.

@@ -1,5 +1,4 @@
-// Asking coal about two convex pieces, and making sure of its answer: certified_distance.py, where it is explained, in
-// C++.
+// Certified distance queries of two convex pieces with coal: certified_distance.py, where they are explained, in C++.
 #pragma once
 
 #include <coal/distance_func_matrix.h>
@@ -18,43 +17,44 @@ using coal::Vec3s;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-constexpr double kWild = 1e300;  // A distance beyond this, either way, is no answer.
+constexpr double kMaxDistance = 1e300;  // Largest absolute distance that counts as an answer.
 
 // As in certified_distance.py, in units of the pieces.
-constexpr double kSure = 1e-10, kTouching = 4e-9, kNothing = 1e-12, kUnit = 1e-6, kAside = 0.25, kFineEpa = 1e-10;
-constexpr double kApart[] = {0.25, 1.0 / 16384}, kSteps[] = {1, 8, 64, 512};
-constexpr int kRounds = 32, kEpaIterations = 256;
+constexpr double kGapTolerance = 1e-10, kContactDistance = 4e-9, kMinLength = 1e-12, kUnitTolerance = 1e-6;
+constexpr double kSideOffset = 0.25, kFineEpaTolerance = 1e-10;
+constexpr double kQueryGaps[] = {0.25, 1.0 / 16384}, kStepLengths[] = {1, 8, 64, 512};
+constexpr int kMaxIterations = 32, kEpaIterations = 256;
 
 struct Tolerances {
   double gjk, epa, retry, slack;
 };
 
-// All points within `radius` of the hull of some vertices, in the frame of the body.
+// A piece: all points within `radius` of the hull of its vertices, in the frame of the body.
 struct Core {
   Eigen::Matrix<double, Eigen::Dynamic, 3> vertices;
   double radius = 0;
-  Vec3s center = Vec3s::Zero();  // Of the box around the vertices.
+  Vec3s center = Vec3s::Zero();  // Centre of the vertices' bounding box.
 
-  // u . x of the vertices; sums in the order of certified_distance.py, so that both engines have the same bits.
+  // u . x of the vertices; sums in the order of certified_distance.py, so that both engines give the same bits.
   auto along(const Vec3s& u) const {
     return u[0] * vertices.col(0).array() + u[1] * vertices.col(1).array() + u[2] * vertices.col(2).array();
   }
 };
 
-// A convex piece as coal sees it, in a unit of length of its own.
+// Coal's shape of a convex piece, in a unit of length of its own.
 struct Shape {
   std::unique_ptr<coal::ShapeBase> geometry;
-  Transform3s placement;  // In the frame of the body.
-  bool placed = false;    // Whether that is more than the identity.
+  Transform3s placement;  // Pose in the frame of the body.
+  bool placed = false;    // False: the placement is the identity.
   Core core;
 };
 
-// Two pieces that are asked together.
+// A pair of pieces, in a unit of length of its own.
 struct PiecePair {
   std::shared_ptr<Shape> a, b;
-  double unit;  // Of length, in metres.
+  double unit;  // Unit of length, in metres.
 
-  // The gap min u . y - max u . x, at most the signed distance whatever the unit vector u is.
+  // The gap min u . y - max u . x, at most the signed distance for any unit vector u.
   double gap(const Transform3s& T, const Vec3s& u) const {
     const Matrix3s& R = T.getRotation();
     Vec3s v;
@@ -87,59 +87,64 @@ struct PiecePair {
   static double dot(const Vec3s& u, const Vec3s& v) { return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]; }
 };
 
-// What one thread writes to; of two questions the second does not see what the first one left.
-class Asker {
+// Distance queries of one thread; each is independent of the queries before it.
+class CertifiedQuery {
  public:
-  Vec3s point, normal;  // Of the last answer: on a, in the unit of the pieces; in the frame of a.
+  Vec3s point, normal;  // Last answer: witness point on a, in the unit of the pieces, and normal; in the frame of a.
 
   void set(const Tolerances& tolerances) {
     tolerances_ = tolerances;
     prepare(tight_, tolerances.gjk, tolerances.epa);
-    prepare(fine_, tolerances.gjk, kFineEpa);
+    prepare(fine_, tolerances.gjk, kFineEpaTolerance);
     prepare(loose_, tolerances.retry, tolerances.retry);
   }
 
-  // The signed distance in the unit of the pieces, at least `bound`; NaN if no answer is usable. A null guess is none.
+  // The signed distance in the unit of the pieces, at least `bound`; NaN if no answer is usable. Null: no guess.
   double distance(const PiecePair& pair, const Transform3s& T, double bound, const Vec3s* guess) {
-    // Without a bound, too, there is a limit to what an answer can be.
-    const double floor = std::max(bound - tolerances_.slack, -kWild);
-    const auto usable = [floor](double d) { return floor <= d && d < kWild; };
-    double d = ask(pair, T, guess);
-    if (!usable(d)) d = ask(pair, T, loose_, no_guess());
+    // An answer is limited even without a bound.
+    const double floor = std::max(bound - tolerances_.slack, -kMaxDistance);
+    const auto usable = [floor](double d) { return floor <= d && d < kMaxDistance; };
+    double d = query_pieces(pair, T, guess);
+    if (!usable(d)) d = query_pieces(pair, T, loose_, no_guess());
     if (!usable(d)) d = kNaN;
-    if (std::abs(d) > kTouching && std::abs(d - pair.gap(T, normal)) <= kSure && has_normal()) return d;
-    d = settled(pair, T, d);
+    if (std::abs(d) > kContactDistance && is_certified(pair, T, d)) return d;
+    d = resolve(pair, T, d);
     return d >= floor ? d : kNaN;
   }
 
-  // What coal says, whatever it is.
-  double ask(const PiecePair& pair, const Transform3s& T, const Vec3s* guess) {
-    return ask(pair, T, tight_, guess ? *guess : no_guess());
+  // Coal's unchecked answer.
+  double query_pieces(const PiecePair& pair, const Transform3s& T, const Vec3s* guess) {
+    return query_pieces(pair, T, tight_, guess ? *guess : no_guess());
   }
 
  private:
-  // Where following the normal ended.
-  struct Climbed {
+  // End of an ascent along the normal.
+  struct Ascent {
     double gap;
     Vec3s normal, point = Vec3s::Zero();
-    bool closed = false;    // Whether GJK found nothing nearer than the gap there.
-    bool answered = false;  // Whether GJK found anything.
+    bool closed = false;    // True: GJK's distance there equals the gap.
+    bool answered = false;  // True: GJK gave an answer.
   };
 
   static void prepare(coal::DistanceRequest& request, double gjk, double epa) {
     request.gjk_tolerance = gjk;
     request.epa_tolerance = epa;
     request.epa_max_iterations = kEpaIterations;
-    // Without a guess of its own a request starts from where the solver was last.
+    // Without a cached guess a request would start from the solver's last state.
     request.gjk_initial_guess = coal::GJKInitialGuess::CachedGuess;
   }
 
-  // coal's normal is zero where the axes of capsules meet.
-  bool has_normal() const { return std::abs(PiecePair::dot(normal, normal) - 1) <= kUnit; }
+  // The gap along coal's normal is d.
+  bool is_certified(const PiecePair& pair, const Transform3s& T, double d) const {
+    return std::abs(d - pair.gap(T, normal)) <= kGapTolerance && has_normal();
+  }
+
+  // Coal's normal is zero where the axes of capsules meet.
+  bool has_normal() const { return std::abs(PiecePair::dot(normal, normal) - 1) <= kUnitTolerance; }
 
   static Vec3s no_guess() { return Vec3s(1, 0, 0); }
 
-  double ask(const PiecePair& pair, const Transform3s& T, coal::DistanceRequest& request, const Vec3s& guess) {
+  double query_pieces(const PiecePair& pair, const Transform3s& T, coal::DistanceRequest& request, const Vec3s& guess) {
     static const coal::DistanceFunctionMatrix table;
     const Shape &a = *pair.a, &b = *pair.b;
     request.cached_gjk_guess = guess;
@@ -153,26 +158,26 @@ class Asker {
     return d;
   }
 
-  // The largest gap that is found, where that is not what coal says, d (NaN: nothing).
-  double settled(const PiecePair& pair, const Transform3s& T, double d) {
+  // The largest gap found, where coal's distance d (NaN: none) is not certified.
+  double resolve(const PiecePair& pair, const Transform3s& T, double d) {
     const double close = 0.5 * tolerances_.gjk * (1 + std::abs(d));
     Vec3s starts[10];
-    int count = begin(pair, T, starts);
-    Climbed best = climb(pair, T, starts[0]);
-    // Elsewhere there may be a larger gap.
+    int count = starting_directions(pair, T, starts);
+    Ascent best = ascend_separation(pair, T, starts[0]);
+    // Otherwise there may be a larger gap in another direction.
     const auto sure = [&] {
       return best.closed && (std::abs(d - best.gap) <= close || (std::isnan(d) && best.gap > 0));
     };
-    if (d <= kTouching && !sure()) {
-      ask(pair, T, fine_, no_guess());
+    if (d <= kContactDistance && !sure()) {
+      query_pieces(pair, T, fine_, no_guess());
       if (has_normal()) {
         std::copy_backward(starts + 1, starts + count, starts + count + 1);
         starts[1] = normal, ++count;
       }
     }
     for (int k = 1; k < count + 6 && !sure(); ++k) {
-      const Vec3s u = k < count ? starts[k] : Vec3s(normalized(best.normal + kAside * axis(k - count)));
-      const Climbed found = climb(pair, T, u);
+      const Vec3s u = k < count ? starts[k] : Vec3s(normalized(best.normal + kSideOffset * axis(k - count)));
+      const Ascent found = ascend_separation(pair, T, u);
       if (found.gap > best.gap) best = found;
     }
     if (!best.answered || (std::isnan(d) && !best.closed)) return kNaN;
@@ -180,13 +185,13 @@ class Asker {
     return best.gap;
   }
 
-  // Directions to begin with: coal's normal, across two capsules, the line between the centres, and the axes; returns
-  // how many there are.
-  int begin(const PiecePair& pair, const Transform3s& T, Vec3s* out) const {
+  // Starting directions: coal's normal, across two capsules, the line between the centres, and the axes; returns their
+  // number.
+  int starting_directions(const PiecePair& pair, const Transform3s& T, Vec3s* out) const {
     int count = 0;
     if (has_normal()) out[count++] = normal;
     for (const Vec3s& u : {pair.across(T), pair.between(T)})
-      if (PiecePair::dot(u, u) > kNothing * kNothing) out[count++] = normalized(u);
+      if (PiecePair::dot(u, u) > kMinLength * kMinLength) out[count++] = normalized(u);
     for (int k = 0; k < 6; ++k) out[count++] = axis(k);
     return count;
   }
@@ -196,24 +201,24 @@ class Asker {
 
   static Vec3s normalized(const Vec3s& u) { return u / std::sqrt(PiecePair::dot(u, u)); }
 
-  // Follow the normal from the direction u to where the gap grows no more.
-  Climbed climb(const PiecePair& pair, const Transform3s& T, const Vec3s& start) {
-    Climbed found{pair.gap(T, start), start};
-    for (const double apart : kApart) {
-      for (int round = 0; round < kRounds; ++round) {
+  // Follow the normal from a starting direction until the gap stops growing.
+  Ascent ascend_separation(const PiecePair& pair, const Transform3s& T, const Vec3s& start) {
+    Ascent found{pair.gap(T, start), start};
+    for (const double apart : kQueryGaps) {
+      for (int iteration = 0; iteration < kMaxIterations; ++iteration) {
         const Vec3s u = found.normal;
         const double move = apart - found.gap;
         const Transform3s moved(T.getRotation(), T.getTranslation() + move * u);
-        const double d = ask(pair, moved, tight_, -apart * u);
-        if (!(0 < d && d < kWild)) break;
+        const double d = query_pieces(pair, moved, tight_, -apart * u);
+        if (!(0 < d && d < kMaxDistance)) break;
         found.point = point, found.answered = true;
-        found.closed = std::abs(d - move - found.gap) <= kSure;
+        found.closed = std::abs(d - move - found.gap) <= kGapTolerance;
         Vec3s n = normal;
         double gap = pair.gap(T, n);
         if (found.gap > 1) {
-          // Far apart, a small turn moves much: it is the way to the line between the points that counts.
+          // Far apart, a small turn has a large effect: the turn to the line between the points counts.
           const Vec3s turn = normalized(d * n - move * u) - u;
-          for (const double step : kSteps) {
+          for (const double step : kStepLengths) {
             const Vec3s w = normalized(u + step * turn);
             const double along = pair.gap(T, w);
             if (along > gap) n = w, gap = along;

@@ -1,4 +1,4 @@
-// What Python sees: shapes, the narrow phase, and witness queries for a batch of items on several threads.
+// Python module: shapes, the narrow phase, and witness queries for a batch of items on several threads.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
@@ -28,10 +28,10 @@ template <class T>
 using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
 using RowMatrix = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 
-// Where we were loaded. A fork of it has lost the threads of OpenMP, which would wait for them for ever.
+// The process that loaded this module. A fork of it has lost the threads of OpenMP and would wait for them for ever.
 const pid_t kProcess = getpid();
 
-// Call work(i) for all i of `order` on several threads, one item after the other on each; the first error is thrown.
+// Call work(i) for all i of `order` on several threads; the first error is thrown.
 template <class Work>
 void for_each(const std::vector<size_t>& order, int threads, const Work& work) {
   if (getpid() != kProcess) threads = 1;
@@ -62,7 +62,7 @@ std::vector<size_t> by_key(size_t count, size_t keys, const Key& key) {
 
 // The pose of body b in the frame of body a, from two (4, 4) poses in the world.
 //
-// Sums run in the order of query.py, so that both engines ask coal with the same bits.
+// Sums run in the order of relative.py, so that both engines query coal with the same bits.
 Transform3s relative(const double* a, const double* b) {
   Matrix3s R;
   Vec3s t;
@@ -104,9 +104,9 @@ struct Previous {
 struct Answers {
   double *point_a, *point_b, *normal, *distance;
   int8_t* status;
-  int64_t *winner, *asked;
+  int64_t *winner, *num_queries;
 
-  // World coordinates and a status, from what was found in the frame of body a.
+  // Write world coordinates and a status, from the answer in the frame of body a.
   void write(size_t i, const Found& found, const double* a, bool finite, double limit) const {
     const int8_t code = !finite            ? kNotFinite
                         : found.failed     ? kFailed
@@ -123,19 +123,19 @@ struct Answers {
     }
     // FAR: no piece pair was, or can be, below the limit.
     distance[i] = valid ? found.distance : code == kFar ? limit : std::numeric_limits<double>::quiet_NaN();
-    status[i] = code, winner[i] = found.winner, asked[i] = found.asked;
+    status[i] = code, winner[i] = found.winner, num_queries[i] = found.num_queries;
   }
 };
 
-// `query_items` of query.py; without `pair`, the items are all body pairs over and over.
+// `query_items` of query.py; without `pair`, the items are all body pairs, repeated.
 void query(const Search& search, std::optional<In<int64_t>> pair, In<double> T_a, In<double> T_b, In<double> limit,
            std::optional<In<int64_t>> winner, std::optional<In<double>> point_a, std::optional<In<double>> point_b,
            std::optional<In<int8_t>> status, Out<double> new_point_a, Out<double> new_point_b, Out<double> new_normal,
-           Out<double> new_distance, Out<int8_t> new_status, Out<int64_t> new_winner, Out<int64_t> new_asked,
+           Out<double> new_distance, Out<int8_t> new_status, Out<int64_t> new_winner, Out<int64_t> new_num_queries,
            int threads) {
   const Poses poses{T_a.data(), T_b.data()};
   const Answers answers{new_point_a.data(), new_point_b.data(), new_normal.data(), new_distance.data(),
-                        new_status.data(),  new_winner.data(),  new_asked.data()};
+                        new_status.data(),  new_winner.data(),  new_num_queries.data()};
   Previous previous;
   if (winner) previous = {winner->data(), point_a->data(), point_b->data(), status->data()};
   const size_t pairs = search.first_pair.size(), count = limit.size();
@@ -146,7 +146,7 @@ void query(const Search& search, std::optional<In<int64_t>> pair, In<double> T_a
   check(!listed || std::all_of(listed, listed + count, [=](int64_t p) { return 0 <= p && p < int64_t(pairs); }));
   check(new_point_a.size() == 3 * count && new_point_b.size() == 3 * count && new_normal.size() == 3 * count);
   check(new_distance.size() == count && new_status.size() == count && new_winner.size() == count &&
-        new_asked.size() == count);
+        new_num_queries.size() == count);
   check(!winner || (winner->size() == count && point_a->size() == 3 * count && point_b->size() == 3 * count &&
                     status->size() == count));
 
@@ -163,7 +163,7 @@ void query(const Search& search, std::optional<In<int64_t>> pair, In<double> T_a
   });
 }
 
-// The queries that items take, in order, one item after the other: (item, piece pair) of each.
+// The queries of the items, in order, item by item: (item, piece pair) of each.
 std::vector<std::pair<int64_t, int64_t>> trace(const Search& search, In<int64_t> pair, In<double> T_a, In<double> T_b,
                                                In<double> limit, std::optional<In<int64_t>> winner,
                                                std::optional<In<double>> point_a, std::optional<In<double>> point_b,
@@ -171,15 +171,15 @@ std::vector<std::pair<int64_t, int64_t>> trace(const Search& search, In<int64_t>
   Previous previous;
   if (winner) previous = {winner->data(), point_a->data(), point_b->data(), status->data()};
   const Poses poses{T_a.data(), T_b.data()};
-  std::vector<std::pair<int64_t, int64_t>> asked;
+  std::vector<std::pair<int64_t, int64_t>> queries;
   for (size_t i = 0; i < limit.size(); ++i) {
     std::vector<Entry> entries;
     Scratch scratch;
     scratch.trace = &entries;
     search.minimum(pair.data()[i], poses.relative(i), limit.data()[i], previous.item(i, poses.T_a + 16 * i), scratch);
-    for (const Entry& entry : entries) asked.emplace_back(i, entry.pair);
+    for (const Entry& entry : entries) queries.emplace_back(i, entry.pair);
   }
-  return asked;
+  return queries;
 }
 
 Transform3s pose_of(const double* R, const double* t) {
@@ -189,8 +189,8 @@ Transform3s pose_of(const double* R, const double* t) {
 // `NarrowPhase.closest` of narrowphase.py.
 void closest(const NarrowPhase& narrow_phase, In<double> R, In<double> t, In<int64_t> starts, In<int64_t> pair,
              In<double> bound, In<double> limit, std::optional<In<double>> guess, std::optional<In<bool>> guess_valid,
-             Out<double> distance, Out<double> point, Out<double> normal, Out<int64_t> winner, Out<int64_t> asked,
-             Out<bool> failed) {
+             Out<double> distance, Out<double> point, Out<double> normal, Out<int64_t> winner,
+             Out<int64_t> num_queries, Out<bool> failed) {
   nb::gil_scoped_release without_the_gil;
   for (size_t i = 0; i < limit.size(); ++i) {
     std::vector<Entry> entries;
@@ -198,16 +198,16 @@ void closest(const NarrowPhase& narrow_phase, In<double> R, In<double> t, In<int
       entries.push_back({bound.data()[j], pair.data()[j]});
     const Vec3s warm = guess ? Vec3s(Eigen::Map<const Vec3s>(guess->data() + 3 * i)) : Vec3s::Zero();
     Found found;
-    narrow_phase.ask(entries.data(), entries.data() + entries.size(), pose_of(R.data() + 9 * i, t.data() + 3 * i),
-                     limit.data()[i], guess_valid && guess_valid->data()[i] ? &warm : nullptr, found);
-    distance.data()[i] = found.distance, winner.data()[i] = found.winner, asked.data()[i] = found.asked;
-    failed.data()[i] = found.failed;
+    narrow_phase.query(entries.data(), entries.data() + entries.size(), pose_of(R.data() + 9 * i, t.data() + 3 * i),
+                       limit.data()[i], guess_valid && guess_valid->data()[i] ? &warm : nullptr, found);
+    distance.data()[i] = found.distance, winner.data()[i] = found.winner;
+    num_queries.data()[i] = found.num_queries, failed.data()[i] = found.failed;
     Eigen::Map<Vec3s>(point.data() + 3 * i) = found.point;
     Eigen::Map<Vec3s>(normal.data() + 3 * i) = found.normal;
   }
 }
 
-// Nothing but the distances of piece pairs (N,) of items (N,): what a search cannot do without.
+// Only the distances of piece pairs (N,) of items (N,): the queries that a search cannot avoid.
 void distances(const NarrowPhase& narrow_phase, In<int64_t> item, In<int64_t> pair, In<double> R, In<double> t,
                In<double> guess, In<bool> guess_valid, Out<double> distance, int threads) {
   nb::gil_scoped_release without_the_gil;
@@ -250,7 +250,7 @@ NarrowPhase narrow_phase_of(const Shapes& a, const Shapes& b, const std::vector<
 }
 
 NB_MODULE(_native, m) {
-  // At the end of a program pieces may be alive, and their shapes with them.
+  // Pieces, and their shapes with them, may be alive at exit.
   nb::set_leak_warnings(false);
   m.attr("coal_version") = COAL_VERSION;
   m.attr("sources") = GRASP_REFINE_SOURCES;
@@ -292,7 +292,7 @@ NB_MODULE(_native, m) {
       })
       .def("closest", &closest, "R"_a, "t"_a, "starts"_a, "pair"_a, "bound"_a, "limit"_a, "guess"_a.none(),
            "guess_valid"_a.none(), "distance"_a.noconvert(), "point"_a.noconvert(), "normal"_a.noconvert(),
-           "winner"_a.noconvert(), "asked"_a.noconvert(), "failed"_a.noconvert())
+           "winner"_a.noconvert(), "num_queries"_a.noconvert(), "failed"_a.noconvert())
       .def("distances", &distances);
 
   nb::class_<Side>(m, "Side").def(
@@ -301,7 +301,7 @@ NB_MODULE(_native, m) {
          In<double> radius, In<double> supports, size_t cells) {
         new (self) Side(side_of(body, first, center, half, axes, radius, supports, cells));
       },
-      // The table of supports, which is not copied.
+      // Keeps the table of supports alive, which is not copied.
       nb::keep_alive<1, 8>(), "body"_a, "first"_a, "center"_a, "half"_a, "axes"_a, "radius"_a,
       "supports"_a.noconvert(), "cells"_a);
 
@@ -315,6 +315,6 @@ NB_MODULE(_native, m) {
       .def("query", &query, "pair"_a.none(), "T_a"_a, "T_b"_a, "limit"_a, "winner"_a.none(), "point_a"_a.none(),
            "point_b"_a.none(), "status"_a.none(), "new_point_a"_a.noconvert(), "new_point_b"_a.noconvert(),
            "new_normal"_a.noconvert(), "new_distance"_a.noconvert(), "new_status"_a.noconvert(),
-           "new_winner"_a.noconvert(), "new_asked"_a.noconvert(), "threads"_a)
+           "new_winner"_a.noconvert(), "new_num_queries"_a.noconvert(), "threads"_a)
       .def("trace", &trace);
 }

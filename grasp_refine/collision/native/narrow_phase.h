@@ -1,6 +1,6 @@
 // The narrow phase of narrowphase.py, without Python: closest or deepest points of convex pieces.
 //
-// What is said there about coal's traps holds here, too. Every query is a function of its arguments alone.
+// Coal's traps listed there apply here, too. Every query is a function of its arguments alone.
 #pragma once
 
 #include <coal/shape/convex.h>
@@ -55,43 +55,43 @@ struct Entry {
 struct Found {
   double distance = kInfinity;
   Vec3s point = Vec3s::Zero(), normal = Vec3s::Zero();  // In the frame of body a; the point is on a.
-  int64_t winner = -1, asked = 0;
+  int64_t winner = -1, num_queries = 0;
   bool failed = false;
 };
 
-// The piece pairs that are asked, and how.
+// The piece pairs and the tolerances of their queries.
 struct NarrowPhase {
   std::vector<PiecePair> pairs;
   Tolerances tolerances;
 
-  // Ask entries, bounds ascending, until no bound is below the best distance; that has to beat `found.distance`
-  // and `limit`. A null guess is none.
-  void ask(const Entry* entry, const Entry* end, const Transform3s& T, double limit, const Vec3s* guess,
-           Found& found) const {
-    Asker& asker = this->asker();
+  // Query entries, bounds ascending, until no bound is below the best distance; answers have to be below
+  // `found.distance` and `limit`. Null: no guess.
+  void query(const Entry* entry, const Entry* end, const Transform3s& T, double limit, const Vec3s* guess,
+             Found& found) const {
+    CertifiedQuery& query = certified_query();
     double best = std::min(found.distance, limit);
     for (; entry != end && entry->bound < best; ++entry) {
-      ++found.asked;
+      ++found.num_queries;
       const PiecePair& pair = pairs[entry->pair];
       const Vec3s start = guess ? Vec3s(*guess / pair.unit) : Vec3s();
       const double d =
-          pair.unit * asker.distance(pair, in_unit(T, pair), entry->bound / pair.unit, guess ? &start : nullptr);
+          pair.unit * query.distance(pair, in_unit(T, pair), entry->bound / pair.unit, guess ? &start : nullptr);
       if (std::isnan(d)) {
         found.failed = true;
       } else if (d < best) {
         best = found.distance = d;
-        found.point = pair.unit * asker.point;
-        found.normal = asker.normal;
+        found.point = pair.unit * query.point;
+        found.normal = query.normal;
         found.winner = entry->pair;
       }
     }
   }
 
-  // What coal says of a piece pair, in metres.
+  // Coal's unchecked distance of a piece pair, in metres.
   double distance(int64_t index, const Transform3s& T, const Vec3s* guess) const {
     const PiecePair& pair = pairs[index];
     const Vec3s start = guess ? Vec3s(*guess / pair.unit) : Vec3s();
-    return pair.unit * asker().ask(pair, in_unit(T, pair), guess ? &start : nullptr);
+    return pair.unit * certified_query().query_pieces(pair, in_unit(T, pair), guess ? &start : nullptr);
   }
 
  private:
@@ -99,11 +99,11 @@ struct NarrowPhase {
     return Transform3s(T.getRotation(), T.getTranslation() / pair.unit);
   }
 
-  // The one of this thread; its solver keeps the memory that it once took.
-  Asker& asker() const {
-    thread_local Asker mine;
-    mine.set(tolerances);
-    return mine;
+  // The query object of this thread; its solver keeps its allocated memory.
+  CertifiedQuery& certified_query() const {
+    thread_local CertifiedQuery query;
+    query.set(tolerances);
+    return query;
   }
 };
 

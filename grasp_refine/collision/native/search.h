@@ -1,4 +1,4 @@
-// The search of search.py for one item after the other: bounds, the first query, bounds along its normal, the rest.
+// The search of search.py, item by item: bounds, the first query, bounds along its normal, the remaining queries.
 #pragma once
 
 #include <cmath>
@@ -11,17 +11,17 @@ namespace grasp_refine {
 // As `QueryStatus` in query.py.
 enum Status : int8_t { kSeparated, kPenetrating, kFar, kFailed, kNotFinite };
 
-// The bodies on one side of the body pairs, as `Side` in table.py; pieces of all bodies one after the other.
+// The bodies on one side of the body pairs, as `Side` in table.py; pieces of all bodies, body by body.
 struct Side {
   std::vector<int64_t> body;            // The body of each body pair.
-  std::vector<int64_t> first;           // Where the pieces of each body begin, and end.
-  std::vector<Vec3s> center, half;      // Of the boxes, and of the balls.
-  std::vector<Matrix3s> axes;           // Of the boxes, one a row.
-  std::vector<double> radius;           // Of the balls.
-  const double* supports;               // How far pieces reach (body, direction, piece), see supports.py.
-  size_t directions, width, cells;      // Number of directions, of pieces that a body has at most, of cells.
+  std::vector<int64_t> first;           // Start of each body's pieces, and the end of the last.
+  std::vector<Vec3s> center, half;      // Centres of boxes and spheres, half side lengths of the boxes.
+  std::vector<Matrix3s> axes;           // Axes of the boxes, one a row.
+  std::vector<double> radius;           // Radii of the spheres.
+  const double* supports;               // Support functions (body, direction, piece), see supports.py.
+  size_t directions, width, cells;      // Number of directions, most pieces of a body, number of cells.
 
-  // A ball around the centres of a body, and the largest radius of its pieces.
+  // A sphere around the centres of a body's pieces, and the largest radius of its pieces.
   struct Whole {
     Vec3s center = Vec3s::Zero();
     double spread = 0, radius = -kInfinity;
@@ -47,7 +47,7 @@ struct Side {
   void reach(int64_t pair, const Vec3s& u, std::vector<double>& out) const {
     int side;
     const double scale = u.cwiseAbs().maxCoeff(&side);
-    // Where u meets the cube, in cells.
+    // Intersection of u with the cube, in cells.
     double x = (u[(side + 1) % 3] / scale + 1.0) * (cells / 2.0), y = (u[(side + 2) % 3] / scale + 1.0) * (cells / 2.0);
     const size_t i = std::min<size_t>(x, cells - 1), j = std::min<size_t>(y, cells - 1), row = cells + 1;
     x -= i, y -= j;
@@ -64,19 +64,19 @@ struct Side {
 struct Warm {
   int64_t winner = -1;  // -1: none.
   Vec3s guess;          // x_a - x_b in the frame of body a.
-  bool apart = false;   // Whether the guess may be used.
+  bool apart = false;   // True: the guess may be used.
 };
 
-// What one thread writes to in a search.
+// Buffers of one thread in a search.
 struct Scratch {
-  Eigen::Matrix<double, Eigen::Dynamic, 3> y;  // Centres of the balls of b in the frame of a,
+  Eigen::Matrix<double, Eigen::Dynamic, 3> y;  // Centres of the spheres of b in the frame of a,
   std::vector<double> y_square;                // and the squares of their lengths.
-  std::vector<double> between;                 // How near a piece of a is to any centre of b at least.
+  std::vector<double> between;                 // Lower bounds of the distances from a's pieces to all centres of b.
   std::vector<double> square;                  // Squared distances of centres (count_a, count_b),
-  std::vector<char> known;                     // and of which pieces of a they are there.
+  std::vector<char> known;                     // and mask of the pieces of a for which they are computed.
   std::vector<double> reach_a, reach_b;
   std::vector<Entry> left;
-  std::vector<Entry>* trace = nullptr;  // Where the queries that are asked are noted, if anywhere.
+  std::vector<Entry>* trace = nullptr;  // Record of the queries; null: none.
 };
 
 // Rounding must not make squared distances longer, nor distances by more than this.
@@ -90,28 +90,28 @@ class Search {
 
   // The closest piece pair of body pair `pair` that is below the limit.
   Found minimum(int64_t pair, const Transform3s& T, double limit, const Warm& warm, Scratch& scratch) const {
-    // Nothing is below a limit that is no number.
+    // No distance is below a NaN limit.
     if (std::isnan(limit)) return Found();
     const int64_t columns = a.count(pair) * b.count(pair);
     place(pair, T, scratch);
     int64_t column = warm.winner - first_pair[pair];
     if (column < 0 || column >= columns) column = likeliest(pair, scratch);
     Found found;
-    // A single piece pair without a limit is wanted whatever its bound is.
-    double bound = a.width * b.width == 1 && std::isinf(limit) ? -kInfinity : ball_bound(pair, column, scratch);
+    // A single piece pair without a limit is queried whatever its bound is.
+    double bound = a.width * b.width == 1 && std::isinf(limit) ? -kInfinity : sphere_bound(pair, column, scratch);
     if (bound < limit && std::isfinite(limit)) bound = std::max(bound, box_bound(pair, column, T));
     if (bound < limit) {
       const Entry first{bound, first_pair[pair] + column};
-      // Beyond the limit, too, an answer has a normal that is worth having.
-      narrow_phase.ask(&first, &first + 1, T, kInfinity, warm.apart ? &warm.guess : nullptr, found);
+      // Even beyond the limit, the normal of an answer is useful.
+      narrow_phase.query(&first, &first + 1, T, kInfinity, warm.apart ? &warm.guess : nullptr, found);
       if (scratch.trace) scratch.trace->push_back(first);
     }
     if (columns > 1) rest(pair, T, limit, column, scratch, found);
     if (found.distance >= limit) {
-      const int64_t asked = found.asked;
+      const int64_t num_queries = found.num_queries;
       const bool failed = found.failed;
       found = Found();
-      found.asked = asked, found.failed = failed;
+      found.num_queries = num_queries, found.failed = failed;
     }
     return found;
   }
@@ -147,13 +147,13 @@ class Search {
     return row;
   }
 
-  double ball_bound(int64_t pair, int64_t column, Scratch& scratch) const {
+  double sphere_bound(int64_t pair, int64_t column, Scratch& scratch) const {
     const auto [i, j] = split(pair, column);
     const double* square = squares(pair, i - a.begin(pair), scratch);
     return std::sqrt(square[j - b.begin(pair)]) - (a.radius[i] + b.radius[j]);
   }
 
-  // The closest piece pair with balls of half the size: pieces seldom fill theirs.
+  // The closest piece pair with spheres of half the size: pieces seldom fill theirs.
   int64_t likeliest(int64_t pair, Scratch& scratch) const {
     const int64_t count_a = a.count(pair), count_b = b.count(pair);
     const double *radius_a = a.radius.data() + a.begin(pair), *radius_b = b.radius.data() + b.begin(pair);
@@ -180,7 +180,7 @@ class Search {
     return best;
   }
 
-  // Ask all but one column that can still beat what was found.
+  // Query all columns but one that can be closer than the answer found.
   void rest(int64_t pair, const Transform3s& T, double limit, int64_t done, Scratch& scratch, Found& found) const {
     const double best = std::min(found.distance, limit);
     auto& left = scratch.left;
@@ -193,13 +193,13 @@ class Search {
       return std::tie(p.bound, p.pair) < std::tie(q.bound, q.pair);
     });
     for (Entry& entry : left) entry.pair += first_pair[pair];
-    const int64_t before = found.asked;
-    narrow_phase.ask(left.data(), left.data() + left.size(), T, limit, nullptr, found);
+    const int64_t before = found.num_queries;
+    narrow_phase.query(left.data(), left.data() + left.size(), T, limit, nullptr, found);
     if (scratch.trace)
-      scratch.trace->insert(scratch.trace->end(), left.begin(), left.begin() + (found.asked - before));
+      scratch.trace->insert(scratch.trace->end(), left.begin(), left.begin() + (found.num_queries - before));
   }
 
-  // The columns whose balls are nearer than `best`.
+  // The columns whose spheres are nearer than `best`.
   void below(int64_t pair, double best, int64_t done, Scratch& scratch) const {
     scratch.left.clear();
     const int64_t count_b = b.count(pair);
@@ -223,9 +223,9 @@ class Search {
                left.end());
   }
 
-  // Raise bounds by the gaps between the pieces along the normal that was found.
+  // Raise bounds by the gaps between the pieces along the normal found.
   void raise_by_gaps(int64_t pair, const Transform3s& T, double best, Vec3s u, Scratch& scratch) const {
-    // Any unit direction gives a bound: without an answer there is none that is better than others.
+    // Any unit direction gives a bound: without an answer all are equally good.
     if (!(std::abs(u.squaredNorm() - 1.0) <= 1e-12)) u = Vec3s::UnitX();
     a.reach(pair, u, scratch.reach_a);
     b.reach(pair, -(T.getRotation().transpose() * u), scratch.reach_b);
@@ -247,7 +247,7 @@ class Search {
     const double along_a = (offset_a - a.half[i] - cosines * b.half[j]).maxCoeff();
     const double along_b = (offset_b - b.half[j] - cosines.transpose() * a.half[i]).maxCoeff();
     const double length = offset.norm(), reach = offset_a.dot(a.half[i]) + offset_b.dot(b.half[j]);
-    // Boxes with one centre have no such line.
+    // Concentric boxes have no such line.
     const double along_line = length > 0 ? length - reach / length : -kInfinity;
     return std::max({along_a, along_b, along_line});
   }

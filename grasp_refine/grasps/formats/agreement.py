@@ -1,4 +1,4 @@
-"""How far the fingertips of the same grasps are apart in two sets, for instance before and after a file was written."""
+"""Distances between the fingertips of the same grasps in two sets, for instance before and after a file was written."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def fingertip_distances(one: GraspSet, other: GraspSet, load: Load) -> Float[np.
     that both sets have count.
 
     Raises:
-        GraspFileError: the sets have joints that the hand has not.
+        GraspFileError: the sets have joints that the hand lacks.
     """
     hands = [load(grasps.base_link) for grasps in (one, other)]
     distances = [_distances(fingertips(one, hands[0]), fingertips(other, hands[1]))]
@@ -35,7 +35,7 @@ def fingertips(grasps: GraspSet, hand: Hand) -> Float[np.ndarray, "N points 3"]:
     """Points (N, points, 3) of the contact links of a hand in the object frame, metres.
 
     Raises:
-        GraspFileError: the grasps have joints that the hand has not.
+        GraspFileError: the grasps have joints that the hand lacks.
     """
     q, _ = match_joints(grasps, hand)
     T_object_root = transform_from_pose(np.asarray(grasps.hand_pose, dtype=float))

@@ -1,4 +1,4 @@
-"""BODex as it comes: the grasps of an object in a file, `robot_pose` (1, N, 3, 7 + n), Shadow with the thumb first."""
+"""BODex's own files: the grasps of one object, `robot_pose` (1, N, 3, 7 + n), Shadow with the thumb first."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.grasps.formats.folders import floating_folder
-from grasp_refine.grasps.formats.format import Load, Part, grouped, left_out
+from grasp_refine.grasps.formats.format import Load, Part, omission_notes, rows_by_object
 from grasp_refine.grasps.formats.layout import BODEX, layout_of
 from grasp_refine.grasps.formats.scene import object_in_scene
-from grasp_refine.grasps.formats.source import Source, keys_lacking
+from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.formats.stages import (
-    AT_ORIGIN,
+    ORIGIN_POSE,
     STAGES,
-    fitted,
+    fit_layout,
     grasps_of_stages,
-    lacking_stages,
+    missing_stage_notes,
     rows_of_stage,
 )
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -28,7 +28,7 @@ from grasp_refine.hands.hand import Hand
 
 @dataclass(frozen=True)
 class Bodex:
-    """Files `*_grasp.npy` that BODex writes; `joint_names` count where they are there.
+    """Files `*_grasp.npy` that BODex writes; `joint_names` are used where present.
 
     The object is `obj_pose`, `obj_scale` and `obj_path`, each a list of one, or in the file that `scene_path` names.
     """
@@ -37,9 +37,9 @@ class Bodex:
     what: str = "BODex: a folder of .npy files, each with all grasps of one object and scale, in three stages"
     named_by_path: bool = False
 
-    def lacks(self, content: Any) -> str:
-        """What keeps a content from being of this format."""
-        return keys_lacking(content, ("robot_pose",))
+    def mismatch(self, content: Any) -> str:
+        """Reason why contents are not of this format; "" if they are."""
+        return missing_keys(content, ("robot_pose",))
 
     def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
         """The grasps of a file."""
@@ -53,7 +53,7 @@ class Bodex:
         names = source.joint_names(held)
         layout = layout_of(source, BODEX, poses.shape[3] - 7, hand, names=names)
         notes: Sequence[str] = ()
-        if keys_lacking(held, ("obj_pose", "obj_scale", "obj_path")):
+        if missing_keys(held, ("obj_pose", "obj_scale", "obj_path")):
             described, notes = object_in_scene(source)
         else:
             described = {
@@ -66,23 +66,23 @@ class Bodex:
 
     def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
         """One file per object and scale."""
-        moved, layout = fitted(grasps, BODEX, load, self.name)
+        moved, layout = fit_layout(grasps, BODEX, load, self.name)
         poses = np.stack([rows_of_stage(moved, name, layout) for name in STAGES], axis=1)
         number: Counter[str] = Counter()
         parts = []
-        for (name, scale), rows in grouped(grasps).items():
+        for (name, scale), rows in rows_by_object(grasps).items():
             path = floating_folder(name, scale)
             number[path] += 1
             content = {
                 "robot_pose": poses[None, rows],
                 "joint_names": list(layout.joints),
-                "obj_pose": AT_ORIGIN[None].copy(),
+                "obj_pose": ORIGIN_POSE[None].copy(),
                 "obj_scale": np.array([scale]),
                 "obj_path": [f"assets/object/{name}/mesh/simplified.obj"],
             }
             again = f"_{number[path]}" if number[path] > 1 else ""
             parts.append(Part(f"{path}{again}_grasp.npy", rows, content))
-        return parts, [*lacking_stages(grasps), *left_out(grasps, layout.joints)]
+        return parts, [*missing_stage_notes(grasps), *omission_notes(grasps, layout.joints)]
 
 
 def _first(value: Any) -> Any:

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.grasps.formats.folders import object_folder, scale_folder
-from grasp_refine.grasps.formats.format import Load, Part, left_out, one_by_one
+from grasp_refine.grasps.formats.format import Load, Part, omission_notes, single_grasps
 from grasp_refine.grasps.formats.layout import MUJOCO, layout_of
-from grasp_refine.grasps.formats.source import Source, keys_lacking
+from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.formats.stages import (
-    AT_ORIGIN,
     GRASP,
+    ORIGIN_POSE,
     STAGES,
-    fitted,
+    fit_layout,
     grasps_of_stages,
     joint_count,
-    lacking_stages,
+    missing_stage_notes,
     rows_of_stage,
 )
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -28,15 +28,15 @@ from grasp_refine.hands.hand import Hand
 
 @dataclass(frozen=True)
 class DexGraspBench:
-    """Files for DexGraspBench, such as `object/scale006_pose000/0.npy`; `joint_names` count where they are there."""
+    """Files for DexGraspBench, such as `object/scale006_pose000/0.npy`; `joint_names` are used where present."""
 
     name: str = "dexgraspbench"
     what: str = "DexGraspBench: a folder of .npy files, each one grasp with pregrasp and squeeze"
     named_by_path: bool = False
 
-    def lacks(self, content: Any) -> str:
-        """What keeps a content from being of this format."""
-        return keys_lacking(content, ("grasp_qpos", "obj_pose", "obj_scale", "obj_path"))
+    def mismatch(self, content: Any) -> str:
+        """Reason why contents are not of this format; "" if they are."""
+        return missing_keys(content, ("grasp_qpos", "obj_pose", "obj_scale", "obj_path"))
 
     def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
         """The grasp of a file."""
@@ -58,19 +58,19 @@ class DexGraspBench:
 
     def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
         """One file per grasp."""
-        moved, layout = fitted(grasps, MUJOCO, load, self.name)
+        moved, layout = fit_layout(grasps, MUJOCO, load, self.name)
         stages = {f"{name}_qpos": rows_of_stage(moved, name, layout) for name in STAGES}
         parts = []
-        for row, name, scale, place in one_by_one(grasps, _folder):
+        for row, name, scale, place in single_grasps(grasps, _folder):
             content = {
-                "obj_pose": AT_ORIGIN.copy(),
+                "obj_pose": ORIGIN_POSE.copy(),
                 "obj_scale": scale,
                 "obj_path": f"assets/object/{name}",
                 "joint_names": list(layout.joints),
                 **{key: rows[row].copy() for key, rows in stages.items()},
             }
             parts.append(Part(f"{place}.npy", np.array([row]), content))
-        return parts, [*lacking_stages(grasps), *left_out(grasps, layout.joints)]
+        return parts, [*missing_stage_notes(grasps), *omission_notes(grasps, layout.joints)]
 
 
 def _folder(name: str, scale: float) -> str:

@@ -16,19 +16,19 @@ from jaxtyping import Float
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import pose_from_transform, transform, transform_from_pose
-from grasp_refine.grasps.formats.format import Load, Part, left_out
+from grasp_refine.grasps.formats.format import Load, Part, omission_notes
 from grasp_refine.grasps.formats.layout import SHADOW_FINGERS, SHADOW_THUMB, Layout
 from grasp_refine.grasps.formats.source import Source
-from grasp_refine.grasps.formats.stages import fitted
+from grasp_refine.grasps.formats.stages import fit_layout
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
 
 SHADOW = Layout("shadow", "palm", SHADOW_FINGERS + SHADOW_THUMB)
-OPPOSITE = ("FFJ4", "MFJ4", "THJ2", "THJ1")
-"""Our joints that turn the other way in that model."""
-NAMES = tuple(f"robot0:{joint[:3]}{int(joint[3:]) - 1}" for joint in SHADOW.joints)
-"""What our joints are called there."""
-SIGNS = np.array([-1.0 if joint in OPPOSITE else 1.0 for joint in SHADOW.joints])
+REVERSED_JOINTS = ("FFJ4", "MFJ4", "THJ2", "THJ1")
+"""Our joints with the opposite sign in that model."""
+JOINTS = tuple(f"robot0:{joint[:3]}{int(joint[3:]) - 1}" for joint in SHADOW.joints)
+"""Names of our joints in that model."""
+JOINT_SIGNS = np.array([-1.0 if joint in REVERSED_JOINTS else 1.0 for joint in SHADOW.joints])
 POSITION = ("WRJTx", "WRJTy", "WRJTz")
 ANGLES = ("WRJRx", "WRJRy", "WRJRz")
 """Angles about the fixed axes x, y and z, in this order."""
@@ -36,14 +36,14 @@ ANGLES = ("WRJRx", "WRJRy", "WRJRz")
 
 @dataclass(frozen=True)
 class DexGraspNet:
-    """Files `object.npy`; what else is in a dict, such as `qpos_st` and `E_fc`, is of the optimiser and not read."""
+    """Files `object.npy`; other entries of a dict, such as `qpos_st` and `E_fc`, are the optimiser's and not read."""
 
     name: str = "dexgraspnet"
     what: str = "DexGraspNet: a folder of .npy files, each with all grasps of the object it is named after"
     named_by_path: bool = True
 
-    def lacks(self, content: Any) -> str:
-        """What keeps a content from being of this format."""
+    def mismatch(self, content: Any) -> str:
+        """Reason why contents are not of this format; "" if they are."""
         if not (isinstance(content, list | tuple) and content):
             return "it is no list of grasps"
         if not all(isinstance(grasp, Mapping) and isinstance(grasp.get("qpos"), Mapping) for grasp in content):
@@ -57,18 +57,18 @@ class DexGraspNet:
                 f"is for the Shadow hand, with the joints {', '.join(SHADOW.joints)}; hand '{hand.name}' has "
                 f"{', '.join(hand.joint_names)}"
             )
-        wanted = (*NAMES, *POSITION, *ANGLES)
+        wanted = (*JOINTS, *POSITION, *ANGLES)
         rows = []
         for row, grasp in enumerate(source.content):
             lacking = [name for name in wanted if name not in grasp["qpos"]]
             unknown = [name for name in grasp["qpos"] if name not in wanted]
             if lacking or unknown:
-                said = [f"lacks {', '.join(lacking)}"] if lacking else []
-                said += [f"has unknown {', '.join(map(str, unknown))}"] if unknown else []
-                raise source.error(f"qpos of grasp {row} {' and '.join(said)}; its names are {', '.join(wanted)}")
+                faults = [f"lacks {', '.join(lacking)}"] if lacking else []
+                faults += [f"has unknown {', '.join(map(str, unknown))}"] if unknown else []
+                raise source.error(f"qpos of grasp {row} {' and '.join(faults)}; its names are {', '.join(wanted)}")
             rows.append([grasp["qpos"][name] for name in wanted])
         values = source.numbers(rows, "qpos", (None, len(wanted)))
-        joints, position, angles = np.split(values, [len(NAMES), len(NAMES) + 3], axis=1)
+        joints, position, angles = np.split(values, [len(JOINTS), len(JOINTS) + 3], axis=1)
         without = [row for row, grasp in enumerate(source.content) if grasp.get("scale") is None]
         if without:
             raise source.error(f"grasp {without[0]} lacks a scale")
@@ -80,7 +80,7 @@ class DexGraspNet:
             object=np.full(len(rows), source.path.stem),
             scale=np.array(scale),
             hand_pose=pose_from_transform(transform(rotation_from_angles(angles), position)),
-            q=joints * SIGNS,
+            q=joints * JOINT_SIGNS,
         )
         return grasps, ()
 
@@ -89,20 +89,20 @@ class DexGraspNet:
         odd = [name for name in np.unique(grasps.object).tolist() if not _is_file_name(name)]
         if odd:
             raise GraspFileError(f"format {self.name} names its files after objects, which {odd[0]!r} cannot be")
-        moved, _ = fitted(grasps, (SHADOW,), load, self.name)
+        moved, _ = fit_layout(grasps, (SHADOW,), load, self.name)
         columns = [moved.joint_names.index(joint) for joint in SHADOW.joints]
         T = transform_from_pose(np.asarray(moved.hand_pose, dtype=float))
         angles = angles_from_rotation(T[:, :3, :3])
-        values = np.concatenate([moved.q[:, columns] * SIGNS, T[:, :3, 3], angles], axis=1).tolist()
+        values = np.concatenate([moved.q[:, columns] * JOINT_SIGNS, T[:, :3, 3], angles], axis=1).tolist()
         parts = []
         for name in dict.fromkeys(grasps.object.tolist()):
             rows = np.flatnonzero(grasps.object == name)
             listed = np.empty(len(rows), dtype=object)
             for at, row in enumerate(rows):
-                named = dict(zip((*NAMES, *POSITION, *ANGLES), values[row], strict=True))
+                named = dict(zip((*JOINTS, *POSITION, *ANGLES), values[row], strict=True))
                 listed[at] = {"qpos": named, "scale": float(grasps.scale[row])}
             parts.append(Part(f"{name}.npy", rows, listed))
-        return parts, left_out(grasps, SHADOW.joints, stages=False)
+        return parts, omission_notes(grasps, SHADOW.joints, stages=False)
 
 
 def rotation_from_angles(angles: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3 3"]:

@@ -1,4 +1,4 @@
-"""Dexonomy: one grasp an .npy file, a dict of stages, a scene and contacts; with its present or its former keys."""
+"""Dexonomy: one grasp an .npy file, a dict of stages, a scene and contacts; with its current or its former keys."""
 
 from __future__ import annotations
 
@@ -9,43 +9,43 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.grasps.formats.folders import floating_folder
-from grasp_refine.grasps.formats.format import Load, Part, left_out, one_by_one
+from grasp_refine.grasps.formats.format import Load, Part, omission_notes, single_grasps
 from grasp_refine.grasps.formats.layout import MUJOCO, layout_of
 from grasp_refine.grasps.formats.scene import object_in_scene
-from grasp_refine.grasps.formats.source import Source, keys_lacking
+from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.formats.stages import (
-    AT_ORIGIN,
     GRASP,
+    ORIGIN_POSE,
     STAGES,
-    fitted,
+    fit_layout,
     grasps_of_stages,
     joint_count,
-    lacking_stages,
+    missing_stage_notes,
     rows_of_stage,
 )
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
 
-FORMER = {"hand_type": "hand_name", "hand_template_name": "tmpl_name", "evolution_num": "n_evo"}
-"""Former keys -> what they are called now (`dexonomy/op/gen_grasp.py` of JYChen18/Dexonomy)."""
+FORMER_KEYS = {"hand_type": "hand_name", "hand_template_name": "tmpl_name", "evolution_num": "n_evo"}
+"""Former keys -> current ones (`dexonomy/op/gen_grasp.py` of JYChen18/Dexonomy)."""
 
 
 @dataclass(frozen=True)
 class Dexonomy:
-    """Files of Dexonomy: stages are rows (1, 7 + n), or (7 + n,) with the former keys; of many pregrasps the first."""
+    """Files of Dexonomy: stages are rows (1, 7 + n), or (7 + n,) with former keys; of several pregrasps the first."""
 
     name: str = "dexonomy"
     what: str = "Dexonomy: a folder of .npy files, each one grasp with its scene"
     named_by_path: bool = False
 
-    def lacks(self, content: Any) -> str:
-        """What keeps a content from being of this format."""
-        lacking = keys_lacking(content, ("grasp_qpos",))
+    def mismatch(self, content: Any) -> str:
+        """Reason why contents are not of this format; "" if they are."""
+        lacking = missing_keys(content, ("grasp_qpos",))
         if lacking:
             return lacking
         held = _renamed(content)
         if "n_evo" not in held:
-            return f"it lacks n_evo (formerly {next(old for old, new in FORMER.items() if new == 'n_evo')})"
+            return f"it lacks n_evo (formerly {next(old for old, new in FORMER_KEYS.items() if new == 'n_evo')})"
         return "" if "scene_path" in held or "scene_cfg" in held else "it lacks scene_path or scene_cfg"
 
     def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
@@ -74,14 +74,14 @@ class Dexonomy:
 
     def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
         """One file per grasp, with its scene inside."""
-        moved, layout = fitted(grasps, MUJOCO, load, self.name)
+        moved, layout = fit_layout(grasps, MUJOCO, load, self.name)
         stages = {f"{name}_qpos": rows_of_stage(moved, name, layout) for name in STAGES}
         parts = []
-        for row, name, scale, place in one_by_one(grasps, floating_folder):
+        for row, name, scale, place in single_grasps(grasps, floating_folder):
             thing = {
                 "type": "rigid_object",
                 "file_path": f"assets/object/{name}/mesh/simplified.obj",
-                "pose": AT_ORIGIN.copy(),
+                "pose": ORIGIN_POSE.copy(),
                 "scale": np.full(3, scale),
             }
             content = {
@@ -93,8 +93,8 @@ class Dexonomy:
             }
             parts.append(Part(f"{place}_grasp.npy", np.array([row]), content))
         contacts = "contacts are not written: Dexonomy's own are of its generator"
-        return parts, [*lacking_stages(grasps), *left_out(grasps, layout.joints), contacts]
+        return parts, [*missing_stage_notes(grasps), *omission_notes(grasps, layout.joints), contacts]
 
 
 def _renamed(content: Mapping[str, Any]) -> dict[str, Any]:
-    return {FORMER.get(key, key): value for key, value in content.items()}
+    return {FORMER_KEYS.get(key, key): value for key, value in content.items()}

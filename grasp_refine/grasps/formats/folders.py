@@ -1,4 +1,4 @@
-"""Names of files and folders in trees of grasps, and the order in which people count them."""
+"""Names of files and folders in trees of grasps, and their natural order."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import re
 from collections.abc import Iterable
 
 UNUSUAL = re.compile(r"[^\w.,=+-]+")
-"""What names of folders do not have."""
+"""Characters that names of folders must not have."""
 
 
 def object_folder(name: str) -> str:
-    """A folder for an object; what is unusual in its name is replaced, and it never leads out of where it lies."""
+    """Folder name of an object; unusual characters are replaced, and it never leads out of the folder that it is in."""
     return UNUSUAL.sub("_", name).lstrip(".") or "object"
 
 
 def disambiguate(names: Iterable[str]) -> list[str]:
-    """The names, with a number after those that came before."""
+    """The names, with a number after repeated ones."""
     latest: dict[str, int] = {}
     found = []
     for name in names:
@@ -29,17 +29,17 @@ def disambiguate(names: Iterable[str]) -> list[str]:
 
 
 def scale_folder(scale: float) -> str:
-    """What generators call a scale: 0.06 is scale006."""
+    """Generators' name for a scale: 0.06 is scale006."""
     return f"scale{round(scale * 100):03d}"
 
 
 def floating_folder(name: str, scale: float) -> str:
-    """Where BODex and Dexonomy keep the grasps of an object that lies on nothing."""
+    """Folder of the grasps of a floating object in BODex and Dexonomy."""
     return f"{object_folder(name)}/floating/{scale_folder(scale)}"
 
 
 def natural(path: str) -> list[tuple[int, str]]:
-    """The key that sorts paths as people do: 2.npy comes before 10.npy."""
+    """Sort key of the natural order of paths: 2.npy before 10.npy."""
     return [
         (int(part), "") if part.isdecimal() and part.isascii() else (-1, part)
         for folder in path.split("/")

@@ -1,4 +1,4 @@
-"""What a format of grasp files is: it knows its own, reads it, and writes it."""
+"""Interface of a format of grasp files: recognising, reading and writing them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet
 from grasp_refine.hands.hand import Hand
 
 Load = Callable[[str], Hand]
-"""Gives the hand below one of its links."""
+"""Loader of the hand below one of its links."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,11 +23,11 @@ class Part:
     """One file to be written."""
 
     path: str
-    """Where it lies in the folder, with / between folders; a part that may be a file of its own has no other beside."""
+    """Path in the folder, with / between folders; a part that may be a single file has no other beside it."""
     rows: Int[np.ndarray, " rows"]
     """The grasps in it, in its order."""
     content: Any
-    """What it holds: a GraspSet for our own format, else what an array file can hold."""
+    """Contents: a GraspSet for our own format, else anything that an array file can hold."""
 
 
 @runtime_checkable
@@ -36,33 +36,33 @@ class Format(Protocol):
 
     @property
     def name(self) -> str:
-        """What the command line calls it."""
+        """Name on the command line."""
         ...
 
     @property
     def what(self) -> str:
-        """What it is, in one line."""
+        """Description in one line."""
         ...
 
     @property
     def named_by_path(self) -> bool:
-        """Whether the name of a file says something, so that it is always one in a folder."""
+        """Whether the name of a file has a meaning, so that it is always one in a folder."""
         ...
 
-    def lacks(self, content: Any) -> str:
-        """What keeps a content from being of this format, in words; "" if nothing does."""
+    def mismatch(self, content: Any) -> str:
+        """Reason why contents are not of this format; "" if they are."""
         ...
 
     def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
         """The grasps of one file, and notes for the user.
 
         Raises:
-            GraspFileError: the file is of this format, but something in it cannot be.
+            GraspFileError: the file is of this format, but something in it is invalid.
         """
         ...
 
     def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
-        """The files that hold some grasps, and what they cannot hold, in words; `load` gives the hand below a link.
+        """The files that hold some grasps, and notes on what they cannot hold; `load` returns the hand below a link.
 
         Raises:
             GraspFileError: grasps that this format cannot hold at all.
@@ -70,8 +70,8 @@ class Format(Protocol):
         ...
 
 
-def left_out(grasps: GraspSet, joints: Collection[str], *, stages: bool = True) -> list[str]:
-    """What to say where a format has a place for these `joints` and maybe for `stages`, and none for targets."""
+def omission_notes(grasps: GraspSet, joints: Collection[str], *, stages: bool = True) -> list[str]:
+    """Notes on what a format with a place for these `joints` and maybe for `stages`, but none for targets, omits."""
     others = [] if stages else [name for name in OTHER_STAGES if getattr(grasps, name) is not None]
     notes = [f"{' and '.join(others)} have no place in this format and are left out"] if others else []
     if grasps.targets is not None:
@@ -82,7 +82,7 @@ def left_out(grasps: GraspSet, joints: Collection[str], *, stages: bool = True) 
     return notes
 
 
-def one_by_one(grasps: GraspSet, folder: Callable[[str, float], str]) -> Iterator[tuple[int, str, float, str]]:
+def single_grasps(grasps: GraspSet, folder: Callable[[str, float], str]) -> Iterator[tuple[int, str, float, str]]:
     """Row, object, scale and FOLDER/NUMBER of each grasp; `folder` is for an object and scale, numbers begin at 0."""
     numbers: Counter[str] = Counter()
     for row, (name, scale) in enumerate(zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)):
@@ -91,7 +91,7 @@ def one_by_one(grasps: GraspSet, folder: Callable[[str, float], str]) -> Iterato
         numbers[place] += 1
 
 
-def grouped(grasps: GraspSet) -> dict[tuple[str, float], np.ndarray]:
+def rows_by_object(grasps: GraspSet) -> dict[tuple[str, float], np.ndarray]:
     """Object and scale -> rows, in the order of the first of each."""
     groups: dict[tuple[str, float], list[int]] = {}
     for row, (name, scale) in enumerate(zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)):

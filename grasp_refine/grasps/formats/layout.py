@@ -1,4 +1,4 @@
-"""In which order a format without names lists the joints of a hand, and of which frame it gives the pose.
+"""Joint order of a hand in formats without joint names, and the frame whose pose they give.
 
 The names are those of our hands, which are those of the makers' URDFs.
 """
@@ -15,26 +15,26 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.hands.hand import Hand
 
-HERE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-"""The pose of what is in its place."""
+IDENTITY_POSE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+"""The identity as a pose, x y z qw qx qy qz."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How a format writes down one hand."""
+    """Joint order and base frame of one hand in a format."""
 
     hand: str
-    """Name of the hand here."""
+    """Our name of the hand."""
     base_link: str
-    """Link of its URDF that stands for the hand."""
+    """Link of its URDF whose pose is that of the hand."""
     joints: tuple[str, ...]
     """Names of the joints in the order of the format."""
-    base_pose: tuple[float, ...] = HERE
+    base_pose: tuple[float, ...] = IDENTITY_POSE
     """Pose (7,) of that link in the frame whose pose the format gives; a quaternion of any length."""
 
     @property
     def T_root_base(self) -> Float[np.ndarray, "4 4"]:
-        """The same as a transform."""
+        """`base_pose` as a transform (4, 4)."""
         pose = np.array(self.base_pose)
         pose[3:] /= np.linalg.norm(pose[3:])
         return transform_from_pose(pose)
@@ -61,7 +61,7 @@ MUJOCO = (
 )
 """DexGraspBench and Dexonomy: the order of the MJCF file, and the frame that its <worldbody> holds the palm in.
 
-What lies between the two is what `src/task/convert_format.py` of JYChen18/DexGraspBench takes away from poses of BODex;
+The offset between the two is what `src/task/convert_format.py` of JYChen18/DexGraspBench subtracts from poses of BODex;
 LEAP's is that of MuJoCo Menagerie's first `leap_hand`.
 """
 
@@ -88,8 +88,8 @@ def layout_of(
         source: The file.
         layouts: Those of its format.
         count: Number of joint values per grasp.
-        hand: The hand that the user says it is for.
-        names: Joint names that the file gives; then they say the order.
+        hand: The hand that the user gave.
+        names: Joint names that the file gives; they then determine the order.
         hand_name: Name of the hand that the file gives.
 
     Raises:
@@ -105,14 +105,14 @@ def layout_of(
         if not fitting:
             raise source.error(
                 f"is for the hand '{hand_name}', and names no joints; known without names are "
-                f"{', '.join(map(str, layouts))}; if it is one of these, say so with --hand"
+                f"{', '.join(map(str, layouts))}; if it is one of these, give it with --hand"
             )
     if len(fitting) == 1:
         return replace(fitting[0], hand=hand.name) if hand else fitting[0]
     if fitting:
         raise source.error(
             f"has {count} joint values per grasp and no joint names: that fits {' and '.join(map(str, fitting))}; "
-            f"say which with --hand"
+            f"choose one with --hand"
         )
     known = "; ".join(f"{layout.hand} has {len(layout.joints)}: {', '.join(layout.joints)}" for layout in for_hand)
     wanted = f" for hand '{hand.name}' with the joints {', '.join(hand.joint_names)}" if hand else ""
@@ -139,7 +139,7 @@ def _by_name(source: Source, layouts: Sequence[Layout], count: int, hand: Hand |
 def _match(name: str, wanted: Collection[str], *, numbers: bool) -> str | None:
     """The joint that a name means: itself, or what follows a prefix, as FFJ4 in rh_FFJ4.
 
-    With `numbers` also as 4 in joint_4: many hands number their joints, so that these do not tell which hand it is.
+    With `numbers` also as 4 in joint_4: many hands number their joints, so that these do not identify the hand.
     """
     if name in wanted:
         return name
@@ -149,5 +149,5 @@ def _match(name: str, wanted: Collection[str], *, numbers: bool) -> str | None:
 
 
 def _is_of(layout: Layout, hand: Hand) -> bool:
-    """Whether a hand has the joints and the link of a layout."""
+    """Return True if a hand has the joints and the link of a layout."""
     return set(layout.joints) <= set(hand.joint_names) and layout.base_link in hand.links_by_name

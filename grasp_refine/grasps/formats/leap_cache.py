@@ -1,7 +1,7 @@
 """LEAP_Hand_Sim's cache of grasps: one .npy file, (N, 23) float32, the palm at a fixed pose and the cube in the hand.
 
-A row is 16 joint values, then x y z (metres), qx qy qz qw of the cube in the world. The object has no name in it; the
-file's own ends with the scale, s10 being 1.0 times the cube of 75 mm.
+A row is 16 joint values, then x y z (metres), qx qy qz qw of the cube in the world. The object is not named; the
+file's name ends with the scale, s10 being 1.0 times the cube of 75 mm.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform_from_pose
-from grasp_refine.grasps.formats.format import Load, Part, left_out
+from grasp_refine.grasps.formats.format import Load, Part, omission_notes
 from grasp_refine.grasps.formats.layout import Layout
 from grasp_refine.grasps.formats.source import Source
-from grasp_refine.grasps.formats.stages import fitted
+from grasp_refine.grasps.formats.stages import fit_layout
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
 
@@ -28,9 +28,9 @@ PALM_POSE = np.array([0.0, 0.0, 0.5, 0.0, 1.0, 0.0, 0.0])
 """Pose (7,) of the palm in the world of that simulation: turned by pi about x."""
 CUBE = "box:0.075,0.075,0.075"
 """The cube, as our commands name it."""
-SCALE = re.compile(r"_s([0-9])([0-9]+)$")
-"""What ends the name of a file: 0.9 is s09, 1.05 is s105."""
-COLUMNS = len(JOINTS) + 7
+SCALE_SUFFIX = re.compile(r"_s([0-9])([0-9]+)$")
+"""Scale at the end of a file's name: 0.9 is s09, 1.05 is s105."""
+NUM_COLUMNS = len(JOINTS) + 7
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,12 @@ class LeapCache:
     what: str = "LEAP_Hand_Sim: one .npy file of (N, 23) numbers, the LEAP hand with a cube"
     named_by_path: bool = False
 
-    def lacks(self, content: Any) -> str:
-        """What keeps a content from being of this format."""
+    def mismatch(self, content: Any) -> str:
+        """Reason why contents are not of this format; "" if they are."""
         if not isinstance(content, np.ndarray) or content.dtype.kind != "f":
             return "it is no array of numbers"
-        if content.ndim != 2 or content.shape[1] != COLUMNS or not len(content):
-            return f"it is no array (N, {COLUMNS}) but {content.shape}"
+        if content.ndim != 2 or content.shape[1] != NUM_COLUMNS or not len(content):
+            return f"it is no array (N, {NUM_COLUMNS}) but {content.shape}"
         return ""
 
     def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
@@ -56,11 +56,11 @@ class LeapCache:
                 f"is for the LEAP hand, with the joints {', '.join(JOINTS)}; hand '{hand.name}' has "
                 f"{', '.join(hand.joint_names)}"
             )
-        values = source.numbers(source.content, "the array", (None, COLUMNS))
+        values = source.numbers(source.content, "the array", (None, NUM_COLUMNS))
         # x y z qx qy qz qw becomes x y z qw qx qy qz.
         pose = values[:, [16, 17, 18, 22, 19, 20, 21]]
         T_world_object = transform_from_pose(source.poses(pose, "the pose of the cube in columns 16 to 22"))
-        scale = SCALE.search(source.path.stem)
+        scale = SCALE_SUFFIX.search(source.path.stem)
         grasps = GraspSet(
             hand=hand.name if hand else LEAP.hand,
             base_link=LEAP.base_link,
@@ -81,7 +81,7 @@ class LeapCache:
         if len(objects) > 1:
             listing = ", ".join(f"{name} (scale {scale:g})" for name, scale in objects)
             raise GraspFileError(f"format {self.name} holds grasps of one object and scale; there are {listing}")
-        moved, _ = fitted(grasps, (LEAP,), load, self.name)
+        moved, _ = fit_layout(grasps, (LEAP,), load, self.name)
         columns = [moved.joint_names.index(joint) for joint in JOINTS]
         T_object_palm = transform_from_pose(np.asarray(moved.hand_pose, dtype=float))
         pose = pose_from_transform(transform_from_pose(PALM_POSE) @ inverse(T_object_palm))
@@ -90,8 +90,8 @@ class LeapCache:
         lost = []
         if (name, scale) != (CUBE, 1.0):
             lost.append(
-                f"object '{name}' and its scale {scale:g} have no place in this format: it means {CUBE}, times what "
-                "the name of the file ends with, as _s10 for 1.0"
+                f"object '{name}' and its scale {scale:g} have no place in this format: it means {CUBE}, times the "
+                "scale at the end of the file's name, such as _s10 for 1.0"
             )
-        lost += left_out(grasps, grasps.joint_names, stages=False)
+        lost += omission_notes(grasps, grasps.joint_names, stages=False)
         return [Part("grasps.npy", np.arange(len(grasps)), rows)], lost

@@ -14,7 +14,7 @@ from grasp_refine.grasps.formats.leap_cache import LeapCache
 from grasp_refine.grasps.formats.ours import Ours
 
 FormatName = Literal["ours", "dexgraspbench", "bodex", "dexonomy", "dexgraspnet", "leap_cache"]
-"""What the command line calls them."""
+"""Names of the formats on the command line."""
 
 OURS = Ours()
 FOREIGN: tuple[Format, ...] = (DexGraspBench(), Bodex(), Dexonomy(), DexGraspNet(), LeapCache())
@@ -22,10 +22,10 @@ FORMATS: tuple[Format, ...] = (OURS, *FOREIGN)
 
 
 def format_named(name: str) -> Format:
-    """The format of a name.
+    """Return the format with a name.
 
     Raises:
-        GraspFileError: there is none; lists those there are.
+        GraspFileError: there is none; lists all names.
     """
     for known in FORMATS:
         if known.name == name:

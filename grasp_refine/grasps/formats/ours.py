@@ -22,8 +22,8 @@ class Ours:
     what: str = "grasp-refine: one .npz file with joint names, objects, stages and targets"
     named_by_path: bool = False
 
-    def lacks(self, content: Any) -> str:
-        """What keeps a content from being of this format: it is no .npz, which are not read as contents."""
+    def mismatch(self, content: Any) -> str:
+        """Reason why contents are not of this format; "" for None, which stands for an .npz file."""
         return "" if content is None else "it is no .npz file"
 
     def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:

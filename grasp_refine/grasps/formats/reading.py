@@ -24,13 +24,13 @@ from grasp_refine.hands.hand import Hand
 SUFFIXES = (".npz", ".npy", ".pickle", ".pkl")
 """Endings of the files in a folder that are read."""
 
-FEW = 10
-"""Most rows that a note names."""
+MAX_LISTED_ROWS = 10
+"""Most rows that a note lists."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What was read."""
+    """Grasps that were read, with their format and notes."""
 
     grasps: GraspSet
     """All grasps, in the order of the files."""
@@ -39,7 +39,7 @@ class Reading:
     files: tuple[Path, ...]
     """The files."""
     notes: tuple[str, ...]
-    """What a user should know."""
+    """Remarks for the user."""
 
 
 def read_grasps(
@@ -49,7 +49,7 @@ def read_grasps(
     hand: Hand | None = None,
     tell: Callable[[int, int], None] | None = None,
 ) -> GraspSet:
-    """The grasps of a file, or of all files in a folder and below it in natural order; `reading` says more.
+    """The grasps of a file, or of all files in a folder and below it in natural order; see `reading`.
 
     Raises:
         GraspFileError: see `reading`.
@@ -69,13 +69,13 @@ def reading(
 
     Args:
         path: A file, or a folder whose .npz, .npy, .pickle and .pkl files, all of one format, are read.
-        format: Its format; None: as its content says.
+        format: Its format; None: recognised by its contents.
         hand: The hand that the grasps are for; needed where a file has no joint names and fits several.
-        tell: Hears how many files of how many are read.
+        tell: Called with the number of files read and that of all files.
         within: Folder outside of which nothing is read; a file may name another that describes its scene.
 
     Raises:
-        GraspFileError: no such file, none in a folder, of no format or of several, or something in it cannot be.
+        GraspFileError: no such file, none in a folder, of no format or of several, or something in it is invalid.
     """
     check_kind("path", path, str | Path)
     path = Path(path)
@@ -86,10 +86,10 @@ def reading(
     found: Format | None = None
     for number, file in enumerate(files):
         content = _content(file)
-        known = wanted or _recognised(file, content)
-        lacking = "it is an .npz file" if content is None and known != OURS else known.lacks(content)
-        if lacking:
-            raise GraspFileError(f"{file}: is no file of the format {known.name}: {lacking}")
+        known = wanted or _recognise(file, content)
+        mismatch = "it is an .npz file" if content is None and known != OURS else known.mismatch(content)
+        if mismatch:
+            raise GraspFileError(f"{file}: is not a file of the format {known.name}: {mismatch}")
         if found is not None and known != found:
             raise GraspFileError(
                 f"{path}: holds files of several formats: {files[0]} is {found.name}, {file} is {known.name}; give one "
@@ -102,7 +102,7 @@ def reading(
         if tell is not None:
             tell(number + 1, len(files))
     assert found is not None
-    joined, more = _joined(files, sets)
+    joined, more = _join(files, sets)
     if found != OURS:
         joined, empty = _without_empty_stages(joined)
         more += empty
@@ -120,28 +120,28 @@ def _files(path: Path) -> list[Path]:
 
 
 def _content(file: Path) -> Any:
-    """What a file holds; None is an .npz, which our own format reads."""
+    """Contents of a file; None for an .npz, which our own format reads."""
     ours = file.suffix.lower() == ".npz" or (is_file(file) and zipfile.is_zipfile(file))
     return None if ours else load_content(file)
 
 
-def _recognised(file: Path, content: Any) -> Format:
-    """The one format that a content fits."""
+def _recognise(file: Path, content: Any) -> Format:
+    """The one format that contents fit."""
     if content is None:
         return OURS
-    fits = [known for known in FOREIGN if not known.lacks(content)]
+    fits = [known for known in FOREIGN if not known.mismatch(content)]
     if len(fits) == 1:
         return fits[0]
     if fits:
         raise GraspFileError(
-            f"{file}: fits the formats {' and '.join(known.name for known in fits)}: say which with --format NAME"
+            f"{file}: fits the formats {' and '.join(known.name for known in fits)}: choose one with --format NAME"
         )
-    reasons = "; ".join(f"{known.name}: {known.lacks(content)}" for known in FORMATS)
-    raise GraspFileError(f"{file}: is of no known format ({reasons}); --format NAME says which it should be")
+    reasons = "; ".join(f"{known.name}: {known.mismatch(content)}" for known in FORMATS)
+    raise GraspFileError(f"{file}: is of no known format ({reasons}); --format NAME chooses one")
 
 
-def _joined(files: Sequence[Path], sets: Sequence[GraspSet]) -> tuple[GraspSet, list[str]]:
-    """All grasps as one set, and what was lost thereby."""
+def _join(files: Sequence[Path], sets: Sequence[GraspSet]) -> tuple[GraspSet, list[str]]:
+    """All grasps as one set, and notes on what was lost."""
     first = sets[0]
     if len(sets) == 1:
         return first, []
@@ -180,9 +180,9 @@ def _joined(files: Sequence[Path], sets: Sequence[GraspSet]) -> tuple[GraspSet, 
 
 
 def _without_empty_stages(grasps: GraspSet) -> tuple[GraspSet, list[str]]:
-    """The grasps without stages that are the grasps themselves, and what was left out.
+    """The grasps without stages that equal the grasps themselves, and notes on those.
 
-    Formats that need every stage hold these for want of others; a squeeze that presses nothing is none.
+    Formats that need every stage repeat the grasp for missing ones; a squeeze that presses nothing is none.
     """
     notes = []
     for name in OTHER_STAGES:
@@ -196,12 +196,12 @@ def _without_empty_stages(grasps: GraspSet) -> tuple[GraspSet, list[str]]:
 
 
 def _not_finite(grasps: GraspSet) -> list[str]:
-    """What to say of grasps that are no numbers."""
+    """Note on grasps that are not finite."""
     rows = np.flatnonzero(~grasps.finite)
     if not len(rows):
         return []
     are, what = ("is", "row") if len(rows) == 1 else ("are", "rows")
-    listed = ", ".join(map(str, rows[:FEW])) + (", ..." if len(rows) > FEW else "")
+    listed = ", ".join(map(str, rows[:MAX_LISTED_ROWS])) + (", ..." if len(rows) > MAX_LISTED_ROWS else "")
     return [
         f"{len(rows)} of {len(grasps)} grasps {are} not finite: NaN, infinite, or a quaternion of length 0 "
         f"({what} {listed})"

@@ -1,4 +1,4 @@
-"""A grasp file of another program as it was read, with a named error for everything in it that cannot be."""
+"""Contents of a grasp file of another program, with a named error for everything invalid in it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from grasp_refine.core.names import is_valid
 from grasp_refine.grasps.grasp_set import unit_poses, without_zero_quaternions
 
 MESH_FOLDERS = ("mesh", "meshes", "urdf", "mjcf", "coacd")
-"""Folders inside that of an object, which do not name it."""
-LONGEST_NAME = 200
-"""Characters of an object's name that are kept."""
+"""Folders inside that of an object, whose names are not the object's."""
+MAX_NAME_CHARACTERS = 200
+"""Most characters of an object's name; the rest is cut off."""
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,14 @@ class Source:
     """One file; its accessors raise GraspFileError in one line that starts with the path."""
 
     path: Path
-    """Where the file lies."""
+    """Path of the file."""
     content: Any
-    """What it holds, as `load_content` gives it."""
+    """Its contents, as `load_content` returns them."""
     within: Path | None = None
-    """Folder outside of which no file is read because this one names it; None: it may lie around any folder above."""
+    """Folder outside of which no file that this one names is read; None: any folder above may hold it."""
 
     def error(self, message: str) -> GraspFileError:
-        """Return the error that says `message` about this file."""
+        """Return the error with `message` about this file."""
         return GraspFileError(f"{self.path}: {message}")
 
     def finite(self, value: Any, what: str) -> np.ndarray:
@@ -46,7 +46,7 @@ class Source:
     def numbers(self, value: Any, what: str, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
         """Return numbers as float64, of the given shape if there is one; None in it is any length from 1.
 
-        Those that are not finite come as NaN, because one bad grasp should not cost the others.
+        Those that are not finite become NaN, because one bad grasp should not cost the others.
         """
         try:
             array = np.asarray(value)
@@ -62,7 +62,7 @@ class Source:
         return np.where(np.isfinite(array), array, np.nan)
 
     def scale(self, value: Any, what: str) -> float:
-        """Return the factor that takes a mesh to metres; three equal ones will do."""
+        """Return the factor that takes a mesh to metres; three equal ones are accepted."""
         factors = self.finite(value, what).ravel()
         if len(factors) not in (1, 3) or np.ptp(factors) > 1e-6 * abs(factors[0]):
             raise self.error(f"{what} must be one number, the same in all directions; it is {factors[:4].tolist()}")
@@ -82,7 +82,7 @@ class Source:
         return poses
 
     def text(self, value: Any, what: str) -> str:
-        """Return a text; a list of one will do."""
+        """Return a text; a list of one is accepted."""
         if isinstance(value, np.ndarray):
             value = value.ravel().tolist()
         if isinstance(value, list | tuple) and len(value) == 1:
@@ -92,7 +92,7 @@ class Source:
         if not isinstance(value, str):
             raise self.error(f"{what} must be a text; it is {_kind(value)}")
         if not is_valid(value):
-            raise self.error(f"{what} holds letters that no text has, or that control a terminal")
+            raise self.error(f"{what} holds characters that no text may have, or that control a terminal")
         return value
 
     def names(self, value: Any, what: str) -> tuple[str, ...]:
@@ -102,7 +102,7 @@ class Source:
         return tuple(self.text(name, what) for name in (value.ravel() if isinstance(value, np.ndarray) else value))
 
     def joint_names(self, held: Mapping[str, Any]) -> tuple[str, ...]:
-        """Return the joint names in what the file holds; none where it has no `joint_names`."""
+        """Return the joint names in contents of the file; none where they have no `joint_names`."""
         return () if held.get("joint_names") is None else self.names(held["joint_names"], "joint_names")
 
     def object_name(self, value: Any, what: str) -> str:
@@ -116,11 +116,11 @@ class Source:
         if not parts:
             raise self.error(f"{what} names no object: {str(value)[:80]!r}")
         name = PurePosixPath(parts[-1])
-        return (name.stem if _is_mesh(name.name) else name.name)[:LONGEST_NAME]
+        return (name.stem if _is_mesh(name.name) else name.name)[:MAX_NAME_CHARACTERS]
 
 
-def keys_lacking(content: Any, keys: tuple[str, ...]) -> str:
-    """What keeps a content from being a dict with some keys, "" if nothing."""
+def missing_keys(content: Any, keys: tuple[str, ...]) -> str:
+    """Reason why contents are not a dict with some keys; "" if they are."""
     if not isinstance(content, Mapping):
         return f"it is no dict but {_kind(content)}"
     lacking = [key for key in keys if key not in content]

@@ -23,7 +23,7 @@ from grasp_refine.hands.hand import Hand
 GRASP = "grasp"
 STAGES = ("pregrasp", GRASP, "squeeze")
 """Names of the stages, in the order in which the hand closes."""
-AT_ORIGIN = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+ORIGIN_POSE = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 """Pose of an object whose frame is the world's."""
 
 
@@ -36,15 +36,15 @@ def grasps_of_stages(
     object_name: str,
     scale: float,
 ) -> GraspSet:
-    """The grasps whose stages are some rows; the grasp itself must be there.
+    """The grasps with some rows as stages; the grasp itself must be among them.
 
     Args:
         source: The file, for messages.
-        layout: What the numbers mean.
+        layout: Order and frame of the numbers.
         rows: Name in the file -> rows (N, 7 + n); the name begins with that of the stage.
-        object_pose: (7,) of the object in the world.
+        object_pose: Pose (7,) of the object in the world.
         object_name: Its name.
-        scale: What takes its mesh to metres.
+        scale: Factor that takes its mesh to metres.
 
     Raises:
         GraspFileError: numbers of another shape, or no unit quaternions.
@@ -73,7 +73,7 @@ def grasps_of_stages(
 
 
 def joint_count(source: Source, rows: np.ndarray, what: str) -> int:
-    """How many joint values are in each row of a stage.
+    """Number of joint values in each row of a stage.
 
     Raises:
         GraspFileError: there are fewer than 8 numbers in a row.
@@ -85,9 +85,9 @@ def joint_count(source: Source, rows: np.ndarray, what: str) -> int:
 
 
 def rows_of_stage(grasps: GraspSet, name: str, layout: Layout) -> Float[np.ndarray, "N columns"]:
-    """Rows (N, 7 + n) of one stage of grasps that `fitted` made fit a layout, the object at the origin.
+    """Rows (N, 7 + n) of one stage of grasps that `fit_layout` returned, the object at the origin.
 
-    The grasp itself stands for a stage that they lack.
+    The grasp itself is used for a stage that they lack.
     """
     stage = getattr(grasps, name, None) or Stage(grasps.hand_pose, grasps.q)
     T_world_root = transform_from_pose(stage.hand_pose) @ inverse(layout.T_root_base)
@@ -95,16 +95,16 @@ def rows_of_stage(grasps: GraspSet, name: str, layout: Layout) -> Float[np.ndarr
     return np.concatenate([pose_from_transform(T_world_root), stage.q[:, columns]], axis=1)
 
 
-def lacking_stages(grasps: GraspSet) -> list[str]:
-    """What to say about stages that the grasps lack and rows of stages need."""
+def missing_stage_notes(grasps: GraspSet) -> list[str]:
+    """Notes on stages that the grasps lack and rows of stages need."""
     lacking = [name for name in OTHER_STAGES if getattr(grasps, name) is None]
     return [f"there is no {name}: the grasp itself is written in its place" for name in lacking]
 
 
-def fitted(
+def fit_layout(
     grasps: GraspSet, layouts: Sequence[Layout], load: Callable[[str], Hand], format_name: str
 ) -> tuple[GraspSet, Layout]:
-    """The same grasps from the base link of the layout that has their joints, and that layout.
+    """Return the grasps from the base link of the layout that has their joints, and that layout.
 
     Joints before that link, such as those of a wrist, are in the pose then.
 

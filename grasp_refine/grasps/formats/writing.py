@@ -1,4 +1,4 @@
-"""Grasp files of any format, which appear whole or not at all, and only once they were read again."""
+"""Writing grasp files of any format: they appear whole or not at all, and only once they were read back."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from grasp_refine.grasps.grasp_set import GraspSet
 
 
 def check_output(path: Path, to: Format, parts: Sequence[Part]) -> None:
-    """Nothing, when the files of a format can be written to `path`.
+    """Refuse a `path` to which the files of a format cannot be written.
 
     Raises:
-        GraspFileError: a file is given for a folder or the other way round, or the folder is there already.
+        GraspFileError: a file is given for a folder or the other way round, or the folder exists already.
     """
     (suffix,) = {Path(part.path).suffix for part in parts}
     if as_file(path, to, parts):
         if path.suffix.lower() != suffix:
             raise GraspFileError(f"{path}: format {to.name} is one file; its name must end with {suffix}")
         if path.is_dir():
-            raise GraspFileError(f"{path}: is a folder, a file is to be written there")
+            raise GraspFileError(f"{path}: is a folder; a file would be written there")
         return
     if path.suffix.lower() in (".npy", ".npz"):
         files = "1 file named after its object" if len(parts) == 1 else f"{len(parts)} files"
         raise GraspFileError(f"{path}: format {to.name} makes {files}: give the name of a new folder")
     if path.exists() or path.is_symlink():
-        raise GraspFileError(f"{path}: is there already; give the name of a new folder")
+        raise GraspFileError(f"{path}: exists already; give the name of a new folder")
 
 
 def as_file(path: Path, to: Format, parts: Sequence[Part]) -> bool:
-    """Whether the only part is to be a file of its own; else there will be a folder."""
+    """Return True if the only part becomes a single file; else there will be a folder."""
     alone = len(parts) == 1 and not to.named_by_path
     return alone and ("/" not in parts[0].path or path.suffix.lower() == Path(parts[0].path).suffix)
 
 
 @contextmanager
 def written(path: Path, to: Format, parts: Sequence[Part]) -> Iterator[tuple[Path, Int[np.ndarray, " N"]]]:
-    """Give the path of what was written, which becomes `path` once the block is done, and which grasps it has.
+    """Yield the path of the written files, which becomes `path` once the block is done, and the grasps in them.
 
     The grasps are rows in the order in which they are read. Nothing is left when the block fails.
 

@@ -24,13 +24,13 @@ class Adam(Schedule):
     first: float = 0.9
     """beta_1: share of the last average in the averaged gradient."""
     second: float = 0.99
-    """beta_2: the same of the averaged squares."""
+    """beta_2: share of the last average in the averaged squares."""
 
     def __post_init__(self) -> None:
-        """Refuse averages that never forget.
+        """Refuse averages that do not decay.
 
         Raises:
-            GraspRefineError: beta_1 or beta_2 outside [0, 1), or not one factor for each share.
+            GraspRefineError: beta_1 or beta_2 outside [0, 1), or not one factor per share.
         """
         super().__post_init__()
         if not (0.0 <= self.first < 1.0 and 0.0 <= self.second < 1.0):
@@ -39,7 +39,7 @@ class Adam(Schedule):
             )
 
     def memory(self, gradient: torch.Tensor) -> torch.Tensor:
-        """What is remembered at first: no averages, after no steps."""
+        """Return the initial memory: zero averages, zero steps."""
         return gradient.new_zeros(len(gradient), 2 * gradient.shape[1] + 1)
 
     def step(
@@ -52,7 +52,7 @@ class Adam(Schedule):
         lower: torch.Tensor,
         upper: torch.Tensor,
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """The next root poses, joint values and averages.
+        """Return the next root poses, joint values and averages.
 
         Args:
             T: Root poses (batch, 4, 4).

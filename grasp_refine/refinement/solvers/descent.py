@@ -29,14 +29,14 @@ class Descent(Schedule):
         """Refuse a schedule that cannot run.
 
         Raises:
-            GraspRefineError: momentum outside [0, 1), or not one factor for each share.
+            GraspRefineError: momentum outside [0, 1), or not one factor per share.
         """
         super().__post_init__()
         if not 0.0 <= self.momentum < 1.0:
             raise GraspRefineError(f"descent: momentum must be at least 0 and below 1, got {self.momentum:g}")
 
     def memory(self, gradient: torch.Tensor) -> torch.Tensor:
-        """What is remembered at first: no average."""
+        """Return the initial memory: a zero average."""
         return gradient.new_zeros(gradient.shape)
 
     def step(
@@ -49,7 +49,7 @@ class Descent(Schedule):
         lower: torch.Tensor,
         upper: torch.Tensor,
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """The next root poses, joint values and averaged gradients.
+        """Return the next root poses, joint values and averaged gradients.
 
         Args:
             T: Root poses (batch, 4, 4).
@@ -68,6 +68,6 @@ class Descent(Schedule):
 
 
 def _unit(vector: torch.Tensor) -> torch.Tensor:
-    """Vectors (batch, n) at unit length; zero stays zero."""
+    """Return vectors (batch, n) scaled to unit length; zero stays zero."""
     norm = vector.norm(dim=1, keepdim=True)
     return vector / norm.where(norm > 0, norm.new_ones(()))

@@ -1,4 +1,4 @@
-"""The loop of first-order solvers over a batch: the paper's descent, and Adam."""
+"""Loop of first-order solvers over a batch: the paper's descent, and Adam."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ class Differentiable(Protocol):
     def evaluate(
         self, member: np.ndarray, T: Tensor, q: Tensor, key: int, previous: Any | None
     ) -> tuple[Tensor, Tensor, Any]:
-        """Losses (batch,), gradients (batch, 6 + n), and what helps nearby: arrays with `num_queries` (batch,)."""
+        """Return losses (batch,), gradients (batch, 6 + n), and warm starts: a record with `num_queries` (batch,)."""
         ...
 
     def tensor(self, array: np.ndarray) -> Tensor:
-        """An array in the number type and on the device of the problem."""
+        """Return an array in the number type and on the device of the problem."""
         ...
 
 
 def limits_within(lower: np.ndarray, upper: np.ndarray, dtype: torch.dtype, device: str) -> tuple[Tensor, Tensor]:
-    """Joint limits (n,) as tensors, rounded inwards: what keeps to them keeps to the given ones.
+    """Return joint limits (n,) as tensors, rounded inwards, so that they imply the given ones.
 
     Where single precision has no number between the two, they are the nearest one.
     """
@@ -48,8 +48,8 @@ def limits_within(lower: np.ndarray, upper: np.ndarray, dtype: torch.dtype, devi
     outside = [torch.as_tensor(mask, device=device) for mask in beyond]
     inner_low = torch.where(outside[0], torch.nextafter(low, low.new_tensor(torch.inf)), low)
     inner_high = torch.where(outside[1], torch.nextafter(high, high.new_tensor(-torch.inf)), high)
-    room = inner_low <= inner_high
-    return torch.where(room, inner_low, low), torch.where(room, inner_high, high)
+    ordered = inner_low <= inner_high
+    return torch.where(ordered, inner_low, low), torch.where(ordered, inner_high, high)
 
 
 @stage("solver")
@@ -63,7 +63,7 @@ def descend(
     progress: Callable[[int, int, float], None] | None = None,
     on_iteration: IterationCallback | None = None,
 ) -> Minimum:
-    """Lower the losses of all members; arguments and result are those of `least_squares.minimise`."""
+    """Minimise the losses of all members; arguments and result are those of `least_squares.minimise`."""
     run = _Run(problem, start, solver, tolerance, status, on_iteration)
     iteration = 0
     while len(run.active) and iteration < solver.iterations:
@@ -76,7 +76,7 @@ def descend(
 
 
 class _Run:
-    """The state of the loop: members that still run, the best of all members, and what they cost."""
+    """State of the loop: members that still run, the best iterate of each member, and their cost."""
 
     def __init__(
         self,
@@ -104,7 +104,7 @@ class _Run:
         self.previous: Any | None = None
 
     def iterate(self, iteration: int) -> float:
-        """One evaluation and one step of all running members; returns their mean loss."""
+        """Evaluate and step all running members; return their mean loss."""
         wall, cpu = time.perf_counter(), time.process_time()
         active, problem = self.active, self.problem
         loss, gradient, known = problem.evaluate(active, self.T, self.q, iteration, self.previous)
@@ -130,7 +130,7 @@ class _Run:
         return float(finite.mean()) if len(finite) else 0.0
 
     def _judge(self, value: np.ndarray, iteration: int) -> np.ndarray:
-        """Keep the best iterates, advance the schedule, and say which members end here (active,)."""
+        """Keep the best iterates, advance the schedule, and return which members end here (active,)."""
         solver, active = self.solver, self.active
         if iteration == 0:
             self.first[active] = value

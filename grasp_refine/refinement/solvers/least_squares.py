@@ -1,7 +1,7 @@
-"""The loop of Levenberg-Marquardt over a batch: accept, restart, leave when done, and let the next one in.
+"""Loop of Levenberg-Marquardt over a batch: accept, restart, remove finished members, add waiting ones.
 
-Members that are done leave the batch at once, and those that wait take their places, so that stragglers seldom run
-alone. What happens to a member does not depend on the others: random numbers are those of the member.
+Finished members leave the batch at once, and waiting ones take their places, so that stragglers seldom run alone. The
+result of a member does not depend on the others: random numbers are those of the member.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquar
 from grasp_refine.refinement.solvers.status import Status
 
 WIDTH = 2048
-"""Most members that are worked on at once."""
+"""Largest number of members that are solved at once."""
 
 Progress = Callable[[int, int, float], None]
-"""Gets the number of finished members, the iteration, and the mean loss of the members still running."""
+"""Called with the number of finished members, the iteration, and the mean loss of the members still running."""
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Where members are."""
+    """Poses and joint values of members."""
 
     T: np.ndarray
-    """Poses (batch, 4, 4) of what moves."""
+    """Poses (batch, 4, 4) of the moving body."""
     q: np.ndarray
     """Joint values (batch, n); n may be 0."""
 
@@ -40,7 +40,7 @@ class Point:
 
 
 IterationCallback = Callable[[np.ndarray, Point, np.ndarray], None]
-"""Sees members (M,), where they are after an iteration, and their losses (M,); may raise to end it all."""
+"""Called with members (M,), their points after an iteration, and their losses (M,); may raise to end the run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +50,14 @@ class Linear:
     residual: np.ndarray
     """Residuals (batch, m) that have a derivative."""
     jacobian: np.ndarray
-    """(batch, m, dof)"""
+    """Derivatives (batch, m, dof) of the residuals in the unknowns of a step."""
     unilateral: np.ndarray | None = None
     """Rows (batch, m) that count only where they are positive; None: none."""
 
     __repr__ = brief
 
     def with_rows(self, weight: float, residual: np.ndarray, jacobian: np.ndarray) -> Linear:
-        """The same with further residuals (batch, k), whose squares count so much."""
+        """Return a copy with further residuals (batch, k), whose squares have this weight."""
         scale = np.sqrt(weight)
         unilateral = self.unilateral
         if unilateral is not None:
@@ -71,7 +71,7 @@ class Linear:
 
 @runtime_checkable
 class Evaluated(Protocol):
-    """What a problem knows of members at a point, rows of arrays."""
+    """Evaluation of members at a point, rows of arrays."""
 
     loss: np.ndarray
     """Sum of the squares of all residuals (batch,); NaN where it is not known."""
@@ -84,40 +84,40 @@ class Problem(Protocol):
     """Independent least-squares problems of the same form, one for each member."""
 
     def metric(self, member: np.ndarray) -> np.ndarray:
-        """Diagonals of W (batch, dof): how much a unit of each unknown counts as movement."""
+        """Return the diagonals of W (batch, dof): the squared movement of a unit of each unknown."""
         ...
 
     def evaluate(self, member: np.ndarray, point: Point, previous: Any | None) -> Any:
-        """What is known at a point (an `Evaluated`); `previous` is what was known nearby, a help.
+        """Return the evaluation at a point (an `Evaluated`); `previous` is one nearby, a warm start.
 
-        A point whose loss is not below `previous.loss` will be rejected: as soon as that is certain, the loss that is
-        given may be any between the two. It is infinite where a member starts again.
+        A point whose loss is not below `previous.loss` will be rejected: as soon as that is certain, the returned loss
+        may be any value between the two. `previous.loss` is infinite where a member restarts.
         """
         ...
 
     def linearize(self, member: np.ndarray, point: Point, known: Any, width: np.ndarray) -> Linear:
-        """Residuals and derivatives; `width` (batch,) multiplies the radii of neighbourhoods."""
+        """Return residuals and derivatives; `width` (batch,) multiplies the radii of neighbourhoods."""
         ...
 
     def step_bounds(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of a step (batch, dof), both ways."""
+        """Return lower and upper bounds of a step (batch, dof)."""
         ...
 
     def integrate(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
-        """The points after steps (batch, dof)."""
+        """Return the points after steps (batch, dof)."""
         ...
 
     def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
-        """Other starts of stalled members, the `start`-th (batch,) of each; a function of member and number only."""
+        """Return new starts of stalled members, the `start`-th (batch,) of each, by member and number only."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """What came out for N members."""
+    """Result of N members."""
 
     point: Point
-    """The best iterate of each by true loss."""
+    """Best iterate of each by true loss."""
     loss: np.ndarray
     """Loss at the start and at the best iterate (N, 2)."""
     status: np.ndarray
@@ -136,24 +136,24 @@ class Minimum:
 
 @dataclass(frozen=True, eq=False)
 class _Slots:
-    """The members that are worked on, one row each."""
+    """Active members, one row each."""
 
     member: np.ndarray
     point: Point
     known: Any
-    """What is known at the point."""
+    """Evaluation at the point."""
     loss: np.ndarray
-    """Loss there; infinite before a start is evaluated."""
+    """Loss at the point; infinite before a start is evaluated."""
     trial: Point
     """The point that is evaluated next."""
     predicted: np.ndarray
-    """Fall of the loss that is expected there."""
+    """Predicted fall of the loss at the trial."""
     damping: np.ndarray
     rejections: np.ndarray
     mark: np.ndarray
-    """Loss when there was progress last."""
+    """Loss at the last progress."""
     since: np.ndarray
-    """Iterations since then."""
+    """Iterations since the last progress."""
     starts: np.ndarray
     """Starts so far."""
 
@@ -174,16 +174,16 @@ def minimise(
     """Minimise all members.
 
     Args:
-        problem: What is minimised.
-        start: First points of the N members.
+        problem: Least-squares problems of the N members.
+        start: Initial points of the N members.
         solver: Settings.
         tolerance: A member has converged when its loss is below this.
         status: Members (N,) with another status than RUNNING are left out.
-        width: Most members that are worked on at once.
+        width: Largest number of members that are solved at once.
         seconds: A member whose share of the CPU time is above this, a number for all or for each (N,), ends.
         progress: Called after each iteration with the number of finished members, the iteration, and the mean
             best loss of those still running.
-        on_iteration: Sees where members are, at their start and after each of their iterations.
+        on_iteration: Called with members at their start and after each of their iterations.
     """
     count = len(start.T)
     status = np.full(count, Status.RUNNING) if status is None else status.copy()
@@ -195,17 +195,17 @@ def minimise(
         wall, cpu = time.perf_counter(), time.process_time()
         members = np.zeros(0, dtype=np.int64) if slots is None else slots.member
         if slots is not None and len(members):
-            slots = run.judged(slots, problem.evaluate(members, slots.trial, slots.known))
+            slots = run.judge(slots, problem.evaluate(members, slots.trial, slots.known))
         free = width - (0 if slots is None else len(slots.member))
         # A few free places are not worth the copying.
         if len(waiting) and free >= max(1, min(len(waiting), width // 8)):
             entering, waiting = waiting[:free], waiting[free:]
             members = np.concatenate([members, entering])
-            new = run.entered(entering)
+            new = run.enter(entering)
             slots = new if slots is None else join(slots, new)
         assert slots is not None  # it had members, or some have entered
         if len(slots.member):
-            slots = run.stepped(slots)
+            slots = run.step(slots)
         share = 1.0 / len(members)
         run.wall_s[members] += (time.perf_counter() - wall) * share
         run.cpu_s[members] += (time.process_time() - cpu) * share
@@ -220,7 +220,7 @@ def minimise(
 
 
 class _Run:
-    """The accounts of all members, and the parts of an iteration."""
+    """Best iterates and cost of all members, and the parts of an iteration."""
 
     def __init__(
         self,
@@ -240,11 +240,11 @@ class _Run:
         self.iterations, self.queries = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
         self.cpu_s, self.wall_s = np.zeros(count), np.zeros(count)
         self.widths = np.array(solver.widths)
-        # The best loss when it fell notably last, and at which iteration.
+        # Best loss when it last fell notably, and the iteration of that.
         self.best_mark, self.best_at = np.full(count, np.inf), np.zeros(count, dtype=np.int64)
 
-    def entered(self, member: np.ndarray) -> _Slots:
-        """Slots of the members that begin, without those that end at once."""
+    def enter(self, member: np.ndarray) -> _Slots:
+        """Return slots of the members that begin, without those that end at once."""
         point = take(self.best, member)
         known = self.problem.evaluate(member, point, None)
         self.first_loss[member] = known.loss
@@ -253,19 +253,19 @@ class _Run:
         slots = _Slots(
             member, point, known, never, point, np.zeros(M), np.full(M, self.solver.damping), none, never, none, none
         )
-        return self.judged(slots, known)
+        return self.judge(slots, known)
 
-    def judged(self, slots: _Slots, known: Any) -> _Slots:
-        """The slots after their trials were evaluated, without those that end; stalled ones start again."""
+    def judge(self, slots: _Slots, known: Any) -> _Slots:
+        """Accept or reject evaluated trials; return the slots without those that end, stalled ones restarted."""
         solver, member = self.solver, slots.member
         self.iterations[member] += 1
         self.queries[member] += known.num_queries
         starting = np.isinf(slots.loss)
         accepted = known.loss < slots.loss
         fall = np.where(starting, 0.0, slots.loss) - known.loss
-        # Nothing was predicted of a start; a floor at the smallest number would overflow.
+        # A start has no prediction; a floor at the smallest number would overflow.
         ratio = fall / np.maximum(slots.predicted, 1e-200)
-        damping = np.where(starting, slots.damping, solver.adapted(slots.damping, accepted, ratio))
+        damping = np.where(starting, slots.damping, solver.updated_damping(slots.damping, accepted, ratio))
         loss = np.where(accepted, known.loss, slots.loss)
         better = np.flatnonzero(loss < self.best_loss[member])
         self.best_loss[member[better]] = loss[better]
@@ -307,11 +307,11 @@ class _Run:
         ended = np.logical_or.reduce([mask for mask, _ in ends])
         again = np.flatnonzero(again & ~ended)
         if len(again):
-            slots = self._restarted(slots, again)
+            slots = self._restart(slots, again)
         return take(slots, ~ended) if ended.any() else slots
 
-    def _restarted(self, slots: _Slots, rows: np.ndarray) -> _Slots:
-        """The same slots with other starts in some rows."""
+    def _restart(self, slots: _Slots, rows: np.ndarray) -> _Slots:
+        """Return the slots with new starts in some rows."""
         member = slots.member[rows]
         trial = self.problem.restart(member, slots.starts[rows], take(self.best, member), take(slots.point, rows))
         T, q, loss, mark = (array.copy() for array in (slots.trial.T, slots.trial.q, slots.loss, slots.mark))
@@ -321,8 +321,8 @@ class _Run:
         known = replace(slots.known, loss=np.where(np.isinf(loss), np.inf, slots.known.loss))
         return replace(slots, known=known, trial=Point(T, q), loss=loss, mark=mark, damping=damping, since=since)
 
-    def stepped(self, slots: _Slots) -> _Slots:
-        """The slots with their next trials."""
+    def step(self, slots: _Slots) -> _Slots:
+        """Return the slots with their next trials."""
         problem, member = self.problem, slots.member
         width = self.widths[slots.rejections % len(self.widths)]
         linear = problem.linearize(member, slots.point, slots.known, width)

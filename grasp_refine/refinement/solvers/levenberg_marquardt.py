@@ -18,41 +18,41 @@ class LevenbergMarquardt:
     compares with the squared derivative of a residual. Penetrations count from where they begin, within a step too.
     It is accepted where the loss |r|^2, evaluated anew, falls; then, if the fall is as predicted, lambda shrinks.
     Where it is rejected lambda grows, and the derivative is taken again with another width of the neighbourhoods. A
-    member that stalls starts again elsewhere.
+    member that stalls restarts elsewhere.
     """
 
     iterations: int = 200
-    """Most iterations per grasp, each one collision query."""
+    """Largest number of iterations per grasp, each one collision query."""
     damping: float = 1e-2
-    """lambda at first."""
+    """Initial damping lambda."""
     smallest: float = 1e-7
-    """Floor of lambda."""
+    """Lower bound of lambda."""
     largest: float = 1e8
-    """A member whose lambda grows beyond this stalls."""
+    """Largest lambda; a member whose lambda grows beyond it stalls."""
     shrink: float = 0.3
-    """Factor of lambda after a step that did what was predicted."""
+    """Factor of lambda after a step whose loss fell as predicted."""
     grow: float = 4.0
     """Factor of lambda after a rejected step."""
     gain: float = 0.25
-    """Smallest share of the predicted fall that counts as what was predicted."""
+    """Smallest share of the predicted fall of the loss that counts as predicted."""
     patience: int = 6
-    """Iterations without progress after which a member that can start again does."""
+    """Iterations without progress after which a member restarts."""
     last_patience: int = 12
-    """The same for one that cannot, or is good enough; then it ends."""
+    """Iterations without progress after which a member that cannot restart, or is good enough, ends."""
     progress: float = 0.3
     """Smallest relative fall of the loss that counts as progress."""
     restarts: int = 20
-    """How often a stalled grasp with given targets starts again elsewhere, from its own random numbers."""
+    """Number of restarts of a stalled grasp with given targets, from its own random numbers."""
     good: float = 1e-7
-    """A member whose best loss (m^2) is below this does not start again; 1e-7 is a third of a millimetre."""
+    """Best loss (m^2) below which a member does not restart; 1e-7 is a third of a millimetre."""
     widths: tuple[float, ...] = (1.0, 0.5, 2.0, 0.0)
-    """Factors of the neighbourhoods' radii, one after the other at each rejection; 0: no smoothing at all."""
+    """Factors of the radii of the smoothing neighbourhoods, the next one after each rejection; 0: no smoothing."""
 
     def __post_init__(self) -> None:
-        """Refuse settings with which lambda would vanish, not move, or move the wrong way.
+        """Refuse settings with which lambda would vanish, stay constant, or change the wrong way.
 
         Raises:
-            GraspRefineError: names the setting, its value and what it may be.
+            GraspRefineError: names the setting, its value and its range.
         """
         check_fields(self)
         if self.iterations < 0:
@@ -69,8 +69,8 @@ class LevenbergMarquardt:
                 f"levenberg-marquardt: shrink must be in (0, 1) and grow above 1, got {self.shrink:g} and {self.grow:g}"
             )
 
-    def adapted(self, damping: Array, accepted: Array, ratio: Array) -> Array:
-        """Lambda (batch,) after a step, from whether it was accepted and its fall over the predicted one."""
+    def updated_damping(self, damping: Array, accepted: Array, ratio: Array) -> Array:
+        """Return lambda (batch,) after a step, given acceptance and the ratio of its fall to the predicted one."""
         xp = array_namespace(damping)
         shrunk = xp.where(ratio > self.gain, self.shrink * damping, damping)
         return xp.where(accepted, xp.maximum(shrunk, xp.full_like(damping, self.smallest)), self.grow * damping)
@@ -86,9 +86,9 @@ def bounded_step(
     unilateral: Array | None = None,
     passes: int = 4,
 ) -> tuple[Array, Array]:
-    """Steps dx (batch, n) within bounds, and the falls (batch,) of the loss that they predict.
+    """Return steps dx (batch, n) within bounds, and the falls (batch,) of the loss that they predict.
 
-    Rows that are one-sided count only where they are positive. Which of them will be after the step is found by
+    Unilateral rows count only where they are positive. Which of them will be after the step is found by
     solving again with those that the last solution made so (semismooth Newton), so that a step neither runs into what
     is near nor is held back by what it leaves.
 
@@ -100,11 +100,11 @@ def bounded_step(
         lower: Lower bounds of dx (batch, n), at most 0.
         upper: Upper bounds, at least 0.
         unilateral: Rows (batch, m) that count only where they are positive; None: none.
-        passes: Most times that the rows, and the bounds, that count are chosen.
+        passes: Largest number of passes that choose the active rows and bounds.
     """
     xp = array_namespace(J)
     if unilateral is None:
-        dx = _within_bounds(J, r, damping, metric, lower, upper)
+        dx = _solve_within_bounds(J, r, damping, metric, lower, upper)
         after = r + matvec(J, dx)
         return dx, xp.sum(r * r - after * after, axis=-1)
     counts = ~unilateral | (r > 0)
@@ -113,7 +113,7 @@ def bounded_step(
     some = xp.ones_like(damping, dtype=xp.bool)
     for _ in range(passes):
         counted = xp.where(counts[some][..., None], J[some], 0.0)
-        dx[some] = _within_bounds(counted, r[some], damping[some], metric[some], lower[some], upper[some])
+        dx[some] = _solve_within_bounds(counted, r[some], damping[some], metric[some], lower[some], upper[some])
         after = r + matvec(J, dx)
         now = ~unilateral | (after > 0)
         some = xp.any(now != counts, axis=-1)
@@ -124,26 +124,26 @@ def bounded_step(
     return dx, xp.sum(before * before - after * after, axis=-1)
 
 
-def _within_bounds(
+def _solve_within_bounds(
     J: Array, r: Array, damping: Array, metric: Array, lower: Array, upper: Array, passes: int = 10
 ) -> Array:
-    """Steps dx (batch, n) within bounds that minimise |J dx + r|^2 + lambda dx . W dx.
+    """Return steps dx (batch, n) within bounds that minimise |J dx + r|^2 + lambda dx . W dx.
 
     A primal-dual active-set method (Hintermueller, Ito and Kunisch 2003): unknowns that go beyond a bound are held
     there, held ones that would come back are released, and the others are solved for again. That mostly settles
-    within five passes. It may go round in circles, though: the last three passes release nothing, and what is still
-    outside then is cut off.
+    within five passes. It may cycle, though: the last three passes release nothing, and unknowns that are still
+    outside then are clipped.
     """
     xp = array_namespace(J)
     J_transposed = xp.matrix_transpose(J)
     damped, g = J_transposed @ J + _diagonal(damping[:, None] * metric), matvec(J_transposed, r)
-    dx = _solved(damped, -g)
+    dx = _solve(damped, -g)
     if not bool(xp.any((dx < lower) | (dx > upper))):
         return dx
     held = xp.zeros_like(dx, dtype=xp.bool)
     for number in range(passes - 1):
         kept = held if number > passes - 4 else xp.zeros_like(held)
-        # A held unknown goes back into its room if the slope there says so.
+        # A held unknown is released if the slope points back into its bounds.
         slope = xp.where(held & ~kept, matvec(damped, dx) + g, xp.zeros_like(dx))
         wanted = dx - slope / xp.linalg.diagonal(damped)
         limited = xp.minimum(xp.maximum(wanted, lower), upper)
@@ -152,23 +152,23 @@ def _within_bounds(
         if not len(rows):
             break
         held = outside
-        dx[rows] = _with_held(damped[rows], g[rows], held[rows], limited[rows])
+        dx[rows] = _solve_free(damped[rows], g[rows], held[rows], limited[rows])
     return xp.minimum(xp.maximum(dx, lower), upper)
 
 
-def _with_held(damped: Array, g: Array, held: Array, value: Array) -> Array:
-    """Solutions (batch, n) of damped dx = -g in the free unknowns, the held ones being at a value."""
+def _solve_free(damped: Array, g: Array, held: Array, value: Array) -> Array:
+    """Return solutions (batch, n) of damped dx = -g in the free unknowns, the held ones fixed at a value."""
     xp = array_namespace(damped)
     fixed = xp.where(held, xp.ones_like(value), xp.zeros_like(value))
     free, value = 1.0 - fixed, fixed * value
-    # What is held moves to the right-hand side; its own rows become those of the unit matrix.
+    # Held unknowns move to the right-hand side; its own rows become those of the unit matrix.
     right = free * (-g - matvec(damped, value)) + value
     system = damped * free[:, :, None] * free[:, None, :] + _diagonal(fixed)
-    return xp.where(held, value, _solved(system, right))
+    return xp.where(held, value, _solve(system, right))
 
 
-def _solved(A: Array, b: Array) -> Array:
-    """Solutions (batch, n) of A x = b; zero, which is no step, for a matrix that rounding has made singular."""
+def _solve(A: Array, b: Array) -> Array:
+    """Return solutions (batch, n) of A x = b; zero, which is no step, for a matrix that rounding has made singular."""
     xp = array_namespace(A)
     try:
         return xp.linalg.solve(A, b[..., None])[..., 0]
@@ -181,7 +181,7 @@ def _solved(A: Array, b: Array) -> Array:
 
 
 def _diagonal(values: Array) -> Array:
-    """Diagonal matrices (batch, n, n) of values (batch, n)."""
+    """Return diagonal matrices (batch, n, n) of values (batch, n)."""
     xp = array_namespace(values)
     n = values.shape[-1]
     result = xp.zeros_like(values[:, :, None] + values[:, None, :])

@@ -1,4 +1,4 @@
-"""What first-order solvers have in common: lengths of steps, and how they shrink."""
+"""Schedule of first-order solvers: step lengths that shrink."""
 
 from __future__ import annotations
 
@@ -16,45 +16,45 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Lengths of steps that shrink by the `factors` after the given `shares` of the iterations.
+    """Step lengths that shrink by the `factors` after the given `shares` of the iterations.
 
-    A grasp whose loss no longer falls goes on earlier.
+    A grasp whose loss no longer falls goes to the next factor earlier.
     """
 
     iterations: int = 2000
-    """Most iterations per grasp."""
+    """Largest number of iterations per grasp."""
     step_translation: float = 1e-3
-    """s_t in metres."""
+    """Step length s_t of the root translation in metres."""
     step_rotation: float = 1e-2
-    """s_r in radians (the paper takes 0.002)."""
+    """Step length s_r of the root rotation in radians (the paper takes 0.002)."""
     step_joints: float = 2e-2
-    """s_q in radians, metres for prismatic joints (the paper takes 0.01)."""
+    """Step length s_q of the joints in radians, metres for prismatic joints (the paper takes 0.01)."""
     shares: tuple[float, ...] = (0.5, 0.8)
     """Shares of the iterations after which the steps shrink."""
     factors: tuple[float, ...] = (0.1, 0.01)
-    """What the steps shrink to then."""
+    """Factors of the step lengths from then on."""
     patience: int = 200
-    """Iterations without progress after which a grasp goes on with shorter steps, or ends after the last."""
+    """Iterations without progress after which a grasp continues with shorter steps, or ends after the last factor."""
     progress: float = 0.01
     """Smallest relative fall of the loss that counts as progress."""
     transport: bool = False
-    """Equivalent gradient transport: the object's gradient acts through the links (not a gradient any more)."""
+    """Equivalent gradient transport: the object's gradient acts through the links (no longer a gradient)."""
 
     def __post_init__(self) -> None:
         """Refuse a schedule that cannot run.
 
         Raises:
-            GraspRefineError: a field of another kind, or not one factor for each share.
+            GraspRefineError: a field of another type, or not one factor per share.
         """
         check_fields(self)
         if len(self.shares) != len(self.factors):
             name = type(self).__name__.lower().removesuffix("options")
             raise GraspRefineError(
-                f"{name}: shares and factors belong together, got {len(self.shares)} and {len(self.factors)} numbers"
+                f"{name}: shares and factors must match, got {len(self.shares)} and {len(self.factors)} numbers"
             )
 
     def first_stage(self, iteration: int) -> int:
-        """The earliest stage of the schedule at an iteration."""
+        """Return the earliest stage of the schedule at an iteration."""
         return sum(iteration >= share * self.iterations for share in self.shares)
 
     def integrate(
@@ -66,7 +66,7 @@ class Schedule:
         lower: torch.Tensor,
         upper: torch.Tensor,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Root poses and joint values after steps against `direction`, in units of the step lengths.
+        """Return root poses and joint values after steps against `direction`, in units of the step lengths.
 
         Args:
             T: Root poses (batch, 4, 4).

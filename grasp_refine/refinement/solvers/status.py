@@ -1,10 +1,10 @@
-"""How the refinement of one grasp ended, and what a user can do about it."""
+"""Status of the refinement of a grasp, with advice."""
 
 from enum import IntEnum
 
 
 class Status(IntEnum):
-    """How the refinement of a grasp ended, such as converged, stalled or invalid, with advice on what to do."""
+    """Status of the refinement of a grasp, such as converged, stalled or invalid, with advice on what to do."""
 
     RUNNING = 0
     CONVERGED = 1
@@ -17,12 +17,12 @@ class Status(IntEnum):
 
     @property
     def label(self) -> str:
-        """The name as it is written in tables and JSON."""
+        """Name of the status in tables and JSON."""
         return self.name.lower().replace("_", " ")
 
     @property
     def advice(self) -> str:
-        """What a user can do; empty when there is nothing to do."""
+        """Advice for the user; empty when there is nothing to do."""
         return _ADVICE[self]
 
 
@@ -36,9 +36,9 @@ _ADVICE = {
     Status.NOT_FINITE: "the grasp holds NaN or infinite numbers, or a query failed: check the input",
     Status.UNREACHABLE: "a target lies off the surface of its link or of the object: check frames and scale, or lower "
     "--threshold",
-    Status.INVALID: "the pose is no rigid motion, pose, joints or targets are beyond 1e6 m or rad, or a wanted normal "
+    Status.INVALID: "the pose is no rigid motion, pose, joints or targets are beyond 1e6 m or rad, or a target normal "
     "is not of length 1: check the input",
 }
 
 UNUSABLE = (Status.NO_TARGET, Status.NOT_FINITE, Status.INVALID)
-"""How grasps end that were not refined at all."""
+"""Statuses of grasps that were not refined at all."""

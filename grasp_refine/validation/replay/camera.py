@@ -1,4 +1,4 @@
-"""Where a camera stands, and where points are in its picture."""
+"""Camera pose, and projection of points into its picture."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ import numpy as np
 from jaxtyping import Float
 
 FIELD_OF_VIEW = 30.0
-"""Vertical opening of the camera in degrees."""
+"""Vertical field of view of the camera in degrees."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Where the camera stands; the world's z axis points up in its pictures."""
+    """Pose of the camera; the world's z axis points up in its pictures."""
 
     azimuth: float
-    """In which direction it looks, seen from above: degrees from the x axis, counterclockwise."""
+    """Horizontal direction of view, degrees from the x axis, counterclockwise seen from above."""
     elevation: float
-    """How steeply it looks up, degrees; negative from above."""
+    """Elevation of the direction of view, degrees; negative: looks down from above."""
     lookat: Float[np.ndarray, " 3"]
-    """The point in the middle of the picture, metres."""
+    """Point in the middle of the picture, world frame, metres."""
     distance: float
-    """How far that point is away, metres."""
+    """Distance of that point from the camera, metres."""
 
     def axes(self) -> Float[np.ndarray, "3 3"]:
-        """What is right, up and forward in the picture, as rows."""
+        """Return the directions right, up and forward of the picture, as rows."""
         azimuth, elevation = np.radians([self.azimuth, self.elevation])
         forward = np.array(
             [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
@@ -35,13 +35,13 @@ class View:
         return np.stack([right, np.cross(right, forward), forward])
 
     def project(self, points: Float[np.ndarray, "n 3"], width: int, height: int) -> Float[np.ndarray, "n 2"]:
-        """Where points (n, 3) are in a picture of that size (n, 2), pixels from the upper left corner."""
+        """Return positions (n, 2) of points (n, 3) in a picture of that size, pixels from the upper left corner."""
         seen = (points - self.lookat) @ self.axes().T
         scale = 0.5 * height / np.tan(np.radians(FIELD_OF_VIEW / 2)) / (seen[:, 2:] + self.distance)
         return np.array([width / 2, height / 2]) + seen[:, :2] * scale * [1, -1]
 
-    def fitted(self, points: Float[np.ndarray, "n 3"], aspect: float) -> View:
-        """The same direction, from where points (n, 3) just fill a picture that is `aspect` times as wide as high."""
+    def fit(self, points: Float[np.ndarray, "n 3"], aspect: float) -> View:
+        """Return the view in this direction in which points (n, 3) just fill a picture of `aspect` width / height."""
         axes = self.axes()
         seen = points @ axes.T
         middle = (seen.max(axis=0) + seen.min(axis=0)) / 2
@@ -53,4 +53,4 @@ class View:
 
 
 VIEWS = tuple(View(float(a), float(e), np.zeros(3), 1.0) for e, a in product((-30, 20), range(10, 370, 30)))
-"""From where a picture may be taken; the one that shows most of hand and object is chosen."""
+"""Candidate views; the one that shows most of hand and object is chosen."""

@@ -1,4 +1,4 @@
-"""A replay as one MuJoCo XML file, meshes and key frames inside, for any MuJoCo 3 or 4 and its viewer."""
+"""Export of a replay as one MuJoCo XML file, meshes and key frames inside, for any MuJoCo 3 or 4 and its viewer."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def export_xml(
     MuJoCo 3 refuses.
 
     Args:
-        spec: What `model` was compiled from: has the meshes as they were given.
-        model: The model, whose values are written.
-        replay: What was recorded of it.
-        path: Where to write; missing folders are made.
-        keyframes: At most so many key frames, and at least the ends of the stages.
+        spec: Specification of `model`, with the original meshes.
+        model: Model whose values are written.
+        replay: Recording of the model.
+        path: File to write; missing folders are made.
+        keyframes: Largest number of key frames; the ends of the stages are always among them.
 
     Raises:
-        GraspRefineError: The replay is of another model; the model has something that is not written, such as
+        GraspRefineError: The replay is of another model; the model has a feature that is not exported, such as
             plugins, which the error names; or the file cannot be written.
     """
     check_replay(model, replay)
@@ -77,7 +77,7 @@ def export_xml(
 
 
 def _write_options(root: ET.Element, model: mujoco.MjModel) -> None:
-    """All options that are not MuJoCo's defaults, and those that a reader looks for."""
+    """Write all options that are not MuJoCo's defaults, and the common ones."""
     option, default = model.opt, mujoco.MjModel.from_xml_string("<mujoco/>").opt
     node = ET.SubElement(
         root,
@@ -118,7 +118,7 @@ def _write_options(root: ET.Element, model: mujoco.MjModel) -> None:
 
 
 def _write_looks(root: ET.Element) -> None:
-    """Light for the viewer; nothing here moves anything."""
+    """Write the light of the viewer, which has no effect on physics."""
     visual = ET.SubElement(root, "visual")
     ET.SubElement(visual, "headlight", ambient="0.4 0.4 0.4", diffuse="0.6 0.6 0.6", specular="0.1 0.1 0.1")
     ET.SubElement(visual, "global", azimuth="130", elevation="-25")
@@ -126,11 +126,11 @@ def _write_looks(root: ET.Element) -> None:
 
 def _write_keyframes(node: ET.Element, replay: Replay, count: int, *, pushed: bool) -> None:
     since = replay.since_stage()
-    for frame in replay.thinned(count):
+    for frame in replay.subsample(count):
         control = replay.ctrl[frame]
         stage = Stage(int(replay.stage[frame]))
         last = frame + 1 == len(replay) or replay.stage[frame + 1] != stage
-        # At the end of a stage stands what the next one starts from.
+        # The last frame of a stage is the start of the next one.
         following = stage if frame + 1 == len(replay) else Stage(int(replay.stage[frame + 1]))
         name = f"{stage.label} {since[frame]:.3f} s"
         if frame == 0:

@@ -1,4 +1,4 @@
-"""The bodies of a model as XML: their meshes, joints, shapes and sites."""
+"""Export of the bodies of a model as XML: their meshes, joints, shapes and sites."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from grasp_refine.validation.replay.export_values import flag_of, name_of, set_v
 from grasp_refine.validation.replay.replay import OBJECT
 
 PUSH = "push"
-"""Name of the actuator that pushes the object in an exported model, and of the site where it does: its control is 1
-in key frames of the push."""
+"""Name of the actuator that pushes the object in an exported model, and of its site; its control is 1 in key frames
+of the push."""
 
 _JOINTS = ("free", "ball", "slide", "hinge")
 _GEOMS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box", 7: "mesh"}
@@ -21,7 +21,7 @@ _GEOMS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 
 
 
 def write_meshes(assets: ET.Element, spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[int, np.ndarray]:
-    """Write all meshes; returns for each the pose (7,) of its compiled frame in that in which it was written."""
+    """Write all meshes; return for each the pose (7,) of its compiled frame in its written frame."""
     given = {mesh.name: mesh for mesh in spec.meshes}
     frames = {}
     for number in range(model.nmesh):
@@ -34,11 +34,11 @@ def write_meshes(assets: ET.Element, spec: mujoco.MjSpec, model: mujoco.MjModel)
             node.set("vertex", text_of(np.asarray(source.uservert), single=True))
             if len(source.userface):
                 node.set("face", " ".join(map(str, np.asarray(source.userface).tolist())))
-                # MuJoCo before 3.3 does not know the word, and the hull of vertices alone needs none.
+                # MuJoCo before 3.3 does not know this attribute, and the hull of vertices alone does not need it.
                 if source.inertia != mujoco.mjtMeshInertia.mjMESH_INERTIA_LEGACY:
                     node.set("inertia", source.inertia.name.rpartition("_")[2].lower())
         else:
-            # From a file, maybe scaled: as it was compiled, put back into the frame of the file.
+            # From a file, maybe scaled: the compiled mesh, in the frame of the file.
             rows = slice(model.mesh_vertadr[number], model.mesh_vertadr[number] + model.mesh_vertnum[number])
             points = model.mesh_vert[rows].astype(float) @ _matrix(turn).T + position
             faces = slice(model.mesh_faceadr[number], model.mesh_faceadr[number] + model.mesh_facenum[number])
@@ -48,7 +48,7 @@ def write_meshes(assets: ET.Element, spec: mujoco.MjSpec, model: mujoco.MjModel)
 
 
 def _verbatim(mesh: mujoco.MjsMesh) -> bool:
-    """Whether the vertices of a mesh in a specification are those that are compiled."""
+    """Return True if the vertices of a mesh in a specification are those that are compiled."""
     moved = np.any(mesh.refpos) or not np.array_equal(mesh.refquat, [1, 0, 0, 0])
     return len(mesh.uservert) > 0 and not moved and bool(np.all(np.asarray(mesh.scale) == 1))
 
@@ -60,10 +60,10 @@ def _matrix(quaternion: np.ndarray) -> np.ndarray:
 
 
 def write_bodies(world: ET.Element, model: mujoco.MjModel, frames: dict[int, np.ndarray], *, pushed: bool) -> None:
-    """Write all bodies with what they have, given what `write_meshes` returns; `pushed`, with sites for the push.
+    """Write all bodies with their parts, given the result of `write_meshes`; if `pushed`, with sites for the push.
 
     Raises:
-        GraspRefineError: A shape is of a kind that is not written.
+        GraspRefineError: A shape is of a type that is not exported.
     """
     ET.SubElement(world, "light", pos="0.5 -0.5 1", dir="-0.4 0.4 -0.8", directional="true", diffuse="0.4 0.4 0.4")
     if pushed:

@@ -1,4 +1,4 @@
-"""Whether a model that was written as XML moves as the one that it was written from."""
+"""Check that a model that was exported as XML has the physics of the original."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ _PHYSICS = (
     *("actuator_ctrlrange", "actuator_forcelimited", "actuator_forcerange", "actuator_damping", "actuator_armature"),
     "actuator_delay",
 )
-"""Arrays of a model that decide how it moves; those of meshes are left out, whose frames may be chosen anew."""
+"""Arrays of a model that determine its motion, without those of meshes, whose frames may be chosen anew."""
 
 
 def check_same_physics(model: mujoco.MjModel, text: str, added: str) -> None:
-    """Nothing, when a model that was written as XML moves as the original; the price of a second compilation.
+    """Refuse an exported model that does not move as the original; it costs a second compilation.
 
     Args:
         model: The original.
-        text: What was written.
-        added: What the names of actuators and sites start with that were added to the model, the actuators last.
+        text: XML of the exported model.
+        added: Prefix of the names of actuators and sites that were added to the model, the actuators last.
 
     Raises:
-        GraspRefineError: It does not, and says what would differ; or it cannot be compiled.
+        GraspRefineError: It does not, naming the array that differs; or it cannot be compiled.
     """
     try:
         with unlogged():
@@ -56,7 +56,7 @@ def check_same_physics(model: mujoco.MjModel, text: str, added: str) -> None:
         if name.startswith("actuator"):
             theirs = theirs[: len(ours)]
         if name.startswith("site"):
-            # Those that were added stand among the others.
+            # The added ones are among the others.
             theirs = theirs[[not written.site(i).name.startswith(added) for i in range(written.nsite)]]
         if name in ("geom_pos", "geom_size") and ours.shape == theirs.shape:
             solid = model.geom_type != mujoco.mjtGeom.mjGEOM_MESH

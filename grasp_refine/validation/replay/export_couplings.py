@@ -1,4 +1,4 @@
-"""What couples the bodies of a model, and what drives them, as XML: excludes, tendons, equalities, actuators."""
+"""Export of couplings and actuators of a model as XML: excludes, tendons, equalities, actuators."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _BIASES = ("none", "affine")
 
 
 def write_contacts(root: ET.Element, model: mujoco.MjModel) -> None:
-    """Write which bodies do not touch.
+    """Write the pairs of bodies that do not touch.
 
     Raises:
         GraspRefineError: The model has contact pairs.
@@ -35,7 +35,7 @@ def write_tendons(root: ET.Element, model: mujoco.MjModel) -> None:
     """Write all tendons.
 
     Raises:
-        GraspRefineError: One is not fixed.
+        GraspRefineError: A tendon is not fixed.
     """
     tendons = ET.SubElement(root, "tendon")
     for tendon in range(model.ntendon):
@@ -67,7 +67,7 @@ def write_equalities(root: ET.Element, model: mujoco.MjModel) -> None:
     """Write all equalities.
 
     Raises:
-        GraspRefineError: One is of a kind that is not written.
+        GraspRefineError: An equality is of a type that is not exported.
     """
     equality = ET.SubElement(root, "equality")
     for number in range(model.neq):
@@ -103,7 +103,7 @@ def write_actuators(root: ET.Element, model: mujoco.MjModel, force: np.ndarray |
     """Write all actuators and, last, that of the push with this force, if any.
 
     Raises:
-        GraspRefineError: One is of a kind that is not written.
+        GraspRefineError: An actuator is of a type that is not exported.
     """
     node = ET.SubElement(root, "actuator")
     transmission = mujoco.mjtTrn

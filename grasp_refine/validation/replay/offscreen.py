@@ -1,4 +1,4 @@
-"""OpenGL without a screen: which kind there is here, and a context of it."""
+"""OpenGL without a screen: choice of the implementation, and a context of it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 from grasp_refine.core.errors import GraspRefineError
 
 _NO_GL = (
-    "no picture: nothing here can draw without a screen; install EGL (Debian: apt-get install libegl1 libgl1-mesa-dri) "
-    "or OSMesa (apt-get install libosmesa6), or set MUJOCO_GL to egl or osmesa"
+    "no picture: nothing here can render without a screen; install EGL (Debian: apt-get install libegl1 "
+    "libgl1-mesa-dri) or OSMesa (apt-get install libosmesa6), or set MUJOCO_GL to egl or osmesa"
 )
 
 _OSMESA = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
@@ -22,14 +22,14 @@ _SETTINGS = ("", *_KINDS, *_OFF, "enable", "enabled", "on", "true", "1")
 """Values of `MUJOCO_GL` that MuJoCo takes."""
 
 _EGL_PLATFORM_DEVICE = 0x313F
-"""Asks EGL for drawing without any window system (EGL_EXT_platform_device)."""
+"""Constant of EGL for rendering without any window system (EGL_EXT_platform_device)."""
 
 
 def check_setting() -> None:
-    """Nothing, when MuJoCo can be loaded with what `MUJOCO_GL` is set to: also who draws nothing needs that.
+    """Refuse a value of `MUJOCO_GL` with which MuJoCo cannot be loaded, even without rendering.
 
     Raises:
-        GraspRefineError: It cannot; says what to set or install.
+        GraspRefineError: It cannot; names what to set or install.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted not in _SETTINGS:
@@ -42,13 +42,13 @@ def check_setting() -> None:
 
 
 def choose_gl() -> str:
-    """The kind of OpenGL that pictures are drawn with: "egl", "osmesa" or "glfw" (with a screen).
+    """Return the OpenGL implementation for pictures: "egl", "osmesa" or "glfw" (with a screen).
 
-    `MUJOCO_GL` decides where it is set; else the first of EGL and OSMesa that is here; then a screen. It is found
-    out without PyOpenGL, which could not be loaded for another kind afterwards.
+    `MUJOCO_GL` decides where it is set; else the first of EGL and OSMesa that is available; then a screen. This
+    does not load PyOpenGL, which could not be loaded for another implementation afterwards.
 
     Raises:
-        GraspRefineError: There is none, or `MUJOCO_GL` names none; says what to install or set.
+        GraspRefineError: There is none, or `MUJOCO_GL` forbids it; names what to install or set.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     screen = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -61,7 +61,7 @@ def choose_gl() -> str:
         raise GraspRefineError(f"no picture: MUJOCO_GL={wanted} forbids OpenGL; set it to egl or osmesa, or unset it")
     if not linux:
         return "glfw"
-    # Somebody may have chosen for PyOpenGL already.
+    # The implementation of PyOpenGL may be set already.
     platform = os.environ.get("PYOPENGL_PLATFORM", "").lower()
     if platform in ("", "egl") and _egl_works():
         return "egl"
@@ -73,7 +73,7 @@ def choose_gl() -> str:
 
 
 def _library(*names: str) -> ctypes.CDLL | None:
-    """The first of these libraries that can be loaded."""
+    """Return the first of these libraries that can be loaded."""
     for name in names:
         try:
             return ctypes.CDLL(name)
@@ -83,7 +83,7 @@ def _library(*names: str) -> ctypes.CDLL | None:
 
 
 def _egl_works() -> bool:
-    """Whether EGL is here with a device that it can draw on, be it a processor: the library alone draws nothing."""
+    """Return True if EGL has a device to render on, which may be a processor; the library alone is not enough."""
     egl = _library("libEGL.so.1", "libEGL.so")
     if egl is None:
         return False
@@ -101,16 +101,16 @@ def _egl_works() -> bool:
     for device in devices[: count.value]:
         display = display_of_device(_EGL_PLATFORM_DEVICE, device, None)
         if display and egl.eglInitialize(display, None, None):
-            # It stays so: a display is shared by all of a process, and MuJoCo may be drawing on it.
+            # It is not terminated: a display is shared by the whole process, and MuJoCo may be rendering on it.
             return True
     return False
 
 
 def offscreen_context(width: int, height: int) -> Any:
-    """A new OpenGL context without a window, of one of MuJoCo's three kinds, into which is drawn from now on.
+    """Return a new OpenGL context without a window, of one of MuJoCo's three kinds, and make it current.
 
     Raises:
-        GraspRefineError: There is none; says what to install or set.
+        GraspRefineError: There is none; names what to install or set.
     """
     kind = choose_gl()
     try:
@@ -120,9 +120,9 @@ def offscreen_context(width: int, height: int) -> Any:
             from mujoco.osmesa import GLContext
         else:
             from mujoco.glfw import GLContext
-        # Only now: it fixes for which kind PyOpenGL is loaded.
+        # Only now: it fixes the implementation that PyOpenGL loads.
         from OpenGL.error import Error
-    # A library that PyOpenGL does not find is an attribute that None does not have.
+    # A library that PyOpenGL does not find raises AttributeError, as an attribute of None.
     except (ImportError, AttributeError, TypeError, OSError) as error:
         raise _no_gl(kind, error) from error
     try:

@@ -1,4 +1,4 @@
-"""One grasp in one direction, simulated exactly as all are, and recorded."""
+"""Recording of one grasp in one direction, simulated exactly as all grasps are."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from grasp_refine.validation.stepping import Conditions, Watch
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.world import World
 
-EVERY = 5
-"""Every so many simulation steps a frame is kept: 50 in a second."""
+STEPS_PER_FRAME = 5
+"""Simulation steps per recorded frame: 50 frames in a second."""
 
 
 def record(
@@ -27,21 +27,21 @@ def record(
     conditions: Conditions | None = None,
     also: Watch = lambda batch: None,
 ) -> Replay | None:
-    """The motion of one grasp from the pregrasp to the end of its trial, also when it fails; None if it cannot start.
+    """Record one grasp from the pregrasp to the end of its trial, also when it fails; None if it cannot start.
 
     Args:
         world: Hand, object and protocol.
         motion: One grasp.
-        direction: One of the protocol's, or "lift".
-        name: What a person would call it.
+        direction: One of the protocol's directions, or "lift".
+        name: Name of the grasp, for people.
         hand: Name of the hand.
-        conditions: Where the object lies, and how slippery it is; by default as the grasp and the protocol say.
-        also: Sees every simulation step, too; what it raises ends the recording.
+        conditions: Pose of the object, and friction; by default those of the grasp and the protocol.
+        also: Called after every simulation step too; an exception that it raises ends the recording.
     """
     protocol = world.protocol
     frames: list[tuple[np.ndarray, ...]] = []
     stages: list[Stage] = []
-    # The start is seen before the first step.
+    # The callback is called once before the first step.
     steps = -1
 
     def watch(batch: Batch) -> None:
@@ -49,12 +49,12 @@ def record(
         also(batch)
         steps += 1
         if steps == 0:
-            # The set points of the first step are not set yet: a hand that is to stay at the pregrasp has these.
+            # The set points of the first step are not set yet: these keep the hand at the pregrasp.
             batch.ctrl[0] = world.control @ batch.qpos[0, world.joints_at]
             root = batch.qpos[0, world.root_at : world.root_at + 7]
             batch.mocap_pos[0, 0], batch.mocap_quat[0, 0] = root[:3], root[3:]
-        # A simulation that diverged has nothing to show from there on.
-        if steps % EVERY == 0 and np.isfinite(batch.qpos).all() and np.isfinite(batch.qvel).all():
+        # A simulation that diverged has no valid frames from there on.
+        if steps % STEPS_PER_FRAME == 0 and np.isfinite(batch.qpos).all() and np.isfinite(batch.qvel).all():
             closing = protocol.moves * protocol.steps_per_move
             after = Stage.LIFT if direction == LIFT[0] else Stage.PUSH
             stages.append(Stage.CLOSE if steps <= closing else Stage.SQUEEZE if steps <= 2 * closing else after)

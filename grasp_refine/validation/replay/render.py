@@ -1,4 +1,4 @@
-"""Pictures and films of a replay: what was simulated, seen from where hand and object are both in sight."""
+"""Pictures and films of a replay, from a view that shows both hand and object."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from grasp_refine.validation.replay.replay import Replay
 from grasp_refine.validation.replay.studio import CONTACT, FORCE_COLOR, studio
 
 FORMATS = (".gif", ".png", ".webp")
-"""What a film can be saved as, by the ending of its name; .png is an animated PNG."""
+"""File formats of films, by the ending of the name; .png is an animated PNG."""
 
-FOLLOWED, LOST = 0.1, 0.2
-"""What moved farther than this (metres) is no longer followed by the camera, and no longer shown."""
+FOLLOWED_DISTANCE_M, SHOWN_DISTANCE_M = 0.1, 0.2
+"""Displacement of the object (metres) above which the camera no longer follows it, and above which it is not shown."""
 
 
 def check_renderer() -> None:
-    """Nothing, when pictures can be drawn here; found out before the work, not after it.
+    """Refuse to start where pictures cannot be rendered, before the work and not after it.
 
     Raises:
-        GraspRefineError: They cannot; says what to install or set.
+        GraspRefineError: They cannot; names what to install or set.
     """
     offscreen_context(64, 64).free()
 
@@ -40,17 +40,17 @@ def picture(
     size: tuple[int, int] = (720, 600),
     view: View | None = None,
 ) -> Image.Image:
-    """A frame of a replay: the shapes that were simulated, where they touch, the push, and a caption.
+    """Render a frame of a replay: the simulated shapes, their contacts, the push, and a caption.
 
     Args:
-        model: What was simulated.
-        replay: What was recorded of it.
-        frame: Which frame; negative numbers count from the end. By default the last one with the object in sight.
+        model: Model of the simulation.
+        replay: Recording of the model.
+        frame: Number of the frame; negative numbers count from the end. By default the last with the object in sight.
         size: Width and height in pixels, the caption included.
-        view: From where; by default from where most of hand and object is seen.
+        view: Camera pose; by default the one that shows most of hand and object.
 
     Raises:
-        GraspRefineError: The replay is of another model, or nothing here can draw; says what to install.
+        GraspRefineError: The replay is of another model, or nothing here can render; names what to install.
     """
     with studio(model, replay, size) as place:
         place.pose(_last_in_sight(replay) if frame is None else frame)
@@ -67,21 +67,21 @@ def film(
     speed: float = 1.0,
     view: View | None = None,
 ) -> int:
-    """Save a replay as a film that plays for ever, and return its number of pictures.
+    """Save a replay as a film that loops, and return its number of pictures.
 
     It ends where the object, if it is lost, is out of sight.
 
     Args:
-        model: What was simulated.
-        replay: What was recorded of it.
-        path: Where to; its ending is one of `FORMATS`.
+        model: Model of the simulation.
+        replay: Recording of the model.
+        path: File to write; its ending is one of `FORMATS`.
         size: Width and height in pixels, the caption included.
-        rate: Pictures a second.
-        speed: How much faster than it was it is shown.
-        view: From where; by default from where most of hand and object is seen.
+        rate: Pictures per second.
+        speed: Factor of the playing speed; 1 is real time.
+        view: Camera pose; by default the one that shows most of hand and object.
 
     Raises:
-        GraspRefineError: As for `picture`; or the ending is another, or the file cannot be written.
+        GraspRefineError: As for `picture`; or the ending is not supported, or the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
@@ -94,7 +94,7 @@ def film(
     images = []
     with studio(model, replay, size) as place:
         if view is None:
-            followed = frames[moved[frames] < FOLLOWED]
+            followed = frames[moved[frames] < FOLLOWED_DISTANCE_M]
             corners = []
             for frame in followed[:: max(len(followed) // 8, 1)]:
                 place.pose(int(frame))
@@ -111,8 +111,8 @@ def film(
 
 
 def _last_in_sight(replay: Replay) -> int:
-    """The last frame before the object is lost, or of all."""
-    lost = replay.displacement()[0] > LOST
+    """Return the last frame before the object is lost, or the last of all."""
+    lost = replay.displacement()[0] > SHOWN_DISTANCE_M
     return max(int(lost.argmax()) - 1, 0) if lost.any() else len(replay) - 1
 
 
@@ -127,7 +127,7 @@ def _save_film(path: Path, images: list[Image.Image], durations: list[int]) -> N
         force = tuple(round(255 * c) for c in FORCE_COLOR)
         colors: tuple[str | tuple[int, ...], ...] = (CONTACT, GOOD, BAD, force)
         for number, color in enumerate(colors):
-            # The few pixels of small things would not get a colour of their own.
+            # Small details have too few pixels to get a colour of their own.
             sample.paste(color, (24 * number, 0, 24 * number + 24, 24))
         palette = sample.quantize(256, dither=Image.Dither.NONE)
         images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]

@@ -1,4 +1,4 @@
-"""The recorded motion of one grasp, tried in one direction: a value, and a file that needs no MuJoCo to be read."""
+"""Recorded motion of one grasp in one direction: a record, and a file that can be read without MuJoCo."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 SCHEMA = 1
 """Version of the layout of replay files."""
 OBJECT = "object"
-"""Name of the object's body and of its free joint, wherever a hand holds one."""
+"""Name of the object's body and of its free joint."""
 POSE_AXES = ("x", "y", "z", "qw", "qx", "qy", "qz")
-"""What the seven numbers of a free joint are called; a ball joint has the last four."""
+"""Names of the seven values of a free joint; a ball joint has the last four."""
 
 
 class Stage(IntEnum):
-    """What was being done to the hand or the object in a frame."""
+    """Stage of the trial in a frame."""
 
     CLOSE = 0
     SQUEEZE = 1
@@ -35,7 +35,7 @@ class Stage(IntEnum):
 
     @property
     def label(self) -> str:
-        """As pictures and key frames say it."""
+        """Name of the stage in pictures and key frames."""
         return self.name.lower()
 
 
@@ -47,35 +47,35 @@ class Replay:
     """
 
     name: str
-    """What it shows, as a person would say it, such as "core_bottle 17"."""
+    """Name of the grasp, for people, such as "core_bottle 17"."""
     hand: str
     """Name of the hand."""
     object: str
     """Name of the object."""
     direction: str
-    """In which direction the object was pushed, such as "+x", or "lift"."""
+    """Direction of the push, such as "+x", or "lift"."""
     setting: str
     """Name of the `Protocol`."""
     reason: str
-    """How the trial ended: "held", or why it failed."""
+    """Result of the trial: "held", or the reason of the failure."""
     force: Float[np.ndarray, " 3"]
-    """The push at the object's centre of mass, in newtons, world frame; it acts during `Stage.PUSH`."""
+    """Force of the push at the object's centre of mass (3,), newtons, world frame; it acts during `Stage.PUSH`."""
     qpos_names: tuple[str, ...]
-    """What the values of `qpos` are: names of joints, those of a free joint followed by x, y, z, qw, qx, qy or qz."""
+    """Names of the values of `qpos`: joints, those of a free joint followed by x, y, z, qw, qx, qy or qz."""
     time: Float[np.ndarray, " T"]
-    """Seconds since the hand began to close (T,), never falling."""
+    """Seconds since the hand began to close (T,), never decreasing."""
     stage: Int[np.ndarray, " T"]
     """A `Stage` for each frame (T,)."""
     qpos: Float[np.ndarray, "T nq"]
     """Joint values of hand and object (T, nq), metres, radians, quaternions."""
     qvel: Float[np.ndarray, "T nv"]
-    """Their velocities (T, nv), so that a simulation can go on from any frame."""
+    """Velocities of hand and object (T, nv), so that a simulation can continue from any frame."""
     ctrl: Float[np.ndarray, "T nu"]
-    """Set points of the actuators (T, nu) that were in force when the frame was reached."""
+    """Set points of the actuators (T, nu) that were active when the frame was reached."""
     mocap_pos: Float[np.ndarray, "T 3"]
-    """Where the root of the hand was to be (T, 3), metres, world frame; likewise."""
+    """Target position of the hand's root (T, 3), metres, world frame; likewise."""
     mocap_quat: Float[np.ndarray, "T 4"]
-    """How it was to be turned (T, 4)."""
+    """Target orientation of the hand's root (T, 4), quaternions (w, x, y, z)."""
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -94,15 +94,15 @@ class Replay:
         return self.qpos[:, [self.qpos_names.index(name) for name in names]]
 
     def lifted(self) -> Float[np.ndarray, "T 3"]:
-        """How far the hand was to be moved (T, 3) since the squeeze, metres, world frame; zero before the lift."""
+        """Return target displacements of the hand (T, 3) since the squeeze, metres, world frame; zero before."""
         lift = self.stage == Stage.LIFT
         squeezed = max(int(lift.argmax()) - 1, 0)
         return np.where(lift[:, None], self.mocap_pos - self.mocap_pos[squeezed], 0.0)
 
     def displacement(self) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]:
-        """How far the object is (T,) in metres from where it should be, and how far turned (T,) in radians.
+        """Return the displacement (T,) in metres and the rotation (T,) in radians of the object from its target pose.
 
-        It should be where it lay in the first frame or, while it is lifted, as far from there as the hand was moved.
+        That is its pose in the first frame or, while it is lifted, that pose moved like the hand.
         """
         T = transform_from_pose(self.object_pose)
         wanted = np.repeat(T[:1], len(T), axis=0)
@@ -110,14 +110,14 @@ class Replay:
         return distances(wanted, T)
 
     def since_stage(self) -> Float[np.ndarray, " T"]:
-        """Seconds (T,) since the stage of each frame began, which is when the one before it ended."""
+        """Return seconds (T,) since the stage of each frame began, which is when the previous one ended."""
         begins = np.concatenate([[0], np.flatnonzero(np.diff(self.stage)) + 1])
-        # The first frame of a stage is what its first step led to.
+        # The first frame of a stage is the result of its first step.
         started = np.maximum(begins - 1, 0)
         return self.time - self.time[started[np.searchsorted(begins, np.arange(len(self)), side="right") - 1]]
 
-    def thinned(self, count: int) -> Int[np.ndarray, " k"]:
-        """At most `count` frames, in order and evenly spread; the first and the last of all stages are among them."""
+    def subsample(self, count: int) -> Int[np.ndarray, " k"]:
+        """Return at most `count` frames, in order evenly spread, among them the first and the last of each stage."""
         last = np.flatnonzero(np.diff(self.stage))
         marks = np.unique(np.concatenate([[0], last, [len(self) - 1]]))
         even = np.linspace(0, len(self) - 1, min(count, len(self))).round().astype(int)
@@ -128,7 +128,7 @@ class Replay:
 
 
 def qpos_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """What the values of qpos are in a model; joints without a name are called by their number."""
+    """Return names of the values of qpos in a model; joints without a name get their number."""
     names: list[str] = []
     ends = [*model.jnt_qposadr[1:], model.nq]
     for number, (start, end) in enumerate(zip(model.jnt_qposadr, ends, strict=True)):
@@ -140,7 +140,7 @@ def qpos_names(model: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def check_replay(model: mujoco.MjModel, replay: Replay) -> None:
-    """Nothing, when the replay can be of this model.
+    """Refuse a replay that is not of this model.
 
     Raises:
         GraspRefineError: It is not; names joints that only one of them has.
@@ -169,7 +169,7 @@ def load_replay(path: str | Path) -> Replay:
     """Return the replay in a file that `save_replay` wrote.
 
     Raises:
-        GraspFileError: The file is missing, damaged, or not a replay; says which entry is at fault.
+        GraspFileError: The file is missing, damaged, or not a replay; names the invalid entry.
     """
     npz = load_npz(path)
     missing = [name for name in ("schema", *(field.name for field in fields(Replay))) if name not in npz.entries]
@@ -179,31 +179,31 @@ def load_replay(path: str | Path) -> Replay:
     if not np.array_equal(schema, SCHEMA):
         raise npz.error(f"replay schema {npz.entries['schema']} is not known; this version reads {SCHEMA}")
     names = npz.names("qpos_names")
-    time = _shaped(npz, "time", (None,))
+    time = _numbers_of_shape(npz, "time", (None,))
     frames = len(time)
     if frames == 0:
         raise npz.error("the replay has no frames")
     if (np.diff(time) < 0).any():
         raise npz.error("time must not fall")
-    stage = _shaped(npz, "stage", (frames,))
+    stage = _numbers_of_shape(npz, "stage", (frames,))
     known = [stage.value for stage in Stage]
     if not np.isin(stage, known).all():
         raise npz.error(f"stage must be among {', '.join(f'{s.value} ({s.label})' for s in Stage)}")
     return Replay(
         **{name: npz.name(name) for name in _TEXT},
-        force=_shaped(npz, "force", (3,)),
+        force=_numbers_of_shape(npz, "force", (3,)),
         qpos_names=names,
         time=time,
         stage=stage.astype(int),
-        qpos=_shaped(npz, "qpos", (frames, len(names))),
-        qvel=_shaped(npz, "qvel", (frames, None)),
-        ctrl=_shaped(npz, "ctrl", (frames, None)),
-        mocap_pos=_shaped(npz, "mocap_pos", (frames, 3)),
-        mocap_quat=_shaped(npz, "mocap_quat", (frames, 4)),
+        qpos=_numbers_of_shape(npz, "qpos", (frames, len(names))),
+        qvel=_numbers_of_shape(npz, "qvel", (frames, None)),
+        ctrl=_numbers_of_shape(npz, "ctrl", (frames, None)),
+        mocap_pos=_numbers_of_shape(npz, "mocap_pos", (frames, 3)),
+        mocap_quat=_numbers_of_shape(npz, "mocap_quat", (frames, 4)),
     )
 
 
-def _shaped(npz: NpzFile, key: str, shape: tuple[int | None, ...]) -> np.ndarray:
+def _numbers_of_shape(npz: NpzFile, key: str, shape: tuple[int | None, ...]) -> np.ndarray:
     value = npz.numbers(key)
     if value.ndim != len(shape) or any(b is not None and a != b for a, b in zip(value.shape, shape, strict=True)):
         wanted = " x ".join("any" if size is None else str(size) for size in shape)

@@ -1,4 +1,4 @@
-"""Draws what was simulated: the shapes in our colours, where they touch, the push."""
+"""Rendering of a simulation: the shapes in our colours, their contacts, the push."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from grasp_refine.validation.replay.offscreen import offscreen_context
 from grasp_refine.validation.replay.replay import OBJECT, Replay, Stage, check_replay
 
 OVERSAMPLING = 2
-"""Everything is drawn this many times larger and averaged, for smooth edges."""
+"""Factor by which pictures are rendered larger and then averaged, for smooth edges."""
 OBJECT_OPACITY = 0.82
-"""The object lets through a little of the fingers behind it."""
-NEARLY = 0.0005
-"""Gaps below this (metres) are drawn as a contact."""
+"""Opacity of the object, through which fingers behind it are visible."""
+CONTACT_GAP_M = 0.0005
+"""Gap (metres) below which a contact is drawn."""
 
 OBJECT_COLORS = ((0.96, 0.62, 0.27), (0.93, 0.55, 0.21), (0.98, 0.68, 0.35), (0.90, 0.50, 0.20))
 HAND_COLORS = ((0.72, 0.74, 0.78), (0.62, 0.65, 0.70))
-"""Neighbouring pieces and links differ a little, so that they can be told apart."""
+"""Colours of neighbouring pieces and links, which differ a little, to be distinguishable."""
 OTHER_COLOR = (0.86, 0.88, 0.87)
 FORCE_COLOR = (0.78, 0.08, 0.16)
 SKY = ((248, 249, 252), (230, 234, 240))
-"""The background at the top and at the bottom."""
+"""Colours of the background at the top and at the bottom."""
 PAPER, CONTACT = "#ffffff", "#1565d8"
 
 _ALL = mujoco.mjtCatBit.mjCAT_ALL.value
@@ -39,10 +39,10 @@ _ALL = mujoco.mjtCatBit.mjCAT_ALL.value
 
 @contextmanager
 def studio(model: mujoco.MjModel, replay: Replay, size: tuple[int, int]) -> Iterator[Studio]:
-    """All that is needed to draw pictures of that size in pixels, given back afterwards.
+    """Provide a `Studio` for pictures of that size in pixels; its context is freed afterwards.
 
     Raises:
-        GraspRefineError: The replay is of another model, the size cannot be, or nothing here can draw.
+        GraspRefineError: The replay is of another model, the size is out of range, or nothing here can render.
     """
     check_replay(model, replay)
     width, height = size
@@ -50,25 +50,25 @@ def studio(model: mujoco.MjModel, replay: Replay, size: tuple[int, int]) -> Iter
     photo = width * OVERSAMPLING, (height - caption) * OVERSAMPLING
     if width < 200 or height < 160 or max(photo) > 8192:
         raise GraspRefineError(f"a picture of {width} x {height} pixels: at least 200 x 160, at most 4096 x 4096")
-    dressed = _dressed(model, photo)
+    recolored = _recolored(model, photo)
     context = offscreen_context(*photo)
     try:
         try:
-            drawing = mujoco.MjrContext(dressed, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+            drawing = mujoco.MjrContext(recolored, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         except mujoco.FatalError as error:
-            raise GraspRefineError(f"no picture: MuJoCo cannot draw with this OpenGL ({error})") from error
+            raise GraspRefineError(f"no picture: MuJoCo cannot render with this OpenGL ({error})") from error
         try:
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, drawing)
             drawing.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-            yield Studio(dressed, replay, drawing, photo, (width, height))
+            yield Studio(recolored, replay, drawing, photo, (width, height))
         finally:
             drawing.free()
     finally:
         context.free()
 
 
-def _dressed(model: mujoco.MjModel, photo: tuple[int, int]) -> mujoco.MjModel:
-    """A copy in our colours, in which only what can touch is seen."""
+def _recolored(model: mujoco.MjModel, photo: tuple[int, int]) -> mujoco.MjModel:
+    """Return a copy in our colours, in which only geometry that can touch is visible."""
     model = copy.copy(model)
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     model.geom_matid[:] = -1
@@ -94,17 +94,16 @@ def _dressed(model: mujoco.MjModel, photo: tuple[int, int]) -> mujoco.MjModel:
     model.vis.headlight.ambient[:] = 0.45
     model.vis.headlight.diffuse[:] = 0.30
     model.vis.headlight.specular[:] = 0.06
-    # Clipping planes in metres; hands stand well between.
+    # Clipping planes in metres; hands are well between.
     model.stat.extent = 1.0
     model.vis.map.znear, model.vis.map.zfar = 0.02, 20.0
     return model
 
 
 class Studio:
-    """Draws frames of one replay with one OpenGL context.
+    """Renderer of frames of one replay with one OpenGL context.
 
-    `mujoco.Renderer` is not used: it takes the kind of context that was chosen when MuJoCo was imported, before anybody
-    asked for a picture.
+    `mujoco.Renderer` is not used: its kind of context is fixed when MuJoCo is imported, before a picture is requested.
     """
 
     def __init__(
@@ -115,7 +114,7 @@ class Studio:
         photo: tuple[int, int],
         size: tuple[int, int],
     ) -> None:
-        """Photos of `photo` pixels become pictures of `size` pixels, captions included."""
+        """Take images of `photo` pixels for pictures of `size` pixels, captions included."""
         self.model, self.replay, self.frame = model, replay, 0
         self._drawing, self._photo, self._size = drawing, photo, size
         self._data = mujoco.MjData(model)
@@ -126,7 +125,7 @@ class Studio:
         self._of_object = np.array([model.body(body).name == OBJECT for body in model.geom_bodyid])
 
     def pose(self, frame: int) -> None:
-        """Put everything where it is in a frame."""
+        """Set the state of a frame."""
         self.frame = range(len(self.replay))[frame]
         self._data.qpos[:] = self.replay.qpos[self.frame]
         self._data.mocap_pos[:] = self.replay.mocap_pos[self.frame]
@@ -134,7 +133,7 @@ class Studio:
         mujoco.mj_fwdPosition(self.model, self._data)
 
     def corners(self) -> Float[np.ndarray, "n 3"]:
-        """Corners (n, 3) of boxes around all that is seen of hand and object, world frame."""
+        """Return corners (n, 3) of boxes around all visible geometry of hand and object, world frame."""
         model, data = self.model, self._data
         seen = (model.geom_group == 0) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
         signs = np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -144,7 +143,7 @@ class Studio:
         return (turned + data.geom_xpos[seen, None]).reshape(-1, 3)
 
     def best_view(self, corners: Float[np.ndarray, "n 3"]) -> View:
-        """The one of `VIEWS` that shows most of hand and object, far enough away to see all corners (n, 3)."""
+        """Return the one of `VIEWS` that shows most of hand and object, far enough away to show all corners (n, 3)."""
         width, height = self._photo
         small = 96 * width // height, 96
 
@@ -155,14 +154,14 @@ class Studio:
             across = np.linalg.norm(np.cross(self._push(), view.axes()[2])) if np.any(self._push()) else 1.0
             return float(shown * (1.0 if view.elevation < 0 else 0.8) * (0.2 + 0.8 * across**2))
 
-        return max((view.fitted(corners, width / height) for view in VIEWS), key=score)
+        return max((view.fit(corners, width / height) for view in VIEWS), key=score)
 
     def _push(self) -> Float[np.ndarray, " 3"]:
-        """Direction of the push, or zero."""
+        """Return the unit direction of the push, or zero."""
         return self.replay.force / max(float(np.linalg.norm(self.replay.force)), 1e-12)
 
     def shoot(self, view: View) -> Image.Image:
-        """The picture, with its caption."""
+        """Render the picture, with its caption."""
         solid = self._photograph(view, hidden=False)
         through = self._photograph(view, hidden=True)
         photo = OBJECT_OPACITY * solid + (1.0 - OBJECT_OPACITY) * through
@@ -186,7 +185,7 @@ class Studio:
         self.model.geom_group[self._of_object] = 0
 
     def _read(self, width: int, height: int) -> tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
-        """Draw the scene: colours, and a depth that is 0 where there is nothing."""
+        """Render the scene; return colours, and a depth that is 0 in the background."""
         colors, depth = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
         area = mujoco.MjrRect(0, 0, width, height)
         mujoco.mjr_render(area, self._scene, self._drawing)
@@ -194,10 +193,10 @@ class Studio:
         return colors[::-1], depth[::-1]
 
     def _photograph(self, view: View, *, hidden: bool) -> Float[np.ndarray, "h w 3"]:
-        """Everything before the background, 0 to 255; with `hidden`, without the object."""
+        """Render all bodies before the background, 0 to 255; with `hidden`, without the object."""
         self._aim(view, hidden)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = not hidden
-        # Half of the width that shadows are computed for, in metres: no more than is seen, or their edges are coarse.
+        # Half of the width that shadows are computed for, in metres: no more than is visible, for fine edges.
         self._drawing.shadowClip = view.distance * np.tan(np.radians(FIELD_OF_VIEW / 2)) * 1.4
         self._light(view)
         self._push_arrow()
@@ -207,7 +206,7 @@ class Studio:
         return np.where((depth > 0)[..., None], colors, sky)
 
     def _light(self, view: View) -> None:
-        """One lamp above the left shoulder of whoever looks."""
+        """Place one lamp above and to the left of the camera."""
         right, up, forward = view.axes()
         # The first is MuJoCo's at the camera; those of the model are left out.
         lamp, self._scene.nlight = self._scene.lights[1], 2
@@ -220,7 +219,7 @@ class Studio:
         lamp.attenuation[:] = [1.0, 0.0, 0.0]
 
     def _push_arrow(self) -> None:
-        """The push, from the object's centre outwards."""
+        """Add the arrow of the push, from the object's centre outwards."""
         if self.replay.stage[self.frame] != Stage.PUSH or not np.any(self.replay.force):
             return
         centre = self._data.body(OBJECT).xipos
@@ -234,7 +233,7 @@ class Studio:
         mujoco.mjv_connector(arrow, shape, 0.05 * reach, centre, centre + (reach + 0.04) * self._push())
 
     def _owners(self, view: View, size: tuple[int, int]) -> np.ndarray:
-        """Of each pixel of a small picture: 0 nothing, 1 the object, 2 something else."""
+        """Return the owner of each pixel of a small picture: 0 background, 1 the object, 2 other bodies."""
         self._aim(view, hidden=False)
         flags = self._scene.flags
         flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = True
@@ -248,10 +247,10 @@ class Studio:
         return owner[number]
 
     def _contacts(self) -> Float[np.ndarray, "n 3"]:
-        """Where the object touches anything (n, 3), world frame."""
+        """Return contact points of the object (n, 3), world frame."""
         contact = self._data.contact
         between: Bool[np.ndarray, " n"] = self._of_object[contact.geom].sum(axis=1) == 1
-        return contact.pos[between & (contact.dist < NEARLY)].copy()
+        return contact.pos[between & (contact.dist < CONTACT_GAP_M)].copy()
 
     def _mark(self, draw: ImageDraw.ImageDraw, points: Float[np.ndarray, "n 2"]) -> None:
         r = max(self._photo[1] / 140, 3.0)

@@ -22,18 +22,18 @@ from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import build_world
 from grasp_refine_apps.authoring.close_fingers import (
-    CLEARANCE,
-    CLOSING,
+    CLEARANCE_M,
+    CLOSING_JOINTS,
     EXAMPLES,
     HANDS,
-    OPEN,
+    OPEN_RAD,
     Approach,
-    HandAround,
+    HandObjectDistances,
     close,
-    disturbed,
+    disturb,
     example_grasps,
     main,
-    sampled,
+    sample_touching,
 )
 from refusals import refused
 
@@ -90,11 +90,11 @@ def test_examples_of_a_hand_without_given_poses_are_sampled():
     message = "run apps/grasp_refine_apps/authoring/close_fingers.py again, and look at the grasps"
     np.testing.assert_allclose(made.hand_pose, stored.hand_pose, rtol=0, atol=1e-6, err_msg=message)
     np.testing.assert_allclose(made.q, stored.q, rtol=0, atol=1e-6, err_msg=message)
-    around = HandAround(hand, obj)
-    T, q = sampled(hand, obj, around, seed=0)
+    around = HandObjectDistances(hand, obj)
+    T, q = sample_touching(hand, obj, around, seed=0)
     assert len(q) >= len(made)
     tips = [around.links.index(contact.link) for contact in hand.contacts]
-    assert (around.distances(T, q)[:, tips] < CLEARANCE).all()
+    assert (around.distances(T, q)[:, tips] < CLEARANCE_M).all()
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -131,7 +131,7 @@ def test_the_thumb_opposes_the_fingers(name: str):
     """Before the disturbance, the thumb's contact normal points against the mean of the fingers'."""
     obj = embedded(name)
     T = np.stack([approach.pose() for approach in EXAMPLES[name]])
-    q = close(HAND, HandAround(HAND, obj), T, np.repeat(opened(HAND), len(T), axis=0))
+    q = close(HAND, HandObjectDistances(HAND, obj), T, np.repeat(opened(HAND), len(T), axis=0))
     links = tuple(contact.link for contact in HAND.contacts)
     nowhere = np.full((len(T), len(links), 3), np.nan)
     normals = measure(HAND, obj, links, T, q, nowhere, nowhere).witness.normal
@@ -156,35 +156,35 @@ def test_the_palm_comes_from_where_the_approach_says():
 
 
 @pytest.fixture(scope="module")
-def around() -> HandAround:
-    return HandAround(HAND, embedded("rounded_box"))
+def around() -> HandObjectDistances:
+    return HandObjectDistances(HAND, embedded("rounded_box"))
 
 
 def opened(hand: Hand) -> np.ndarray:
-    return np.array([[OPEN[name] for name in hand.joint_names]])
+    return np.array([[OPEN_RAD[name] for name in hand.joint_names]])
 
 
-def test_closing_stops_at_the_object(around: HandAround):
+def test_closing_stops_at_the_object(around: HandObjectDistances):
     T, q = EXAMPLES["rounded_box"][0].pose()[None], opened(HAND)
     closed = close(HAND, around, T, q)
     distance = dict(zip(around.links, around.distances(T, closed)[0], strict=True))
-    assert all(0 < distance[link] < CLEARANCE for link in CLOSING)
+    assert all(0 < distance[link] < CLEARANCE_M for link in CLOSING_JOINTS)
     assert min(distance.values()) > 0
     assert (closed >= q).all()
 
 
-def test_closing_on_nothing_ends_at_the_limits(around: HandAround):
+def test_closing_on_nothing_ends_at_the_limits(around: HandObjectDistances):
     T = np.eye(4)[None]
     T[0, 0, 3] = 10.0
     closed = dict(zip(HAND.joint_names, close(HAND, around, T, opened(HAND))[0], strict=True))
     upper = dict(zip(HAND.joint_names, HAND.upper, strict=True))
-    moving = [joint for joints in CLOSING.values() for joint in joints]
+    moving = [joint for joints in CLOSING_JOINTS.values() for joint in joints]
     assert all(closed[name] == upper[name] for name in moving)
-    assert all(closed[name] == OPEN[name] for name in HAND.joint_names if name not in moving)
+    assert all(closed[name] == OPEN_RAD[name] for name in HAND.joint_names if name not in moving)
 
 
-def test_a_hopeless_approach_is_an_error(around: HandAround):
+def test_a_hopeless_approach_is_an_error(around: HandObjectDistances):
     T = np.eye(4)
     T[0, 3] = 10.0
     with refused(RuntimeError, "approach"):
-        disturbed(HAND, around, T, opened(HAND)[0], np.random.default_rng(0))
+        disturb(HAND, around, T, opened(HAND)[0], np.random.default_rng(0))

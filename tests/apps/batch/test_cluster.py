@@ -18,13 +18,13 @@ from dask_cluster import DaskCluster
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.batch.cluster import run_on_cluster
 from grasp_refine_apps.batch.cluster_workers import fault_of
-from grasp_refine_apps.batch.on_cluster import Seen
+from grasp_refine_apps.batch.on_cluster import WorkerEnvironment
 from grasp_refine_apps.batch.shard import Done, Failed
 from refusals import assert_names, refused
 from running_processes import PATIENCE_S, soon
 from shard_works import Tally, done, some_shards, tallies, work
 
-HERE = Seen((("grasp-refine", "1.0"), ("Python", "3.11"), ("distributed", "2026.8.0")), True, True)
+HERE = WorkerEnvironment((("grasp-refine", "1.0"), ("Python", "3.11"), ("distributed", "2026.8.0")), True, True)
 
 
 def ignore(number: int, what: str, share: float, refined: int) -> None:
@@ -78,7 +78,7 @@ def test_every_shard_comes_out_and_what_work_raises_is_told(address: str, tmp_pa
     assert found == {shard.number: done(shard) for shard in shards if shard.number not in failures}
     assert [(each.reason, each.message, each.tries) for each in failures.values()] == [
         ("error", "mug.obj: no such mesh; try another", 1),
-        ("error", "StubbornError: it cannot say what went wrong", 1),
+        ("error", "StubbornError: its message cannot be printed", 1),
     ]
     assert "in _raise" in failures[1].traceback
     assert len({(tmp_path / f"{number}.txt").read_text() for number in found}) == 2

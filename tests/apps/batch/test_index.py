@@ -178,7 +178,7 @@ def test_the_same_rows_give_the_same_bytes_however_they_are_cut(
         write(tmp_path / f"{name}.{ending}", parts)
     assert (tmp_path / f"a.{ending}").read_bytes() == (tmp_path / f"b.{ending}").read_bytes()
     if ending == "parquet":
-        monkeypatch.setattr(module, "ROWS_AT_ONCE", 20)
+        monkeypatch.setattr(module, "ROW_GROUP_SIZE", 20)
         write(tmp_path / "c.parquet", parts)
         import pyarrow.parquet
 
@@ -234,7 +234,7 @@ def test_where_the_index_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
 def test_memory_does_not_grow_with_the_rows(ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "ROWS_AT_ONCE", 256)
+    monkeypatch.setattr(module, "ROW_GROUP_SIZE", 256)
     part = made_up_rows(64)
 
     def peak(shards: int) -> int:

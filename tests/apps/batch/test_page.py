@@ -14,8 +14,8 @@ import pytest
 
 from batch_rows import document, failure, made_up_rows
 from grasp_refine.refinement.solvers.status import Status
-from grasp_refine_apps.batch.chart import MEASURES, MOVED, chart
-from grasp_refine_apps.batch.page import MOST_ALIKE, MOST_KINDS, page, view_command
+from grasp_refine_apps.batch.chart import MEASURES, MOVEMENTS, chart
+from grasp_refine_apps.batch.page import MAX_KINDS, MAX_SHARDS_PER_KIND, page, view_command
 from grasp_refine_apps.batch.pictures import Picture
 from grasp_refine_apps.batch.statistics import Statistics
 from grasp_refine_apps.batch.worst import Case
@@ -81,7 +81,7 @@ def test_the_page_is_whole_and_fetches_nothing():
     assert not checked.problems and not checked.open and "script" not in checked.tags
     assert all(link.startswith("data:image/png;base64,") or link == "my%20sets/00003.npz" for link in checked.links)
     assert "url(" not in html and "@import" not in html
-    assert checked.tags["svg"] == len(MEASURES) + len(MOVED) and checked.tags["img"] == 2
+    assert checked.tags["svg"] == len(MEASURES) + len(MOVEMENTS) and checked.tags["img"] == 2
 
 
 def test_the_same_input_gives_the_same_bytes():
@@ -140,7 +140,7 @@ def test_a_case_without_a_picture_says_why():
 def test_failures_are_told_by_reason():
     failed = [
         failure(None, "x.npz: not an .npz grasp file", "refused"),
-        *(failure(k, "ended with SIGKILL", "crashed") for k in range(MOST_ALIKE + 5)),
+        *(failure(k, "ended with SIGKILL", "crashed") for k in range(MAX_SHARDS_PER_KIND + 5)),
         failure(99),
     ]
     said = words_of(page(document(failed=failed), some(), ()))
@@ -152,7 +152,7 @@ def test_failures_are_told_by_reason():
 def test_the_page_stays_small_whatever_failed():
     failed = [failure(k, f"mesh {k}.obj has holes") for k in range(5000)]
     html = page(document(failed=failed), some(), ())
-    assert len(html) < 150_000 and f"{5000 - MOST_KINDS} more" in words_of(html)
+    assert len(html) < 150_000 and f"{5000 - MAX_KINDS} more" in words_of(html)
 
 
 def test_a_part_of_a_batch_says_so():
@@ -213,11 +213,11 @@ def test_what_is_nothing_stands_apart_and_what_is_huge_is_not_lost():
 
 def test_what_nobody_measured_is_not_drawn():
     found = some(made_up_rows(4, moved_palm_m=np.nan, contact_error_before_m=np.nan))
-    assert chart(MOVED[0], found.distributions) == ""
+    assert chart(MOVEMENTS[0], found.distributions) == ""
     assert bars(chart(MEASURES[2], found.distributions), "before") == []
 
 
-@pytest.mark.parametrize("measure", [*MEASURES, *MOVED], ids=lambda one: one.title)
+@pytest.mark.parametrize("measure", [*MEASURES, *MOVEMENTS], ids=lambda one: one.title)
 def test_any_values_can_be_drawn(measure: Any):
     columns = {name: np.nan for name in (measure.before, measure.after) if name}
     for values in ([0.0], [1e-12, 1e6], [3e-3], np.geomspace(1e-9, 1e2, 50), [1.0, np.nan]):

@@ -79,7 +79,7 @@ def test_a_case_is_drawn_before_and_after(cases: tuple[Case, ...], allegro: Hand
         cases[:1],
         out,
         lambda case: (allegro, load_object("mug")),
-        tell=lambda what, share: heard.append((what, share)),
+        progress=lambda what, share: heard.append((what, share)),
     )
     assert picture.problem == "" and picture.case == cases[0]
     ((what, share),) = heard
@@ -142,12 +142,12 @@ def test_a_point_is_seen_from_where_no_other_hides_it():
     wall, points = np.stack([np.ones(y.shape), y, z], axis=1), np.array([[0.0, 0.3, 0.1], [0.0, 0.5, 3.0]])
     wanted = np.arange(len(wall) + 2) >= len(wall)
     seen = [
-        portraits._seen(np.concatenate([wall, points]), wanted, np.array(direction), 0.2)
+        portraits._visible_share(np.concatenate([wall, points]), wanted, np.array(direction), 0.2)
         for direction in ([1.0, 0.0, 0.0], [-1.0, 0.0, 0.0])
     ]
     # The second looks over the wall.
     assert seen == [0.5, 1.0]
-    assert portraits._seen(wall, np.zeros(len(wall), dtype=bool), np.array([1.0, 0.0, 0.0]), 0.2) == 0.0
+    assert portraits._visible_share(wall, np.zeros(len(wall), dtype=bool), np.array([1.0, 0.0, 0.0]), 0.2) == 0.0
 
 
 def test_an_object_of_any_size_and_many_triangles_can_be_drawn(allegro: Hand, small: None):

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from batch_rows import shard
-from grasp_refine_apps.batch.progress import EVERY, Progress
+from grasp_refine_apps.batch.progress import PRINT_INTERVAL_S, Progress
 from grasp_refine_apps.batch.shard import Done, Failed
 
 
@@ -64,7 +64,7 @@ def test_a_file_gets_a_line_now_and_then_and_at_each_failure(clock: Clock):
         assert len(said(console)) == 1, "10 s are no news"
         progress.failed(Failed(1, "crashed", "ended with SIGSEGV", "", 2))
         assert said(console)[1:] == ["job, part 1 failed (crashed, tried 2 times): ended with SIGSEGV"]
-        clock.now += EVERY
+        clock.now += PRINT_INTERVAL_S
         progress.done(done(0, 10, 9))
         # 10 grasps in 40 s, and 20 more to come.
         assert said(console)[2:] == [
@@ -89,7 +89,7 @@ def test_nothing_is_left_when_all_is_done_or_failed(clock: Clock):
 def test_where_grasps_are_simulated_those_that_hold_are_counted(clock: Clock):
     console = plain()
     with Progress(console, shards(1), 1, simulated=True, clock=clock) as progress:
-        clock.now += EVERY
+        clock.now += PRINT_INTERVAL_S
         progress.done(done(0, 10, 9, held=(2, 4)))
     assert said(console)[-1].endswith(", 40.0 % held")
 
@@ -163,7 +163,7 @@ def test_a_terminal_is_not_flooded_with_failures(clock: Clock):
     progress = Progress(console, shards(30), 1, clock=clock)
     for number in range(30):
         progress.failed(Failed(number, "error", "no", "", 1))
-    assert said(console)[8:] == ["further failures are told at the end"] and len(said(console)) == 9
+    assert said(console)[8:] == ["further failures are listed at the end"] and len(said(console)) == 9
 
 
 # Speed

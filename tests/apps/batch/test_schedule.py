@@ -14,7 +14,7 @@ def test_a_worker_gets_the_shards_of_a_group_one_after_the_other():
     while shard := schedule.take(loaded):
         order.append(shard.number)
         loaded = shard.group
-        schedule.ended(shard)
+        schedule.finish(shard)
     assert order == [0, 2, 4, 1, 3]
     assert len(schedule) == 0
 
@@ -28,7 +28,7 @@ def test_the_others_of_a_group_wait_for_its_first_while_there_is_other_work():
     schedule = Schedule(some_shards(Path(), "a:", "a:", "a:", "b:", "b:"))
     first, second = schedule.take(None), schedule.take(None)
     assert (first.number, second.number) == (0, 3)
-    schedule.ended(second)
+    schedule.finish(second)
     assert schedule.take(None).number == 4, "b has fewer shards left, but its first is done"
     assert schedule.take(None).number == 1, "nothing else is left to do"
 
@@ -36,14 +36,14 @@ def test_the_others_of_a_group_wait_for_its_first_while_there_is_other_work():
 def test_when_all_groups_are_open_the_one_with_most_shards_left_is_shared():
     schedule = Schedule(some_shards(Path(), "a:", "a:", "b:", "b:", "b:"))
     for _ in range(2):
-        schedule.ended(schedule.take(None))
+        schedule.finish(schedule.take(None))
     assert schedule.take(None).group == "b"
 
 
 def test_a_shard_that_is_tried_again_comes_after_the_others_of_its_group():
     schedule = Schedule(some_shards(Path(), "a:", "a:"))
     first = schedule.take(None)
-    schedule.again(first)
+    schedule.requeue(first)
     assert len(schedule) == 2
     assert [schedule.take("a").number, schedule.take("a").number] == [1, 0]
     assert schedule.take("a") is None
@@ -51,10 +51,10 @@ def test_a_shard_that_is_tried_again_comes_after_the_others_of_its_group():
 
 def test_a_group_whose_first_shard_was_lost_has_a_first_again():
     schedule = Schedule(some_shards(Path(), "a:", "a:", "a:", "b:", "b:"))
-    schedule.again(schedule.take(None))
+    schedule.requeue(schedule.take(None))
     one, other = schedule.take(None), schedule.take(None)
     assert (one.group, other.group) == ("b", "a")
-    schedule.ended(one)
+    schedule.finish(one)
     assert schedule.take(None).group == "b", "a waits for its new first shard"
 
 

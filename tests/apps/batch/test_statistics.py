@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-import tracemalloc
+import os
+import subprocess
+import sys
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from batch_rows import made_up_rows
+from command_line import subprocess_environment
 from grasp_refine_apps.batch import statistics as module
 from grasp_refine_apps.batch.histogram import LINEAR, Bins, Histogram
 from grasp_refine_apps.batch.rows import Rows
 from grasp_refine_apps.batch.statistics import Statistics
-from grasp_refine_apps.batch.worst import ALIKE, CASES, KEPT
+from grasp_refine_apps.batch.worst import MAX_CASES_PER_PAIR, MAX_KEPT, NUM_CASES
 
 
 def statistics(*parts: Rows) -> Statistics:
@@ -45,7 +49,7 @@ def test_shares_are_of_all_values_and_neighbours_are_put_together():
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.5, 0.9, 0.95, 1.0])
 def test_quantiles_are_right_to_within_a_bin(share: float):
     values = np.exp(np.random.default_rng(0).normal(np.log(1e-3), 1.5, 4000))
-    its = Histogram(module.LENGTH)
+    its = Histogram(module.LENGTH_BINS)
     its.add(values)
     width = 10 ** (1 / 20)
     assert np.quantile(values, share) / width < its.quantile(share) < np.quantile(values, share) * width
@@ -118,7 +122,7 @@ def test_a_file_with_several_objects_is_told_apart():
 
 
 def test_of_too_many_objects_those_that_fail_most_are_kept(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "PAIRS", 10)
+    monkeypatch.setattr(module, "MAX_PAIRS", 10)
     found = Statistics.empty()
     for number in range(40):
         failing = 5 if number in (3, 17) else 1 + number % 2
@@ -178,8 +182,8 @@ def test_cases_are_of_several_objects_as_long_as_there_are_others():
     bad = made_up_rows(300, 0, object="bad", quality_after=0.01, held_after=np.nan)
     others = [made_up_rows(2, k, object=f"o{k}", quality_after=0.5, held_after=np.nan) for k in range(1, 4)]
     alone, mixed = statistics(bad).worst(), statistics(*others, made_up_rows(9, 9, quality_after=0.4)).worst()
-    assert len(alone) == CASES and {case.object for case in alone} == {"bad"}
-    assert len(mixed) == CASES and sum(case.object == "mug" for case in mixed) == 6 > ALIKE
+    assert len(alone) == NUM_CASES and {case.object for case in alone} == {"bad"}
+    assert len(mixed) == NUM_CASES and sum(case.object == "mug" for case in mixed) == 6 > MAX_CASES_PER_PAIR
     badness = [case.badness for case in mixed]
     assert badness == sorted(badness, reverse=True)
 
@@ -193,9 +197,9 @@ def test_the_worst_of_many_files_are_found_wherever_they_are():
     ]
     ranked = np.argsort(quality)
     taken, seen = [], {}
-    for i in ranked[:KEPT].tolist():
+    for i in ranked[:MAX_KEPT].tolist():
         seen[i // 30] = seen.get(i // 30, 0) + 1
-        if seen[i // 30] <= ALIKE and len(taken) < CASES:
+        if seen[i // 30] <= MAX_CASES_PER_PAIR and len(taken) < NUM_CASES:
             taken.append((i // 30, i % 30))
     assert [(case.shard, case.row) for case in statistics(*parts).worst()] == taken
 
@@ -203,18 +207,34 @@ def test_the_worst_of_many_files_are_found_wherever_they_are():
 # Memory
 
 
-def test_memory_does_not_grow_with_the_rows(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "PAIRS", 50)
-    plain = made_up_rows(16).columns
+PEAKS = """
+import sys, tracemalloc
+import numpy as np
+from batch_rows import made_up_rows
+from grasp_refine_apps.batch import statistics
+from grasp_refine_apps.batch.rows import Rows
 
-    def peak(shards: int) -> int:
-        tracemalloc.start()
-        found = Statistics.empty()
-        for number in range(shards):
-            found.add(Rows(plain | {"shard": np.full(16, float(number)), "object": np.full(16, f"object {number}")}))
-        grown = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return grown
+statistics.MAX_PAIRS = 50
+plain = made_up_rows(16).columns
 
-    peak(20)
-    assert peak(300) < 1.2 * peak(100)
+def peak(shards):
+    tracemalloc.start()
+    found = statistics.Statistics.empty()
+    for number in range(shards):
+        found.add(Rows(plain | {"shard": np.full(16, float(number)), "object": np.full(16, f"object {number}")}))
+    grown = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return grown
+
+print(peak(20), peak(100), peak(300))
+"""
+"""Peaks of the memory by number of shards, in a process where no annotation is checked: the checker remembers."""
+
+
+def test_memory_does_not_grow_with_the_rows():
+    environment = subprocess_environment()
+    path = os.pathsep.join([environment["PYTHONPATH"], str(Path(__file__).parents[2])])
+    command = [sys.executable, "-c", PEAKS]
+    found = subprocess.run(command, env=environment | {"PYTHONPATH": path}, check=True, capture_output=True, text=True)
+    _, few, many = map(int, found.stdout.split())
+    assert many < 1.2 * few

@@ -43,12 +43,12 @@ def test_an_interruption_keeps_what_is_done():
 
 def test_what_comes_back_is_in_the_order_of_the_jobs(monkeypatch: pytest.MonkeyPatch):
     ended = [(2, "c"), (0, "a"), (1, "b")]
-    monkeypatch.setattr(module, "_side_by_side", lambda *_: iter(ended))
+    monkeypatch.setattr(module, "_run_parallel", lambda *_: iter(ended))
     assert run_jobs([Fake(name) for name in "abc"], 2, lambda *_: None) == (["a", "b", "c"], [])
 
 
 def test_an_interrupted_process_gives_no_result(monkeypatch: pytest.MonkeyPatch):
     """It hands back a KeyboardInterrupt, which is no Exception and once came out as if it were a result."""
-    monkeypatch.setattr(module, "_side_by_side", lambda *_: iter([(1, KeyboardInterrupt()), (0, "a")]))
+    monkeypatch.setattr(module, "_run_parallel", lambda *_: iter([(1, KeyboardInterrupt()), (0, "a")]))
     results, problems = run_jobs([Fake("a"), Fake("b")], 2, lambda *_: None)
     assert (results, problems) == (["a"], ["b: KeyboardInterrupt"])

@@ -5,18 +5,18 @@ from __future__ import annotations
 import pytest
 
 from grasp_refine.core.profiling import STAGES, Stopwatch
-from grasp_refine_apps.bench.shares import cpu_share, disambiguate
+from grasp_refine_apps.bench.shares import cpu_share, split_stages
 
 
 def test_what_is_not_told_apart_is_one_part():
-    parts = disambiguate("broad phase", "derivative")
+    parts = split_stages("broad phase", "derivative")
     assert list(parts) == ["broadphase", "derivative", "solver"]
     assert parts["broadphase"] == ("broad phase",)
     assert sorted(stage for part in parts.values() for stage in part) == sorted(STAGES)
 
 
 def test_shares_are_of_the_time_of_all_stopwatches():
-    parts = disambiguate("broad phase", "narrow phase")
+    parts = split_stages("broad phase", "narrow phase")
     one, other = Stopwatch(), Stopwatch()
     assert cpu_share([one, other], parts) == dict.fromkeys(parts)
     one.spent["broad phase"].cpu_s, one.spent["forces"].cpu_s = 1.0, 2.0

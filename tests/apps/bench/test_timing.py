@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from grasp_refine.collision.engine import why_not_native
-from grasp_refine_apps.bench.timing import MOST, WARM_UP, cpu_times, one_thread
+from grasp_refine_apps.bench.timing import MAX_CALLS, WARM_UP_CALLS, cpu_times, one_thread
 
 
 def test_times_are_taken_in_turn_after_a_warm_up():
     called = []
     runs = {name: (lambda name=name: called.append(name)) for name in "ab"}
     times = cpu_times(runs, 3, 0.0)
-    assert "".join(called) == "a" * WARM_UP + "b" * WARM_UP + "ababab"
+    assert "".join(called) == "a" * WARM_UP_CALLS + "b" * WARM_UP_CALLS + "ababab"
     assert all(found.shape == (3,) and (found >= 0).all() for found in times.values())
     called.clear()
     cpu_times(runs, 1, 1.0)
-    assert len(called) <= 2 * (WARM_UP + MOST)
+    assert len(called) <= 2 * (WARM_UP_CALLS + MAX_CALLS)
     assert np.isfinite(list(times.values())).all()
 
 

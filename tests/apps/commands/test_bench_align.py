@@ -288,7 +288,7 @@ def test_too_few_meshes_are_refused(meshes: Path, capfd: pytest.CaptureFixture[s
 
 
 def test_without_a_task_that_counts_nothing_is_run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):
-    monkeypatch.setattr(tasks, "ACCEPTED", 0.0)
+    monkeypatch.setattr(tasks, "ACCEPTED_MISS_M", 0.0)
     assert main([*TINY, "--workers", "2", "--json", "bench.json"]) == 2
     out, error = capfd.readouterr()
     _, answer = error.splitlines()

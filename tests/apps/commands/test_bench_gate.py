@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from command_line import refused
-from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.engine import VARIABLE
+from grasp_refine_apps.bench.gate.baseline import BASELINE
 from grasp_refine_apps.bench.gate.ratios import RATIOS
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands import bench_gate as module
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("workplace")
 def measured(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
     """What is measured, without half a minute of measuring; the engine is the one that is always there."""
     monkeypatch.setenv(VARIABLE, "python")
-    committed = json.loads((resource_dir("apps") / "bench" / "baseline.json").read_text())
+    committed = json.loads(BASELINE.read_text())
     now = {name: one["value"] for name, one in committed["engines"]["python"]["ratios"].items()}
     groups = {ratio.name: ratio.group for ratio in RATIOS}
     monkeypatch.setattr(
@@ -73,7 +73,7 @@ def test_a_new_baseline_is_what_the_next_run_is_compared_with(
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        ("--gate --baseline nobody.json", "nobody.json: is no baseline (FileNotFoundError: "),
+        ("--gate --baseline nobody.json", "nobody.json: not a baseline (FileNotFoundError: "),
         ("--gate --update a.json --baseline b.json", "--update compares with nothing: leave out --baseline"),
         ("--gate --update a.json --json a.json", "a.json: is to be written twice"),
         ("--gate --json .", ".: is a folder, a file is to be written there"),

@@ -116,7 +116,7 @@ def test_an_output_that_reads_otherwise_is_not_kept(
     file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
     # A limit that rounding alone does not reach.
-    monkeypatch.setattr(convert, "LIMIT", -1.0)
+    monkeypatch.setattr(convert, "MAX_DIFFERENCE_M", -1.0)
     Path("old.npz").write_text("old")
     for output, to in (("bench", "dexgraspbench"), ("old.npz", "ours")):
         before = sorted(Path().rglob("*"))

@@ -53,7 +53,7 @@ def test_a_grasp_that_is_nowhere_has_no_measures(workplace: Path, capfd: pytest.
     assert tried["simulation"]["after"]["reason"] == "not finite"
     said = " ".join(capfd.readouterr().out.split())
     assert (
-        "1 not finite: the grasp holds NaN or infinite numbers, or is nowhere: its pose is no rigid motion, or beyond"
+        "1 not finite: the grasp holds NaN or infinite numbers, or its pose is invalid: no rigid motion, or beyond"
         in said
     )
 

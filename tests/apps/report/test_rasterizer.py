@@ -135,8 +135,8 @@ def test_the_size_of_the_blocks_changes_nothing_but_the_memory(monkeypatch: pyte
     camera = Camera(EYE, TARGET, 100, 100, 0.2)
     triangles = np.random.default_rng(0).normal(size=(1000, 3, 3)) * [0.05, 0.4, 0.4]
     images = []
-    for block in (rasterizer.BLOCK, 100):
-        monkeypatch.setattr(rasterizer, "BLOCK", block)
+    for block in (rasterizer.BLOCK_PIXELS, 100):
+        monkeypatch.setattr(rasterizer, "BLOCK_PIXELS", block)
         tracemalloc.start()
         images.append(rasterizer._rasterize(*vertices_and_faces(triangles), camera))
         peak = tracemalloc.get_traced_memory()[1]
@@ -158,7 +158,7 @@ def test_what_leaves_the_picture_has_no_outline_at_its_border():
 
 def test_a_step_between_two_models_is_drawn_on_the_nearer_one():
     camera = Camera(EYE, TARGET, 40, 40, 0.2, perspective=False)
-    back = np.array([[[0, -1, -1], [0, 1, -1], [0, 1, 1]], [[0, -1, -1], [0, 1, 1], [0, -1, 1]]])
+    back = np.array([[[0.0, -1, -1], [0, 1, -1], [0, 1, 1]], [[0, -1, -1], [0, 1, 1], [0, -1, 1]]])
     for step, seen in ((0.001, True), (0.0001, False)):
         front = 0.05 * back + [step, 0, 0]
         brightness = render([flat(back), flat(front)], camera, -EYE, 50)[..., 0]

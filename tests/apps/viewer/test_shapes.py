@@ -75,7 +75,7 @@ def test_links_look_as_their_urdf_says_or_else_as_what_collides(hand: Hand):
     assert volume(shapes["finger"].vertices, shapes["finger"].faces) == pytest.approx(4 / 3 * np.pi * 0.03**3, rel=0.02)
     # One of two can be read.
     np.testing.assert_allclose(shapes["tip"].vertices.max(axis=0), [0.01, 0.01, 0.11], atol=1e-7)
-    assert [line.partition(": something")[0] for line in said] == ["link 'finger'", "link 'tip'"]
+    assert [line.partition(": ")[0] for line in said] == ["link 'finger'", "link 'tip'"]
     assert "none.stl" in said[0] and "other.obj" in said[1]
 
 

@@ -106,7 +106,7 @@ def test_damaged_files(file: Path, data: bytes, named: tuple[str, ...]):
 def test_files_that_are_not_there_or_too_large(file: Path, monkeypatch: pytest.MonkeyPatch):
     check_refused(file)
     check_refused(file.parent, "directory")
-    monkeypatch.setattr(content, "LARGEST_FILE", 2**20)
+    monkeypatch.setattr(content, "MAX_FILE_BYTES", 2**20)
     with file.open("wb") as stream:
         stream.truncate(2**20 + 1)
     check_refused(file, "1 MiB")

@@ -180,4 +180,4 @@ def test_every_format_refuses_what_is_none(known: Format):
     stream = io.BytesIO()
     np.save(stream, np.zeros(3))
     for content in (3, "text", [], [1], {}, np.zeros(3), np.zeros((2, 23), dtype=int), {"qpos": 1}, [{"qpos": {}}]):
-        assert known.lacks(content)
+        assert known.mismatch(content)

@@ -248,7 +248,7 @@ def test_lambda_shrinks_after_what_was_predicted_stays_after_less_and_grows_afte
         np.array([True, True, False, False, True, False]),
         np.array([0.9, 0.4, -1.0, 0.9, 1.0, np.nan]),
     )
-    found = solver.adapted(*(arrays if library == "numpy" else map(torch.from_numpy, arrays)))
+    found = solver.updated_damping(*(arrays if library == "numpy" else map(torch.from_numpy, arrays)))
     np.testing.assert_allclose(np.asarray(found), [0.25, 1.0, 8.0, 8.0, 1e-3, 8.0])
 
 

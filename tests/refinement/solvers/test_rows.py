@@ -7,7 +7,7 @@ from grasp_refine.core.se3 import exp_se3
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.refinement.solvers.least_squares import Linear
-from grasp_refine.refinement.solvers.rows import NEAR, Rows
+from grasp_refine.refinement.solvers.rows import NEAR_DISTANCE_M, Rows
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +41,13 @@ def test_one_sided_rows_are_those_of_what_is_near_and_no_more_than_in_the_fulles
 ) -> None:
     rng = np.random.default_rng(1)
     depth = rng.normal(size=(4, 9)) * 0.01 - 0.008
-    depth[2], depth[3, :4] = -np.inf, [0.01, -0.001, -0.9 * NEAR, -1.1 * NEAR]
+    depth[2], depth[3, :4] = -np.inf, [0.01, -0.001, -0.9 * NEAR_DISTANCE_M, -1.1 * NEAR_DISTANCE_M]
     c = rng.normal(size=(4, 9, 6))
     first, second = (np.arange(9) + 1, np.arange(9) + 3) if partners else (None, None)
     rows = Rows(4)
     rows.add_unilateral(depth, c, 4.0, first, second)
     linear, chain, frames = joint_covectors(hand, rows, 4)
-    near = depth > -NEAR
+    near = depth > -NEAR_DISTANCE_M
     most = near.sum(axis=1).max()
     assert linear.residual.shape == (4, most) and linear.unilateral is not None and linear.unilateral.all()
     link = np.arange(9) if first is None else first
@@ -68,7 +68,7 @@ def test_terms_follow_each_other_and_only_some_are_one_sided(hand: Hand) -> None
     rows.add_unilateral(np.array([[-1.0, 0.002], [-1.0, -1.0]]), np.ones((2, 2, 6)), 1.0)
     rows.add_unilateral(np.array([[0.001], [0.001]]), np.ones((2, 1, 6)), 1.0, np.array([4]), np.array([6]))
     linear, _, _ = joint_covectors(hand, rows, 2)
-    np.testing.assert_array_equal(linear.residual, [[1.0, 0.002, 0.001], [1.0, -NEAR, 0.001]])
+    np.testing.assert_array_equal(linear.residual, [[1.0, 0.002, 0.001], [1.0, -NEAR_DISTANCE_M, 0.001]])
     np.testing.assert_array_equal(linear.unilateral, [[False, True, True]] * 2)
 
 

@@ -9,7 +9,7 @@ from grasp_refine.validation.replay.camera import View
 def test_a_view_shows_all_that_it_was_fitted_to() -> None:
     points = np.random.default_rng(3).normal(size=(50, 3)) * [0.1, 0.02, 0.05] + [1.0, 2.0, 3.0]
     for azimuth, elevation in ((0, 0), (90, -30), (200, 40)):
-        view = View(float(azimuth), float(elevation), np.zeros(3), 1.0).fitted(points, 1.5)
+        view = View(float(azimuth), float(elevation), np.zeros(3), 1.0).fit(points, 1.5)
         pixels = view.project(points, 600, 400)
         assert (pixels >= [40, 25]).all() and (pixels <= [560, 375]).all()
         touching = [abs(pixels[:, 0] - 300).max() / 300, abs(pixels[:, 1] - 200).max() / 200]

@@ -77,7 +77,7 @@ def test_time_in_a_stage_begins_where_the_one_before_ended(replay: Replay) -> No
 
 @pytest.mark.parametrize("count", [1, 4, 5, 60, 1000])
 def test_thinned_frames_keep_the_ends_of_stages(replay: Replay, count: int) -> None:
-    frames = replay.thinned(count)
+    frames = replay.subsample(count)
     assert {0, 50, 100, 225} <= set(frames.tolist())
     assert len(frames) == min(max(count, 4), len(replay))
     assert (np.diff(frames) > 0).all()

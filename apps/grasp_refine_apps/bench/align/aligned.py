@@ -1,4 +1,4 @@
-"""What comes out of a solver of alignment tasks, and the errors at its poses by a query of their own."""
+"""Results of a solver of alignment tasks, and the errors at its poses by a separate query."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from grasp_refine_apps.bench.align.stopwatch import Stopwatch
 from grasp_refine_apps.bench.align.tasks import Tasks
 
 Visit = Callable[[np.ndarray, np.ndarray], None]
-"""Gets the poses (4, 4) of both bodies of the first task of the first pair, at its start and after each iteration."""
+"""Called with the poses (4, 4) of both bodies of the first task of the first pair, at its start and each iteration."""
 
 
 @dataclass(frozen=True, eq=False)
-class Aligned:
-    """What came out of P pairs with up to N tasks each; arrays (N, P, ...). Pairs with fewer repeat theirs."""
+class AlignmentResult:
+    """Results of P pairs with up to N tasks each; arrays (N, P, ...). Pairs with fewer tasks repeat theirs."""
 
     error: np.ndarray
-    """Smallest |x_a - t_a|^2 + |x_b - t_b|^2 + (d - beta)^2 on the way (N, P), in square metres, by plain witness
+    """Smallest |x_a - t_a|^2 + |x_b - t_b|^2 + (d - beta)^2 of all iterates (N, P), in square metres, by plain witness
     points."""
     last_error: np.ndarray
-    """The same at the end (N, P), which is what the paper reports; of Levenberg-Marquardt, whose result is its best
-    iterate, the same."""
+    """Error of the last iterate (N, P), in square metres, which is what the paper reports; of Levenberg-Marquardt,
+    whose result is its best iterate, equal to `error`."""
     T_world_a: np.ndarray
     """Poses (N, P, 4, 4) of the first bodies where the error was smallest."""
     T_world_b: np.ndarray
-    """The same of the second ones."""
+    """Poses (N, P, 4, 4) of the second bodies where the error was smallest."""
     witness: Witness
-    """Plain witness points there."""
+    """Plain witness points at these poses."""
     iterations: np.ndarray
     """Steps that were made (N, P); 0 where a task only repeats another one and was not run."""
     watch: Stopwatch
@@ -44,8 +44,8 @@ class Aligned:
     """Wall seconds of the loop."""
 
 
-def padded(tasks: Sequence[Tasks]) -> list[Tasks]:
-    """The tasks of each pair, repeated so that all have as many."""
+def pad_tasks(tasks: Sequence[Tasks]) -> list[Tasks]:
+    """Repeat the tasks of each pair, so that all pairs have the same number."""
     count = max(map(len, tasks))
     return [its.take(np.arange(count) % len(its)) for its in tasks]
 
@@ -58,17 +58,17 @@ def errors_at(
     margin: float,
     patch: Patch | None = None,
 ) -> tuple[np.ndarray, Witness]:
-    """Errors (N, P) in square metres at given poses, infinite where there are no witness points, and the latter.
+    """Return errors (N, P) in square metres at given poses, infinite without witness points, and the witness points.
 
-    By a query that no solver has touched.
+    The query is independent of all solvers.
 
     Args:
         bodies: P pairs.
         tasks: N tasks of each pair.
         T_world_a: Poses of the first bodies (N, P, 4, 4).
-        T_world_b: The same of the second ones.
-        margin: The wanted distance in metres.
-        patch: The witness points that judge; None: plain ones.
+        T_world_b: Poses of the second bodies (N, P, 4, 4).
+        margin: The desired distance in metres.
+        patch: The patch witness that the errors are measured by; None: plain witness points.
     """
     pairs = Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies))
     target_a, target_b = (np.stack([getattr(its, name) for its in tasks], axis=1) for name in ("target_a", "target_b"))

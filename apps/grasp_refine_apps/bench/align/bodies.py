@@ -26,20 +26,20 @@ DIAGONALS = (0.01, 0.2)
 
 @dataclass(frozen=True, eq=False)
 class BodyPair:
-    """Two bodies, the first of which rests."""
+    """Two bodies, the first of which is fixed."""
 
     name: str
-    """Names of both, for tables."""
+    """Names of both bodies, for tables."""
     kind: Kind
-    """Hulls, or unions of convex pieces."""
+    """Convex hulls, or unions of convex pieces."""
     a: Body
     """The first body, in its own frame."""
     b: Body
-    """The second one."""
+    """The second body, in its own frame."""
 
 
 def mesh_sources(folder: Path | None) -> list[str | Path]:
-    """What `load_object` can load: the meshes of a folder, sorted by name, or the embedded objects.
+    """List sources for `load_object`: the meshes of a folder, sorted by name, or the embedded objects.
 
     Raises:
         AssetError: the folder is missing or has no meshes.
@@ -63,10 +63,10 @@ def draw_pairs(
     say: Callable[[str], None],
     candidates: int = 1024,
 ) -> list[BodyPair]:
-    """`count` random pairs of different objects, each scaled to a diagonal drawn evenly from `DIAGONALS`.
+    """Draw `count` random pairs of different objects, each scaled to a diagonal drawn uniformly from `DIAGONALS`.
 
     Objects are loaded when they are drawn. A mesh that cannot be used is reported and another one drawn; a convex
-    one is no object of the concave kind.
+    mesh is not an object of the concave kind.
 
     Raises:
         GraspRefineError: too few of the meshes can be used.
@@ -95,16 +95,16 @@ def draw_pairs(
         a, b = body(first), body(second)
         if a is not None and b is not None:
             a, b = (normalised(one, diagonal) for one, diagonal in zip((a, b), diagonals, strict=True))
-            # Objects may be drawn again; their sizes tell the pairs apart.
+            # Objects may be drawn again; their sizes distinguish the pairs.
             name = " / ".join(f"{one.name} {1e3 * one.diagonal:.1f} mm" for one in (a, b))
             pairs.append(BodyPair(name, kind, a, b))
     return pairs
 
 
 def normalised(body: Body, diagonal: float) -> Body:
-    """The body at a diagonal (metres), the centre of its bounding box at the origin of its frame.
+    """Scale a body to a diagonal (metres), with the centre of its bounding box at the origin of its frame.
 
-    Descent turns a body about its origin, so it matters where that is.
+    Descent turns a body about its origin, so its position matters.
     """
     bounds = np.stack([piece.bounds for piece in body.pieces])
     center = 0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0))
@@ -117,7 +117,7 @@ def normalised(body: Body, diagonal: float) -> Body:
 
 
 def _load(source: str | Path, kind: Kind, candidates: int, seed: int, say: Callable[[str], None]) -> Body | None:
-    """The body of a mesh at its own size, None where it is no object of this kind."""
+    """Load the body of a mesh at its own size; None where it is not of this kind."""
     try:
         if kind == "convex":
             embedded = EMBEDDED.get(str(source))
@@ -125,6 +125,6 @@ def _load(source: str | Path, kind: Kind, candidates: int, seed: int, say: Calla
             return build_body(name, [hull(mesh.vertices, name=name)], candidates=candidates, seed=seed)
         found = load_object(source, unit="m", candidates=candidates, seed=seed, progress=say)
     except GraspRefineError as error:
-        say(f"left out: {error}")
+        say(f"skipped: {error}")
         return None
     return found.body if len(found.body.pieces) > 1 else None

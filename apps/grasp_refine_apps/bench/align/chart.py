@@ -1,6 +1,6 @@
 """Charts of the alignment benchmark as SVG: error and misses against CPU time, and against a swept setting.
 
-The same rows give the same bytes.
+The output is deterministic: equal rows give equal bytes.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from grasp_refine_apps.report.panels import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FLOOR = 1e-14
+MIN_ERROR_M2 = 1e-14
 """Errors below this (m^2, a tenth of a micrometre) are drawn at it."""
-CROWDED = 12
+MAX_LINES = 12
 """With more lines than this, a swept setting is shown at its best value only."""
 
 
 def styles(rows: Sequence[Row], labels: Sequence[str]) -> dict[str, Style]:
-    """Label -> style: the first variant of a method has the method's colour, others one that no method needs."""
+    """Label -> style: the first variant of a method has the method's colour, others a colour that no method uses."""
     owner = {label: name_of(row) for row, label in zip(rows, labels, strict=True)}
     place = {label: METHODS.index(method) if method in METHODS else 0 for label, method in owner.items()}
     spare = [k for k in range(len(COLORS)) if k not in place.values()]
@@ -61,19 +61,19 @@ def styles(rows: Sequence[Row], labels: Sequence[str]) -> dict[str, Style]:
 
 @dataclass(frozen=True)
 class TimeChart:
-    """The picture that matters, and what has to be said about it."""
+    """The main chart, and a note to be printed below it."""
 
     svg: str
     note: str
 
 
 def time_chart(rows: Sequence[Row]) -> TimeChart:
-    """Error and share of misses against CPU time per pair, a column a kind and a line a variant."""
+    """Chart error and share of misses against CPU time per pair, a column for each kind and a line for each variant."""
     rows = [row for row in rows if _positive(row.get("cpu_s_per_pair"))]
     note = ""
     labels = labels_of(rows)
     for key in swept(rows):
-        if len(set(labels)) > CROWDED:
+        if len(set(labels)) > MAX_LINES:
             rows = _at_best(rows, key)
             labels = labels_of(rows)
             note += f" Each method is shown with its best {SWEPT[key]} only."
@@ -100,7 +100,7 @@ def time_chart(rows: Sequence[Row]) -> TimeChart:
         return max(share, least), share < least
 
     def error(row: Row) -> tuple[float, bool] | None:
-        return (max(row["d5"], FLOOR), row["d5"] < FLOOR) if _finite(row.get("d5")) else None
+        return (max(row["d5"], MIN_ERROR_M2), row["d5"] < MIN_ERROR_M2) if _finite(row.get("d5")) else None
 
     panels = [
         ("median error  [m²]", error, _error_axis),
@@ -110,7 +110,7 @@ def time_chart(rows: Sequence[Row]) -> TimeChart:
     grid = [[(f"{kind} bodies", lines(kind, height), axis) for kind in kinds] for _, height, axis in panels]
     hollow = any(any(line.open) for row in grid for _, lines_, _ in row for line in lines_)
     if hollow:
-        note += " A hollow marker stands for none missed (drawn at half a target) or an error too small to draw."
+        note += " A hollow marker means none missed (drawn at half a target) or an error too small to draw."
     svg = draw(
         grid, [name for name, _, _ in panels], "CPU time per pair of bodies", time_axis, "time", "Error over time"
     )
@@ -118,7 +118,7 @@ def time_chart(rows: Sequence[Row]) -> TimeChart:
 
 
 def sweep_chart(rows: Sequence[Row], key: str) -> str:
-    """Share of hits and median error at the largest budget against the setting `key`, a column a kind."""
+    """Chart share of hits and median error at the largest budget against the setting `key`, a column for each kind."""
     rows = at_largest_budget(rows, labels_of(rows))
     labels = labels_of(rows, without=[key])
     style = styles(rows, labels)
@@ -147,14 +147,14 @@ def sweep_chart(rows: Sequence[Row], key: str) -> str:
     kinds = kinds_of(rows)
     grid = [
         [(f"{kind} bodies", lines(kind, "acc_1e6", 0.0), _hit_axis) for kind in kinds],
-        [(f"{kind} bodies", lines(kind, "d5", FLOOR), _error_axis) for kind in kinds],
+        [(f"{kind} bodies", lines(kind, "d5", MIN_ERROR_M2), _error_axis) for kind in kinds],
     ]
     names = ["targets met within 1 mm", "median error  [m²]"]
     return draw(grid, names, SWEPT[key], steps, key, f"Results over the {SWEPT[key]}")
 
 
 def _at_best(rows: Sequence[Row], key: str) -> list[Row]:
-    """The rows of each variant that have the value of `key` with the most hits at the largest budget."""
+    """Select the rows of each variant at the value of `key` with the most hits at the largest budget."""
     names = labels_of(rows, without=[key])
     last = at_largest_budget(rows, labels_of(rows))
     last_names = {id(row): name for row, name in zip(rows, names, strict=True)}

@@ -2,9 +2,9 @@
 
 arXiv 2511.06267: the body twist (v, w) of the gradient is scaled to length one as a single 6-vector, then the body
 moves by -(v s_t, w s_r). s_r falls from 10 over 1 to 0.1 after 10 % and 90 % of the budget, s_t = s_r / 1000. One
-thing differs: w is the whole derivative of the loss along a rotation, not the half that the paper's projection has,
+difference: w is the whole derivative of the loss along a rotation, not the half that the paper's projection has,
 which solved 94 instead of 92 % of the tasks on convex hulls.
-Many pairs of bodies, each with as many tasks, go through the witness layer together.
+Many pairs of bodies, each with equally many tasks, go through the witness layer together.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.patch import Patch
 from grasp_refine.witness.transport import EquivalentTransport
-from grasp_refine_apps.bench.align.aligned import Aligned, Visit, errors_at
+from grasp_refine_apps.bench.align.aligned import AlignmentResult, Visit, errors_at
 from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch, TimedDerivative
 from grasp_refine_apps.bench.align.tasks import Tasks
 
-SHARES, FACTORS = (0.1, 0.9), (1.0, 0.1, 0.01)
-"""Shares of the budget after which the steps shrink, and to what."""
+SCHEDULE_SHARES, SCHEDULE_FACTORS = (0.1, 0.9), (1.0, 0.1, 0.01)
+"""Shares of the budget after which the steps shrink, and the factor of each phase."""
 
 METRES_PER_RADIAN = 1e-3
 """s_t / s_r."""
 
-_WHOLE = 2.0
-"""Proj(T^-1 G) has half of the derivative along a rotation; here w is all of it."""
+_ROTATION_FACTOR = 2.0
+"""Proj(T^-1 G) has half of the derivative along a rotation; w here is the whole derivative."""
 
 
 @dataclass(frozen=True)
@@ -47,21 +47,21 @@ class AlignDescent:
     """Normalised gradient descent with a fixed schedule."""
 
     method: Derivative
-    """How witness points are differentiated."""
+    """Derivative method of the witness points."""
     transport: bool = True
     """Equivalent gradient transport: the gradient of body 1 acts through body 2."""
     optimise: Literal["T2", "T1T2"] = "T2"
-    """Which bodies move."""
+    """Bodies that move."""
     margin: float = 0.0
-    """Contact margin beta in metres: the gap that is aimed at."""
+    """Contact margin beta in metres: the desired gap."""
     step_size: float = 10.0
-    """s_r at first; dimensionless, because the gradient is normalised."""
+    """Initial s_r; dimensionless, because the gradient is normalised."""
     iterations: int | None = 2000
     """Budget in iterations; None: `seconds`."""
     seconds: float | None = None
-    """Budget in CPU seconds per pair, all its tasks together."""
+    """Budget in CPU seconds per pair, for all its tasks together."""
     patch: Patch | None = None
-    """Which witness points are used; None: plain ones."""
+    """Patch witness that is used; None: plain witness points."""
 
 
 def align(
@@ -73,17 +73,17 @@ def align(
     device: str = "cpu",
     progress: Callable[[float], None] = lambda share: None,
     visit: Visit | None = None,
-) -> Aligned:
-    """Run the tasks of several pairs, equally many of each.
+) -> AlignmentResult:
+    """Run the tasks of several pairs, an equal number of each.
 
     Args:
         bodies: P pairs.
         tasks: N tasks for each pair.
         solver: Derivative method and schedule.
-        dtype: Of poses and losses.
-        device: Of poses and losses; queries and derivatives run on the CPU.
-        progress: Called now and then with the share of the budget that is spent.
-        visit: Sees where the first task is.
+        dtype: Number type of poses and losses.
+        device: Device of poses and losses; queries and derivatives run on the CPU.
+        progress: Called from time to time with the share of the budget that is used.
+        visit: Called with the poses of the first task at each iterate.
     """
 
     def stacked(name: str) -> Tensor:
@@ -101,7 +101,7 @@ def align(
     problem = _Problem(solver, layer, stacked("target_a"), stacked("target_b"), watch)
     T_a, T_b = stacked("T_world_a"), stacked("T_world_b")
     best = _Best(torch.full(T_a.shape[:2], torch.inf, dtype=dtype, device=device), T_a, T_b)
-    # What is built at the first call is not part of the loop's time.
+    # Caches built at the first call are not part of the loop's time.
     problem.gradients(T_a, T_b, 0, None)
     done, iteration, last = 0.0, 0, None
     start_cpu, start_wall = time.process_time(), time.perf_counter()
@@ -110,7 +110,7 @@ def align(
             error, gradients, last = problem.gradients(T_a, T_b, iteration, last)
             best.keep(error, T_a, T_b)
             visited(T_a, T_b)
-            rotation = solver.step_size * FACTORS[sum(done >= share for share in SHARES)]
+            rotation = solver.step_size * SCHEDULE_FACTORS[sum(done >= share for share in SCHEDULE_SHARES)]
             T_b = _step(T_b, gradients[-1], rotation)
             if solver.optimise == "T1T2":
                 T_a = _step(T_a, gradients[0], rotation)
@@ -133,11 +133,11 @@ def align(
     )
     witness = found.detached()
     if solver.patch is not None:
-        # What is reported is judged by plain witness points.
+        # Reported errors are measured by plain witness points.
         final_error, _ = errors_at(bodies, tasks, last_a, last_b, solver.margin)
         best_error, witness = errors_at(bodies, tasks, best_a, best_b, solver.margin)
     iterations = np.full(best_error.shape, iteration)
-    return Aligned(best_error, final_error, best_a, best_b, witness, iterations, watch, cpu_s, wall_s)
+    return AlignmentResult(best_error, final_error, best_a, best_b, witness, iterations, watch, cpu_s, wall_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,12 +147,12 @@ class _Problem:
     solver: AlignDescent
     layer: WitnessLayer
     target_a: Tensor
-    """(N, P, 3), body frames."""
+    """Targets on body b (N, P, 3), metres, body frame."""
     target_b: Tensor
     watch: Stopwatch
 
     def errors(self, T_a: Tensor, T_b: Tensor, key: int, previous: Witness | None = None) -> tuple[Tensor, Witness]:
-        """Errors (N, P) in square metres, infinite where there are no witness points, and the witness points."""
+        """Return errors (N, P) in square metres, infinite without witness points, and the witness points."""
         with stage("broad phase"):
             found = self.layer(T_a, T_b, self.target_a, self.target_b, key=key, previous=previous)
         residual = contact_targets(found, T_a, T_b, self.target_a, self.target_b, self.solver.margin)
@@ -162,7 +162,7 @@ class _Problem:
     def gradients(
         self, T_a: Tensor, T_b: Tensor, key: int, previous: Witness | None
     ) -> tuple[Tensor, tuple[Tensor, ...], Witness | None]:
-        """Errors, their gradients (N, P, 4, 4) in the poses that move, and what helps the next query."""
+        """Return errors, their gradients (N, P, 4, 4) in the moving poses, and a witness to speed up the next query."""
         leaves = T_a.detach().requires_grad_(), T_b.detach().requires_grad_()
         seen_a, seen_b = self._transport(*leaves[::-1])[::-1] if self.solver.transport else leaves
         with self.watch.lap("forward"):
@@ -173,11 +173,11 @@ class _Problem:
 
     @cached_property
     def _transport(self) -> EquivalentTransport:
-        return EquivalentTransport(METRES_PER_RADIAN, _WHOLE, both=self.solver.optimise == "T1T2")
+        return EquivalentTransport(METRES_PER_RADIAN, _ROTATION_FACTOR, both=self.solver.optimise == "T1T2")
 
     @cached_property
     def _several(self) -> bool:
-        """Whether some body has several pieces; if not, there is nothing that the last answer could put in order."""
+        """True where some body has several pieces; otherwise the last answer cannot reorder the pieces."""
         return any(len(body.pieces) > 1 for body in (*self.layer.pairs.a, *self.layer.pairs.b))
 
 
@@ -186,12 +186,12 @@ class _Best:
     """The best iterate of each task so far."""
 
     error: Tensor
-    """(N, P), in square metres."""
+    """Smallest errors (N, P), in square metres."""
     T_world_a: Tensor
     T_world_b: Tensor
 
     def keep(self, error: Tensor, T_world_a: Tensor, T_world_b: Tensor) -> None:
-        """Take what is better; an error that is not a number never is."""
+        """Keep the iterates that are better; an error that is NaN never is."""
         better = error < self.error
         self.error = torch.where(better, error, self.error)
         self.T_world_a = torch.where(better[..., None, None], T_world_a, self.T_world_a)
@@ -199,8 +199,8 @@ class _Best:
 
 
 def _step(T: Tensor, G: Tensor, rotation: float) -> Tensor:
-    """T exp(-(v s_t, w s_r)) with the body twist (v, w) of the gradient G scaled to length one; 0 stays 0."""
-    twist = body_gradient(T, G) * T.new_tensor([1.0] * 3 + [_WHOLE] * 3)
+    """Return T exp(-(v s_t, w s_r)), with the body twist (v, w) of the gradient G scaled to length one; 0 stays 0."""
+    twist = body_gradient(T, G) * T.new_tensor([1.0] * 3 + [_ROTATION_FACTOR] * 3)
     length = twist.norm(dim=-1, keepdim=True)
     unit = twist / torch.where(length > 0, length, torch.ones_like(length))
     scale = twist.new_tensor([METRES_PER_RADIAN * rotation] * 3 + [rotation] * 3)

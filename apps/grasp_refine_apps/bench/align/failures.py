@@ -1,7 +1,7 @@
-"""Typical failures: what a missed target looks like, and the facts that tell why it was missed.
+"""Typical failures: pictures of missed targets, and the facts that explain why they were missed.
 
-In a picture body a (blue, slightly transparent) lies below and body b (orange) above: the scene is turned so that
-the contact normal points up, and looked at from the side.
+In a picture body a (blue, slightly transparent) lies below and body b (orange) above: the scene is rotated so that
+the contact normal points up, and is seen from the side.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ if TYPE_CHECKING:
 
 Feature = Literal["vertex", "edge", "face", "round surface"]
 
-ON_PLANE = 1e-5
-"""A witness point lies in a face when it is in its plane to within this fraction of the piece's size."""
-TOUCHING = 1e-5
-"""Bodies closer than this (metres) touch, whatever the sign of their distance."""
-NEAR, RISING = 0.03, 0.01
-"""Another piece makes the place concave: as near as, and rising as far as, these fractions of the diagonal."""
+PLANE_TOLERANCE = 1e-5
+"""A witness point lies in a face if its distance to the face's plane is below this fraction of the piece's size."""
+CONTACT_DISTANCE_M = 1e-5
+"""Bodies closer than this (metres) are in contact, whatever the sign of their distance."""
+BESIDE_DISTANCE, BESIDE_RISE = 0.03, 0.01
+"""Another piece makes the place concave: largest distance and smallest rise, as fractions of the diagonal."""
 
 WIDTH, HEIGHT = 420, 340
 OVERSAMPLING = 2
-"""Everything is drawn this many times larger and averaged, for smooth edges."""
-SHADOW_SIZE = 500
+"""Supersampling factor: pictures are drawn this many times larger and averaged, for smooth edges."""
+SHADOW_SIZE_PX = 500
 """Pixels along each side of the shadow map."""
-EXTENT = 0.2
-"""Metres that a picture is high after scaling; the rasterizer's outlines and shadows are made for this size."""
+PICTURE_HEIGHT_M = 0.2
+"""Height of a picture in metres after scaling; the rasterizer's outlines and shadows are made for this size."""
 COLOR_A, COLOR_B, BACKGROUND = (0.56, 0.72, 0.93), (0.96, 0.68, 0.36), (0.976, 0.98, 0.988)
 OPACITY_A = 0.6
-CREASE = 20.0
-"""Edges sharper than this (degrees) are shown as edges."""
+CREASE_ANGLE_DEG = 20.0
+"""Edges sharper than this (degrees) are drawn as edges."""
 INK, MARK_A, MARK_B = "#1b2430", "#0b4f9c", "#a63c00"
-LIGHT = (0.5, 0.25)
-"""The light comes from the camera, moved this far (in units of the way to it) to the right and up."""
+LIGHT_OFFSET = (0.5, 0.25)
+"""Position of the light: the camera, moved this far (in units of its distance) to the right and up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,51 +62,51 @@ class WitnessPoints:
     distance: float
     """Signed distance in metres."""
     winner: int
-    """The closest piece pair, an index into `Pairs.piece_pairs` of the two bodies; -1: the query failed."""
+    """Closest piece pair, an index into `Pairs.piece_pairs` of the two bodies; -1: the query failed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Failure:
-    """How a task that was not solved ended."""
+    """Final state of a task that was not solved."""
 
     method: str
     """Label of the variant; its first word is the derivative method."""
     kind: str
     """Kind of the bodies: "convex" or "concave"."""
     target_class: str
-    """What the targets lie on, such as "face-vertex"."""
+    """Features that the targets lie on, such as "face-vertex"."""
     body_a: Body
-    """The resting body, in its own frame."""
+    """The fixed body, in its own frame."""
     body_b: Body
-    """The moving body."""
+    """The moving body, in its own frame."""
     T_world_a: Float[np.ndarray, "4 4"]
     """Pose of body a."""
     T_world_b: Float[np.ndarray, "4 4"]
     """Pose of body b where its error was smallest."""
     target_a: Float[np.ndarray, " 3"]
-    """Where the witness point of body a should be, metres, body frame."""
+    """Target of the witness point of body a, metres, body frame."""
     target_b: Float[np.ndarray, " 3"]
-    """The same of body b."""
+    """Target of the witness point of body b, metres, body frame."""
     margin: float
-    """The signed distance in metres that was wanted."""
+    """Desired signed distance in metres."""
     witness: WitnessPoints
-    """What a query finds at these poses."""
+    """Answer of a query at these poses."""
 
     @cached_property
     def targets(self) -> Float[np.ndarray, "2 3"]:
-        """Both targets in the world."""
+        """Both targets (2, 3) in the world frame, metres."""
         return np.stack(
             [transform_points(self.T_world_a, self.target_a), transform_points(self.T_world_b, self.target_b)]
         )
 
     @cached_property
     def points(self) -> Float[np.ndarray, "2 3"]:
-        """Both witness points in the world."""
+        """Both witness points (2, 3) in the world frame, metres."""
         return np.stack([self.witness.point_a, self.witness.point_b])
 
     @property
     def misses(self) -> Float[np.ndarray, " 2"]:
-        """How far each witness point is from its target, metres."""
+        """Distance (2,) of each witness point from its target, metres."""
         return np.linalg.norm(self.points - self.targets, axis=1)
 
     @property
@@ -117,16 +117,16 @@ class Failure:
 
 @dataclass(frozen=True)
 class Place:
-    """Where on its body a witness point lies."""
+    """Location of a witness point on its body."""
 
     feature: Feature
-    """The part of the winning piece that carries it."""
+    """Feature of the closest piece on which it lies."""
     beside: float | None
     """Distance in metres to a piece that rises beside it; None: the body is convex there."""
 
 
 def place(body: Body, piece: Piece, point: np.ndarray, normal: np.ndarray) -> Place:
-    """Where a witness point lies; everything in the frame of the body.
+    """Locate a witness point; everything in the frame of the body.
 
     Args:
         body: The body.
@@ -138,38 +138,38 @@ def place(body: Body, piece: Piece, point: np.ndarray, normal: np.ndarray) -> Pl
         distance
         for other in body.pieces
         if other is not piece
-        and ((other.vertices - point) @ normal).max() + other.radius > RISING * body.diagonal
-        and (distance := _distance(other, point)) < NEAR * body.diagonal
+        and ((other.vertices - point) @ normal).max() + other.radius > BESIDE_RISE * body.diagonal
+        and (distance := _distance(other, point)) < BESIDE_DISTANCE * body.diagonal
     ]
     return Place(feature(piece, point, normal), min(beside, default=None))
 
 
 def feature(piece: Piece, point: np.ndarray, normal: np.ndarray) -> Feature:
-    """The part of a piece's surface that carries a point (3,) with outward contact normal (3,), body frame."""
+    """Return the feature of a piece's surface that holds a point (3,) with outward contact normal (3,), body frame."""
     if piece.radius > 0:
         return "round surface"
     normals, offsets = piece.planes
     gaps = np.abs(normals @ point - offsets)
     size = np.linalg.norm(np.ptp(piece.vertices, axis=0))
-    # The directions that no active face forbids; nearly parallel faces count as one.
-    active = normals[gaps <= max(ON_PLANE * size, 1.001 * gaps.min())]
+    # Directions that no active face excludes; nearly parallel faces count as one.
+    active = normals[gaps <= max(PLANE_TOLERANCE * size, 1.001 * gaps.min())]
     values = np.linalg.eigvalsh(active.T @ active)
     return ("vertex", "edge", "face")[int((values < 1e-9 * values[-1]).sum())]
 
 
 def caption(failure: Failure) -> str:
-    """What was missed by how much, what the witness points lie on, and what that does to the method."""
+    """Describe the miss, the features at the witness points, and their effect on the method."""
     w = failure.witness
     if w.winner < 0:
         return "The collision query gave no witness points at the last pose."
     a, b = _places(failure)
-    if abs(w.distance) < TOUCHING:
+    if abs(w.distance) < CONTACT_DISTANCE_M:
         apart = "The bodies touch"
     elif w.distance > 0:
         apart = f"The bodies are {_mm(w.distance)} apart"
     else:
         apart = f"The bodies penetrate by {_mm(-w.distance)}"
-    wanted = f" ({_mm(failure.margin)} wanted)" if abs(w.distance - failure.margin) > TOUCHING else ""
+    wanted = f" ({_mm(failure.margin)} desired)" if abs(w.distance - failure.margin) > CONTACT_DISTANCE_M else ""
     where = f"the witness point is {_on(a.feature)} of body a and {_on(b.feature)} of body b"
     if a.feature == b.feature:
         where = f"the witness points are both {_on(a.feature)}"
@@ -177,19 +177,19 @@ def caption(failure: Failure) -> str:
     said = f"{apart}{wanted}; {where}, {misses} from the targets."
     for name, its in (("a", a), ("b", b)):
         if its.beside is not None:
-            gap = "touching" if its.beside < TOUCHING else f"{_mm(its.beside)} from"
+            gap = "touching" if its.beside < CONTACT_DISTANCE_M else f"{_mm(its.beside)} from"
             said += f" Body {name} is concave there: another piece of it rises {gap} its witness point."
     reason = _reason(failure, a, b)
     return f"{said} {reason}" if reason else said
 
 
 def blind_spot(failure: Failure) -> bool:
-    """Whether what the witness points lie on is known to blind the method."""
+    """True where the features at the witness points are known to blind the method."""
     return failure.witness.winner >= 0 and bool(_reason(failure, *_places(failure)))
 
 
 def _reason(failure: Failure, a: Place, b: Place) -> str:
-    """What the place means for the derivative, where that is known."""
+    """Explain the effect of these features on the derivative, where it is known."""
     method = failure.method.split(" ")[0]
     missed = [its for its, miss in zip((a, b), failure.misses, strict=True) if miss > 1e-4]
     features = {its.feature for its in missed}
@@ -199,19 +199,19 @@ def _reason(failure: Failure, a: Place, b: Place) -> str:
         return "At an edge the analytical derivative sees only moves along it."
     if any(its.beside is not None for its in missed):
         return "The closest piece can change at once there, which a derivative at one point does not show."
-    if method == "direction" and abs(failure.witness.distance) <= TOUCHING:
-        return "Close to contact the direction between the witness points, which this method turns, vanishes."
+    if method == "direction" and abs(failure.witness.distance) <= CONTACT_DISTANCE_M:
+        return "Close to contact the direction between the witness points, which this method rotates, vanishes."
     if method == "direction" and "face" in features:
-        return "All points of a face lie equally far along its normal, so this method cannot tell them apart."
-    if method == "zeroth-order" and failure.witness.distance < -TOUCHING:
+        return "All points of a face lie equally far along its normal, so this method cannot distinguish them."
+    if method == "zeroth-order" and failure.witness.distance < -CONTACT_DISTANCE_M:
         return "In penetration the deepest points can jump between sides, which makes sampled differences noisy."
     if method == "rigid":
-        return "This method takes the witness points as fixed to their bodies."
+        return "This method treats the witness points as fixed to their bodies."
     return ""
 
 
 def picture(failure: Failure) -> bytes:
-    """A PNG of the scene: targets as rings, witness points as dots, a line from each to its target."""
+    """Render a PNG of the scene: targets as rings, witness points as dots, a line from each point to its target."""
     from PIL import Image, ImageDraw
 
     turn = _upright(failure.witness.normal)
@@ -219,7 +219,7 @@ def picture(failure: Failure) -> bytes:
     middle = (interest.min(0) + interest.max(0)) / 2
     reach = max(np.linalg.norm(interest - middle, axis=1).max(), 1e-4)
     smaller = min(failure.body_a.diagonal, failure.body_b.diagonal)
-    scale = EXTENT / max(2.7 * reach, 0.55 * smaller)
+    scale = PICTURE_HEIGHT_M / max(2.7 * reach, 0.55 * smaller)
 
     def seen(points: np.ndarray) -> np.ndarray:
         return scale * (points - middle) @ turn.T
@@ -234,19 +234,21 @@ def picture(failure: Failure) -> bytes:
     direction = _viewpoint(failure, turn, interest, marks)
     size = OVERSAMPLING * np.array([WIDTH, HEIGHT])
     target = (marks.min(0) + marks.max(0)) / 2
-    camera = Camera(target + 2.0 * far * direction, target, int(size[0]), int(size[1]), EXTENT, perspective=False)
+    camera = Camera(
+        target + 2.0 * far * direction, target, int(size[0]), int(size[1]), PICTURE_HEIGHT_M, perspective=False
+    )
     a = _model(failure.body_a, failure.T_world_a, seen, COLOR_A)
     b = _model(failure.body_b, failure.T_world_b, seen, COLOR_B)
     photo = OPACITY_A * _on_background([a, b], camera) + (1.0 - OPACITY_A) * _on_background([b], camera)
     image = Image.fromarray((255 * photo).round().astype(np.uint8))
-    _annotate(ImageDraw.Draw(image), camera.project(marks)[:, :2], scale * HEIGHT / EXTENT)
+    _annotate(ImageDraw.Draw(image), camera.project(marks)[:, :2], scale * HEIGHT / PICTURE_HEIGHT_M)
     out = io.BytesIO()
     image.resize((WIDTH, HEIGHT), Image.Resampling.BOX).save(out, format="PNG", optimize=True)
     return out.getvalue()
 
 
 def _places(failure: Failure) -> list[Place]:
-    """Where the two witness points lie."""
+    """Locate both witness points."""
     w = failure.witness
     sides = Pairs((failure.body_a,), (failure.body_b,)).piece_pairs
     found = []
@@ -260,7 +262,7 @@ def _places(failure: Failure) -> list[Place]:
 
 
 def _distance(piece: Piece, point: np.ndarray) -> float:
-    """Distance in metres of a point (3,) from a piece, 0 inside it."""
+    """Distance in metres from a point (3,) to a piece, 0 inside it."""
     import trimesh
 
     if len(piece.vertices) <= 2:
@@ -279,7 +281,7 @@ def _distance(piece: Piece, point: np.ndarray) -> float:
 
 
 def _upright(normal: np.ndarray) -> Float[np.ndarray, "3 3"]:
-    """A rotation that turns `normal` (3,) to z."""
+    """Rotation that turns `normal` (3,) to z."""
     z = normal / np.linalg.norm(normal) if np.linalg.norm(normal) > 0 else np.array([0.0, 0.0, 1.0])
     x = np.cross(z, np.eye(3)[np.abs(z).argmin()])
     x /= np.linalg.norm(x)
@@ -287,25 +289,25 @@ def _upright(normal: np.ndarray) -> Float[np.ndarray, "3 3"]:
 
 
 def _viewpoint(failure: Failure, turn: np.ndarray, interest: np.ndarray, marks: np.ndarray) -> np.ndarray:
-    """The direction (3,) from the scene to the camera, z up: sideways to the normal, with the best view of all marks.
+    """Direction (3,) from the scene to the camera, z up: perpendicular to the normal, with the best view of all marks.
 
     Args:
         failure: The scene.
         turn: Rotation (3, 3) from the world to the picture's frame.
         interest: Witness points and targets (4, 3), world frame.
-        marks: The same in the picture's frame.
+        marks: Witness points and targets (4, 3), the picture's frame.
     """
     tilt, angle = (grid.ravel() for grid in np.meshgrid((0.12, 0.4, -0.25), np.arange(24) * np.pi / 12))
     directions = np.stack([np.cos(tilt) * np.cos(angle), np.cos(tilt) * np.sin(angle), np.sin(tilt)], axis=1)
     right = np.stack([-np.sin(angle), np.cos(angle), np.zeros_like(angle)])
     width = np.ptp(marks @ right, axis=0) / (np.ptp(marks, axis=0).max() + 1e-12)
     hidden = sum(_hidden(failure, point, directions @ turn) for point in interest)
-    # Rounding keeps the choice the same where views are alike.
+    # Rounding makes the choice stable where views are alike.
     return directions[np.round(0.5 * width - hidden - 0.3 * np.abs(tilt), 6).argmax()]
 
 
 def _hidden(failure: Failure, point: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """How much (D,) lies before a point (3,) seen from directions (D, 3), world: 1 for b, less for the clearer a."""
+    """Occlusion (D,) of a point (3,) seen from directions (D, 3), world: 1 by body b, less by the transparent a."""
     cover = np.zeros(len(directions))
     for body, T, weight in ((failure.body_a, failure.T_world_a, 0.6), (failure.body_b, failure.T_world_b, 1.0)):
         p, u = T[:3, :3].T @ (point - T[:3, 3]), directions @ T[:3, :3]
@@ -329,18 +331,18 @@ def _hidden(failure: Failure, point: np.ndarray, directions: np.ndarray) -> np.n
 
 
 def _model(body: Body, T: np.ndarray, seen: Callable[[np.ndarray], np.ndarray], color: tuple) -> Model:
-    """The pieces of a body as they are drawn."""
+    """Models of the pieces of a body for the renderer."""
     import trimesh
 
     mesh = trimesh.util.concatenate([piece.mesh() for piece in body.pieces])
     assert isinstance(mesh, trimesh.Trimesh)
     mesh.vertices = seen(transform_points(T, np.asarray(mesh.vertices)))
-    return Model.of(mesh, color, crease=CREASE)
+    return Model.of(mesh, color, crease=CREASE_ANGLE_DEG)
 
 
 def _on_background(models: list[Model], camera: Camera) -> np.ndarray:
     right, down, forward = camera.axes
-    image = render(models, camera, LIGHT[0] * right - LIGHT[1] * down - forward, SHADOW_SIZE)
+    image = render(models, camera, LIGHT_OFFSET[0] * right - LIGHT_OFFSET[1] * down - forward, SHADOW_SIZE_PX)
     return image[..., :3] * image[..., 3:] + np.array(BACKGROUND) * (1.0 - image[..., 3:])
 
 
@@ -350,13 +352,13 @@ def _annotate(draw: ImageDraw, marks: np.ndarray, pixels_per_metre: float) -> No
     Args:
         draw: The oversampled picture.
         marks: Pixels (4, 2) of the witness points on a and b, then of the targets of a and b.
-        pixels_per_metre: Of the picture that comes out.
+        pixels_per_metre: Scale of the final picture.
     """
     from PIL import ImageFont
 
     s = OVERSAMPLING
     halo = tuple((255 * np.array(BACKGROUND)).round().astype(int))
-    # The ring of b is wider, so that two targets on each other are both seen.
+    # The ring of b is wider, so that both targets are visible where they coincide.
     rings = (marks[3], 11, MARK_B), (marks[2], 7, MARK_A)
     for point, (goal, radius, color) in zip((marks[1], marks[0]), rings, strict=True):
         way = goal - point
@@ -387,7 +389,7 @@ def _on(feature: Feature) -> str:
 
 
 def _mm(metres: float) -> str:
-    """Metres as a person reads them, with more digits when it is little."""
+    """Format metres for people, with more digits for small values."""
     value = 1e3 * metres
     if value >= 0.95:
         return f"{value:.1f} mm"

@@ -1,4 +1,4 @@
-"""Rows as people read them: what tells them apart, and in which order they come."""
+"""Labels and order of rows as people read them."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ from grasp_refine_apps.bench.align.variants import MethodName, SolverName
 Row = dict[str, Any]
 
 METHODS: tuple[str, ...] = (*get_args(MethodName), *get_args(SolverName)[1:])
-"""Order of the methods of descent and of the other solvers; each has the colour and the marker of the same place."""
+"""Order of the methods of descent and of the other solvers; each has the colour and the marker of that position."""
 SETTINGS = (
     "solver", "neighborhood", "coupling", "transport", "optimise", "margin", "step_size", "witness", "epsilon", "dtype",
 )  # fmt: skip
-"""What a row may differ in from another one of the same method, in the order of a label."""
+"""Settings in which rows of one method may differ, in the order of a label."""
 SWEPT = {"margin": "contact margin", "step_size": "step size of rotations at the start"}
-"""Settings that get a chart of their own when several values were tried, and what they are."""
+"""Settings with a chart of their own when several values were run -> name on the axis."""
 
 
 def name_of(row: Row) -> str:
-    """What a row is called first: the method of descent, or the other solver."""
+    """First word of a row's label: the method of descent, or the other solver."""
     return row["method"] if row.get("solver") in (None, "descent") else row["solver"]
 
 
 def micrometres(epsilon: float) -> str:
-    """The epsilon of a patch witness as a person reads it."""
+    """Format the epsilon of a patch witness for people."""
     return f"{1e6 * epsilon:g} µm"
 
 
 def epsilons(rows: Iterable[Row]) -> str:
-    """Every epsilon of a patch witness among rows, in words; empty where there is none."""
+    """List every epsilon of a patch witness among rows; empty without any."""
     found = sorted({row["patch"]["epsilon"] for row in rows if row.get("patch")})
     return ", ".join(map(micrometres, found))
 
 
 def labels_of(rows: Sequence[Row], without: Iterable[str] = ()) -> list[str]:
-    """A short label for each row: its method, and those settings that differ among the rows of that method.
+    """Return a short label for each row: its method, and those settings that differ among the rows of that method.
 
-    A patch witness is always told, with its epsilon.
+    A patch witness is always named, with its epsilon.
 
     Args:
         rows: All rows that are shown together.
-        without: Settings that no label shall mention.
+        without: Settings to leave out of the labels.
     """
     keys = [key for key in SETTINGS if key not in {*without, "solver", "witness", "epsilon"}]
     varying = {}
@@ -60,7 +60,7 @@ def labels_of(rows: Sequence[Row], without: Iterable[str] = ()) -> list[str]:
 
 
 def _words(key: str, value: Any) -> str:
-    """A setting as part of a label; empty where there is nothing to say."""
+    """Format a setting as part of a label; empty for defaults."""
     if value is None:
         return ""
     if key == "transport":
@@ -73,7 +73,7 @@ def _words(key: str, value: Any) -> str:
 
 
 def ordered(rows: Iterable[Row], label: Callable[[Row], str]) -> list[Row]:
-    """Rows by kind, method, settings, pair and target class, then from the smallest to the largest budget."""
+    """Sort rows by kind, method, settings, pair and target class, then from the smallest to the largest budget."""
 
     def place(row: Row) -> tuple:
         kind, method = row["kind"], name_of(row)
@@ -91,12 +91,12 @@ def ordered(rows: Iterable[Row], label: Callable[[Row], str]) -> list[Row]:
 
 
 def budget(row: Row) -> tuple[float, float, float]:
-    """A number that grows with the budget of a row, to be compared among rows of one variant."""
+    """Sort key that grows with the budget of a row, for rows of one variant."""
     return row.get("budget_s") or 0.0, row.get("budget") or 0.0, row.get("cpu_s_per_pair") or 0.0
 
 
 def at_largest_budget(rows: Sequence[Row], labels: Sequence[str]) -> list[Row]:
-    """The rows with the largest budget of each variant, kind, pair and target class, in the order given."""
+    """Select the rows with the largest budget of each variant, kind, pair and target class, in the given order."""
     best: dict[tuple, Row] = {}
     for row, label in zip(rows, labels, strict=True):
         key = label, row["kind"], row["pair"], row["target_class"]
@@ -106,12 +106,12 @@ def at_largest_budget(rows: Sequence[Row], labels: Sequence[str]) -> list[Row]:
 
 
 def pooled(rows: Iterable[Row]) -> list[Row]:
-    """The rows over all pairs and all target classes."""
+    """Select the rows over all pairs and all target classes."""
     return [row for row in rows if row["pair"] == "all" and row["target_class"] == "all"]
 
 
 def swept(rows: Sequence[Row]) -> list[str]:
-    """The settings of `SWEPT` that have several values with one method."""
+    """Return the settings of `SWEPT` that have several values with one method."""
     methods = {name_of(row) for row in rows}
 
     def values(key: str, method: str) -> int:
@@ -121,6 +121,6 @@ def swept(rows: Sequence[Row]) -> list[str]:
 
 
 def kinds_of(rows: Iterable[Row]) -> list[str]:
-    """The kinds among rows, convex first."""
+    """Return the kinds among rows, convex first."""
     found = {row["kind"] for row in rows}
     return [kind for kind in KINDS if kind in found] + sorted(found - set(KINDS))

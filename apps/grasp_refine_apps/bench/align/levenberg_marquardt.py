@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on alignment tasks: each task ends when it is solved, or when its budget is spent."""
+"""Levenberg-Marquardt on alignment tasks: each task ends when it is solved, or when its budget is used up."""
 
 from __future__ import annotations
 
@@ -11,58 +11,58 @@ import numpy as np
 from grasp_refine.refinement.solvers.least_squares import WIDTH, Point, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.witness.patch import Patch
-from grasp_refine_apps.bench.align.aligned import Aligned, Visit, errors_at, padded
+from grasp_refine_apps.bench.align.aligned import AlignmentResult, Visit, errors_at, pad_tasks
 from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.problem import AlignProblem
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch
 from grasp_refine_apps.bench.align.tasks import Tasks
 
-TOLERANCE = 1e-14
+TOLERANCE_M2 = 1e-14
 """Errors (m^2) below this, a tenth of a micrometre, end a task."""
 
-PATIENCE = 9
-"""Iterations without progress before a new start."""
-WIDTHS = (1.0, 0.5, 2.0, 0.25, 0.0, np.inf)
-"""Factors of the neighbourhoods' radii, one after the other at each rejection; the last takes faces as planes."""
+STALL_ITERATIONS = 9
+"""Iterations without progress before a restart."""
+RADIUS_FACTORS = (1.0, 0.5, 2.0, 0.25, 0.0, np.inf)
+"""Factors of the neighbourhoods' radii, one after the other at each rejection; the last treats faces as planes."""
 
 
 @dataclass(frozen=True)
 class AlignLevenbergMarquardt:
-    """Levenberg-Marquardt with the derivative of contact kinematics; a stalled task starts again without limit."""
+    """Levenberg-Marquardt with the derivative of contact kinematics; a stalled task restarts without limit."""
 
     margin: float = 0.0
-    """Contact margin beta in metres: the gap that is aimed at."""
+    """Contact margin beta in metres: the desired gap."""
     iterations: int = 200
     """Budget of a task in iterations, each one witness query."""
     patch: Patch | None = None
-    """Which witness points are used; None: plain ones."""
+    """Patch witness that is used; None: plain witness points."""
     seed: int = 0
-    """Of new starts."""
+    """Seed of restarts."""
 
 
-def minimised(
+def run_levenberg_marquardt(
     bodies: Sequence[BodyPair],
     tasks: Sequence[Tasks],
     solver: AlignLevenbergMarquardt,
     *,
     progress: Callable[[float], None] = lambda share: None,
     visit: Visit | None = None,
-) -> Aligned:
-    """Run the tasks of several pairs together; what comes of a task does not depend on the others.
+) -> AlignmentResult:
+    """Run the tasks of several pairs together; the result of a task does not depend on the others.
 
     Args:
         bodies: P pairs.
-        tasks: Those of each pair; some may have more than others.
+        tasks: Tasks of each pair; some pairs may have more than others.
         solver: Budget and witness.
-        progress: Called now and then with the share of the budget that is spent.
-        visit: Sees where the first task is.
+        progress: Called from time to time with the share of the budget that is used.
+        visit: Called with the poses of the first task at each iterate.
     """
     watch = Stopwatch()
     problem = AlignProblem(bodies, tasks, solver.margin, solver.seed, solver.patch, watch)
     counts = np.array([len(its) for its in tasks])
     first = np.cumsum(counts) - counts
     start = Point(problem.tasks.T_world_b, np.zeros((counts.sum(), 0)))
-    # What is built at the first call is not part of the loop's time.
+    # Caches built at the first call are not part of the loop's time.
     problem.evaluate(first, Point(start.T[first], start.q[first]), None)
     most = solver.iterations * -(-counts.sum() // WIDTH)
 
@@ -76,15 +76,19 @@ def minimised(
             visit(problem.tasks.T_world_a[0], T_b)
 
     settings = LevenbergMarquardt(
-        iterations=solver.iterations, restarts=solver.iterations, patience=PATIENCE, good=0.0, widths=WIDTHS
+        iterations=solver.iterations,
+        restarts=solver.iterations,
+        patience=STALL_ITERATIONS,
+        good=0.0,
+        widths=RADIUS_FACTORS,
     )
     start_cpu, start_wall = time.process_time(), time.perf_counter()
     with watch:
-        found = minimise(problem, start, settings, TOLERANCE, progress=told, on_iteration=visited if visit else None)
+        found = minimise(problem, start, settings, TOLERANCE_M2, progress=told, on_iteration=visited if visit else None)
     cpu_s, wall_s = time.process_time() - start_cpu, time.perf_counter() - start_wall
     task = np.arange(counts.max())[:, None]
     member = first + task % counts
     T_a, T_b = problem.tasks.T_world_a[member], found.point.T[member]
-    error, witness = errors_at(bodies, padded(tasks), T_a, T_b, solver.margin)
+    error, witness = errors_at(bodies, pad_tasks(tasks), T_a, T_b, solver.margin)
     iterations = np.where(task < counts, found.iterations[member], 0)
-    return Aligned(error, error, T_a, T_b, witness, iterations, watch, cpu_s, wall_s)
+    return AlignmentResult(error, error, T_a, T_b, witness, iterations, watch, cpu_s, wall_s)

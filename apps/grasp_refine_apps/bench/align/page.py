@@ -1,4 +1,4 @@
-"""The report of the alignment benchmark: one HTML file with charts, tables and pictures, and nothing from outside."""
+"""The report of the alignment benchmark: one self-contained HTML file with charts, tables and pictures."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ class Column:
     """A number of each row."""
 
     name: str
-    """Its head."""
+    """Head of the column."""
     hint: str
-    """What it is, in words."""
+    """Explanation of the number."""
     value: Callable[[Row], float | None]
     """The number of a row; None where it was not measured."""
     words: Callable[[float], str]
-    """The number as it is shown."""
+    """Format of the number."""
     best: Callable[[Iterable[float]], float] | None
-    """Which of the numbers is best; None: none is."""
+    """Function that selects the best of the numbers; None: no number is best."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,12 @@ class Line:
     budget: str
     cells: tuple[Cell, ...]
     shares: tuple[tuple[str, float, str], ...]
-    """Part of the CPU time, its percentage, and the same in words."""
+    """Part of the CPU time, its percentage, and its label."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows that are compared with each other."""
+    """Rows to be compared with each other."""
 
     title: str
     columns: tuple[Column, ...]
@@ -75,7 +75,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A failure as it is shown."""
+    """A failure with its picture."""
 
     head: str
     caption: str
@@ -97,7 +97,7 @@ def _seconds(value: float) -> str:
 
 
 def _of(*path: str) -> Callable[[Row], float | None]:
-    """A function that takes the number at `path` out of a row."""
+    """Return a function that reads the number at `path` of a row."""
 
     def value(row: Row) -> float | None:
         found: Any = row
@@ -114,23 +114,27 @@ def _query_us(row: Row) -> float | None:
     return None if forward is None or backward is None else forward + backward
 
 
-MILLIMETRE, TENTH = "Acc@1e-6", "Acc@1e-8"
+ACC_MILLIMETRE, ACC_TENTH = "Acc@1e-6", "Acc@1e-8"
 PATCH = (
-    Column("patch 1e-6", f"{MILLIMETRE} at the same poses, by patch", _of("patch", "acc_1e6"), _percent, max),
-    Column("patch 1e-8", f"{TENTH} at the same poses, by patch", _of("patch", "acc_1e8"), _percent, max),
+    Column("patch 1e-6", f"{ACC_MILLIMETRE} at the same poses, by patch", _of("patch", "acc_1e6"), _percent, max),
+    Column("patch 1e-8", f"{ACC_TENTH} at the same poses, by patch", _of("patch", "acc_1e8"), _percent, max),
     Column("patch D9 [m²]", "9th decile of the error at the same poses, by patch", _of("patch", "d9"), _area, min),
 )
-"""What patch witness points tell; shown where they were asked."""
+"""Columns by patch witness points; shown where these were measured."""
 COLUMNS = (
-    Column(MILLIMETRE, "share of targets with an error below 1e-6 m² (1 mm)", _of("acc_1e6"), _percent, max),
-    Column(TENTH, "share of targets with an error below 1e-8 m² (0.1 mm)", _of("acc_1e8"), _percent, max),
+    Column(ACC_MILLIMETRE, "share of targets with an error below 1e-6 m² (1 mm)", _of("acc_1e6"), _percent, max),
+    Column(ACC_TENTH, "share of targets with an error below 1e-8 m² (0.1 mm)", _of("acc_1e8"), _percent, max),
     Column("D5 [m²]", "median of the error", _of("d5"), _area, min),
     Column("D9 [m²]", "9th decile: nine of ten errors are below it", _of("d9"), _area, min),
     Column(
-        "reachable", f"{MILLIMETRE} of the targets known to be reachable", _of("reachable", "acc_1e6"), _percent, max
+        "reachable",
+        f"{ACC_MILLIMETRE} of the targets known to be reachable",
+        _of("reachable", "acc_1e6"),
+        _percent,
+        max,
     ),
-    Column("unfiltered", f"{MILLIMETRE} of all targets drawn", _of("unfiltered", "acc_1e6"), _percent, max),
-    Column("last", f"{MILLIMETRE} of the last iterates, not the best", _of("last", "acc_1e6"), _percent, max),
+    Column("unfiltered", f"{ACC_MILLIMETRE} of all targets drawn", _of("unfiltered", "acc_1e6"), _percent, max),
+    Column("last", f"{ACC_MILLIMETRE} of the last iterates, not the best", _of("last", "acc_1e6"), _percent, max),
     Column("queries", "collision queries per target, mean", _of("queries_mean"), lambda v: f"{v:.0f}", min),
     Column("query µs", "CPU microseconds of a query, forward and backward", _query_us, lambda v: f"{v:.0f}", min),
     Column("sampling µs", "of these, the choice of surface samples", _of("sampling_us"), lambda v: f"{v:.0f}", None),
@@ -139,10 +143,10 @@ COLUMNS = (
 
 
 def page(document: dict[str, Any], failures: Sequence[Failure]) -> str:
-    """The report of a run of `bench align` as HTML; the same input gives the same text.
+    """Render the report of a run of `bench align` as HTML; equal input gives equal text.
 
-    Args:
-        document: What the benchmark writes as JSON.
+    document: The JSON document of the benchmark.
+        failures: Missed tasks, for the pictures at the end.
         failures: Tasks that were missed, for the pictures at the end.
     """
     names = {id(row): label for row, label in zip(document["rows"], labels_of(document["rows"]), strict=True)}
@@ -205,7 +209,7 @@ def _duration(seconds: float | None) -> str:
 
 
 def _findings(rows: Sequence[Row], label: Callable[[Row], str]) -> list[str]:
-    """For each kind a sentence about the variant with the most hits and the one after it."""
+    """Describe, for each kind, the variant with the most hits and the runner-up."""
     found = []
     for kind in kinds_of(rows):
         mine = [row for row in rows if row["kind"] == kind and _of("acc_1e6")(row) is not None]
@@ -220,7 +224,7 @@ def _findings(rows: Sequence[Row], label: Callable[[Row], str]) -> list[str]:
 
 
 def _table(title: str, rows: Sequence[Row], label: Callable[[Row], str], columns: Sequence[Column] = COLUMNS) -> Table:
-    """A table whose best numbers are marked: all that look the same, unless the whole column does."""
+    """Make a table with its best numbers marked: all that look equal, unless the whole column does."""
     if any(row.get("patch") for row in rows):
         columns = (*columns, *PATCH)
     best = []
@@ -240,27 +244,27 @@ def _table(title: str, rows: Sequence[Row], label: Callable[[Row], str], columns
 
 
 def _budget(row: Row) -> str:
-    """What ended a task at the latest."""
+    """Format the budget of a task."""
     if row.get("budget_s") is not None:
         return f"{row['budget_s']:g} CPU s"
     return f"{row['budget']:g} iterations" if row.get("budget") is not None else "–"
 
 
 def _shares(row: Row) -> tuple[tuple[str, float, str], ...]:
-    """The parts of the CPU time that were measured."""
+    """Measured parts of the CPU time."""
     parts = [(name, _of("cpu_share", name)(row)) for name in PARTS]
     return tuple((name, round(100 * part, 2), f"{name} {100 * part:.0f} %") for name, part in parts if part)
 
 
 def _budgets(every: Sequence[Row], last: Sequence[Row], label: Callable[[Row], str]) -> list[Table]:
-    """Tables of all budgets, if there is more than the largest."""
+    """Make tables of all budgets, if there are several."""
     if len(every) == len(last):
         return []
     return [_table(kind, [row for row in every if row["kind"] == kind], label) for kind in kinds_of(every)]
 
 
 def _split(rows: Sequence[Row], key: str, label: Callable[[Row], str], **fixed: str) -> list[tuple[str, list[Table]]]:
-    """Each value of `key` but "all" with its tables, one a kind, among rows with the `fixed` values."""
+    """Return each value of `key` but "all" with its tables, one for each kind, among rows with the `fixed` values."""
     mine = [row for row in rows if row[key] != "all" and all(row[name] == value for name, value in fixed.items())]
     found: dict[str, list[Table]] = {}
     for value in sorted({row[key] for row in mine}, key=_class_order):
@@ -274,7 +278,7 @@ def _class_order(name: str) -> tuple[int, str]:
 
 
 def _matrix(rows: Sequence[Row], label: Callable[[Row], str]) -> list[Table]:
-    """For each kind the share of hits, a line a variant and a column a target class."""
+    """Make a table of hits for each kind, a line for each variant and a column for each target class."""
     mine = [row for row in rows if row["pair"] == "all" and row["target_class"] != "all"]
     tables = []
     for kind in kinds_of(mine):
@@ -283,7 +287,7 @@ def _matrix(rows: Sequence[Row], label: Callable[[Row], str]) -> list[Table]:
         for row in here:
             found.setdefault(label(row), {})[row["target_class"]] = row
         columns = [
-            Column(name, f"{MILLIMETRE} of {name} targets (body a, body b)", _of(name, "acc_1e6"), _percent, max)
+            Column(name, f"{ACC_MILLIMETRE} of {name} targets (body a, body b)", _of(name, "acc_1e6"), _percent, max)
             for name in sorted({row["target_class"] for row in here}, key=_class_order)
         ]
         lines = [{**classes, "label": name} for name, classes in found.items()]
@@ -298,7 +302,7 @@ def _figure(failure: Failure) -> Figure:
 
 
 def _settings(rows: Sequence[Row], label: Callable[[Row], str]) -> Table:
-    """All settings of each variant."""
+    """Make a table of all settings of each variant."""
     columns = [Column(key.replace("_", " "), "", _of(key), str, None) for key in SETTINGS]
     lines: dict[str, Line] = {}
     for row in rows:
@@ -318,7 +322,7 @@ def _setting(key: str, value: Any) -> str:
 
 
 def _flat(value: Any, path: str = "") -> list[tuple[str, str]]:
-    """Nested settings as a list of dotted names and values."""
+    """Flatten nested settings into a list of dotted names and values."""
     if isinstance(value, dict):
         return [line for key, part in value.items() for line in _flat(part, f"{path}.{key}" if path else str(key))]
     if value is None and not path:

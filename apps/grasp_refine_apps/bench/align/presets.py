@@ -19,11 +19,11 @@ OURS = Variant()
 BASELINE = Variant("direction", "neighbor", transport=False)
 """The method that the paper improves on (Montaut et al. 2022)."""
 SMOOTHING: tuple[MethodName, ...] = ("direction", "distance")
-"""The methods that look at samples of the surface."""
-NEAR: tuple[NeighborhoodName, ...] = ("neighbor", "fixed", "adaptive")
-"""Which samples they look at."""
+"""Methods that use samples of the surface."""
+NEIGHBORHOODS: tuple[NeighborhoodName, ...] = ("neighbor", "fixed", "adaptive")
+"""Neighbourhoods of these samples."""
 EPSILON = 1e-5
-"""Of the patch witness, in metres."""
+"""Epsilon of the patch witness, in metres."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Preset:
     """An experiment."""
 
     variants: tuple[Variant, ...]
-    """What is compared, at the largest budget."""
+    """Variants to compare, at the largest budget."""
     classes: tuple[str, ...] = CLASSES[:3]
     """Classes of targets."""
     pairs: int = 8
@@ -39,7 +39,7 @@ class Preset:
     targets: int = 64
     """Accepted targets of each pair."""
     budgets: tuple[int, ...] = (2000,)
-    """Budgets in iterations that every variant is run at; none: each has its own."""
+    """Budgets in iterations that every variant is run at; empty: each variant has its own."""
 
 
 def _table1() -> tuple[Variant, ...]:
@@ -49,7 +49,7 @@ def _table1() -> tuple[Variant, ...]:
 
 
 def _table2() -> tuple[Variant, ...]:
-    sampling = [Variant(name, near) for name, near in product(SMOOTHING, NEAR)]
+    sampling = [Variant(name, near) for name, near in product(SMOOTHING, NEIGHBORHOODS)]
     without = [Variant(name, transport=False) for name in SMOOTHING]
     both = [Variant(name, transport=False, optimise="T1T2") for name in SMOOTHING]
     return tuple(replace(variant, margin=margin) for variant in (*both, *without, *sampling) for margin in (0.0, 1e-3))
@@ -61,7 +61,7 @@ def _table3() -> tuple[Variant, ...]:
 
 
 def _table4() -> tuple[Variant, ...]:
-    backward = [Variant(name, near) for name, near in product(SMOOTHING, NEAR)]
+    backward = [Variant(name, near) for name, near in product(SMOOTHING, NEIGHBORHOODS)]
     return (*backward, replace(OURS, transport=False))
 
 

@@ -21,24 +21,24 @@ from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch
 from grasp_refine_apps.bench.align.tasks import Tasks
 
-NEAR, FAR = (0.003, 0.5), (0.3, np.pi)
-"""Angles of new starts in radians: from the best pose (evenly in the logarithm), and from the present one."""
+NEAR_ANGLES_RAD, FAR_ANGLES_RAD = (0.003, 0.5), (0.3, np.pi)
+"""Ranges of restart angles in radians: from the best pose (log-uniform), and from the current pose."""
 
-TURN = 2.0
-"""Most radians of a step."""
+MAX_ROTATION_RAD = 2.0
+"""Largest rotation of a step in radians."""
 
-FACE = 2e-5
-"""Faces this near to a witness point (metres), beside the nearest one, may support it."""
-UNDAMPED = 1e3
-"""Factor of residuals that damping shall not see: nothing but the whole step is of use."""
+FACE_DISTANCE_M = 2e-5
+"""Faces this close to a witness point (metres), beside the nearest one, may support it."""
+UNDAMPED_FACTOR = 1e3
+"""Factor of residuals that damping must not affect: only the full step is useful."""
 
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """Tasks at a pose; M rows."""
+    """Evaluated tasks; M rows."""
 
     residual: np.ndarray
-    """[d - beta, E^T (x_a - t_a), E^T (x_b - t_b)] (M, 5): the misses across the normal have no derivative."""
+    """[d - beta, E^T (x_a - t_a), E^T (x_b - t_b)] (M, 5): misses along the normal have no derivative."""
     loss: np.ndarray
     """(d - beta)^2 + |x_a - t_a|^2 + |x_b - t_b|^2 (M,) in square metres."""
     num_queries: np.ndarray
@@ -46,13 +46,13 @@ class Known:
     E: np.ndarray
     """Tangents (M, 3, 2)."""
     pivot: np.ndarray
-    """Target of body b (M, 3), world frame: steps turn about it."""
+    """Target of body b (M, 3), world frame: steps rotate about it."""
     miss: np.ndarray
     """|x_a - t_a| and |x_b - t_b| (M, 2) in metres."""
 
 
 class AlignProblem:
-    """The tasks of P pairs of bodies; bodies a rest."""
+    """The tasks of P pairs of bodies; bodies a are fixed."""
 
     def __init__(
         self,
@@ -63,28 +63,28 @@ class AlignProblem:
         patch: Patch | None = None,
         watch: Stopwatch | None = None,
     ) -> None:
-        """Members are the tasks of the first pair, then those of the second, and so on.
+        """Set up the tasks; members are those of the first pair, then those of the second, and so on.
 
         Args:
             bodies: P pairs.
-            tasks: Those of each pair.
-            margin: The wanted distance in metres.
-            seed: Of new starts.
-            patch: Which witness points are used; None: plain ones.
-            watch: Measures the passes, while it runs.
+            tasks: Tasks of each pair.
+            margin: The desired distance in metres.
+            seed: Seed of restarts.
+            patch: Patch witness that is used; None: plain witness points.
+            watch: Stopwatch of the passes.
         """
         self.watch = Stopwatch() if watch is None else watch
         self.pairs = Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies))
         self.pair = np.repeat(np.arange(len(bodies)), [len(t) for t in tasks])
         self.tasks, self.margin, self.seed, self.patch = Tasks.join(tasks), margin, seed, patch
-        # What comes of a task must not depend on the others, so new starts are keyed by the task itself.
+        # The result of a task must not depend on the others, so restarts are keyed by the task itself.
         self.key = [crc32(T.tobytes()) for T in self.tasks.T_world_b]
         self.curvatures = PairCurvatures.of(self.pairs, SMALLEST_CURVATURE)
         self.length = np.array([0.25 * (pair.a.diagonal + pair.b.diagonal) for pair in bodies])
         self.several = any(len(body.pieces) > 1 for body in (*self.pairs.a, *self.pairs.b))
 
     def evaluate(self, member: np.ndarray, point: Point, previous: Known | None) -> Known:
-        """One query of each task."""
+        """Evaluate each task by one query."""
         with self.watch.lap("forward"):
             return self._evaluated(member, point, previous)
 
@@ -104,9 +104,9 @@ class AlignProblem:
         return Known(residual, loss, w.num_queries, w, E, pivot, np.sqrt(np.stack([a, b], axis=1)))
 
     def linearize(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> Linear:
-        """Residuals (M, 5) and Jacobians (M, 5, 6) in the twist of body b about its target.
+        """Return residuals (M, 5) and Jacobians (M, 5, 6) in the twist of body b about its target.
 
-        A width without end stands for the supporting faces as planes (see `_flattened`).
+        An infinite width means the supporting faces as planes (see `_flattened`).
         """
         with self.watch.lap("backward"), stage("derivative"):
             rows = np.flatnonzero(np.isinf(width))
@@ -127,10 +127,10 @@ class AlignProblem:
         return np.concatenate([gap, U_a, U_b], axis=1)
 
     def _flattened(self, member: np.ndarray, T_b: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray]:
-        """Rows (M, 5) and (M, 5, 6) that lay the two supporting faces on each other, the targets together.
+        """Return rows (M, 5) and (M, 5, 6) that align the two supporting faces, the targets together.
 
         [t_b - t_a - beta n, l E^T (n_a + n_b)]: flat surfaces touch at an edge or a corner until they are parallel, and
-        then anywhere at once. No derivative of witness points, however it is smoothed, shows how far to turn.
+        then anywhere at once. No derivative of witness points, however smoothed, shows how far to rotate.
         """
         w, T_a = known.witness, self.tasks.T_world_a[member]
         faces = []
@@ -148,12 +148,12 @@ class AlignProblem:
         J[:, :3, :3] = np.eye(3)
         J[:, 3:, 3:] = length[..., None] * cross(n_b[:, None] + np.zeros_like(rows), rows)
         residual = np.concatenate([apart, length * matvec(rows, n_a + n_b)], axis=1)
-        return UNDAMPED * residual, UNDAMPED * J
+        return UNDAMPED_FACTOR * residual, UNDAMPED_FACTOR * J
 
     def _witness(
         self, pair: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, before: Witness | None, member: np.ndarray
     ) -> Witness:
-        """Plain witness points, or those of the patch."""
+        """Query plain witness points, or those of the patch."""
         found = query_items(self.pairs, pair, T_a, T_b, previous=before)
         if self.patch is None:
             return found
@@ -161,33 +161,33 @@ class AlignProblem:
         return self.patch.refine(self.pairs, T_a, T_b, found, *goals)
 
     def metric(self, member: np.ndarray) -> np.ndarray:
-        """A quarter of both diagonals, l: W = diag(1, 1, 1, l^2, l^2, l^2)."""
+        """Return a quarter of both diagonals, l: W = diag(1, 1, 1, l^2, l^2, l^2)."""
         length = self.length[self.pair[member], None]
         return np.concatenate([np.ones((len(member), 3)), np.repeat(length**2, 3, axis=1)], axis=1)
 
     def step_bounds(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
-        """No bounds."""
+        """Return infinite bounds: there are none."""
         free = np.full((len(member), 6), np.inf)
         return -free, free
 
     def integrate(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
-        """Body b turned about its target."""
+        """Rotate body b about its target."""
         pivot = transform_points(point.T, self.tasks.target_b[member])
         turn = np.sqrt((dx[:, 3:] ** 2).sum(axis=1, keepdims=True))
-        dx = dx * (TURN / np.maximum(turn, TURN))
+        dx = dx * (MAX_ROTATION_RAD / np.maximum(turn, MAX_ROTATION_RAD))
         return Point(_turned(point.T, pivot, dx[:, 3:], pivot + dx[:, :3]), point.q)
 
     def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
-        """Body b turned at random about its target, which is put onto that of body a.
+        """Rotate body b at random about its target, which is placed on that of body a.
 
-        Every third time by any small angle from the best pose, else far from the present one.
+        Every third restart is a small rotation from the best pose, the others are large ones from the current pose.
         """
         w = np.empty((len(member), 3))
         near = start % 3 == 0
         for row, (m, k, close) in enumerate(zip(member.tolist(), start.tolist(), near.tolist(), strict=True)):
             rng = np.random.default_rng((self.seed, self.key[m], k))
             axis = rng.normal(size=3)
-            angle = np.exp(rng.uniform(*np.log(NEAR))) if close else rng.uniform(*FAR)
+            angle = np.exp(rng.uniform(*np.log(NEAR_ANGLES_RAD))) if close else rng.uniform(*FAR_ANGLES_RAD)
             w[row] = axis / np.linalg.norm(axis) * angle
         T = choose(near, best.T, now.T)
         pivot = transform_points(T, self.tasks.target_b[member])
@@ -196,20 +196,20 @@ class AlignProblem:
 
 
 def supporting(pieces: Sequence[Piece], winner: np.ndarray, x: np.ndarray, outward: np.ndarray) -> np.ndarray:
-    """Normals (M, 3) of the faces at points x (M, 3) of pieces `winner` (M,) that face outward (M, 3) most."""
+    """Normals (M, 3) of the faces at points x (M, 3) of pieces `winner` (M,) that face `outward` (M, 3) most."""
     found = outward.copy()
     for number in np.unique(winner[winner >= 0]):
         rows = np.flatnonzero(winner == number)
         normals, offsets = pieces[number].planes
         if len(normals):
             away = np.abs(x[rows] @ normals.T - offsets - pieces[number].radius)
-            near = away <= FACE + away.min(axis=1, keepdims=True)
+            near = away <= FACE_DISTANCE_M + away.min(axis=1, keepdims=True)
             found[rows] = normals[np.where(near, outward[rows] @ normals.T, -np.inf).argmax(axis=1)]
     return found
 
 
 def _turned(T: np.ndarray, pivot: np.ndarray, w: np.ndarray, to: np.ndarray) -> np.ndarray:
-    """Poses turned by rotation vectors w (M, 3), so that the points `pivot` (M, 3) of the bodies come to `to`."""
+    """Rotate poses by rotation vectors w (M, 3), so that the points `pivot` (M, 3) of the bodies move to `to`."""
     R = exp_so3(w)
     moved = R @ T[:, :3, :3]
     moved = moved @ (1.5 * np.eye(3) - 0.5 * moved.mT @ moved)

@@ -1,4 +1,4 @@
-"""Runs every method on one task, alone, and keeps where the bodies were at each iterate."""
+"""Records of every method on one task alone, with the poses of the bodies at each iterate."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from grasp_refine_apps.bench.align.saved import AlignmentTask, Solid, Trajectory
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks
 from grasp_refine_apps.bench.align.variants import Variant
 
-LONGEST = 2001
-"""Most iterates that are kept of a trajectory: the start, and the paper's 2000 iterations."""
+MAX_ITERATES = 2001
+"""Largest number of iterates in a trajectory: the start, and the paper's 2000 iterations."""
 
 
 def record_task(
@@ -30,23 +30,23 @@ def record_task(
     device: str = "cpu",
     progress: Callable[[float, str], None] = lambda share, what: None,
 ) -> AlignmentTask:
-    """The task with one trajectory for each method.
+    """Return the task with one trajectory for each method.
 
     Args:
-        pair: Two bodies.
-        task: One task of them.
+        pair: The two bodies.
+        task: One task of these bodies.
         variants: Methods; of those that differ in their budget only, the one with the largest is run.
-        seed: Of samples and new starts.
+        seed: Seed of samples and restarts.
         dtype: Number type of poses and losses.
         device: Torch device of poses and losses.
-        progress: Gets the share of the work that is done, and what is.
+        progress: Called with the share of the work that is done, and its label.
     """
     variants = largest_budgets(variants)
     labels = labels_of([variant.columns() for variant in variants])
     runs = []
     for number, (variant, label) in enumerate(zip(variants, labels, strict=True)):
         progress(number / len(variants), f"recording {label}")
-        runs.append(_recorded(Job(variant, (pair,), (task,), seed, dtype, device, threads=1), label))
+        runs.append(_record(Job(variant, (pair,), (task,), seed, dtype, device, threads=1), label))
     return AlignmentTask(
         pair.kind,
         CLASSES[task.target_class[0]],
@@ -58,7 +58,7 @@ def record_task(
 
 
 def largest_budgets(variants: Sequence[Variant]) -> list[Variant]:
-    """Of variants that differ in their budget only, the one with the largest."""
+    """Select the variant with the largest budget among those that differ in their budget only."""
     found: dict[Variant, Variant] = {}
     for variant in variants:
         method = replace(variant, budget=None, budget_s=None)
@@ -68,20 +68,20 @@ def largest_budgets(variants: Sequence[Variant]) -> list[Variant]:
 
 
 def shown_task(tasks: Tasks) -> Tasks:
-    """The first task that can surely be solved; where there is none, the first that counts."""
+    """Return the first task that is certainly solvable; without any, the first accepted one."""
     wanted = tasks.reachable & tasks.accepted
     return tasks.take(np.flatnonzero(wanted if wanted.any() else tasks.accepted)[:1])
 
 
-def thinned(count: int, keep: int) -> np.ndarray:
-    """At most `LONGEST` of `count` iterates, evenly spread: the first, the last, and number `keep`."""
-    if count <= LONGEST:
+def thin(count: int, keep: int) -> np.ndarray:
+    """Select at most `MAX_ITERATES` of `count` iterates, evenly spread: the first, the last, and number `keep`."""
+    if count <= MAX_ITERATES:
         return np.arange(count)
-    return np.unique(np.append(np.linspace(0, count - 1, LONGEST - 1).round().astype(int), keep))
+    return np.unique(np.append(np.linspace(0, count - 1, MAX_ITERATES - 1).round().astype(int), keep))
 
 
-def _recorded(job: Job, label: str) -> Trajectory:
-    """What came of the only task of a job."""
+def _record(job: Job, label: str) -> Trajectory:
+    """Run the only task of a job and record its trajectory."""
     poses: list[np.ndarray] = []
     times: list[float] = []
 
@@ -93,7 +93,7 @@ def _recorded(job: Job, label: str) -> Trajectory:
     T = np.stack(poses)
     given = np.stack([aligned.T_world_a[0, 0], aligned.T_world_b[0, 0]])
     result = int(np.nan_to_num(np.abs(T - given).max(axis=(1, 2, 3)), nan=np.inf).argmin())
-    kept = thinned(len(T), result)
+    kept = thin(len(T), result)
     T = T[kept]
     task = job.tasks[0].take(np.zeros(len(kept), dtype=int))
     error, found = errors_at(job.pairs, [task], T[:, None, 0], T[:, None, 1], job.variant.margin)

@@ -1,4 +1,4 @@
-"""From results to rows: one flat entry for each variant, kind, pair and class of targets (DESIGN, section 6)."""
+"""Rows of results: one flat entry for each variant, kind, pair and class of targets (DESIGN, section 6)."""
 
 from __future__ import annotations
 
@@ -7,36 +7,36 @@ from typing import Any
 
 import numpy as np
 
-from grasp_refine_apps.bench.align.runner import Done
+from grasp_refine_apps.bench.align.runner import JobResult
 from grasp_refine_apps.bench.align.stopwatch import PARTS, PASSES
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from grasp_refine_apps.bench.shares import cpu_share
 
-LEVELS = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
+ERROR_LEVELS_M2 = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
 """Errors (m^2) below which a task counts as solved."""
 
 
-def rows(done: Sequence[Done], targets: int, dtype: str) -> list[dict[str, Any]]:
-    """All rows of a run: for each variant and kind the pooled one, then one per class, then one per pair.
+def rows(done: Sequence[JobResult], targets: int, dtype: str) -> list[dict[str, Any]]:
+    """Return all rows of a run: for each variant and kind the pooled one, then one per class, then one per pair.
 
     Args:
         done: Results of all jobs.
-        targets: Accepted targets that a pair was to have; times are given for so many.
+        targets: Requested number of accepted targets of a pair; times are scaled to it.
         dtype: Number type of the run.
     """
-    groups: dict[tuple[str, Variant], list[Done]] = {}
+    groups: dict[tuple[str, Variant], list[JobResult]] = {}
     for one in done:
         groups.setdefault((one.job.pairs[0].kind, one.job.variant), []).append(one)
     return [row for (kind, variant), group in groups.items() for row in _of_group(kind, variant, group, targets, dtype)]
 
 
 def summary(errors: np.ndarray, weights: np.ndarray | None = None) -> dict[str, Any]:
-    """Shares of solved tasks, and the fifth and ninth decile of their errors (m^2); weighted if asked."""
+    """Return shares of solved tasks, and the fifth and ninth decile of their errors (m^2), optionally weighted."""
     if not len(errors):
-        return {"targets": 0, **dict.fromkeys(LEVELS), "d5": None, "d9": None}
+        return {"targets": 0, **dict.fromkeys(ERROR_LEVELS_M2), "d5": None, "d9": None}
     weights = np.ones(len(errors)) if weights is None else weights
-    solved = {name: float(np.average(errors < level, weights=weights)) for name, level in LEVELS.items()}
+    solved = {name: float(np.average(errors < level, weights=weights)) for name, level in ERROR_LEVELS_M2.items()}
     return {
         "targets": len(errors),
         **solved,
@@ -45,17 +45,19 @@ def summary(errors: np.ndarray, weights: np.ndarray | None = None) -> dict[str, 
     }
 
 
-def _of_group(kind: str, variant: Variant, group: Sequence[Done], targets: int, dtype: str) -> Iterator[dict[str, Any]]:
+def _of_group(
+    kind: str, variant: Variant, group: Sequence[JobResult], targets: int, dtype: str
+) -> Iterator[dict[str, Any]]:
     names = [pair.name for one in group for pair in one.job.pairs]
     tasks = [tasks for one in group for tasks in one.job.tasks]
     found = [(one, p) for one in group for p in range(len(one.job.pairs))]
     best, last = ([one.errors(p)[k] for one, p in found] for k in range(2))
     patch = [errors for one, p in found if (errors := one.patch_errors(p)) is not None]
-    # Face-face targets are shown apart: where two planes touch, the witness is not unique.
+    # Face-face targets are listed separately: where two planes touch, the witness is not unique.
     plain = [t.target_class != CLASSES.index("face-face") for t in tasks]
     alone = not any(mask.any() for mask in plain)
     times = _times(variant, group, targets)
-    # Levenberg-Marquardt knows double precision only.
+    # Levenberg-Marquardt supports double precision only.
     base = {"kind": kind, **variant.columns(), "dtype": dtype if variant.solver == "descent" else "float64"}
 
     def row(masks: Sequence[np.ndarray], pair: str, target_class: str, pairs: int) -> dict[str, Any]:
@@ -83,7 +85,7 @@ def _of_group(kind: str, variant: Variant, group: Sequence[Done], targets: int, 
 def _statistics(
     tasks: Sequence[Tasks], best: Sequence[np.ndarray], last: Sequence[np.ndarray], masks: Sequence[np.ndarray]
 ) -> dict[str, Any]:
-    """Of accepted tasks; of those surely reachable; of all that were drawn; and of the last iterates."""
+    """Summaries of accepted tasks; of those certainly reachable; of all that were drawn; and of the last iterates."""
     errors, final = _picked(best, masks), _picked(last, masks)
     accepted, reachable = (_picked([getattr(t, name) for t in tasks], masks) for name in ("accepted", "reachable"))
     return {
@@ -97,18 +99,18 @@ def _statistics(
 def _patch(
     epsilon: float, tasks: Sequence[Tasks], errors: Sequence[np.ndarray], masks: Sequence[np.ndarray]
 ) -> dict[str, Any]:
-    """Of accepted tasks, at the same poses, but judged by the patch witness."""
+    """Summary of accepted tasks at the same poses, by the patch witness."""
     accepted = _picked([t.accepted for t in tasks], masks)
     return {"epsilon": epsilon, **summary(_picked(errors, masks)[accepted])}
 
 
 def _picked(arrays: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> np.ndarray:
-    """The entries of all pairs that are asked for."""
+    """Select the masked entries of all pairs."""
     return np.concatenate([array[mask] for array, mask in zip(arrays, masks, strict=True)])
 
 
-def _times(variant: Variant, group: Sequence[Done], targets: int) -> dict[str, Any]:
-    """Costs of a variant; those of a pair are for the number of targets that it was to have."""
+def _times(variant: Variant, group: Sequence[JobResult], targets: int) -> dict[str, Any]:
+    """Costs of a variant; those of a pair are scaled to its requested number of targets."""
     results = [one.aligned for one in group]
     iterations = np.concatenate([result.iterations[result.iterations > 0] for result in results])
     count, queries = len(iterations), int(iterations.sum())
@@ -126,7 +128,7 @@ def _times(variant: Variant, group: Sequence[Done], targets: int) -> dict[str, A
 
 
 def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """The smallest value that at least a share of the total weight does not exceed."""
+    """Smallest value whose cumulative weight reaches a share of the total."""
     order = np.argsort(values)
     reached = np.cumsum(weights[order])
     index = np.searchsorted(reached, share * reached[-1] * (1.0 - 1e-12))

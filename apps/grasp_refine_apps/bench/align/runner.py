@@ -1,4 +1,4 @@
-"""Runs variants on tasks: a job takes some pairs through one variant."""
+"""Jobs of the benchmark: each takes some pairs through one variant."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from grasp_refine_apps.bench.align.aligned import Aligned, Visit, errors_at, padded
+from grasp_refine_apps.bench.align.aligned import AlignmentResult, Visit, errors_at, pad_tasks
 from grasp_refine_apps.bench.align.bodies import KINDS, BodyPair
 from grasp_refine_apps.bench.align.descent import AlignDescent, align
-from grasp_refine_apps.bench.align.levenberg_marquardt import minimised
+from grasp_refine_apps.bench.align.levenberg_marquardt import run_levenberg_marquardt
 from grasp_refine_apps.bench.align.tasks import Tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from grasp_refine_apps.bench.timing import one_thread
 
-WIDTH = {"descent": {"convex": 32, "concave": 2}, "levenberg-marquardt": {"convex": 32, "concave": 4}}
-"""Solver -> kind -> pairs that go through it together: many where the cost is that of small operations."""
+PAIRS_PER_JOB = {"descent": {"convex": 32, "concave": 2}, "levenberg-marquardt": {"convex": 32, "concave": 4}}
+"""Solver -> kind -> pairs run together: many where small operations dominate the cost."""
 
-SOLVED_EARLY = 0.1
-"""About the share of its budget that Levenberg-Marquardt uses, and of the time of an iteration of descent."""
+EARLY_COST_SHARE = 0.1
+"""Approximate share of its budget that Levenberg-Marquardt uses, and of the time of an iteration of descent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,48 +37,50 @@ class Job:
 
     @property
     def work(self) -> float:
-        """About how long it takes, in arbitrary units."""
+        """Approximate duration, in arbitrary units."""
         pieces = sum(
             len(pair.a.pieces) * len(pair.b.pieces) * len(t) for pair, t in zip(self.pairs, self.tasks, strict=True)
         )
         items = sum(map(len, self.tasks))
         length = self.variant.budget if self.variant.budget is not None else 1000.0 * (self.variant.budget_s or 0.0)
-        early = SOLVED_EARLY if self.variant.solver == "levenberg-marquardt" else 1.0
+        early = EARLY_COST_SHARE if self.variant.solver == "levenberg-marquardt" else 1.0
         return early * length * (30.0 * items + pieces) * (13.0 if self.variant.every > 1 else 1.0)
 
     @property
     def label(self) -> str:
-        """What it is, for a progress bar."""
+        """Label of the job, for a progress bar."""
         return f"{self.variant.name}, {self.pairs[0].kind}"
 
-    def do(self, progress: Callable[[float], None]) -> Done:
+    def do(self, progress: Callable[[float], None]) -> JobResult:
         """Run the variant on the tasks, in this process."""
         torch.set_num_threads(self.threads)
         variant = self.variant
         with one_thread():
             aligned = self.solved(progress)
         if variant.patch is None:
-            return Done(self, aligned)
+            return JobResult(self, aligned)
         poses = aligned.T_world_a, aligned.T_world_b
-        return Done(self, aligned, errors_at(self.pairs, padded(self.tasks), *poses, variant.margin, variant.patch)[0])
+        return JobResult(
+            self, aligned, errors_at(self.pairs, pad_tasks(self.tasks), *poses, variant.margin, variant.patch)[0]
+        )
 
-    def solved(self, progress: Callable[[float], None], visit: Visit | None = None) -> Aligned:
-        """What the solver makes of the tasks; `visit` sees where the first one is."""
+    def solved(self, progress: Callable[[float], None], visit: Visit | None = None) -> AlignmentResult:
+        """Run the solver on the tasks; `visit` is called with the poses of the first one."""
         solver = self.variant.built(self.seed)
         if not isinstance(solver, AlignDescent):
-            return minimised(self.pairs, self.tasks, solver, progress=progress, visit=visit)
+            return run_levenberg_marquardt(self.pairs, self.tasks, solver, progress=progress, visit=visit)
         to = {"dtype": getattr(torch, self.dtype), "device": self.device}
-        return align(self.pairs, padded(self.tasks), solver, **to, progress=progress, visit=visit)
+        return align(self.pairs, pad_tasks(self.tasks), solver, **to, progress=progress, visit=visit)
 
 
 @dataclass(frozen=True, eq=False)
-class Done:
-    """What came out of a job; task i of pair p is real where `i < len(job.tasks[p])`."""
+class JobResult:
+    """Results of a job; task i of pair p is real where `i < len(job.tasks[p])`."""
 
     job: Job
-    aligned: Aligned
+    aligned: AlignmentResult
     patch_error: np.ndarray | None = None
-    """Errors (N, P) at the best poses by the patch witness, in square metres; None: not judged so."""
+    """Errors (N, P) at the best poses by the patch witness, in square metres; None: not measured."""
 
     def errors(self, pair: int) -> tuple[np.ndarray, np.ndarray]:
         """Best and last errors of the tasks of a pair."""
@@ -100,14 +102,14 @@ def jobs(
     device: str,
     threads: int,
 ) -> list[Job]:
-    """One job for each variant and each group of pairs of one kind."""
+    """Make one job for each variant and each group of pairs of one kind."""
     made = []
     for kind in KINDS:
-        # Pairs with about as many pieces go together: they are padded to the largest number.
+        # Pairs with similar numbers of pieces run together: they are padded to the largest number.
         index = [i for i, pair in enumerate(pairs) if pair.kind == kind]
         index.sort(key=lambda i: len(pairs[i].a.pieces) * len(pairs[i].b.pieces))
         for variant in variants:
-            width = WIDTH[variant.solver][kind]
+            width = PAIRS_PER_JOB[variant.solver][kind]
             for start in range(0, len(index), width):
                 group = index[start : start + width]
                 chosen = tuple(tasks[i] if variant.every == 1 else tasks[i].every(variant.every) for i in group)

@@ -1,4 +1,4 @@
-"""Files of one alignment task: two bodies, targets, and what each method did with it, iterate by iterate."""
+"""Files of one alignment task: two bodies, targets, and the trajectory of each method."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 SCHEMA = 1
 """Version of the layout of these files."""
 MARK = "alignment_schema"
-"""The entry by which such a file is known."""
+"""The entry that identifies such a file."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A rigid body in its own frame, as far as it is needed to be seen."""
+    """A rigid body in its own frame, as far as is needed to draw it."""
 
     name: str
     """Name of the mesh."""
@@ -35,7 +35,7 @@ class Solid:
     """Convex pieces whose union is the body."""
 
     def mesh(self) -> trimesh.Trimesh:
-        """Its surface; where the pieces cannot be united, the surfaces of all of them."""
+        """Surface of the body; where the pieces cannot be united, the surfaces of all of them."""
         import trimesh
 
         meshes = [piece.mesh() for piece in self.pieces]
@@ -43,7 +43,7 @@ class Solid:
             return meshes[0]
         try:
             return trimesh.boolean.union(meshes)
-        except ValueError:  # one of them is no closed surface
+        except ValueError:  # one of them is not closed
             whole = trimesh.util.concatenate(meshes)
             assert isinstance(whole, trimesh.Trimesh)
             return whole
@@ -51,20 +51,20 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What one method did with the task: K iterates, the first of which is the start."""
+    """Trajectory of one method on the task: K iterates, the first of which is the start."""
 
     label: str
-    """Name of the method, with the settings that tell it from others."""
+    """Name of the method, with its distinguishing settings."""
     margin: float
-    """The gap between the bodies that it aimed at, metres."""
+    """Desired gap between the bodies, metres."""
     result: int
-    """Which of the K iterates it gave back: the best, as far as it can tell."""
+    """Index of the returned iterate among the K: the best by the method's own criterion."""
     iteration: Int[np.ndarray, " K"]
     """Number of each iterate, rising from 0; long trajectories are thinned."""
     poses: Float[np.ndarray, "K 2 4 4"]
     """Poses of both bodies in the world."""
     witness: Float[np.ndarray, "K 2 3"]
-    """Closest points of both bodies, by a plain query of these poses; world frame, NaN where it has no answer."""
+    """Closest points of both bodies, by a plain query of these poses; world frame, NaN where the query failed."""
     distance: Float[np.ndarray, " K"]
     """Signed distance of the bodies in metres."""
     error: Float[np.ndarray, " K"]
@@ -78,24 +78,24 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class AlignmentTask:
-    """Two bodies, a point on each that shall touch, and how each method brought them together."""
+    """Two bodies, a target point on each, and the trajectories of the methods that align them."""
 
     kind: str
     """Kind of the bodies: "convex" or "concave"."""
     target_class: str
-    """What the targets lie on, such as "face-vertex"."""
+    """Features that the targets lie on, such as "face-vertex"."""
     bodies: tuple[Solid, Solid]
-    """The body that rests and the one that moves."""
+    """The fixed body and the moving one."""
     targets: Float[np.ndarray, "2 3"]
-    """Which point of each body shall touch, metres, body frames."""
+    """Target point on each body, metres, body frames."""
     start: Float[np.ndarray, "2 4 4"]
     """Initial poses of both bodies in the world."""
     trajectories: tuple[Trajectory, ...]
-    """One for each method."""
+    """One trajectory for each method."""
 
 
 def save_task(path: Path, task: AlignmentTask) -> None:
-    """Write a task; the file appears whole or not at all, and missing folders are made.
+    """Write a task atomically; missing folders are created.
 
     Raises:
         GraspRefineError: it cannot be written.
@@ -136,7 +136,7 @@ def save_task(path: Path, task: AlignmentTask) -> None:
 
 
 def is_task(path: Path) -> bool:
-    """Whether a file calls itself an alignment task; nothing is unpacked."""
+    """Return True where a file is marked as an alignment task; nothing is unpacked."""
     try:
         with zipfile.ZipFile(path) as archive:
             return f"{MARK}.npy" in archive.namelist()
@@ -145,7 +145,7 @@ def is_task(path: Path) -> bool:
 
 
 def load_task(path: Path) -> AlignmentTask:
-    """Read what `save_task` wrote.
+    """Read a file of `save_task`.
 
     Raises:
         GraspFileError: the file is missing, damaged, or no alignment task; the message starts with its path.
@@ -155,12 +155,12 @@ def load_task(path: Path) -> AlignmentTask:
 
 @dataclass(frozen=True)
 class _Reader:
-    """The entries of a file, checked."""
+    """Validated entries of a file."""
 
     file: NpzFile
 
     def task(self) -> AlignmentTask:
-        """All of it."""
+        """Read the whole task."""
         self._check_schema()
         a, b = self._bodies()
         return AlignmentTask(
@@ -174,19 +174,19 @@ class _Reader:
 
     def _check_schema(self) -> None:
         if MARK not in self.file.entries:
-            raise self.file.error(f"no alignment task, it has no {MARK}; `refine-grasp bench align --save` writes one")
+            raise self.file.error(f"not an alignment task, no {MARK}; `refine-grasp bench align --save` writes one")
         schema = self._counts(MARK, None)
         if schema.shape != () or schema < 1:
-            raise self.file.error(f"{MARK} must be one whole number from 1 to {SCHEMA}")
+            raise self.file.error(f"{MARK} must be one integer from 1 to {SCHEMA}")
         if schema > SCHEMA:
             raise self.file.error(f"{MARK} {schema} is newer than this version reads ({SCHEMA}): update grasp-refine")
 
     def _bodies(self) -> list[Solid]:
-        """Both bodies."""
+        """Read both bodies."""
         names = self._texts("body")
         owner = self._counts("piece_body", None)
         if len(names) != 2 or owner.ndim != 1 or set(owner.tolist()) != {0, 1}:
-            raise self.file.error("body must name two bodies, and piece_body say of which each piece is: 0 or 1")
+            raise self.file.error("body must name two bodies, and piece_body must give the body of each piece: 0 or 1")
         P = len(owner)
         radius = self._numbers("piece_radius", (P,))
         corners, sizes = (self._counts(f"piece_{name}", P) for name in ("vertices", "faces"))
@@ -201,8 +201,8 @@ class _Reader:
             round_ = len(v) in (1, 2) and r > 0 and not len(f)
             if not (round_ or (len(v) >= 4 and len(f) >= 4)) or r < 0 or f.max(initial=0) >= len(v):
                 raise self.file.error(
-                    f"piece {sum(map(len, found))} is no convex piece: a ball (1 vertex, a radius), a capsule (2 and a "
-                    "radius), or at least 4 vertices and triangles between them"
+                    f"piece {sum(map(len, found))} is not a convex piece: a sphere (1 vertex, a radius), a capsule (2 "
+                    "and a radius), or at least 4 vertices and triangles between them"
                 )
             found[side].append(Piece(v, f, float(r)))
         return [Solid(name, tuple(pieces)) for name, pieces in zip(names, found, strict=True)]
@@ -249,7 +249,7 @@ class _Reader:
         return self.file.names(key)
 
     def _numbers(self, key: str, shape: Sequence[int], *, nan: bool = False) -> np.ndarray:
-        """Numbers of a shape."""
+        """Read numbers of a shape."""
         self._need(key)
         found = self.file.numbers(key, allowed="nan" if nan else "finite")
         shape = tuple(map(int, shape))
@@ -258,17 +258,17 @@ class _Reader:
         return found
 
     def _counts(self, key: str, count: int | None) -> np.ndarray:
-        """Whole numbers that are not negative, so many of them; None: of any shape."""
+        """Read `count` non-negative integers; None: of any shape."""
         self._need(key)
         found = self.file.entries[key]
         if found.dtype.kind not in "iu" or (found < 0).any() or (found > 2**31).any():
-            raise self.file.error(f"{key} must hold whole numbers from 0 on")
+            raise self.file.error(f"{key} must hold integers of at least 0")
         if count is not None and found.shape != (count,):
             raise self.file.error(f"{key} must have shape ({count},); it has {found.shape}")
         return found.astype(np.int64)
 
     def _poses(self, key: str, shape: Sequence[int]) -> np.ndarray:
-        """Transforms (..., 4, 4) of poses x y z qw qx qy qz."""
+        """Read transforms (..., 4, 4) from poses x y z qw qx qy qz."""
         poses, fault = unit_poses(self._numbers(key, shape).reshape(-1, 7))
         if fault is not None:
             row, norm = fault

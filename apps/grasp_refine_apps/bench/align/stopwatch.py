@@ -1,4 +1,4 @@
-"""The stopwatch of alignment tasks: beside CPU time by stage, that of the passes forward and backward."""
+"""The stopwatch of alignment tasks: CPU time by stage, and of the forward and backward passes."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.neighborhood import Neighborhood, Neighbors
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import Sides, WitnessScene
-from grasp_refine_apps.bench.shares import disambiguate
+from grasp_refine_apps.bench.shares import split_stages
 
-PARTS = disambiguate("broad phase", "narrow phase", "derivative")
-"""What of the CPU time is told apart. Broad phase: all of a query but its narrow phase."""
+PARTS = split_stages("broad phase", "narrow phase", "derivative")
+"""Parts of the CPU time that are measured separately. Broad phase: all of a query but its narrow phase."""
 
 PASSES = ("forward", "backward", "sampling")
 """From poses to losses; from losses to the gradients of poses; and the part of it that chooses surface samples."""
@@ -28,11 +28,11 @@ class Stopwatch(profiling.Stopwatch):
     """Seconds by stage, and CPU seconds by pass, while it runs."""
 
     passes_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PASSES, 0.0))
-    """Pass -> CPU seconds, whatever its stages."""
+    """Pass -> CPU seconds, over all stages."""
 
     @contextmanager
     def lap(self, name: str) -> Iterator[None]:
-        """Count what happens inside for the pass `name`."""
+        """Count the time of the block for the pass `name`."""
         start = time.process_time()
         yield
         if self.running:
@@ -41,7 +41,7 @@ class Stopwatch(profiling.Stopwatch):
 
 @dataclass(frozen=True)
 class TimedDerivative:
-    """A derivative method that tells how long it takes to choose samples."""
+    """A derivative method that measures the time of choosing samples."""
 
     method: Derivative
     watch: Stopwatch
@@ -49,18 +49,18 @@ class TimedDerivative:
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What the method says."""
+        """Delegate to the method."""
         parts = {part.name: getattr(scene, part.name) for part in fields(scene)}
         return self.method.pull_back(_TimedScene(**parts, watch=self.watch), force_a, force_b, force_n)
 
 
 @dataclass(frozen=True, eq=False)
 class _TimedScene(WitnessScene):
-    """A scene that tells how long it takes to choose samples."""
+    """A scene that measures the time of choosing samples."""
 
     watch: Stopwatch
 
     def neighbors(self, rule: Neighborhood | Neighbor, seed: int) -> tuple[Sides, Neighbors]:
-        """What the scene says."""
+        """Delegate to the scene."""
         with self.watch.lap("sampling"):
             return super().neighbors(rule, seed)

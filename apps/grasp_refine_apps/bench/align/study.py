@@ -1,4 +1,4 @@
-"""A run of the benchmark: pairs and tasks are drawn, variants are run on them, rows and typical failures come out."""
+"""A run of the benchmark: draws pairs and tasks, runs variants on them, and returns rows and typical failures."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.bench.align.bodies import KINDS, BodyPair, Kind, draw_pairs, mesh_sources
 from grasp_refine_apps.bench.align.failures import Failure, WitnessPoints, blind_spot
 from grasp_refine_apps.bench.align.record import record_task, shown_task
-from grasp_refine_apps.bench.align.rows import LEVELS, rows
-from grasp_refine_apps.bench.align.runner import Done, jobs
+from grasp_refine_apps.bench.align.rows import ERROR_LEVELS_M2, rows
+from grasp_refine_apps.bench.align.runner import JobResult, jobs
 from grasp_refine_apps.bench.align.saved import AlignmentTask
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from grasp_refine_apps.bench.jobs import run_jobs
 
-LOOKED_AT = 40
-"""About how many of the missed tasks of a method are searched for a typical one."""
+MAX_SEARCHED = 40
+"""Approximate number of missed tasks of a method that are searched for a typical one."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """What is run."""
+    """Settings of a run."""
 
     variants: tuple[Variant, ...]
-    """What is compared."""
+    """Variants to compare."""
     meshes: Path | None = None
     """Folder of meshes; None: the embedded objects."""
     kinds: tuple[Kind, ...] = ("convex", "concave")
     """Convex hulls of the meshes, or their CoACD pieces."""
     classes: tuple[str, ...] = CLASSES[:3]
-    """Where targets lie."""
+    """Features that targets lie on, on body a and on body b."""
     pairs: int = 8
     """Pairs of bodies of each kind."""
     targets: int = 64
     """Accepted targets of each pair."""
     seed: int = 0
-    """Of pairs, tasks and samples."""
+    """Seed of pairs, tasks and samples."""
     dtype: str = "float64"
     """Number type of poses and losses."""
     device: str = "cpu"
@@ -51,30 +51,30 @@ class Study:
     workers: int = 1
     """Processes."""
     record: bool = False
-    """Whether one task of the first pair is run again by each method, to be shown."""
+    """Whether each method runs one task of the first pair again, for the viewer."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out of a study."""
+    """Results of a study."""
 
     rows: list[dict[str, Any]]
-    """The entries of the tables."""
+    """Entries of the tables."""
     failures: list[Failure]
     """Typical failures of each method."""
     problems: list[str]
-    """What went wrong with jobs that gave no result."""
+    """Errors of jobs without a result."""
     recorded: AlignmentTask | None = None
-    """A task as each method went through it."""
+    """One task with the trajectory of each method."""
 
 
 def run_study(study: Study, say: Callable[[str], None], progress: Callable[[float, str], None]) -> Outcome:
     """Draw pairs and tasks, and run all variants on them.
 
     Args:
-        study: What is run.
-        say: Gets lines on what is loaded.
-        progress: Gets the share of the work that is done, and what is.
+        study: The settings.
+        say: Called with lines on loading.
+        progress: Called with the share of the work that is done, and its label.
 
     Raises:
         GraspRefineError: the meshes cannot be used, or no task is accepted.
@@ -87,7 +87,7 @@ def run_study(study: Study, say: Callable[[str], None], progress: Callable[[floa
     ]
     pairs, tasks = _with_tasks(pairs, tasks, say)
     if not pairs:
-        raise GraspRefineError("no pair has a task that is accepted: something else is always in the way")
+        raise GraspRefineError("no pair has an accepted task: something else is always in the way")
     recorded = None
     if study.record:
         machine = {"dtype": study.dtype, "device": study.device}
@@ -106,14 +106,14 @@ def run_study(study: Study, say: Callable[[str], None], progress: Callable[[floa
     return Outcome(rows(done, study.targets, study.dtype), typical_failures(done), problems, recorded)
 
 
-def typical_failures(done: Sequence[Done]) -> list[Failure]:
-    """Of each method and kind one reachable task that was missed: where its blind spot shows, if it does.
+def typical_failures(done: Sequence[JobResult]) -> list[Failure]:
+    """Return for each method and kind one reachable task that was missed, in its blind spot if possible.
 
-    Looked at are the first variant of each method of descent, and of Levenberg-Marquardt, at the largest budget, and
-    no face-face targets, whose witness points are not unique. Of the tasks that come into question, the one with the
-    median error is shown.
+    Candidates are the first variant of each method of descent, and of Levenberg-Marquardt, at the largest budget, but
+    no face-face targets, whose witness points are not unique. Of the candidate tasks, the one with the median error is
+    shown.
     """
-    found: dict[tuple[str, str], list[Done]] = {}
+    found: dict[tuple[str, str], list[JobResult]] = {}
     for one in sorted(done, key=lambda one: -(one.job.variant.budget or one.job.variant.budget_s or 0.0)):
         same = found.setdefault((one.job.variant.name, one.job.pairs[0].kind), [])
         if not same or same[0].job.variant == one.job.variant:
@@ -128,7 +128,7 @@ def typical_failures(done: Sequence[Done]) -> list[Failure]:
         ]
         if missed:
             missed.sort(key=lambda entry: entry[0])
-            some = [failure for _, failure in missed[:: max(1, len(missed) // LOOKED_AT)]]
+            some = [failure for _, failure in missed[:: max(1, len(missed) // MAX_SEARCHED)]]
             blind = [failure for failure in some if blind_spot(failure)]
             chosen = blind or some
             typical.append(chosen[len(chosen) // 2])
@@ -136,13 +136,13 @@ def typical_failures(done: Sequence[Done]) -> list[Failure]:
 
 
 def _missed(tasks: Tasks, error: np.ndarray) -> list[int]:
-    """Reachable tasks, face-face apart, that were missed by more than a millimetre."""
+    """Reachable tasks, except face-face ones, that were missed by more than a millimetre."""
     alone = tasks.target_class != CLASSES.index("face-face")
-    missed = alone & tasks.reachable & (error >= LEVELS["acc_1e6"]) & np.isfinite(error)
+    missed = alone & tasks.reachable & (error >= ERROR_LEVELS_M2["acc_1e6"]) & np.isfinite(error)
     return np.flatnonzero(missed).tolist()
 
 
-def _failure(done: Done, p: int, i: int) -> Failure:
+def _failure(done: JobResult, p: int, i: int) -> Failure:
     pair, tasks, witness = done.job.pairs[p], done.job.tasks[p], done.aligned.witness
     return Failure(
         method=done.job.variant.name,
@@ -165,8 +165,8 @@ def _failure(done: Done, p: int, i: int) -> Failure:
     )
 
 
-def _winner(done: Done, p: int, winner: int) -> int:
-    """The closest pieces of pair p, counted from its own first piece pair."""
+def _winner(done: JobResult, p: int, winner: int) -> int:
+    """Winning pieces of pair p, counted from its own first piece pair."""
     before = sum(len(pair.a.pieces) * len(pair.b.pieces) for pair in done.job.pairs[:p])
     return winner - before
 
@@ -174,11 +174,11 @@ def _winner(done: Done, p: int, winner: int) -> int:
 def _with_tasks(
     pairs: list[BodyPair], tasks: list[Tasks], say: Callable[[str], None]
 ) -> tuple[list[BodyPair], list[Tasks]]:
-    """The pairs on which some task is accepted."""
+    """Keep the pairs with at least one accepted task."""
     some = [bool(t.accepted.any()) for t in tasks]
     for pair, any_accepted in zip(pairs, some, strict=True):
         if not any_accepted:
-            say(f"left out: {pair.name}, none of its tasks is accepted")
+            say(f"skipped: {pair.name}, none of its tasks is accepted")
     return (
         [pair for pair, kept in zip(pairs, some, strict=True) if kept],
         [t for t, kept in zip(tasks, some, strict=True) if kept],

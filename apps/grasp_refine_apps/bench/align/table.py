@@ -37,7 +37,7 @@ PATCH: Sequence[Column] = (
     ("patch\n1e-6", lambda row: row["patch"] and row["patch"]["acc_1e6"], _percent),
     ("patch\n1e-8", lambda row: row["patch"] and row["patch"]["acc_1e8"], _percent),
 )
-"""The accuracies at the same poses by patch witness points; they take the place of what all drawn tasks give."""
+"""Accuracies at the same poses by patch witness points; they replace the column of all drawn tasks."""
 
 
 def _sum(*parts: float | None) -> float | None:
@@ -46,7 +46,7 @@ def _sum(*parts: float | None) -> float | None:
 
 
 def bench_table(rows: Sequence[Row], title: str) -> Table:
-    """The pooled rows, with face-face targets on lines of their own."""
+    """Make a table of the pooled rows, with face-face targets on separate lines."""
     patch = epsilons(rows)
     columns = [*(column for column in COLUMNS if column[0] != DRAWN), *PATCH] if patch else COLUMNS
     if patch:

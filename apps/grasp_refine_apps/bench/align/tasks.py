@@ -1,9 +1,9 @@
 """Alignment tasks: bring two bodies together so that they touch at a given point of each.
 
-A target is a vertex with its area-weighted normal, or a point drawn evenly on the exposed faces. The *aligned
+A target is a vertex with its area-weighted normal, or a point drawn uniformly on the exposed faces. The *aligned
 pose* of a task puts both targets on each other with opposite normals, turned about them by a roll that is drawn
 once. Not all pairs of targets can touch, because something else may be in the way. So the witness points at the
-aligned pose, without a gap, say which tasks are `accepted`, and which of these can surely be solved (`reachable`).
+aligned pose, without a gap, decide which tasks are `accepted`, and which of these are certainly solvable (`reachable`).
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from grasp_refine.geometry.sampling import CLEARANCE, beside, internal
 from grasp_refine_apps.bench.align.bodies import BodyPair
 
 CLASSES = ("vertex-vertex", "face-vertex", "vertex-face", "face-face")
-"""Where the targets lie, first on body a, then on body b."""
+"""Features that the targets lie on, first on body a, then on body b."""
 
-ACCEPTED, REACHABLE = 1e-2, 1e-4
-"""Largest miss (metres) at the aligned pose of tasks that count, and of tasks that can surely be solved."""
+ACCEPTED_MISS_M, REACHABLE_MISS_M = 1e-2, 1e-4
+"""Largest miss (metres) at the aligned pose of tasks that count, and of tasks that are certainly solvable."""
 
-REJECTED_SHARE = 8
-"""One rejected task is run for so many accepted ones, to tell what an unfiltered benchmark would say."""
+ACCEPTED_PER_REJECTED = 8
+"""Accepted tasks for each rejected one that is run, to estimate an unfiltered benchmark."""
 
 Source = Callable[[int, np.random.Generator], tuple[np.ndarray, np.ndarray]]
-"""Draws up to so many targets (N, 3) of a body, with their normals (N, 3)."""
+"""Draws up to a number of targets (N, 3) of a body, with their normals (N, 3)."""
 
-_ROUNDS = 40
-"""Draws, each of four times the wanted number, before a pair counts as one on which too few tasks are accepted."""
+_MAX_DRAWS = 40
+"""Draws, each of four times the requested number, before a pair counts as one with too few accepted tasks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,32 +45,32 @@ class Tasks:
     target_a: np.ndarray
     """Point to touch (N, 3) in the frame of body a, metres."""
     target_b: np.ndarray
-    """The same of body b."""
+    """Point to touch (N, 3) in the frame of body b, metres."""
     T_world_a: np.ndarray
     """Initial poses (N, 4, 4) of body a."""
     T_world_b: np.ndarray
-    """The same of body b."""
+    """Initial poses (N, 4, 4) of body b."""
     accepted: np.ndarray
-    """Tasks (N,) whose miss at the aligned pose is below `ACCEPTED`."""
+    """Tasks (N,) whose miss at the aligned pose is below `ACCEPTED_MISS_M`."""
     reachable: np.ndarray
-    """Tasks (N,) whose miss at the aligned pose is below `REACHABLE`."""
+    """Tasks (N,) whose miss at the aligned pose is below `REACHABLE_MISS_M`."""
     weight: np.ndarray
-    """How many drawn tasks each one stands for (N,): 1 for the accepted, more for the rejected ones."""
+    """Number of drawn tasks that each one represents (N,): 1 for the accepted, more for the rejected ones."""
 
     def __len__(self) -> int:
         return len(self.target_class)
 
     @staticmethod
     def join(parts: Sequence[Tasks]) -> Tasks:
-        """The tasks of all parts, one part after the other."""
+        """Concatenate the tasks of all parts."""
         return Tasks(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Tasks)))
 
     def take(self, index: np.ndarray) -> Tasks:
-        """The tasks `index`."""
+        """Select the tasks `index`."""
         return Tasks(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def every(self, step: int) -> Tasks:
-        """Every `step`-th accepted and every `step`-th rejected task of each class, which stand for the others too."""
+        """Select every `step`-th accepted and rejected task of each class; their weights include those left out."""
         weight, kept = self.weight.copy(), []
         for index in range(len(CLASSES)):
             for accepted in (True, False):
@@ -82,9 +82,9 @@ class Tasks:
 
 
 def draw_tasks(pair: BodyPair, classes: Sequence[str], count: int, seed: int | tuple[int, ...]) -> Tasks:
-    """`count` accepted tasks of a pair, shared evenly among `classes`, and a sample of the rejected ones.
+    """Draw `count` accepted tasks of a pair, shared evenly among `classes`, and a sample of the rejected ones.
 
-    Fewer, where too few tasks of a class are accepted. Those of a class depend on the pair and the seed only; pairs
+    Fewer, where too few tasks of a class are accepted. Tasks of a class depend on the pair and the seed only; pairs
     of one benchmark need different seeds, or they would share their random numbers.
     """
     seed = (seed,) if isinstance(seed, int) else seed
@@ -100,12 +100,12 @@ def draw_tasks(pair: BodyPair, classes: Sequence[str], count: int, seed: int | t
 def aligned_poses(
     T_world_a: np.ndarray, on_a: tuple[np.ndarray, np.ndarray], on_b: tuple[np.ndarray, np.ndarray], roll: np.ndarray
 ) -> np.ndarray:
-    """Poses (N, 4, 4) of body b that put its targets onto those of a, the normals opposite.
+    """Return poses (N, 4, 4) of body b that put its targets onto those of a, with opposite normals.
 
     Args:
         T_world_a: Poses of body a (N, 4, 4).
         on_a: Targets (N, 3) and outward unit normals (N, 3), in the frame of body a.
-        on_b: The same in the frame of body b.
+        on_b: Targets (N, 3) and outward unit normals (N, 3), in the frame of body b.
         roll: Angles (N,) about the normal, radians.
     """
     frame_a, frame_b = _frame(on_a[1]), _frame(-on_b[1])
@@ -115,7 +115,7 @@ def aligned_poses(
 
 
 def exposed_vertices(body: Body) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) that belong to one piece only, and their area-weighted unit normals (V, 3)."""
+    """Return vertices (V, 3) that are part of one piece only, and their area-weighted unit normals (V, 3)."""
     points, normals, owners = [], [], []
     for number, piece in enumerate(body.pieces):
         total = np.zeros_like(piece.vertices)
@@ -132,7 +132,7 @@ def exposed_vertices(body: Body) -> tuple[np.ndarray, np.ndarray]:
 
 
 def points_on_faces(body: Body, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """At most `count` points (N, 3) drawn evenly on all faces, without those inside the body, and their normals."""
+    """Draw at most `count` points (N, 3) uniformly on all faces, except those inside the body, and their normals."""
     areas = [piece.areas for piece in body.pieces]
     owner_of = np.repeat(np.arange(len(areas)), [len(area) for area in areas])
     corners_of = np.concatenate([piece.vertices[piece.faces] for piece in body.pieces])
@@ -146,29 +146,29 @@ def points_on_faces(body: Body, count: int, rng: np.random.Generator) -> tuple[n
 
 
 def _of_class(pair: BodyPair, index: int, count: int, rng: np.random.Generator) -> Tasks:
-    """`count` accepted tasks of one class, or as many as were found, then the sample of the rejected."""
+    """Draw `count` accepted tasks of one class, or as many as were found, then the sample of the rejected."""
     pairs = Pairs((pair.a,), (pair.b,))
     sources = [_source(body, place) for body, place in zip((pair.a, pair.b), CLASSES[index].split("-"), strict=True)]
     found: list[Tasks] = []
-    for _ in range(_ROUNDS):
-        found.append(_drawn(pair, pairs, sources, index, 4 * count, rng))
+    for _ in range(_MAX_DRAWS):
+        found.append(_draw(pair, pairs, sources, index, 4 * count, rng))
         if sum(int(one.accepted.sum()) for one in found) >= count:
             break
     tasks = Tasks.join(found)
     accepted = np.flatnonzero(tasks.accepted)
-    # What was drawn after the last task that is needed tells nothing about the acceptance rate.
+    # Tasks drawn after the last one needed do not count for the acceptance rate.
     last = accepted[count - 1] + 1 if len(accepted) >= count else len(tasks)
     accepted, rejected = accepted[:count], np.flatnonzero(~tasks.accepted[:last])
-    sample = rejected[: max(1, count // REJECTED_SHARE)]
+    sample = rejected[: max(1, count // ACCEPTED_PER_REJECTED)]
     if len(sample):
         tasks.weight[sample] = len(rejected) / len(sample)
     return tasks.take(np.concatenate([accepted, sample]))
 
 
-def _drawn(
+def _draw(
     pair: BodyPair, pairs: Pairs, sources: Sequence[Source], index: int, count: int, rng: np.random.Generator
 ) -> Tasks:
-    """Up to `count` tasks of one class, accepted or not."""
+    """Draw up to `count` tasks of one class, accepted or not."""
     targets = [source(count, rng) for source in sources]
     N = min(len(points) for points, _ in targets)
     (t_a, n_a), (t_b, n_b) = ((points[:N], normals[:N]) for points, normals in targets)
@@ -180,12 +180,19 @@ def _drawn(
     miss = np.sqrt((miss_a**2).sum(axis=1) + (miss_b**2).sum(axis=1))
     miss[~at.valid[:, 0]] = np.inf
     return Tasks(
-        np.full(N, index), t_a, t_b, T_a, _initial(pair, N, rng), miss < ACCEPTED, miss < REACHABLE, np.ones(N)
+        np.full(N, index),
+        t_a,
+        t_b,
+        T_a,
+        _initial(pair, N, rng),
+        miss < ACCEPTED_MISS_M,
+        miss < REACHABLE_MISS_M,
+        np.ones(N),
     )
 
 
 def _source(body: Body, place: str) -> Source:
-    """What draws targets of a body: from its exposed vertices, which are found once, or from its faces."""
+    """Return a sampler of targets of a body: on its exposed vertices, which are found once, or on its faces."""
     if place == "face":
         return partial(points_on_faces, body)
     points, normals = exposed_vertices(body)
@@ -198,7 +205,7 @@ def _source(body: Body, place: str) -> Source:
 
 
 def _initial(pair: BodyPair, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Random poses (count, 4, 4) of body b: any orientation, centres 0.5 to 1.5 mean diagonals apart.
+    """Draw random poses (count, 4, 4) of body b: any orientation, centres 0.5 to 1.5 mean diagonals apart.
 
     About a tenth of them penetrate.
     """

@@ -1,4 +1,4 @@
-"""What is compared: derivative methods with their settings, by the names that tables and options give them."""
+"""Variants to compare: derivative methods with their settings, under the names of tables and options."""
 
 from __future__ import annotations
 
@@ -35,61 +35,61 @@ NEIGHBORHOODS: Mapping[NeighborhoodName, Adaptive | Fixed | Neighbor] = MappingP
     {"adaptive": Adaptive(), "fixed": Fixed(), "neighbor": Neighbor()}
 )
 
-FEW_TARGETS = 8
-"""Methods that ask many queries per iteration run this fraction of the targets, as in the paper."""
+TARGET_STRIDE = 8
+"""Stride of the targets for methods with many queries per iteration, as in the paper."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A derivative method with all that a solver does with it; one row of a table for each kind of body.
+    """A derivative method with all settings of its solver; one row of a table for each kind of body.
 
-    Levenberg-Marquardt moves body 2 by contact kinematics over neighbourhoods of its own: nothing of it can be chosen
-    but the margin, the budget in iterations and the witness.
+    Levenberg-Marquardt moves body 2 by contact kinematics over neighbourhoods of its own; its only settings are the
+    margin, the budget in iterations and the witness.
     """
 
     method: MethodName = "distance"
-    """How witness points are differentiated."""
+    """Derivative method of the witness points."""
     neighborhood: NeighborhoodName = "adaptive"
-    """Which samples smoothing uses; methods without samples ignore it."""
+    """Neighbourhood of the samples for smoothing; methods without samples ignore it."""
     coupling: Coupling = "one-sided"
-    """How both slips act together; `one-sided` are the paper's equations."""
+    """Coupling of the slips of both bodies; `one-sided` are the paper's equations."""
     transport: bool = True
     """Equivalent gradient transport."""
     optimise: Literal["T2", "T1T2"] = "T2"
-    """Which bodies move."""
+    """Bodies that move."""
     margin: float = 1e-3
     """Contact margin in metres."""
     step_size: float = 10.0
-    """s_r at first."""
+    """Initial s_r."""
     budget: int | None = 2000
-    """Iterations; None: `budget_s`."""
+    """Budget in iterations; None: `budget_s`."""
     budget_s: float | None = None
-    """CPU seconds per pair, all its tasks together."""
+    """Budget in CPU seconds per pair, for all its tasks together."""
     solver: SolverName = "descent"
-    """How the bodies move."""
+    """Solver that moves the bodies."""
     witness: WitnessName = "plain"
-    """Which witness points the solver sees."""
+    """Witness points that the solver uses."""
     epsilon: float | None = None
-    """Epsilon in metres of the patch witness that is used, or judges beside the plain one; None: there is none."""
+    """Epsilon in metres of the patch witness that is used, or measured beside the plain one; None: no patch witness."""
 
     @staticmethod
     def least_squares(**settings: Any) -> Variant:
-        """Levenberg-Marquardt; `settings` are margin, budget, witness and epsilon."""
+        """Make a variant of Levenberg-Marquardt; `settings` are margin, budget, witness and epsilon."""
         return Variant("contact-kinematics", transport=False, solver="levenberg-marquardt", **settings)
 
     @property
     def name(self) -> str:
-        """What it is called first: the method of descent, or the other solver."""
+        """First word of the label: the method of descent, or the other solver."""
         return self.method if self.solver == "descent" else self.solver
 
     @property
     def patch(self) -> Patch | None:
-        """The patch witness that is used, or judges beside the plain one."""
+        """Patch witness that is used, or measured beside the plain one."""
         return None if self.epsilon is None else Patch(self.epsilon)
 
     @property
     def samples(self) -> bool:
-        """Whether the method uses a neighbourhood that can be chosen."""
+        """Whether the method uses a selectable neighbourhood."""
         return self.solver == "descent" and self.method in ("distance", "direction", "contact-kinematics")
 
     @property
@@ -99,11 +99,11 @@ class Variant:
 
     @property
     def every(self) -> int:
-        """One of so many targets is run."""
-        return FEW_TARGETS if self.method in ("zeroth-order", "finite-difference") else 1
+        """Stride of the targets that are run."""
+        return TARGET_STRIDE if self.method in ("zeroth-order", "finite-difference") else 1
 
     def derivative(self, seed: int) -> Derivative:
-        """The derivative method."""
+        """Make the derivative method."""
         near = NEIGHBORHOODS[self.neighborhood]
         match self.method:
             case "distance":
@@ -124,10 +124,10 @@ class Variant:
                 return Rigid()
 
     def built(self, seed: int) -> AlignDescent | AlignLevenbergMarquardt:
-        """The solver that runs it."""
+        """Make the solver of this variant."""
         patch = self.patch if self.witness == "patch" else None
         if self.solver == "levenberg-marquardt":
-            assert self.budget is not None, "only descent runs for a time"
+            assert self.budget is not None, "only descent has a time budget"
             return AlignLevenbergMarquardt(self.margin, self.budget, patch, seed)
         return AlignDescent(
             method=self.derivative(seed),
@@ -142,12 +142,12 @@ class Variant:
         )
 
     def queries(self, iterations: np.ndarray) -> np.ndarray:
-        """Witness queries of tasks: one an iteration, and those of the method itself."""
+        """Count the witness queries of tasks: one per iteration, and those of the method itself."""
         inner = {"zeroth-order": 2 * ZerothOrder().samples, "finite-difference": 12}
         return iterations * (1 + inner.get(self.method, 0))
 
     def columns(self) -> dict[str, Any]:
-        """What it is, as entries of a row."""
+        """Settings as entries of a row."""
         return {
             "method": self.method,
             "neighborhood": self.neighborhood if self.samples else None,

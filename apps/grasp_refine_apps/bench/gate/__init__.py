@@ -1,1 +1,1 @@
-"""Whether the program is still as fast and as good as it was: ratios of one run, against a committed baseline."""
+"""Regression gate of speed and quality: ratios of one run, against a committed baseline."""

@@ -1,4 +1,4 @@
-"""The committed baseline, and what it says of a measurement."""
+"""The committed baseline, and the comparison of a measurement with it."""
 
 from __future__ import annotations
 
@@ -20,38 +20,38 @@ SCHEMA = 1
 UPDATE = "refine-grasp bench --gate --update FILE writes a new one"
 
 Measure = Callable[[Group], Mapping[str, float]]
-"""From a group to the ratios in it that this machine has."""
+"""From a group to its ratios on this machine."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """What the baseline says of a ratio."""
+    """Baseline of a ratio."""
 
     value: float
-    """What it was."""
+    """Baseline value."""
     limit: float
-    """The worst that is allowed."""
+    """Worst allowed value."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a ratio."""
+    """Comparison of a ratio with its baseline."""
 
     ratio: Ratio
     now: float | None
-    """None: this machine does not have it."""
+    """Measured value; None: not available on this machine."""
     known: Known | None
-    """None: as above."""
+    """Baseline; None: not available on this machine."""
     again: bool
     """Whether it was measured twice, of which the better counts, because the first was beyond the limit."""
 
     @property
     def ok(self) -> bool | None:
-        """Whether it is within its limit; None: there is nothing to judge."""
+        """Whether it is within its limit; None: nothing to compare."""
         return None if self.now is None or self.known is None else self.ratio.allowed(self.now, self.known.limit)
 
     def row(self) -> dict[str, Any]:
-        """As an entry of a JSON document."""
+        """Return it as an entry of a JSON document."""
         value, limit = (None, None) if self.known is None else (self.known.value, self.known.limit)
         return {
             "name": self.ratio.name,
@@ -66,10 +66,10 @@ class Verdict:
 
 
 def load_baseline(path: Path, engine: str) -> dict[str, Known]:
-    """What a baseline says of each ratio with a collision engine.
+    """Read the baseline of each ratio with a collision engine.
 
     Raises:
-        GraspRefineError: it cannot be read, or is not of these ratios or not of this engine.
+        GraspRefineError: the file cannot be read, or is for other ratios or another engine.
     """
     try:
         engines = _engines(path)
@@ -78,35 +78,38 @@ def load_baseline(path: Path, engine: str) -> dict[str, Known]:
             for name, its in engines.items()
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise GraspRefineError(f"{path}: is no baseline ({type(error).__name__}: {error}); {UPDATE}") from None
+        raise GraspRefineError(f"{path}: not a baseline ({type(error).__name__}: {error}); {UPDATE}") from None
     if engine not in ratios:
         raise GraspRefineError(
-            f"{path}: is a baseline for the collision engine {', '.join(ratios) or 'of nobody'}, not for the {engine} "
+            f"{path}: a baseline for the collision engine {', '.join(ratios) or '(none)'}, not for the {engine} "
             f"one, which is used here; {UPDATE}"
         )
     found, wanted = ratios[engine], {ratio.name for ratio in _of(engine)}
     if set(found) != wanted:
-        lacking, more = sorted(wanted - set(found)), sorted(set(found) - wanted)
-        parts = (f"lacks {', '.join(lacking)}" if lacking else "", f"has no use for {', '.join(more)}" if more else "")
+        missing, more = sorted(wanted - set(found)), sorted(set(found) - wanted)
+        parts = (
+            f"missing ratios {', '.join(missing)}" if missing else "",
+            f"unknown ratios {', '.join(more)}" if more else "",
+        )
         raise GraspRefineError(f"{path}: {' and '.join(filter(None, parts))} ({engine} engine); {UPDATE}")
     return found
 
 
 def updated(path: Path, engine: str, measured: Mapping[str, float], about: Mapping[str, Any]) -> dict[str, Any]:
-    """The document of a new baseline; what the file at `path` says of other engines is kept.
+    """Return the document of a new baseline; entries of other engines in the file at `path` are kept.
 
     Raises:
-        GraspRefineError: a ratio is not finite, or the file is there and no baseline.
+        GraspRefineError: a ratio is not finite, or the file exists and is not a baseline.
     """
     engines: dict[str, Any] = {}
     if path.is_file():
         try:
             engines = _engines(path)
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise GraspRefineError(f"{path}: is no baseline ({type(error).__name__}: {error}), and is kept") from None
+            raise GraspRefineError(f"{path}: not a baseline ({type(error).__name__}: {error}), file kept") from None
     wrong = [name for name, value in measured.items() if not isfinite(value)]
     if wrong:
-        raise GraspRefineError(f"{', '.join(wrong)}: not finite, so that there is nothing to compare with later")
+        raise GraspRefineError(f"{', '.join(wrong)}: not finite, so no later run could be compared with it")
     ratios = {
         ratio.name: {"value": _rounded(measured[ratio.name]), "limit": _rounded(ratio.limit(measured[ratio.name]))}
         for ratio in _of(engine)
@@ -115,10 +118,10 @@ def updated(path: Path, engine: str, measured: Mapping[str, float], about: Mappi
 
 
 def judged(known: Mapping[str, Known], measure: Measure) -> list[Verdict]:
-    """Verdicts on all ratios; a group with one beyond its limit is measured once more, before it is told.
+    """Return verdicts on all ratios; a group with one beyond its limit is measured once more before.
 
     Raises:
-        GraspRefineError: a ratio is measured and not in the baseline, or the other way round.
+        GraspRefineError: a ratio is measured and not in the baseline, or vice versa.
     """
     verdicts: dict[str, Verdict] = {}
     for group in get_args(Group):
@@ -136,17 +139,17 @@ def judged(known: Mapping[str, Known], measure: Measure) -> list[Verdict]:
             second = measure(group)
             for one in worse:
                 name = one.ratio.name
-                assert one.now is not None  # or it would not be judged
+                assert one.now is not None  # otherwise `ok` is None
                 now = _better(one.ratio, one.now, second[name])
                 verdicts[name] = Verdict(one.ratio, now, one.known, True)
     return [verdicts[ratio.name] for ratio in RATIOS]
 
 
 def _engines(path: Path) -> dict[str, Any]:
-    """What a baseline holds of each engine.
+    """Read the entries of each engine in a baseline.
 
     Raises:
-        OSError, ValueError, KeyError, TypeError: it is no baseline.
+        OSError, ValueError, KeyError, TypeError: the file is not a baseline.
     """
     document = json.loads(path.read_text(encoding="utf-8"))
     if document["schema"] != SCHEMA:

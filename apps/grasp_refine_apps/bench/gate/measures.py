@@ -1,4 +1,4 @@
-"""Measures the ratios of the gate: what is compared is taken in turn, and the median over the rounds counts."""
+"""Measurements of the ratios of the gate: alternating runs, of which the median over the rounds counts."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.bench.gate.ratios import Group
-from grasp_refine_apps.bench.grasp.measures import measured
-from grasp_refine_apps.bench.grasp.rows import LEVELS, PARTS, contact_errors
+from grasp_refine_apps.bench.grasp.measures import measure_grasps
+from grasp_refine_apps.bench.grasp.rows import ERROR_LEVELS_M2, PARTS, contact_errors
 from grasp_refine_apps.bench.grasp.sets import GraspSet
 from grasp_refine_apps.bench.grasp.sets import Group as Grasps
 from grasp_refine_apps.bench.grasp.tasks import Disturbance, Tasks, given_targets
 from grasp_refine_apps.bench.grasp.variants import Variant
 from grasp_refine_apps.bench.queries.bodies import make_pairs
-from grasp_refine_apps.bench.queries.cases import DISTANCE, Case
+from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case
 from grasp_refine_apps.bench.queries.peers import fresh_coal
 from grasp_refine_apps.bench.queries.poses import draw_poses
-from grasp_refine_apps.bench.queries.runner import CaseJob, Measured
+from grasp_refine_apps.bench.queries.runner import CaseJob, CaseResult
 from grasp_refine_apps.bench.shares import REST, cpu_share
 from grasp_refine_apps.bench.timing import cpu_times, one_thread
 
-ROUNDS, LEAST_S = 5, 0.02
-"""How often each time is taken, and CPU seconds of a measurement, for which short calls are repeated."""
+ROUNDS, MIN_TIMED_S = 5, 0.02
+"""Number of measurements of each time, and minimum CPU seconds of one, for which short calls are repeated."""
 
 HAND, OBJECT, EXAMPLE = "allegro", "rounded_box", "allegro/example_rounded_box.npz"
-"""What is grasped: a convex object, of which no decomposition decides how long it takes."""
+"""The hand and the grasped object, which is convex, so that no decomposition affects the time."""
 
-TASKS, BATCH, SINGLES, FORCED = 256, 64, 8, 32
-"""Grasps in all, worked on at once, one at a time, and with forces."""
+NUM_TASKS, BATCH_SIZE, NUM_SINGLES, NUM_FORCED = 256, 64, 8, 32
+"""Grasps in all, refined at once, refined one at a time, and refined with forces."""
 
 DESCENT_STEPS = 20
 
@@ -58,14 +58,14 @@ SEED = 0
 
 
 def measure(group: Group, progress: Callable[[float], None]) -> dict[str, float]:
-    """Name -> value of the ratios of a group that this machine has."""
+    """Measure the ratios of a group that are available on this machine: name -> value."""
     torch.set_num_threads(1)
     with one_thread():
         return MEASURES[group](progress)
 
 
 def queries(progress: Callable[[float], None]) -> dict[str, float]:
-    """Costs of witness queries, relative to coal and to each other."""
+    """Measure costs of witness queries, relative to coal and to each other."""
     cases = (Case(batch=256), Case(batch=1), Case("concave", 16, batch=256))
     convex, single, concave = (_of_case(case, partial(_part, progress, k / 3, 1 / 3)) for k, case in enumerate(cases))
     usual = chosen("auto")
@@ -76,7 +76,7 @@ def queries(progress: Callable[[float], None]) -> dict[str, float]:
         "concave-asked": cold.num_queries / cold.poses,
         "warm-asked": warm.num_queries / cold.num_queries,
         "warm-query": _median(warm.forward_s, cold.forward_s),
-        # Not of the same rounds: each over coal, which was.
+        # CaseResult in other rounds: each relative to coal in its own rounds.
         "single-query": _median(single.engines[usual, False].forward_s, single.peers["coal-fresh"].forward_s)
         / _median(convex.engines[usual, False].forward_s, convex.peers["coal-fresh"].forward_s),
         "backward": _median(convex.backward_s["contact-kinematics"], convex.layer_s),
@@ -89,15 +89,15 @@ def queries(progress: Callable[[float], None]) -> dict[str, float]:
 
 
 def grasps(progress: Callable[[float], None]) -> dict[str, float]:
-    """Costs and results of refining disturbed grasps, given targets."""
+    """Measure costs and results of refining disturbed grasps, given targets."""
     tasks = _tasks()
     cut = tasks.of(Variant(pieces=64))
-    assert cut is not None  # one of a convex object can be cut
-    some, whole = slice(BATCH), HandObject.of(tasks.scene)
-    variant, descent = Variant(batch=BATCH), Variant("descent", budget=DESCENT_STEPS, batch=BATCH)
+    assert cut is not None  # a convex object can always be cut
+    some, whole = slice(BATCH_SIZE), HandObject.of(tasks.scene)
+    variant, descent = Variant(batch=BATCH_SIZE), Variant("descent", budget=DESCENT_STEPS, batch=BATCH_SIZE)
     progress(0.2)
     pairs = make_pairs(Case(), SEED, "python")
-    poses = draw_poses(pairs, DISTANCE["near"], COAL_QUERIES, SEED)
+    poses = draw_poses(pairs, STATE_DISTANCES_M["near"], COAL_QUERIES, SEED)
     found: dict[str, list[Refinement]] = {}
 
     def run(name: str, tasks: Tasks, variant: Variant, prepared: HandObject, calls: int = 1) -> None:
@@ -110,32 +110,34 @@ def grasps(progress: Callable[[float], None]) -> dict[str, float]:
         {
             "coal": fresh_coal(pairs, *poses),
             "grasp": partial(run, "grasp", tasks.take(some), variant, whole),
-            "all": partial(run, "all", tasks, replace(variant, batch=TASKS), whole),
-            "single": partial(run, "single", tasks.take(slice(SINGLES)), replace(variant, batch=1), whole, SINGLES),
-            "together": partial(run, "together", tasks.take(slice(SINGLES)), variant, whole),
+            "all": partial(run, "all", tasks, replace(variant, batch=NUM_TASKS), whole),
+            "single": partial(
+                run, "single", tasks.take(slice(NUM_SINGLES)), replace(variant, batch=1), whole, NUM_SINGLES
+            ),
+            "together": partial(run, "together", tasks.take(slice(NUM_SINGLES)), variant, whole),
             "pieces": partial(run, "pieces", cut.take(some), variant, HandObject.of(cut.scene)),
             "descent": partial(run, "descent", tasks.take(some), descent, whole),
         },
         ROUNDS,
-        LEAST_S,
+        MIN_TIMED_S,
     )
     progress(0.9)
     watch = Stopwatch()
     with watch:
         run("grasp", tasks.take(some), variant, whole)
     scene, (every,) = tasks.scene, found["all"]
-    error = measured(scene, every.T_world_root, every.q).contact_error
+    error = measure_grasps(scene, every.T_world_root, every.q).contact_error
     solved = contact_errors(error, aimed=True)
-    fine, finer = LEVELS
+    fine, finer = ERROR_LEVELS_M2
     steps = {name: sum(one.iterations.sum() for one in found[name]) for name in found}
     return {
-        "grasp": _median(times["grasp"], times["coal"]) / BATCH,
-        # By step, so that it does not matter which grasps are among the few.
+        "grasp": _median(times["grasp"], times["coal"]) / BATCH_SIZE,
+        # With a stride, so that the choice of the few grasps does not matter.
         "single-grasp": _median(times["single"] / steps["single"], times["all"] / steps["all"]),
         "pieces": _median(times["pieces"] / steps["pieces"], times["grasp"] / steps["grasp"]),
         "descent-step": _median(times["descent"] / steps["descent"], times["grasp"] / steps["grasp"]),
         "bookkeeping": cpu_share([watch], PARTS)[REST],
-        "steps": steps["all"] / TASKS,
+        "steps": steps["all"] / NUM_TASKS,
         "queries": float(every.queries.mean()),
         "solved": solved[fine],
         "solved-finely": solved[finer],
@@ -143,17 +145,17 @@ def grasps(progress: Callable[[float], None]) -> dict[str, float]:
 
 
 def forces(progress: Callable[[float], None]) -> dict[str, float]:
-    """Costs and results of refining disturbed grasps so that they hold."""
-    tasks = _tasks().take(slice(FORCED))
+    """Measure costs and results of refining disturbed grasps until they hold."""
+    tasks = _tasks().take(slice(NUM_FORCED))
     scene = replace(tasks.scene, target_link=None, target_object=None)
     prepared, found = HandObject.of(scene), {}
     progress(0.2)
-    configs = {"holding": Config(starts=1), "geometry": Variant(batch=FORCED).config(SEED, Config.tolerance)}
+    configs = {"holding": Config(starts=1), "geometry": Variant(batch=NUM_FORCED).config(SEED, Config.tolerance)}
 
     def run(name: str) -> None:
         found[name] = refine(scene, configs[name], prepared=prepared)
 
-    times = cpu_times({name: partial(run, name) for name in configs}, ROUNDS, LEAST_S)
+    times = cpu_times({name: partial(run, name) for name in configs}, ROUNDS, MIN_TIMED_S)
     return {
         "holding": _median(times["holding"], times["geometry"]),
         "good": float((_scores(scene, found["holding"]) <= GOOD_QUALITY).mean()),
@@ -163,12 +165,12 @@ def forces(progress: Callable[[float], None]) -> dict[str, float]:
 MEASURES: Mapping[Group, Callable[[Callable[[float], None]], dict[str, float]]] = MappingProxyType(
     {"queries": queries, "grasps": grasps, "forces": forces}
 )
-"""How each group is measured."""
+"""Group -> its measurement."""
 
 
-def _of_case(case: Case, progress: Callable[[float], None]) -> Measured:
+def _of_case(case: Case, progress: Callable[[float], None]) -> CaseResult:
     engines = tuple(dict.fromkeys((chosen("auto"), "python")))
-    job = CaseJob(case, engines, ("contact-kinematics",), ("coal-fresh",), ROUNDS, LEAST_S, SEED)
+    job = CaseJob(case, engines, ("contact-kinematics",), ("coal-fresh",), ROUNDS, MIN_TIMED_S, SEED)
     return job.do(progress)
 
 
@@ -177,17 +179,17 @@ def _part(progress: Callable[[float], None], before: float, size: float, share: 
 
 
 def _tasks() -> Tasks:
-    """Disturbed true grasps."""
+    """Return disturbed true grasps."""
     file = load_grasps(resource_dir("robots") / EXAMPLE)
     hand, obj = load_hand(HAND, base_link=file.base_link), load_object(OBJECT)
     scene = Scene(hand, obj, transform_from_pose(file.hand_pose), match_joints(file, hand)[0])
     group = Grasps(OBJECT, 1.0, scene, np.arange(len(file)))
-    (tasks,) = given_targets(GraspSet("gate", (group,)), TASKS, Disturbance(), SEED)
+    (tasks,) = given_targets(GraspSet("gate", (group,)), NUM_TASKS, Disturbance(), SEED)
     return tasks
 
 
 def _scores(scene: Scene, found: Refinement) -> np.ndarray:
-    """What speaks against the refined grasps (N,)."""
+    """Return the penalty (N,) of the refined grasps."""
     chain = Chain(scene.hand, scene.links)
     frames = chain(found.T_world_root, found.q)
     T = frames.T_world_link
@@ -196,5 +198,5 @@ def _scores(scene: Scene, found: Refinement) -> np.ndarray:
 
 
 def _median(times: Sequence[float] | np.ndarray, others: Sequence[float] | np.ndarray) -> float:
-    """The median over the rounds of how many times longer the first took."""
+    """Median over the rounds of the ratio of the times."""
     return float(np.median(np.asarray(times) / np.asarray(others)))

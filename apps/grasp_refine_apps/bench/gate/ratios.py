@@ -1,4 +1,4 @@
-"""What the gate looks at: numbers that say the same on any machine, and how much worse each may get."""
+"""Ratios of the gate: numbers that are equal on any machine, and how much worse each may get."""
 
 from __future__ import annotations
 
@@ -7,81 +7,86 @@ from math import isfinite
 from typing import Literal
 
 Group = Literal["queries", "grasps", "forces"]
-"""What is measured together."""
+"""Ratios that are measured together."""
 
 
 @dataclass(frozen=True)
 class Ratio:
-    """A number without the speed of the machine in it."""
+    """A number that does not depend on the speed of the machine."""
 
     name: str
-    """What the baseline calls it."""
+    """Name in the baseline."""
     what: str
-    """What it means, for people."""
+    """Explanation for people."""
     group: Group
     higher: bool = False
-    """Whether more is better."""
+    """Whether larger values are better."""
     factor: float = 1.0
-    """How many times worse than the baseline it may be: CPU times of a busy machine differ by a quarter."""
+    """Allowed factor over the baseline: CPU times of a busy machine differ by a quarter."""
     slack: float = 0.0
-    """How much worse it may be besides: for shares, and for counts that rounding may change."""
+    """Allowed difference besides: for shares, and for counts that rounding may change."""
     native: bool = False
-    """Whether only the compiled engine has it."""
+    """Whether it exists only with the compiled engine."""
     own: bool = False
-    """Whether it is compared with what is our own, too, so that it gets worse when that gets better."""
+    """Whether it is relative to our own code, so that it gets worse when that gets better."""
     promised: float | None = None
-    """A limit besides, whatever the baseline is."""
+    """An absolute limit besides, independent of the baseline."""
 
     def limit(self, value: float) -> float:
-        """The worst that is allowed where the baseline is `value`."""
+        """Return the worst allowed value for the baseline `value`."""
         limit = value / self.factor - self.slack if self.higher else value * self.factor + self.slack
         if self.promised is None:
             return limit
         return max(limit, self.promised) if self.higher else min(limit, self.promised)
 
     def allowed(self, now: float, limit: float) -> bool:
-        """Whether a measured value is within its limit; what is not finite never is."""
+        """Return True where a measured value is within its limit; a value that is not finite never is."""
         return isfinite(now) and (now >= limit if self.higher else now <= limit)
 
     def better(self, one: float, other: float) -> float:
-        """The better of two measurements."""
+        """Return the better of two measurements."""
         return max(one, other) if self.higher else min(one, other)
 
 
-TIME, COUNT = 1.5, 1.1
+TIME_FACTOR, COUNT_FACTOR = 1.5, 1.1
 """Factors of ratios of CPU times, and of counts."""
 
 RATIOS = (
-    Ratio("convex-query", "query of two convex bodies / coal.distance", "queries", factor=TIME),
-    Ratio("concave-query", "query of 16 x 16 pieces / coal.distance on all pairs", "queries", factor=TIME),
-    Ratio("concave-asked", "pieces asked of 256 pairs", "queries", factor=COUNT, slack=0.1),
-    Ratio("warm-asked", "pieces asked near the last pose / without it", "queries", factor=COUNT, own=True),
-    Ratio("warm-query", "query near the last pose / without it", "queries", factor=TIME, own=True),
-    Ratio("single-query", "query at batch 1 / at batch 256", "queries", factor=TIME, own=True),
-    Ratio("backward", "backward pass of the witness layer / forward", "queries", factor=TIME, own=True),
+    Ratio("convex-query", "query of two convex bodies / coal.distance", "queries", factor=TIME_FACTOR),
+    Ratio("concave-query", "query of 16 x 16 pieces / coal.distance on all pairs", "queries", factor=TIME_FACTOR),
+    Ratio("concave-asked", "pieces queried of 256 pairs", "queries", factor=COUNT_FACTOR, slack=0.1),
+    Ratio("warm-asked", "pieces queried near the last pose / without it", "queries", factor=COUNT_FACTOR, own=True),
+    Ratio("warm-query", "query near the last pose / without it", "queries", factor=TIME_FACTOR, own=True),
+    Ratio("single-query", "query at batch 1 / at batch 256", "queries", factor=TIME_FACTOR, own=True),
+    Ratio("backward", "backward pass of the witness layer / forward", "queries", factor=TIME_FACTOR, own=True),
     Ratio(
         "engines",
         "query in Python / in the compiled engine",
         "queries",
         higher=True,
-        factor=TIME,
+        factor=TIME_FACTOR,
         native=True,
         own=True,
         promised=3.0,
     ),
     Ratio(
-        "bare-loop", "query in the compiled engine / its bare loop", "queries", factor=TIME, native=True, promised=2.0
+        "bare-loop",
+        "query in the compiled engine / its bare loop",
+        "queries",
+        factor=TIME_FACTOR,
+        native=True,
+        promised=2.0,
     ),
-    Ratio("grasp", "grasp at batch 64 / 100 queries of coal.distance", "grasps", factor=TIME),
-    Ratio("single-grasp", "grasp at batch 1 / at batch 256", "grasps", factor=TIME, own=True),
-    Ratio("pieces", "grasp of an object in 64 pieces / in one", "grasps", factor=TIME, own=True),
-    Ratio("descent-step", "step of descent / of Levenberg-Marquardt", "grasps", factor=TIME, own=True),
+    Ratio("grasp", "grasp at batch 64 / 100 queries of coal.distance", "grasps", factor=TIME_FACTOR),
+    Ratio("single-grasp", "grasp at batch 1 / at batch 256", "grasps", factor=TIME_FACTOR, own=True),
+    Ratio("pieces", "grasp of an object in 64 pieces / in one", "grasps", factor=TIME_FACTOR, own=True),
+    Ratio("descent-step", "step of descent / of Levenberg-Marquardt", "grasps", factor=TIME_FACTOR, own=True),
     Ratio("bookkeeping", "share of CPU time in no query, pose or derivative", "grasps", slack=0.08, own=True),
-    Ratio("steps", "steps of a grasp, mean", "grasps", factor=COUNT),
-    Ratio("queries", "narrow-phase queries of a grasp, mean", "grasps", factor=COUNT),
+    Ratio("steps", "steps of a grasp, mean", "grasps", factor=COUNT_FACTOR),
+    Ratio("queries", "narrow-phase queries of a grasp, mean", "grasps", factor=COUNT_FACTOR),
     Ratio("solved", "share of grasps within 1 mm of all targets", "grasps", higher=True, slack=0.01),
     Ratio("solved-finely", "share within 0.1 mm", "grasps", higher=True, slack=0.03),
-    Ratio("holding", "grasp with forces that balance / by geometry only", "forces", factor=TIME, own=True),
+    Ratio("holding", "grasp with forces that balance / by geometry only", "forces", factor=TIME_FACTOR, own=True),
     Ratio("good", "share of grasps that should hold", "forces", higher=True, slack=0.07),
 )
-"""All of them, in the order of the table."""
+"""All ratios, in the order of the table."""

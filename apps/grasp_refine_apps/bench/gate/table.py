@@ -9,16 +9,16 @@ from rich.table import Table
 
 from grasp_refine_apps.bench.gate.baseline import Verdict
 
-WORDS = {True: "[green]ok[/]", False: "[bold red]FAIL[/]", None: "[dim]not here[/]"}
+WORDS = {True: "[green]ok[/]", False: "[bold red]FAIL[/]", None: "[dim]not available[/]"}
 
 
 def gate_table(verdicts: Sequence[Verdict]) -> Table:
-    """A line for each ratio: now, before, what is allowed, and what it means."""
+    """Make a table with a line for each ratio: now, before, the limit, and its meaning."""
     table = Table("ratio", box=box.SIMPLE, padding=(0, 1, 0, 0), show_edge=False)
     for name in ("now", "before", "allowed"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("")
-    table.add_column("what it means")
+    table.add_column("meaning")
     for one in verdicts:
         notes = " (measured twice)" if one.again else ""
         if one.ok is False and one.ratio.own:

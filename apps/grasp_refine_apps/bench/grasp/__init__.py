@@ -1,1 +1,1 @@
-"""How accurate and how fast grasps are refined, by solver and batch size."""
+"""Accuracy and speed of refining grasps, by solver and batch size."""

@@ -26,15 +26,15 @@ from grasp_refine_apps.report.panels import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FLOOR = 1e-8
+MIN_ERROR_M = 1e-8
 """Errors below this (metres) are drawn at it."""
 
 Height = Callable[[Row], tuple[float, bool] | None]
-"""Where a row is drawn, and whether it stands for a smaller value; None: nowhere."""
+"""Height of a row's point, and whether it is an upper bound; None: not drawn."""
 
 
 def time_chart(rows: Sequence[Row]) -> str:
-    """Median contact error, and share of grasps with a contact off by more than a millimetre, against CPU time.
+    """Chart median contact error, and share of grasps with a contact off by more than a millimetre, against CPU time.
 
     Args:
         rows: Pooled rows of tasks with targets.
@@ -50,13 +50,13 @@ def time_chart(rows: Sequence[Row]) -> str:
 
 
 def line_names(rows: Sequence[Row]) -> list[str]:
-    """What the line of each row stands for: a solver and, if there are several, its batch size."""
+    """Label of the line of each row: a solver and, if there are several, its batch size."""
     several = {row["solver"] for row in rows if len({r["batch"] for r in rows if r["solver"] == row["solver"]}) > 1}
     return [f"{label(row)}, batch {row['batch']}" if row["solver"] in several else label(row) for row in rows]
 
 
 def size_chart(rows: Sequence[Row], name: str) -> str:
-    """What a grasp costs, against something in which variants differ; of contacts, also against the hand's joints.
+    """Chart the cost of a grasp against a size in which variants differ; of contacts, also against the hand's joints.
 
     Args:
         rows: Pooled rows of tasks of one kind.
@@ -84,7 +84,7 @@ def size_chart(rows: Sequence[Row], name: str) -> str:
 
 
 def _by(rows: Sequence[Row], x: str, line: Callable[[Row], str]) -> Callable[[Height], list[Line]]:
-    """A function that gives the lines of a measure; the points of a line at the same x are pooled to their mean."""
+    """Return a function that gives the lines of a measure; points of a line at the same x are pooled to their mean."""
     names = list(dict.fromkeys(map(line, rows)))
     styles = dict(zip(names, _cycle(len(names)), strict=True))
 
@@ -99,14 +99,14 @@ def _by(rows: Sequence[Row], x: str, line: Callable[[Row], str]) -> Callable[[He
                     points.append((at, sum(values) / len(values), False))
             if points:
                 found.append(Line(name, style, *zip(*points, strict=True)))
-        # A single point shows no trend, where others do.
+        # A single point shows no trend, so it is dropped where others do.
         return [one for one in found if len(one.x) > 1] or found
 
     return lines
 
 
 def _of_set(rows: Sequence[Row], row: Row) -> str:
-    """The set with the joints of its hand, and the solver if there are several."""
+    """Label of the set with the joints of its hand, and the solver if there are several."""
     several = len({label(one) for one in rows}) > 1
     return f"{row['set']} ({row['joints']} joints)" + (f", {label(row)}" if several else "")
 
@@ -124,7 +124,7 @@ def _rate(row: Row) -> tuple[float, bool] | None:
 
 
 def _cycle(count: int) -> list[Style]:
-    """Styles of so many lines."""
+    """Styles for a number of lines."""
     dashes = ("-", "--", ":")
     return [
         Style(COLORS[k % len(COLORS)][0], MARKERS[k % len(MARKERS)], dashes[k // len(COLORS) % 3]) for k in range(count)
@@ -150,7 +150,7 @@ def _lines(rows: Sequence[Row], name: str, styles: dict[str, Style], height: Hei
 
 def _error(row: Row) -> tuple[float, bool] | None:
     value = row["contact_error_median_m"]
-    return (max(value, FLOOR), value < FLOOR) if value is not None and isfinite(value) else None
+    return (max(value, MIN_ERROR_M), value < MIN_ERROR_M) if value is not None and isfinite(value) else None
 
 
 def _misses(row: Row) -> tuple[float, bool] | None:
@@ -161,7 +161,7 @@ def _misses(row: Row) -> tuple[float, bool] | None:
 
 
 def _length_axis(axes: Axes, lines: list[Line]) -> None:
-    """A vertical axis of lengths, with a line at a millimetre."""
+    """Draw a vertical axis of lengths, with a line at a millimetre."""
     values = [y for line in lines for y in line.y]
     logarithmic(axes.yaxis, axes.set_yscale, axes.set_ylim, [*values, 1e-3], _length)
     axes.axhline(1e-3, color=PLAIN["muted"][0], linewidth=0.8, dashes=(4, 3), zorder=2)

@@ -1,4 +1,4 @@
-"""Rows as people read them: what they are called, and which belong together."""
+"""Labels and groups of rows as people read them."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ from grasp_refine_apps.bench.grasp.rows import Row
 from grasp_refine_apps.bench.grasp.variants import Variant
 
 SHORT = {"levenberg-marquardt": "LM"}
-"""Solvers with a shorter name than theirs."""
+"""Abbreviations of solvers."""
 
 SIZES: Mapping[str, str] = MappingProxyType(
     {"batch": "batch", "contacts": "contacts_mean", "pieces": "pieces_mean", "processes": "processes"}
 )
-"""What variants may differ in -> how large it is."""
+"""Sizes in which variants may differ -> explanation."""
 
 
 def label(row: Row) -> str:
-    """The solver, and its derivative if that is not the usual one."""
+    """Return the solver, and its derivative if that is not the default."""
     solver: str = row["solver"]
     name = SHORT.get(solver, solver)
     return name if row["derivative"] == Variant.derivative else f"{name}, {row['derivative']}"
 
 
 def batch(row: Row) -> str:
-    """The batch size, and how many grasps there were for it if they were fewer."""
+    """Return the batch size, and the mean number of grasps in a batch if smaller."""
     mean = round(row["batch_mean"])
     return f"{row['batch']}" if mean >= row["batch"] else f"{row['batch']} ({mean})"
 
 
 def varied(rows: Sequence[Row]) -> list[str]:
-    """The sizes in which rows differ."""
+    """Return the sizes in which rows differ."""
     return [name for name in SIZES if len({row[name] for row in rows}) > 1]
 
 
 def pooled(rows: Sequence[Row], task: str) -> list[Row]:
-    """The rows over all objects, of one kind of task."""
+    """Select the rows over all objects, of one kind of task."""
     return [row for row in rows if row["object"] == "all" and row["task"] == task]
 
 
@@ -46,5 +46,5 @@ def sets_of(rows: Sequence[Row]) -> list[str]:
 
 
 def deep(row: Row) -> str:
-    """How many starts are deep, and how many of these did not escape."""
+    """Format the numbers of deep starts and of those that did not escape."""
     return "-" if row["deep_starts"] is None else f"{row['deep_stuck']}/{row['deep_starts']}"

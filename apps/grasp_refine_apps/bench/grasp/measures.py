@@ -1,4 +1,4 @@
-"""Measures of grasps by a plain query, whatever solver found them."""
+"""Measures of grasps by a plain query, independent of the solver."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from grasp_refine.validation.geometry import measure
 
 @dataclass(frozen=True, eq=False)
 class Measures:
-    """What N grasps are like; L links."""
+    """Measures of N grasps; L links."""
 
     contact_error: np.ndarray
     """gap^2 + |x_a - t_a|^2 + |x_b - t_b|^2 (N, L) in square metres; NaN for links without a target."""
@@ -31,15 +31,15 @@ class Measures:
     point_link: np.ndarray
     """Witness points (N, L, 3) on the links, link frames, metres."""
     point_object: np.ndarray
-    """Witness points (N, L, 3) on the object, object frame."""
+    """Witness points (N, L, 3) on the object, object frame, metres."""
 
 
-def measured(scene: Scene, T_world_root: np.ndarray, q: np.ndarray) -> Measures:
-    """Measures of the grasps of a scene at root poses (N, 4, 4) and joint values (N, n)."""
+def measure_grasps(scene: Scene, T_world_root: np.ndarray, q: np.ndarray) -> Measures:
+    """Measure the grasps of a scene at root poses (N, 4, 4) and joint values (N, n)."""
     hand, links = scene.hand, scene.links
-    nowhere = np.full((len(q), len(links), 3), np.nan)
+    invalid = np.full((len(q), len(links), 3), np.nan)
     target_link, target_object = (
-        nowhere if target is None else target for target in (scene.target_link, scene.target_object)
+        invalid if target is None else target for target in (scene.target_link, scene.target_object)
     )
     geometry = measure(hand, scene.object, links, T_world_root, q, target_link, target_object)
     witness = geometry.witness

@@ -1,4 +1,4 @@
-"""The report of the grasp benchmark: one HTML file with a chart and tables, and nothing from outside."""
+"""The report of the grasp benchmark: one self-contained HTML file with a chart and tables."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _percent(key: str) -> Callable[[Row], str]:
 
 
 def _millimetres(key: str) -> Callable[[Row], str]:
-    """A function that writes a length; below a tenth of a micrometre, digits mean nothing."""
+    """Return a function that formats a length; below a tenth of a micrometre, digits are meaningless."""
 
     def words(row: Row) -> str:
         value = row[key]
@@ -49,12 +49,12 @@ def _moved(row: Row) -> str:
 
 PENETRATION = (
     Column("pen. before", "deepest penetration of any link in mm, mean", _millimetres("penetration_before_mean_m")),
-    Column("pen. after", "the same afterwards", _millimetres("penetration_after_mean_m")),
+    Column("pen. after", "mean after refinement", _millimetres("penetration_after_mean_m")),
     Column("p95", "19 of 20 are smaller", _millimetres("penetration_after_p95_m")),
     Column("worst", "the largest", _millimetres("penetration_after_worst_m")),
     Column("≤ 0.05 mm, %", "share of grasps", _percent("penetration_after_share_50um")),
     Column("self before", "links in each other, mm, worst", _millimetres("self_penetration_before_worst_m")),
-    Column("self after", "the same afterwards", _millimetres("self_penetration_after_worst_m")),
+    Column("self after", "worst after refinement", _millimetres("self_penetration_after_worst_m")),
     Column("> 0.01 mm, %", "share of grasps", _percent("self_penetration_after_share_above_10um")),
 )
 COSTS = (
@@ -64,7 +64,7 @@ COSTS = (
     Column("CPU ms", "per grasp, of whole calls, mean", _number("cpu_ms_per_grasp")),
     Column("median", "of the CPU ms, where there are several calls", _number("cpu_ms_per_grasp_median")),
     Column("wall ms", "per grasp, of whole calls, mean", _number("wall_ms_per_grasp")),
-    Column("loop ms", "CPU per grasp that the solver counts itself", _number("solver_cpu_ms_per_grasp")),
+    Column("loop ms", "CPU per grasp as counted by the solver itself", _number("solver_cpu_ms_per_grasp")),
     Column("contacts", "links that should touch, mean", _number("contacts_mean", 1.0, ".3g")),
     Column("joints", "independent joints of the hand", _number("joints", 1.0, ".0f")),
     Column("pieces", "convex pieces of the object, mean", _number("pieces_mean", 1.0, ".3g")),
@@ -76,9 +76,9 @@ COSTS = (
 RESULTS = {
     "targets": (
         Column("Acc@1e-6", "share of grasps in % whose contacts are all below 1e-6 m² (1 mm)", _percent("acc_1e6")),
-        Column("Acc@1e-8", "the same below 1e-8 m² (0.1 mm)", _percent("acc_1e8")),
+        Column("Acc@1e-8", "share of grasps in % whose contacts are all below 1e-8 m² (0.1 mm)", _percent("acc_1e8")),
         Column("median", "error of the worst contact of a grasp in mm", _millimetres("contact_error_median_m")),
-        Column("worst", "the same of the worst grasp", _millimetres("contact_error_worst_m")),
+        Column("worst", "error of the worst contact of the worst grasp in mm", _millimetres("contact_error_worst_m")),
         *PENETRATION,
     ),
     "nothing": (
@@ -86,16 +86,16 @@ RESULTS = {
         Column("gap", "of the links that should touch in mm, median", _millimetres("gap_median_m")),
         Column("p90", "nine of ten are smaller", _millimetres("gap_p90_m")),
         Column("worst", "the largest", _millimetres("gap_worst_m")),
-        Column("deep stuck", "starts 10 mm deep or more: how many did not escape, of how many", deep),
+        Column("deep stuck", "starts 10 mm deep or more: number that did not escape, of all", deep),
     ),
 }
 HEADS = {"targets": "Given targets", "nothing": "Given nothing"}
 
 
 def page(document: dict[str, Any]) -> str:
-    """The report of a run of `bench grasp` as HTML; the same input gives the same text.
+    """Render the report of a run of `bench grasp` as HTML; equal input gives equal text.
 
-    Args:
+    document: The JSON document of the benchmark.
         document: What the benchmark writes as JSON.
     """
     rows = document["rows"]
@@ -113,12 +113,12 @@ def page(document: dict[str, Any]) -> str:
 
 
 def _over_time(rows: Sequence[Row]) -> str:
-    """Error against time, where budgets or solvers differ and nothing else but batches."""
+    """Chart error against time, where only budgets, solvers or batches differ."""
     return "" if set(varied(rows)) - {"batch"} else time_chart(rows)
 
 
 def _by_size(rows: Sequence[Row]) -> list[tuple[str, str, str]]:
-    """For each size that differs, and each kind of task, both in words, and a chart."""
+    """Make a chart for each size that differs and each kind of task; both are named in words."""
     found = []
     for task, head in HEADS.items():
         mine = pooled(rows, task)
@@ -127,12 +127,12 @@ def _by_size(rows: Sequence[Row]) -> list[tuple[str, str, str]]:
 
 
 def _shares(row: Row) -> list[tuple[str, float]]:
-    """Where the CPU time went, in percent."""
+    """Percentages of the CPU time by part."""
     return [(name, 100.0 * share) for name in PARTS if (share := row["cpu_share"][name]) is not None]
 
 
 def _lines(rows: Sequence[Row], task: str) -> list[tuple[str, list[Row], list[Row]]]:
-    """For each set its name, its pooled rows, and those by object; each with what it is called."""
+    """Return the name of each set, its pooled rows, and those by object; each with its label."""
     mine = [row for row in rows if row["task"] == task]
     found = []
     for name in sets_of(mine):
@@ -148,7 +148,7 @@ def _lines(rows: Sequence[Row], task: str) -> list[tuple[str, list[Row], list[Ro
 
 
 def _stuck(rows: Sequence[Row]) -> list[tuple[str, str, float, float]]:
-    """The grasps that some Levenberg-Marquardt run did not free: set, name, and depths in mm at first and after."""
+    """Grasps that some Levenberg-Marquardt run did not free: set, name, and depths in mm before and after."""
     found = {
         (row["set"], f"{one['object']} {one['index']}"): (
             1e3 * one["penetration_before_m"], 1e3 * one["penetration_after_m"],

@@ -1,4 +1,4 @@
-"""The experiments that have a name, as lists of variants."""
+"""Named experiments, as lists of variants."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ class Preset:
     """An experiment."""
 
     variants: tuple[Variant, ...]
-    """What is compared."""
+    """Variants to compare."""
     kinds: tuple[Kind, ...] = ("targets", "nothing")
-    """Whether targets are given."""
+    """Tasks with or without targets."""
     count: int | None = None
     """Tasks of each object and scale; None: all real grasps, and 64 with targets."""
     scenes: int | None = None
-    """Objects and scales of each set, evenly chosen; None: all."""
+    """Number of objects and scales of each set, evenly chosen; None: all."""
     singles: int = 32
     """Tasks of a set that are run one at a time."""
     every_hand: bool = False
-    """Not one hand only, where nobody says which: all that come with the program, and sampled grasps of others."""
+    """Whether, by default, all included hands are run, and sampled grasps of others, instead of one hand."""
 
 
 def _over_time() -> tuple[Variant, ...]:

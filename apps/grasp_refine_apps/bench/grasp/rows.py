@@ -1,4 +1,4 @@
-"""From results to rows: one flat entry for each variant, set and kind of tasks, pooled, and for each object."""
+"""Rows of results: one flat entry for each variant, set and kind of tasks, pooled, and for each object."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ import numpy as np
 
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine_apps.bench.grasp.measures import Measures
-from grasp_refine_apps.bench.grasp.runner import Done, Part, calls
+from grasp_refine_apps.bench.grasp.runner import GroupResult, JobResult, calls
 from grasp_refine_apps.bench.grasp.variants import Variant
-from grasp_refine_apps.bench.shares import cpu_share, disambiguate
+from grasp_refine_apps.bench.shares import cpu_share, split_stages
 
-PARTS = disambiguate("kinematics", "broad phase", "narrow phase", "derivative")
-"""What of the CPU time is told apart."""
+PARTS = split_stages("kinematics", "broad phase", "narrow phase", "derivative")
+"""Parts of the CPU time that are measured separately."""
 
-LEVELS = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
+ERROR_LEVELS_M2 = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
 """Errors (m^2) below which every contact of a grasp must be."""
-SHALLOW, APART = 5e-5, 1e-5
-"""Penetration of the object, and of links in each other, in metres, that is hardly any."""
-DEEP, STUCK = 0.01, 5e-4
-"""A start that penetrates by the first (metres) is deep; one that still does by more than the second did not escape."""
+SHALLOW_DEPTH_M, SELF_DEPTH_M = 5e-5, 1e-5
+"""Negligible penetration of the object, and of links in each other, in metres."""
+DEEP_START_M, STUCK_DEPTH_M = 0.01, 5e-4
+"""Depth (metres) from which a start counts as deep, and depth above which such a grasp did not escape."""
 
 Row = dict[str, Any]
 
 
-def rows(done: Sequence[Done]) -> list[Row]:
-    """All rows of a run: for each job the pooled one, then one for each object."""
+def rows(done: Sequence[JobResult]) -> list[Row]:
+    """Return all rows of a run: for each job the pooled one, then one for each object."""
     return [row for one in done for row in _of_job(one)]
 
 
-def _of_job(done: Done) -> list[Row]:
-    by_object: dict[str, list[Part]] = {}
+def _of_job(done: JobResult) -> list[Row]:
+    by_object: dict[str, list[GroupResult]] = {}
     for part in done.parts:
         by_object.setdefault(part.tasks.object, []).append(part)
     groups = {"all": list(done.parts)} | (by_object if len(by_object) > 1 else {})
@@ -53,8 +53,8 @@ def _of_job(done: Done) -> list[Row]:
     ]
 
 
-def _sizes(parts: Sequence[Part]) -> Row:
-    """How large the problems are: means over all grasps."""
+def _sizes(parts: Sequence[GroupResult]) -> Row:
+    """Sizes of the problems: means over all grasps."""
     touching = np.concatenate([part.touching.sum(axis=1) for part in parts])
     counts = [len(part.tasks) for part in parts]
     scenes = [part.tasks.scene for part in parts]
@@ -65,14 +65,14 @@ def _sizes(parts: Sequence[Part]) -> Row:
     }
 
 
-def _rate(done: Done) -> float | None:
-    """Grasps per second of the clock, of all processes together."""
+def _rate(done: JobResult) -> float | None:
+    """Grasps per second of wall time, over all processes."""
     if done.span is None:
         return None
     return sum(len(part.tasks) for part in done.parts) / (done.span[1] - done.span[0])
 
 
-def _statistics(parts: Sequence[Part], aimed: bool, variant: Variant) -> Row:
+def _statistics(parts: Sequence[GroupResult], aimed: bool, variant: Variant) -> Row:
     before, after = (_joined([getattr(part, name) for part in parts]) for name in ("before", "after"))
     touching = np.concatenate([part.touching for part in parts])
     status, iterations, queries, cpu_s, wall_s, solver_cpu_s = (
@@ -100,7 +100,7 @@ def _statistics(parts: Sequence[Part], aimed: bool, variant: Variant) -> Row:
         "iterations_median": float(np.median(iterations)),
         "queries_mean": float(queries.mean()),
         "cpu_ms_per_grasp": 1e3 * float(cpu_s.mean()),
-        # The grasps of a call share its time evenly: of one call there is nothing but the mean.
+        # The grasps of a call share its time evenly: a single call has only a mean.
         "cpu_ms_per_grasp_median": 1e3 * float(np.median(cpu_s)) if several else None,
         "wall_ms_per_grasp": 1e3 * float(wall_s.mean()),
         "solver_cpu_ms_per_grasp": 1e3 * float(solver_cpu_s.mean()),
@@ -115,25 +115,25 @@ def contact_errors(error: np.ndarray, aimed: bool) -> Row:
         error: Errors (N, L) of contacts in square metres, NaN for links without a target.
         aimed: Whether there are targets.
     """
-    names = (*LEVELS, "contact_error_median_m", "contact_error_worst_m")
+    names = (*ERROR_LEVELS_M2, "contact_error_median_m", "contact_error_worst_m")
     if not aimed:
         return dict.fromkeys(names)
     worst = np.where(np.isnan(error), -np.inf, error).max(axis=1)
-    # A grasp whose targets nobody could judge is not solved.
+    # A grasp whose targets could not be measured is not solved.
     worst = np.where(np.isinf(worst), np.inf, worst)
-    solved = {name: float((worst < level).mean()) for name, level in LEVELS.items()}
+    solved = {name: float((worst < level).mean()) for name, level in ERROR_LEVELS_M2.items()}
     return {**solved, names[2]: float(np.sqrt(np.median(worst))), names[3]: float(np.sqrt(worst.max()))}
 
 
-def deep_starts(parts: Sequence[Part], aimed: bool) -> Row:
-    """How many real grasps start deep in the object, and those that did not escape."""
+def deep_starts(parts: Sequence[GroupResult], aimed: bool) -> Row:
+    """Count real grasps that start deep in the object, and those that did not escape."""
     if aimed:
         return {"deep_starts": None, "deep_stuck": None, "deep_stuck_grasps": None}
     deep, stuck = 0, []
     for part in parts:
         before, after = part.before.penetration, part.after.penetration
-        deep += int((before >= DEEP).sum())
-        for i in np.flatnonzero((before >= DEEP) & ~(after <= STUCK)):
+        deep += int((before >= DEEP_START_M).sum())
+        for i in np.flatnonzero((before >= DEEP_START_M) & ~(after <= STUCK_DEPTH_M)):
             stuck.append(
                 {
                     "object": part.tasks.object,
@@ -150,14 +150,14 @@ def _joined(parts: Sequence[Measures]) -> Measures:
 
 
 def _depths(name: str, depth: np.ndarray) -> Row:
-    """Of depths (N,) in the object, in metres; grasps that nobody could measure count as the worst."""
+    """Statistics of depths (N,) in the object, in metres; grasps that could not be measured count as the worst."""
     depth = np.where(np.isnan(depth), np.inf, depth)
     return {
         f"{name}_mean_m": float(depth.mean()),
         f"{name}_median_m": float(np.median(depth)),
         f"{name}_p95_m": float(np.quantile(depth, 0.95, method="higher")),
         f"{name}_worst_m": float(depth.max()),
-        f"{name}_share_50um": float((depth <= SHALLOW).mean()),
+        f"{name}_share_50um": float((depth <= SHALLOW_DEPTH_M).mean()),
     }
 
 
@@ -166,12 +166,12 @@ def _own_depths(name: str, depth: np.ndarray) -> Row:
     return {
         f"{name}_mean_m": float(depth.mean()),
         f"{name}_worst_m": float(depth.max()),
-        f"{name}_share_above_10um": float((depth > APART).mean()),
+        f"{name}_share_above_10um": float((depth > SELF_DEPTH_M).mean()),
     }
 
 
 def _gaps(gap: np.ndarray) -> Row:
-    """Of the gaps (M,) of links that should touch, in metres."""
+    """Statistics of the gaps (M,) of links that should touch, in metres."""
     gap = np.where(np.isnan(gap), np.inf, gap)
     if not len(gap):
         return dict.fromkeys(("gap_median_m", "gap_p90_m", "gap_worst_m"))

@@ -1,4 +1,4 @@
-"""Runs a variant on the tasks of a set, and measures what comes out."""
+"""Runs of a variant on the tasks of a set, and measures of the results."""
 
 from __future__ import annotations
 
@@ -14,50 +14,50 @@ from grasp_refine.core.profiling import Stopwatch
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.validation.geometry import Movement, movement
-from grasp_refine_apps.bench.grasp.measures import Measures, measured
+from grasp_refine_apps.bench.grasp.measures import Measures, measure_grasps
 from grasp_refine_apps.bench.grasp.sets import GraspSet
 from grasp_refine_apps.bench.grasp.tasks import Kind, Tasks
-from grasp_refine_apps.bench.grasp.together import together
+from grasp_refine_apps.bench.grasp.together import run_together
 from grasp_refine_apps.bench.grasp.variants import Variant
 from grasp_refine_apps.bench.timing import one_thread
 
-WARM_UP = 2
-"""Iterations, of as many grasps, before anything is timed."""
+WARM_UP_ITERATIONS = 2
+"""Iterations, and number of grasps, of the run before the first measurement."""
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """What came out of N tasks on one object."""
+class GroupResult:
+    """Results of N tasks on one object."""
 
     tasks: Tasks
     before: Measures
     after: Measures
     moved: Movement
     touching: np.ndarray
-    """Links (N, L) that were to touch."""
+    """Links (N, L) that should touch."""
     status: np.ndarray
-    """A `Status` for each (N,)."""
+    """A `Status` for each task (N,)."""
     iterations: np.ndarray
     queries: np.ndarray
     """Narrow-phase queries of the solver (N,)."""
     cpu_s: np.ndarray
-    """CPU seconds (N,): of its call, shared evenly by the grasps in it."""
+    """CPU seconds (N,) of each task's call, shared evenly by the grasps in it."""
     wall_s: np.ndarray
-    """The same of the clock."""
+    """Wall seconds (N,) of each task's call, shared evenly by the grasps in it."""
     solver_cpu_s: np.ndarray
-    """CPU seconds (N,) that the solver itself counts: those of its loop."""
+    """CPU seconds (N,) of the solver's loop, as counted by the solver itself."""
     watch: Stopwatch = field(default_factory=Stopwatch)
     """CPU time of all calls by stage."""
 
 
 @dataclass(frozen=True, eq=False)
-class Done:
-    """What came out of a job."""
+class JobResult:
+    """Results of a job."""
 
     job: SetJob
-    parts: tuple[Part, ...]
+    parts: tuple[GroupResult, ...]
     span: tuple[float, float] | None = None
-    """When the first call began and the last one ended, by the clock of the machine, in seconds."""
+    """Wall-clock times in seconds at which the first call began and the last one ended."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,43 +70,43 @@ class SetJob:
     hand: str
     """Name of the hand."""
     kind: Kind
-    """Whether targets are given."""
+    """Tasks with or without targets."""
     tasks: tuple[Tasks, ...]
-    """By object and scale."""
+    """Tasks by object and scale."""
     seed: int
     tolerance: float
     threads: int
 
     @property
     def work(self) -> float:
-        """About how long it takes: grasps times iterations, of which Levenberg-Marquardt seldom needs all."""
+        """Approximate duration: grasps times iterations, of which Levenberg-Marquardt seldom needs all."""
         most = self.variant.iterations
         return float(sum(map(len, self.tasks)) * (min(most, 30) if self.variant.least_squares else most))
 
     @property
     def label(self) -> str:
-        """What it is, for a progress bar."""
+        """Label of the job, for a progress bar."""
         return f"{self.set}, {self.variant.solver}, {self.variant.what}"
 
-    def do(self, progress: Callable[[float], None]) -> Done:
-        """Refine and measure all tasks, in this process or in as many as the variant says."""
+    def do(self, progress: Callable[[float], None]) -> JobResult:
+        """Refine and measure all tasks, in this process or in as many as the variant has."""
         many = self.variant.processes
         if many is None:
             return self.run(lambda: None, progress)
         shares = [[its.take(slice(start, None, many)) for its in self.tasks] for start in range(many)]
         jobs = [replace(self, tasks=tuple(its for its in share if len(its))) for share in shares]
-        found = together([job.run for job in jobs])
+        found = run_together([job.run for job in jobs])
         begins, ends = zip(*(done.span for done in found), strict=True)
-        return Done(self, tuple(part for done in found for part in done.parts), (min(begins), max(ends)))
+        return JobResult(self, tuple(part for done in found for part in done.parts), (min(begins), max(ends)))
 
-    def run(self, ready: Callable[[], None], progress: Callable[[float], None] = lambda share: None) -> Done:
-        """Refine and measure all tasks in this process; `ready` is called before anything is timed."""
+    def run(self, ready: Callable[[], None], progress: Callable[[float], None] = lambda share: None) -> JobResult:
+        """Refine and measure all tasks in this process; `ready` is called before the first measurement."""
         torch.set_num_threads(self.threads)
         with one_thread():
             return self._run(ready, progress)
 
-    def _run(self, ready: Callable[[], None], progress: Callable[[float], None]) -> Done:
-        # What is built once for a hand and an object is not timed.
+    def _run(self, ready: Callable[[], None], progress: Callable[[float], None]) -> JobResult:
+        # Caches built once for a hand and an object are not timed.
         prepared = [self._prepared(tasks) for tasks in self.tasks]
         total, finished, timed = sum(map(len, self.tasks)), 0, []
         ready()
@@ -120,13 +120,13 @@ class SetJob:
             timed.append(self._timed(tasks, its, within))
             finished += len(tasks)
         span = begin, time.perf_counter()
-        return Done(self, tuple(map(_measured, self.tasks, timed)), span)
+        return JobResult(self, tuple(map(_measured, self.tasks, timed)), span)
 
     def _prepared(self, tasks: Tasks) -> HandObject:
-        """Hand and object, warmed up."""
+        """Prepare hand and object, warmed up."""
         prepared, config = HandObject.of(tasks.scene), self.variant.config(self.seed, self.tolerance)
-        short = replace(config, solver=replace(config.solver, iterations=WARM_UP))
-        refine(tasks.take(slice(WARM_UP)).scene, short, prepared=prepared)
+        short = replace(config, solver=replace(config.solver, iterations=WARM_UP_ITERATIONS))
+        refine(tasks.take(slice(WARM_UP_ITERATIONS)).scene, short, prepared=prepared)
         return prepared
 
     def _timed(self, tasks: Tasks, prepared: HandObject, progress: Callable[[int], None]) -> _Timed:
@@ -135,7 +135,7 @@ class SetJob:
         for start, stop in calls(len(tasks), self.variant):
             scene = tasks.take(slice(start, stop)).scene
             clock, own = time.perf_counter(), time.process_time()
-            told = partial(_told, progress, start)
+            told = partial(_report, progress, start)
             with watch:
                 found.append(refine(scene, config, told, prepared=prepared))
             share = 1.0 / (stop - start)
@@ -146,7 +146,7 @@ class SetJob:
 
 @dataclass(frozen=True, eq=False)
 class _Timed:
-    """Tasks that were refined, call by call."""
+    """Refined tasks with the times of each call."""
 
     found: list[Refinement]
     cpu_s: np.ndarray
@@ -154,16 +154,16 @@ class _Timed:
     watch: Stopwatch
 
 
-def _measured(tasks: Tasks, timed: _Timed) -> Part:
+def _measured(tasks: Tasks, timed: _Timed) -> GroupResult:
     scene = tasks.scene
     T, q, touching, status, iterations, queries, solver_cpu_s = (
         np.concatenate([getattr(one, name) for one in timed.found])
         for name in ("T_world_root", "q", "touching", "status", "iterations", "queries", "cpu_s")
     )
-    return Part(
+    return GroupResult(
         tasks=tasks,
-        before=measured(scene, scene.T_world_root, scene.q),
-        after=measured(scene, T, q),
+        before=measure_grasps(scene, scene.T_world_root, scene.q),
+        after=measure_grasps(scene, T, q),
         moved=movement(scene.T_world_root, scene.q, T, q),
         touching=touching,
         status=status,
@@ -176,12 +176,12 @@ def _measured(tasks: Tasks, timed: _Timed) -> Part:
     )
 
 
-def _told(progress: Callable[[int], None], before: int, done: int, iteration: int, loss: float) -> None:
+def _report(progress: Callable[[int], None], before: int, done: int, iteration: int, loss: float) -> None:
     progress(before + done)
 
 
 def calls(count: int, variant: Variant) -> list[tuple[int, int]]:
-    """First and last tasks of each call of `refine`: Levenberg-Marquardt itself keeps its batch full, others cannot."""
+    """Return first and last tasks of each call of `refine`: Levenberg-Marquardt keeps its batch full, others cannot."""
     size = count if variant.least_squares and variant.batch > 1 else variant.batch
     return [(start, min(start + size, count)) for start in range(0, count, size)]
 
@@ -195,14 +195,14 @@ def jobs(
     tolerance: float,
     threads: int,
 ) -> list[SetJob]:
-    """One job for each set, kind of tasks and variant.
+    """Make one job for each set, kind of tasks and variant.
 
     Args:
-        variants: What is compared.
+        variants: Variants to compare.
         sets: Sets with a kind of tasks and these tasks, by object and scale.
-        singles: Most tasks of a set that are run one at a time.
-        seed: Of everything that a solver draws.
-        tolerance: Loss in m^2 below which a grasp is done.
+        singles: Largest number of tasks of a set that are run one at a time.
+        seed: Seed of the solvers.
+        tolerance: Loss in m^2 below which a grasp is solved.
         threads: Threads of torch.
     """
     made = []

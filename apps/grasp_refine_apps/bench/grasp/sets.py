@@ -1,4 +1,4 @@
-"""Sets of grasps to measure on: one hand, some objects."""
+"""Sets of grasps for the benchmark: one hand, some objects."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Group:
     scale: float
     """Factor that takes the object's mesh to metres."""
     scene: Scene
-    """The grasps."""
+    """Hand, object and the grasps."""
     index: np.ndarray
-    """Numbers of the grasps (N,) among those of their object, as `run --index` takes them."""
+    """Numbers of the grasps (N,) among those of their object, for `run --index`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class GraspSet:
     """The grasps of a file."""
 
     name: str
-    """What rows call it."""
+    """Name in rows."""
     groups: tuple[Group, ...]
     """The grasps by object and scale."""
 
@@ -42,14 +42,14 @@ class GraspSet:
 
 @dataclass(frozen=True)
 class Place:
-    """Where the parts of a set lie in a folder of assets, beside grasps/normalised/NAME.npz and objects/."""
+    """Paths of the parts of a set in a folder of assets, beside grasps/normalised/NAME.npz and objects/."""
 
     hand: str
-    """The URDF."""
+    """Path of the URDF."""
     object: str | None = None
-    """The object, if it is none of objects/."""
+    """Path of the object, if it is not in objects/."""
     sampled: int | None = None
-    """So many grasps are drawn; None: those of the file."""
+    """Number of sampled grasps; None: those of the file."""
 
 
 PLACES: Mapping[str, Place] = MappingProxyType(
@@ -62,4 +62,4 @@ PLACES: Mapping[str, Place] = MappingProxyType(
         "sampled_robotiq": Place("hands/robotiq3f/robotiq3f.urdf", "rounded_box", 16),
     }
 )
-"""Name of a set -> where it lies."""
+"""Name of a set -> its paths."""

@@ -1,4 +1,4 @@
-"""The same object in ever more convex pieces: cut by planes, so that surfaces and distances stay as they are."""
+"""One object in an increasing number of convex pieces: cut by planes, so that surface and distances are unchanged."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from grasp_refine.geometry.pieces import Piece, hull
 
 
 def can_be_sliced(body: Body) -> bool:
-    """Whether it is one polytope."""
+    """Return True where the body is one polytope."""
     return len(body.pieces) == 1 and body.pieces[0].radius == 0 and len(body.pieces[0].vertices) > 3
 
 
-def sliced(body: Body, count: int) -> Body:
-    """The body in `count` pieces: the longest one is cut halfway along its longest side, again and again.
+def slice_body(body: Body, count: int) -> Body:
+    """Cut the body into `count` pieces: repeatedly, the longest one is halved along its longest side.
 
-    Outside the body distances stay what they were. Inside, the way out of a piece may be shorter than that out of the
-    body: penetrations are shallower, as they are between the pieces of any decomposition.
+    Outside the body distances are unchanged. Inside, the way out of a piece may be shorter than that out of the body:
+    penetrations are shallower, as they are between the pieces of any decomposition.
     """
     pieces = list(body.pieces)
     while len(pieces) < count:
@@ -29,7 +29,7 @@ def sliced(body: Body, count: int) -> Body:
 
 
 def _halves(piece: Piece) -> tuple[Piece, Piece]:
-    """The two parts of a polytope on both sides of the middle of its longest side."""
+    """Cut a polytope in the middle of its longest side."""
     axis = np.ptp(piece.bounds, axis=0).argmax()
     vertices = piece.vertices
     height = vertices[:, axis] - piece.bounds[:, axis].mean()

@@ -1,4 +1,4 @@
-"""A run of the benchmark: tasks are made of the sets, variants are run on them, rows come out."""
+"""A run of the benchmark: makes tasks of the sets, runs variants on them, and returns rows."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from grasp_refine_apps.bench.grasp.variants import Variant
 from grasp_refine_apps.bench.jobs import run_jobs
 
 COUNT = 64
-"""Tasks with targets of each object and scale, where nobody says how many."""
+"""Default number of tasks with targets of each object and scale."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """What is run."""
+    """Settings of a run."""
 
     variants: tuple[Variant, ...]
-    """What is compared."""
+    """Variants to compare."""
     kinds: tuple[Kind, ...] = ("targets", "nothing")
-    """Whether targets are given."""
+    """Tasks with or without targets."""
     count: int | None = None
     """Tasks of each object and scale; None: all real grasps, and `COUNT` with targets."""
     scenes: int | None = None
-    """Objects and scales of each set, evenly chosen; None: all."""
+    """Number of objects and scales of each set, evenly chosen; None: all."""
     singles: int = 32
-    """Most tasks of a set that are run one at a time."""
+    """Largest number of tasks of a set that are run one at a time."""
     disturbance: Disturbance = field(default_factory=Disturbance)
-    """How far true grasps are moved."""
+    """Disturbance of true grasps."""
     tolerance: float = Config.tolerance
-    """Loss in m^2 below which a grasp is done."""
+    """Loss in m^2 below which a grasp is solved."""
     seed: int = 0
-    """Of disturbances and of what solvers draw."""
+    """Seed of disturbances and solvers."""
     threads: int = 1
     """Threads of torch in each process."""
     workers: int = 1
@@ -49,12 +49,12 @@ class Study:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out of a study."""
+    """Results of a study."""
 
     rows: list[dict[str, Any]]
-    """The entries of the tables."""
+    """Entries of the tables."""
     problems: list[str]
-    """What went wrong with jobs that gave no result."""
+    """Errors of jobs without a result."""
 
 
 def run_study(
@@ -63,10 +63,10 @@ def run_study(
     """Make tasks of the sets, and run all variants on them.
 
     Args:
-        study: What is run.
-        sets: Where the grasps come from.
-        say: Gets lines on what is left out.
-        progress: Gets the share of the work that is done, and what is.
+        study: The settings.
+        sets: Sets of grasps.
+        say: Called with lines on omitted objects.
+        progress: Called with the share of the work that is done, and its label.
 
     Raises:
         GraspRefineError: no set has a task.
@@ -105,7 +105,7 @@ def _tasks(study: Study, grasp_set: GraspSet, kind: Kind) -> tuple[Tasks, ...]:
 
 
 def _some(grasp_set: GraspSet, count: int | None) -> GraspSet:
-    """The set with at most `count` of its groups, evenly chosen."""
+    """Return the set with at most `count` of its groups, evenly chosen."""
     groups = grasp_set.groups
     if count is None or count >= len(groups):
         return grasp_set

@@ -15,7 +15,7 @@ Column = tuple[str, Callable[[Row], str]]
 
 
 def _number(key: str, factor: float, digits: int) -> Callable[[Row], str]:
-    """A function that writes the number `key` of a row."""
+    """Return a function that formats the number `key` of a row."""
 
     def words(row: Row) -> str:
         value = row[key]
@@ -57,7 +57,7 @@ TITLES = {
 
 
 def bench_tables(rows: Sequence[Row]) -> Iterator[Table]:
-    """A table of the pooled rows for each kind of task and each set."""
+    """Make a table of the pooled rows for each kind of task and each set."""
     for task, columns in (("targets", TARGETS), ("nothing", NOTHING)):
         shown = pooled(rows, task)
         for name in sets_of(shown):
@@ -73,11 +73,11 @@ def _size(name: str, row: Row) -> str:
 def _table(title: str, rows: Sequence[Row], columns: Sequence[Column]) -> Table:
     budgets = len({(row["solver"], row["budget"]) for row in rows}) > len({row["solver"] for row in rows})
     if budgets:
-        # In place of what says least.
+        # Replaces the least informative columns.
         columns = (("budget", lambda row: str(row["budget"])), *(column for column in columns if column is not WALL))
     sizes = [name for name in SIZES if name == "batch" or len({row[name] for row in rows}) > 1]
     if set(sizes) > {"batch"}:
-        # Again in place of what says least.
+        # Again replaces the least informative column.
         columns = tuple(column for column in columns if column not in (WALL, *SPREAD))
     if "processes" in sizes:
         columns = (*columns, ("grasps\nper s", _number("grasps_per_s", 1.0, 1)))

@@ -1,4 +1,4 @@
-"""Tasks of the grasp benchmark: true grasps that were disturbed and must come back, or real grasps as they come."""
+"""Tasks of the grasp benchmark: true grasps that were disturbed and must be recovered, or real grasps as given."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.bench.grasp.measures import measured
+from grasp_refine_apps.bench.grasp.measures import measure_grasps
 from grasp_refine_apps.bench.grasp.sets import GraspSet, Group
-from grasp_refine_apps.bench.grasp.slicing import can_be_sliced, sliced
+from grasp_refine_apps.bench.grasp.slicing import can_be_sliced, slice_body
 from grasp_refine_apps.bench.grasp.variants import Variant
 
 Kind = Literal["targets", "nothing"]
 
-NEAR = 0.02
-"""Grasps of which every fingertip is within this distance of the object (metres) are tried as true ones."""
-TOUCHES, SOLVED = 1e-5, 1e-12
-"""A true grasp has no gap and no penetration above the first (metres), and a loss below the second (m^2)."""
+TIP_DISTANCE_M = 0.02
+"""Largest distance (metres) of every fingertip to the object in grasps that are tried as true ones."""
+CONTACT_TOLERANCE_M, SOLVED_LOSS_M2 = 1e-5, 1e-12
+"""Largest gap and penetration (metres) of a true grasp, and its largest loss (m^2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,28 +35,28 @@ class Tasks:
     """N tasks on one object at one scale."""
 
     kind: Kind
-    """Whether targets are given."""
+    """Tasks with or without targets."""
     object: str
     """Name of the object."""
     scale: float
     """Factor that takes the object's mesh to metres."""
     scene: Scene
-    """Where the tasks start, and their targets if there are any."""
+    """Initial grasps of the tasks, and their targets if any."""
     index: np.ndarray
-    """Numbers of the grasps (N,) that they come from, among those of their object."""
+    """Numbers of the grasps (N,) among those of their object."""
 
     def __len__(self) -> int:
         return len(self.index)
 
     def take(self, rows: np.ndarray | slice) -> Tasks:
-        """Some of the tasks."""
+        """Select some of the tasks."""
         scene = self.scene
         arrays = {name: getattr(scene, name) for name in ("T_world_root", "q", "target_link", "target_object")}
         chosen: dict[str, Any] = {name: None if array is None else array[rows] for name, array in arrays.items()}
         return replace(self, scene=replace(scene, **chosen), index=self.index[rows])
 
     def of(self, variant: Variant) -> Tasks | None:
-        """The tasks as a variant has them, None where it cannot: a hand has fewer contacts, or an object is concave."""
+        """Adapt the tasks to a variant; None where a hand has fewer contacts, or an object is concave."""
         scene = self.scene
         if variant.contacts is not None:
             if scene.target_object is None or scene.target_link is None:
@@ -70,25 +70,25 @@ class Tasks:
         if variant.pieces is not None:
             if not can_be_sliced(scene.object.body):
                 return None
-            scene = replace(scene, object=replace(scene.object, body=sliced(scene.object.body, variant.pieces)))
+            scene = replace(scene, object=replace(scene.object, body=slice_body(scene.object.body, variant.pieces)))
         return replace(self, scene=scene)
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """How far true grasps are moved."""
+    """Disturbance of true grasps."""
 
     translation: float = 0.02
-    """Of the root in a random direction, in metres."""
+    """Distance that the root moves in a random direction, in metres."""
     rotation: float = radians(15.0)
-    """Of the root about a random axis through its origin, in radians."""
+    """Angle that the root turns about a random axis through its origin, in radians."""
     joints: float = 0.2
     """Standard deviation of joint values, in radians (metres for prismatic joints); limits are kept."""
 
     def apply(
         self, hand: Hand, T_world_root: np.ndarray, q: np.ndarray, keys: list[tuple[int, ...]]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Disturbed root poses (N, 4, 4) and joint values (N, n); each grasp by the random numbers of its key."""
+        """Return disturbed root poses (N, 4, 4) and joint values (N, n), by random numbers of each grasp's key."""
         T, q = T_world_root.copy(), q.copy()
         for row, key in enumerate(keys):
             rng = np.random.default_rng(key)
@@ -100,15 +100,15 @@ class Disturbance:
 
 
 def given_nothing(grasp_set: GraspSet, count: int | None) -> tuple[Tasks, ...]:
-    """The first `count` real grasps of each group as they come; None: all."""
+    """Return the first `count` real grasps of each group as given; None: all."""
     return tuple(
-        Tasks("nothing", group.object, group.scale, _untargeted(group.scene), group.index).take(slice(count))
+        Tasks("nothing", group.object, group.scale, _without_targets(group.scene), group.index).take(slice(count))
         for group in grasp_set.groups
     )
 
 
 def given_targets(grasp_set: GraspSet, count: int, disturbance: Disturbance, seed: int) -> tuple[Tasks, ...]:
-    """`count` disturbed true grasps of each group that has true grasps; which ones does not depend on `count`."""
+    """Return `count` disturbed true grasps of each group that has any; the choice does not depend on `count`."""
     found = []
     for group in grasp_set.groups:
         true = true_grasps(group)
@@ -123,30 +123,34 @@ def given_targets(grasp_set: GraspSet, count: int, disturbance: Disturbance, see
 
 
 def true_grasps(group: Group) -> Tasks:
-    """Real grasps of a group, moved until every fingertip touches the object and nothing penetrates.
+    """Refine real grasps of a group until every fingertip touches the object and nothing penetrates.
 
-    Their targets are the witness points of the fingertips. Whether they touch is decided by a plain query.
+    Their targets are the witness points of the fingertips. A plain query decides whether they touch.
     """
-    scene = _untargeted(group.scene)
+    scene = _without_targets(group.scene)
     hand, links = scene.hand, scene.links
     tips = tuple(dict.fromkeys(contact.link for contact in hand.contacts))
     columns = [links.index(tip) for tip in tips]
-    before = measured(scene, scene.T_world_root, scene.q)
-    near = (before.distance[:, columns] <= NEAR).all(axis=1)
+    before = measure_grasps(scene, scene.T_world_root, scene.q)
+    near = (before.distance[:, columns] <= TIP_DISTANCE_M).all(axis=1)
     tried = Tasks("targets", group.object, group.scale, scene, group.index).take(np.flatnonzero(near))
     if not len(tried):
         return tried
     config = Config(
         solver=LevenbergMarquardt(patience=12, progress=0.1),
         contact_selection=ContactSelection(links=tips),
-        # No compromise: what penetrates is no true grasp.
+        # No compromise: a grasp that penetrates is not a true one.
         weights=Weights(penetration=100.0, self_penetration=100.0, wrench=0.0),
-        tolerance=SOLVED,
+        tolerance=SOLVED_LOSS_M2,
     )
     found = refine(tried.scene, config)
-    after = measured(tried.scene, found.T_world_root, found.q)
-    exact = (np.abs(after.distance[:, columns]) < TOUCHES).all(axis=1) & (found.loss[:, 1] < SOLVED)
-    exact &= (after.penetration < TOUCHES) & (after.self_penetration < TOUCHES) & (after.limits_violated == 0)
+    after = measure_grasps(tried.scene, found.T_world_root, found.q)
+    exact = (np.abs(after.distance[:, columns]) < CONTACT_TOLERANCE_M).all(axis=1) & (found.loss[:, 1] < SOLVED_LOSS_M2)
+    exact &= (
+        (after.penetration < CONTACT_TOLERANCE_M)
+        & (after.self_penetration < CONTACT_TOLERANCE_M)
+        & (after.limits_violated == 0)
+    )
     aimed = np.isin(np.arange(len(links)), columns)[:, None]
     scene = replace(
         tried.scene,
@@ -158,6 +162,6 @@ def true_grasps(group: Group) -> Tasks:
     return replace(tried, scene=scene).take(np.flatnonzero(exact))
 
 
-def _untargeted(scene: Scene) -> Scene:
-    """The scene without the targets of its file."""
+def _without_targets(scene: Scene) -> Scene:
+    """Return the scene without the targets of its file."""
     return replace(scene, target_link=None, target_object=None, direction=None)

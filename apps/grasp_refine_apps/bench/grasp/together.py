@@ -16,18 +16,18 @@ from grasp_refine.core.interruption import end_with
 
 Result = TypeVar("Result")
 
-PATIENCE = 600.0
-"""Seconds that a process waits at most for the others to be ready."""
+MAX_WAIT_S = 600.0
+"""Longest time in seconds that a process waits for the others to be ready."""
 
 
-def together(works: Sequence[Callable[[Callable[[], None]], Result]]) -> list[Result]:
-    """What the works give, each in a process of its own.
+def run_together(works: Sequence[Callable[[Callable[[], None]], Result]]) -> list[Result]:
+    """Run the works, each in a process of its own, and return their results.
 
     Args:
-        works: Each gets a function that returns once all works have called it; can be pickled.
+        works: Each is called with a function that returns once all works have called it; must be picklable.
 
     Raises:
-        Exception: what a work raises, or RuntimeError where its process ended; the others are ended too.
+        Exception: raised by a work, or RuntimeError where its process ended; the others are ended too.
     """
     # A forked child of a process that has used torch may hang.
     context = multiprocessing.get_context("spawn")
@@ -42,12 +42,12 @@ def together(works: Sequence[Callable[[Callable[[], None]], Result]]) -> list[Re
             its.close()
             children[told] = child
         while len(found) < len(children):
-            # Whichever comes first: one that ended may be what the others wait for.
+            # In order of arrival: the others may be waiting for one that ended.
             waiting = [mine for mine in children if mine not in found]
             ready = wait(waiting)
             for mine in (mine for mine in waiting if mine in ready):
                 found[mine] = _received(children[mine], mine)
-                # That the others were not waited for any longer is no news.
+                # A broken barrier is a consequence of another error.
                 if isinstance(found[mine], Exception) and not isinstance(found[mine], BrokenBarrierError):
                     raise found[mine]
         for one in found.values():
@@ -70,12 +70,12 @@ def _received(child: Any, mine: Connection) -> Any:
 
 
 def _do(work: Callable[[Callable[[], None]], Any], barrier: Barrier, told: Connection, parent: int) -> None:
-    """The child's part, with one thread: the other cores are for the others."""
+    """Run the child's part, with one thread: the other cores are for the others."""
     end_with(parent)
     os.environ["OMP_NUM_THREADS"] = "1"
 
     def ready() -> None:
-        barrier.wait(PATIENCE)
+        barrier.wait(MAX_WAIT_S)
 
     try:
         result = work(ready)

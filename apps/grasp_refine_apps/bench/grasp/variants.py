@@ -1,4 +1,4 @@
-"""What is compared: solvers with their derivatives, budgets and batch sizes."""
+"""Variants to compare: solvers with their derivatives, budgets and batch sizes."""
 
 from __future__ import annotations
 
@@ -41,28 +41,28 @@ class Variant:
     """A solver with its settings; one row of a table for each set and kind of task."""
 
     solver: SolverName = "levenberg-marquardt"
-    """How the hand moves."""
+    """Solver of the refinement."""
     derivative: DerivativeName = "contact-kinematics"
-    """How witness points are differentiated; Levenberg-Marquardt knows contact kinematics only."""
+    """Derivative method of the witness points; Levenberg-Marquardt supports contact kinematics only."""
     budget: int | None = None
-    """Most iterations; None: those of the solver."""
+    """Largest number of iterations; None: default of the solver."""
     batch: int = 64
-    """Grasps that are worked on at once; with 1, each is a call of its own."""
+    """Grasps that are refined at once; with 1, each is a separate call."""
     contacts: int | None = None
-    """Fingertips that have targets, of those that are given; None: all."""
+    """Number of given fingertips with targets; None: all."""
     pieces: int | None = None
-    """Convex pieces into which the object, a convex one, is cut; None: left as it is."""
+    """Convex pieces into which the object, a convex one, is cut; None: not cut."""
     processes: int | None = None
     """Processes that share the tasks and run at the same time; None: this one."""
 
     @property
     def iterations(self) -> int:
-        """Most iterations of a grasp."""
+        """Largest number of iterations of a grasp."""
         return SOLVERS[self.solver].iterations if self.budget is None else self.budget
 
     @property
     def what(self) -> str:
-        """What a progress bar says beside the solver."""
+        """Label of the settings beside the solver, for a progress bar."""
         parts = (f"{value} {name}" for name in ("contacts", "pieces", "processes") if (value := getattr(self, name)))
         return ", ".join([f"batch {self.batch}", *parts])
 
@@ -72,7 +72,7 @@ class Variant:
         return self.solver == "levenberg-marquardt"
 
     def config(self, seed: int, tolerance: float) -> Config:
-        """The settings of the refinement."""
+        """Make the settings of the refinement."""
         return Config(
             solver=SOLVERS[self.solver](iterations=self.iterations),
             derivative=DERIVATIVES[self.derivative](seed),
@@ -84,7 +84,7 @@ class Variant:
         )
 
     def columns(self) -> dict[str, Any]:
-        """What it is, as entries of a row."""
+        """Settings as entries of a row."""
         return {
             "solver": self.solver,
             "derivative": self.derivative,

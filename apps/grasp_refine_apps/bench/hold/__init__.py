@@ -1,1 +1,1 @@
-"""How many grasps hold after refinement, against what it costs, by method and number of starts."""
+"""Share of grasps that hold after refinement, against the cost, by method and number of starts."""

@@ -15,29 +15,29 @@ from grasp_refine_apps.report.panels import COLORS, MARKERS, PLAIN, Line, Style,
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PANELS = 2
+PANELS_PER_ROW = 2
 """Panels side by side."""
 
-LONGEST = 40
-"""Most letters of an object's name above a panel."""
+MAX_NAME_CHARACTERS = 40
+"""Most characters of an object's name above a panel."""
 
 DASHES = {"as-came": (5, 3), "own-stages": (1, 2)}
-"""How the levels of what is not refined are drawn."""
+"""Dashes of the levels of grasps that are not refined."""
 
 
 def success_chart(rows: Sequence[Row], settings: Sequence[str]) -> str:
-    """Share of grasps that hold against CPU time of refining one; those that were not refined are levels.
+    """Chart the share of grasps that hold against CPU time of refining one; unrefined grasps are levels.
 
     Args:
         rows: All rows.
-        settings: How grasps were simulated.
+        settings: Names of the simulation settings.
     """
     styles = {name: Style(COLORS[k][0], MARKERS[k], "-") for k, name in enumerate(settings)}
     panels = []
     for name in dict.fromkeys(row["object"] for row in rows):
         its = [row for row in rows if row["object"] == name]
         lines = [_line(its, setting, style) for setting, style in styles.items()]
-        heading = name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
+        heading = name if len(name) <= MAX_NAME_CHARACTERS else f"{name[: MAX_NAME_CHARACTERS - 1]}…"
         levels = [
             (style, row["method"], row[column("success", setting)])
             for setting, style in styles.items()
@@ -45,7 +45,7 @@ def success_chart(rows: Sequence[Row], settings: Sequence[str]) -> str:
             if row["cpu_ms_mean"] is None
         ]
         panels.append((heading, [line for line in lines if line.x], partial(_axis, its, levels)))
-    grid = [panels[start : start + PANELS] for start in range(0, len(panels), PANELS)]
+    grid = [panels[start : start + PANELS_PER_ROW] for start in range(0, len(panels), PANELS_PER_ROW)]
     names = ["grasps that hold"] * len(grid)
     return draw(grid, names, "CPU time of refining a grasp", time_axis, "hold", "Success against run time")
 
@@ -57,9 +57,9 @@ def _line(rows: Sequence[Row], setting: str, style: Style) -> Line:
 
 
 def _axis(rows: Sequence[Row], levels: Sequence[tuple[Style, str, float]], axes: Axes, lines: list[Line]) -> None:
-    """A vertical axis of shares up to 100 %, with the levels, and what was done at each time."""
+    """Draw a vertical axis of shares up to 100 %, with the levels, and the label of the method at each time."""
     values = [*(y for line in lines for y in line.y), *(at for _, _, at in levels)]
-    # Tens of percent, with room for what is written below.
+    # Tens of percent, with space for the labels below.
     low = max(0.0, floor(10 * min(values)) / 10 - 0.3)
     axes.set_ylim(low, 1.02)
     step = 0.1 if low > 0.35 else 0.2

@@ -1,4 +1,4 @@
-"""Measures of grasps by one plain query, whatever was done to them."""
+"""Measures of grasps by one plain query, independent of the method."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from grasp_refine.scene.hand_object import HandObject
 
 @dataclass(frozen=True, eq=False)
 class Measures:
-    """What N grasps are like; NaN where a query could not be answered."""
+    """Measures of N grasps; NaN where a query failed."""
 
     penetration_m: Float[np.ndarray, " N"]
     """Deepest penetration of any link in the object (N,), metres."""
     self_penetration_m: Float[np.ndarray, " N"]
     """Deepest penetration of links in each other (N,), metres."""
     contact_gap_m: Float[np.ndarray, " N"]
-    """Largest distance to the object's surface, on either side of it, of the links that touch (N,), metres; NaN
-    without any."""
+    """Largest distance to the object's surface, inside or outside, of the links that touch (N,), metres; NaN without
+    any."""
     wrench_residual: Float[np.ndarray, " N"]
-    """What is left of forces and torques when the contacts balance them best (N,); NaN without contacts."""
+    """Residual force and torque when the contacts balance them best (N,); NaN without contacts."""
     quality: Float[np.ndarray, " N"]
-    """The verdict (N,), `quality.Quality.value`; 0 where there are no forces."""
+    """Quality (N,), `quality.Quality.value`; 0 where there are no forces."""
 
 
-def measured(
+def measure_grasps(
     prepared: HandObject,
     T_world_root: Float[np.ndarray, "N 4 4"],
     q: Float[np.ndarray, "N n"],
     touching: Bool[np.ndarray, "N L"] | None = None,
 ) -> Measures:
-    """Measures of grasps on an object at the world's origin.
+    """Measure grasps on an object at the world's origin.
 
     Args:
-        prepared: Of hand and object.
+        prepared: Hand and object.
         T_world_root: Poses of the base link.
         q: Joint values.
         touching: Links that touch; None: those that are near, as for forces.

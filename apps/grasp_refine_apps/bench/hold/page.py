@@ -1,4 +1,4 @@
-"""The report of the benchmark: one HTML file with a chart and tables, and nothing from outside."""
+"""The report of the benchmark: one self-contained HTML file with a chart and tables."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from grasp_refine_apps.report.html_page import Column, rendered
 
 
 def page(document: dict[str, Any], settings: Sequence[str]) -> str:
-    """The report of a run of `bench hold` as HTML; the same input gives the same text.
+    """Render the report of a run of `bench hold` as HTML; equal input gives equal text.
 
     Args:
-        document: What the benchmark writes as JSON.
-        settings: How grasps were simulated.
+        document: The JSON document of the benchmark.
+        settings: Names of the simulation settings.
     """
     rows = document["rows"]
     return rendered(
@@ -26,9 +26,9 @@ def page(document: dict[str, Any], settings: Sequence[str]) -> str:
         settings=settings,
         chart=success_chart(rows, settings),
         tables=(
-            ("What holds", _verdicts(settings)),
-            ("What it costs", COSTS),
-            ("What the grasps are like", GEOMETRY),
+            ("Grasps that hold", _verdicts(settings)),
+            ("Costs", COSTS),
+            ("Geometry of the grasps", GEOMETRY),
         ),
         pooled=[row for row in rows if row["object"] == "all"],
         by_object=[row for row in rows if row["object"] != "all"],
@@ -41,9 +41,9 @@ def _verdicts(settings: Sequence[str]) -> tuple[Column, ...]:
         for name in settings
         for one in (
             Column(f"{name}, %", "grasps that hold", number(column("success", name), 100.0)),
-            Column("lost, %", "of those that held as they came", number(column("lost", name), 100.0)),
+            Column("lost, %", "of the input grasps that held", number(column("lost", name), 100.0)),
             Column("AUC", "of the quality against success", number(column("auc", name), 1.0, ".3f")),
-            Column("failed", "grasps by what happened", _reasons(column("reasons", name))),
+            Column("failed", "grasps by reason of failure", _reasons(column("reasons", name))),
         )
     )
 
@@ -61,11 +61,11 @@ def _moved(row: Row) -> str:
 
 COSTS = (
     Column("CPU ms", "of refining a grasp, mean", number("cpu_ms_mean")),
-    Column("median", "of the same", number("cpu_ms_median")),
+    Column("median", "CPU ms of refining a grasp, median", number("cpu_ms_median")),
     Column("wall ms", "of refining a grasp, mean", number("wall_ms_mean")),
-    Column("median", "of the same", number("wall_ms_median")),
+    Column("median", "wall ms of refining a grasp, median", number("wall_ms_median")),
     Column("stages, CPU ms", "of finding pregrasp and squeeze of a grasp, mean", number("stages_cpu_ms")),
-    Column("starts", "from which a grasp was tried, mean", number("starts_mean", 1.0, ".2f")),
+    Column("starts", "number of starts of a grasp, mean", number("starts_mean", 1.0, ".2f")),
     Column("moved", "median; base link, and the joint that moved most", _moved),
 )
 GEOMETRY = (

@@ -1,4 +1,4 @@
-"""The experiments that have a name."""
+"""Named experiments."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 STARTS = (1, 6)
-"""Numbers of starts that are compared where nobody says which."""
+"""Default numbers of starts."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class Preset:
     starts: tuple[int, ...] = STARTS
     """Numbers of starts."""
     count: int | None = None
-    """Most grasps on each object at each scale; None: all."""
+    """Largest number of grasps on each object at each scale; None: all."""
 
 
 PRESETS: Mapping[str, Preset] = MappingProxyType({"smoke": Preset(starts=(1, 2), count=2)})

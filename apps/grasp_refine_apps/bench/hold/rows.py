@@ -1,4 +1,4 @@
-"""From results to rows: one flat entry for each method, pooled, and for each object."""
+"""Rows of results: one flat entry for each method, pooled, and for each object."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.bench.hold.measures import Measures
-from grasp_refine_apps.bench.hold.runner import Part
+from grasp_refine_apps.bench.hold.runner import GroupResult
 
 Row = dict[str, Any]
 
 
 def column(name: str, setting: str) -> str:
-    """The key of what is said of a setting."""
+    """Key of a number of a simulation setting."""
     return f"{name}_{setting.replace('-', '_')}"
 
 
-def rows(parts: Sequence[Part], settings: Sequence[str]) -> list[Row]:
-    """All rows of a run: for each method the pooled one, then, of several objects, one for each.
+def rows(parts: Sequence[GroupResult], settings: Sequence[str]) -> list[Row]:
+    """Return all rows of a run: for each method the pooled one, then, of several objects, one for each.
 
     Args:
-        parts: What came of every method, which are the same, in the same order, for each group of grasps; of the
-            first method those are that count as held before.
-        settings: How grasps were simulated.
+        parts: Results of the methods, which are the same, in the same order, for each group of grasps; the first method
+            decides which grasps held before.
+        settings: Names of the simulation settings.
     """
     methods = list(dict.fromkeys(part.method for part in parts))
     objects = list(dict.fromkeys(part.object for part in parts))
@@ -49,7 +49,7 @@ def rows(parts: Sequence[Part], settings: Sequence[str]) -> list[Row]:
     return found
 
 
-def _statistics(before: Sequence[Part], after: Sequence[Part], settings: Sequence[str]) -> Row:
+def _statistics(before: Sequence[GroupResult], after: Sequence[GroupResult], settings: Sequence[str]) -> Row:
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(part, name) for part in after])
 
@@ -64,7 +64,7 @@ def _statistics(before: Sequence[Part], after: Sequence[Part], settings: Sequenc
         for name in ("palm_m", "palm_rad", "joints_rad")
     }
     cpu, wall = 1e3 * joined("cpu_s"), 1e3 * joined("wall_s")
-    # Grasps that nobody could measure count as the worst.
+    # Grasps that could not be measured count as the worst.
     depth, own, residual = (
         np.nan_to_num(values, nan=np.inf)
         for values in (measures.penetration_m, measures.self_penetration_m, measures.wrench_residual)
@@ -89,8 +89,10 @@ def _statistics(before: Sequence[Part], after: Sequence[Part], settings: Sequenc
     }
 
 
-def _verdicts(before: Sequence[Part], after: Sequence[Part], settings: Sequence[str], quality: np.ndarray) -> Row:
-    """What simulation says, setting by setting, and how well the quality foresaw it."""
+def _verdicts(
+    before: Sequence[GroupResult], after: Sequence[GroupResult], settings: Sequence[str], quality: np.ndarray
+) -> Row:
+    """Outcome of the simulation by setting, and how well the quality predicts it."""
     found: dict[str, Row] = {name: {} for name in ("success", "lost", "auc", "reasons")}
     for setting in settings:
         first, reason = (np.concatenate([part.reason[setting] for part in parts]) for parts in (before, after))
@@ -106,11 +108,11 @@ def _verdicts(before: Sequence[Part], after: Sequence[Part], settings: Sequence[
 
 
 def auc(score: np.ndarray, success: np.ndarray) -> float | None:
-    """The chance that of a success and a failure, drawn at random, the success has the higher score; ties count half.
+    """Probability that a random success has a higher score than a random failure; ties count half.
 
     Args:
         score: Scores (N,).
-        success: What was a success (N,).
+        success: True for successes (N,).
 
     Returns:
         The area under the curve of hits against false alarms; None where all or none are successes.

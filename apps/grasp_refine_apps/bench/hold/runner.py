@@ -1,4 +1,4 @@
-"""Applies every method to grasps on one object, measures what comes out, and simulates it."""
+"""Runs of every method on grasps on one object, with measures and simulation of the results."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from grasp_refine.validation.motion import Motion, closing
 from grasp_refine.validation.protocol import SETTINGS, SettingName
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import World, build_world
-from grasp_refine_apps.bench.hold.measures import Measures, measured
+from grasp_refine_apps.bench.hold.measures import Measures, measure_grasps
 from grasp_refine_apps.bench.hold.methods import Method
 from grasp_refine_apps.bench.timing import one_thread
 
-WARM_UP = 2
-"""Iterations, of as many grasps, before anything is timed."""
+WARM_UP_ITERATIONS = 2
+"""Iterations, and number of grasps, of the run before the first measurement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,28 +32,28 @@ class Group:
     object: str
     """Name of the object."""
     scene: Scene
-    """The grasps, without targets."""
+    """Hand, object and the grasps, without targets."""
     came: Motion | None
-    """How the hand closes to them as they came; None: no one says, so that it is as we find."""
+    """Given motion of the hand as it closes; None: not specified, so that it is computed."""
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """What came of N grasps by one method; costs are NaN where there are none."""
+class GroupResult:
+    """Results of N grasps by one method; costs are NaN where there are none."""
 
     method: Method
     object: str
     measures: Measures
     moved: Movement
-    """How far the method moved them."""
+    """Distances that the method moved them."""
     cpu_s: np.ndarray
     """CPU seconds of refining each (N,)."""
     wall_s: np.ndarray
-    """The same of the clock."""
+    """Wall seconds of refining each (N,)."""
     stages_cpu_s: np.ndarray
     """CPU seconds of finding pregrasp and squeeze of each (N,)."""
     starts: np.ndarray
-    """From how many starts each was tried (N,)."""
+    """Number of starts of each (N,)."""
     reason: Mapping[str, np.ndarray]
     """Setting -> a `Reason` for each (N,), of the first push that failed."""
 
@@ -67,34 +67,34 @@ class GroupJob:
     """The hand for simulation."""
     methods: tuple[Method, ...]
     settings: tuple[SettingName, ...]
-    """How grasps are simulated."""
+    """Names of the simulation settings."""
     width: int
-    """Most grasps that are refined at once."""
+    """Largest number of grasps that are refined at once."""
     seed: int
     threads: int | None
-    """CPU threads of the simulation; None: as many as there are."""
+    """CPU threads of the simulation; None: all cores."""
 
     @property
     def work(self) -> float:
-        """About how long it takes: most of it is simulation, which takes about the same for every grasp."""
+        """Approximate duration: mostly simulation, which takes about the same for every grasp."""
         return float(len(self.group.scene.q))
 
     @property
     def label(self) -> str:
-        """What it is, for a progress bar."""
+        """Label of the job, for a progress bar."""
         return self.group.object
 
-    def do(self, progress: Callable[[float], None]) -> tuple[Part, ...]:
-        """What came of each method, in this process."""
+    def do(self, progress: Callable[[float], None]) -> tuple[GroupResult, ...]:
+        """Run each method, in this process."""
         with one_thread():
             return self._parts(progress)
 
-    def _parts(self, progress: Callable[[float], None]) -> tuple[Part, ...]:
+    def _parts(self, progress: Callable[[float], None]) -> tuple[GroupResult, ...]:
         scene = self.group.scene
         worlds: dict[str, World] = {
             name: build_world(self.model, scene.object, SETTINGS[name], scene.table) for name in self.settings
         }
-        # What is built once for a hand and an object is not timed.
+        # Caches built once for a hand and an object are not timed.
         prepared = HandObject.of(scene)
         self._warm_up(prepared)
         parts = []
@@ -108,16 +108,16 @@ class GroupJob:
 
     def _warm_up(self, prepared: HandObject) -> None:
         scene = self.group.scene
-        few = replace(scene, T_world_root=scene.T_world_root[:WARM_UP], q=scene.q[:WARM_UP])
+        few = replace(scene, T_world_root=scene.T_world_root[:WARM_UP_ITERATIONS], q=scene.q[:WARM_UP_ITERATIONS])
         for config in (method.config(self.seed, self.width) for method in self.methods):
             if config is not None:
-                short = replace(config, starts=1, solver=replace(config.solver, iterations=WARM_UP))
+                short = replace(config, starts=1, solver=replace(config.solver, iterations=WARM_UP_ITERATIONS))
                 refine(few, short, prepared=prepared)
         closing(few, prepared)
 
     def _part(
         self, method: Method, prepared: HandObject, worlds: Mapping[str, World], progress: Callable[[float], None]
-    ) -> Part:
+    ) -> GroupResult:
         group, scene = self.group, self.group.scene
         count, touching = len(scene.q), None
         cpu_s, wall_s, stages_cpu_s, starts = np.full((4, count), np.nan)
@@ -140,10 +140,10 @@ class GroupJob:
 
             trials = simulate(world, motion, threads=self.threads, first_failure=True, progress=tell)
             reason[name] = trials.reason[np.arange(count), trials.worst]
-        return Part(
+        return GroupResult(
             method=method,
             object=group.object,
-            measures=measured(prepared, scene.T_world_root, scene.q, touching),
+            measures=measure_grasps(prepared, scene.T_world_root, scene.q, touching),
             moved=movement(group.scene.T_world_root, group.scene.q, scene.T_world_root, scene.q),
             cpu_s=cpu_s,
             wall_s=wall_s,

@@ -1,4 +1,4 @@
-"""A run of the benchmark: each method is applied to the same grasps, which are then simulated."""
+"""A run of the benchmark: applies each method to the same grasps and simulates them."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ from grasp_refine_apps.bench.jobs import run_jobs
 
 @dataclass(frozen=True)
 class Study:
-    """What is run."""
+    """Settings of a run."""
 
     methods: tuple[Method, ...]
-    """What is compared; the first one is what the others are told from."""
+    """Methods to compare; the first one is the reference of the others."""
     settings: tuple[SettingName, ...] = ("force-closure", "strict")
-    """How grasps are simulated."""
+    """Names of the simulation settings."""
     width: int = 256
-    """Most grasps that are refined at once."""
+    """Largest number of grasps that are refined at once."""
     seed: int = 0
-    """Of everything that is drawn."""
+    """Seed of all random numbers."""
     threads: int | None = None
-    """CPU threads of the simulation; None: as many as there are. Refinement has one."""
+    """CPU threads of the simulation; None: all cores. Refinement has one."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out of a study."""
+    """Results of a study."""
 
     rows: list[dict[str, Any]]
-    """The entries of the tables."""
+    """Entries of the tables."""
     problems: list[str]
-    """What went wrong with objects that gave no result."""
+    """Errors of objects without a result."""
 
 
 def run_study(
     study: Study, model: HandModel, groups: Sequence[Group], progress: Callable[[float, str], None]
 ) -> Outcome:
-    """Apply all methods to all grasps, and simulate what comes out.
+    """Apply all methods to all grasps, and simulate the results.
 
     Args:
-        study: What is run.
+        study: The settings.
         model: The hand for simulation.
         groups: The grasps.
-        progress: Gets the share of the work that is done, and what is.
+        progress: Called with the share of the work that is done, and its label.
     """
     todo = [
         GroupJob(group, model, study.methods, study.settings, study.width, study.seed, study.threads)

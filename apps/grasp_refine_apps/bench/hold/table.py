@@ -1,4 +1,4 @@
-"""The tables that the benchmark prints: a line for each method, then who holds by object."""
+"""The tables that the benchmark prints: a line for each method, then success by object."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from grasp_refine_apps.bench.hold.rows import Row, column
 Column = tuple[str, Callable[[Row], str]]
 
 HEADS = {"force-closure": "force-\nclos.", "strict": "strict", "tabletop": "table-\ntop"}
-"""Settings in as few letters as a column has."""
+"""Abbreviations of the simulation settings for column heads."""
 
-LONGEST = 30
-"""Most letters of an object's name."""
+MAX_NAME_CHARACTERS = 30
+"""Most characters of an object's name."""
 
 
 def number(key: str, factor: float = 1.0, form: str = ".1f") -> Callable[[Row], str]:
-    """A function that writes the number `key` of a row."""
+    """Return a function that formats the number `key` of a row."""
 
     def words(row: Row) -> str:
         value = row[key]
@@ -34,7 +34,7 @@ def _residual(row: Row) -> str:
 
 
 def bench_tables(rows: Sequence[Row], settings: Sequence[str]) -> Iterator[Table]:
-    """The pooled rows, and success by object where there are several."""
+    """Make a table of the pooled rows, and one of success by object where there are several."""
     first = settings[0]
     columns: tuple[Column, ...] = (
         *((f"held,\n{HEADS[name]}", number(column("success", name), 100.0)) for name in settings),
@@ -78,5 +78,5 @@ def _by_object(rows: Sequence[Row], objects: Sequence[str], settings: Sequence[s
 
 def _table(title: str, first: str) -> Table:
     table = Table(title=title, title_justify="left", box=SIMPLE, padding=0, show_edge=False)
-    table.add_column(first, no_wrap=True, overflow="ellipsis", min_width=7, max_width=LONGEST)
+    table.add_column(first, no_wrap=True, overflow="ellipsis", min_width=7, max_width=MAX_NAME_CHARACTERS)
     return table

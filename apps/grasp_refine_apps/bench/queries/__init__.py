@@ -1,1 +1,1 @@
-"""What a witness query costs, forward and backward, against named peers; and what is saved by what is not done."""
+"""Cost of a witness query, forward and backward, against named peers; and the savings of skipped work."""

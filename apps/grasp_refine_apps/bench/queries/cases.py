@@ -1,4 +1,4 @@
-"""What is asked: two bodies of some kind, how they lie, and how many such pairs at once."""
+"""Cases of the benchmark: two bodies of some kind, their state, and the number of such pairs at once."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ Kind = Literal["convex", "mixed", "concave"]
 """One piece against one; one against several, as a link against an object; several against several."""
 
 State = Literal["far", "near", "touching", "shallow", "deep"]
-"""How the bodies lie to each other, see `DISTANCE`."""
+"""Relative state of the bodies, see `STATE_DISTANCES_M`."""
 
-DISTANCE: dict[State, float] = {"far": 0.2, "near": 0.004, "touching": 0.0, "shallow": -0.001, "deep": -0.005}
+STATE_DISTANCES_M: dict[State, float] = {"far": 0.2, "near": 0.004, "touching": 0.0, "shallow": -0.001, "deep": -0.005}
 """Signed distance of the bodies in metres, which are 10 to 14 cm long."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What one measurement is of."""
+    """A case to be measured."""
 
     kind: Kind = "convex"
     pieces: int = 1
-    """Pieces of each body, of the second one only where the kind is mixed; 1 where it is convex."""
+    """Pieces of each body, only of the second one where the kind is mixed; 1 where it is convex."""
     vertices: int = 32
     """Vertices of each piece."""
     state: State = "near"
@@ -40,7 +40,7 @@ class Case:
         return first * second
 
     def columns(self) -> dict[str, Any]:
-        """What it is, as entries of a row."""
+        """Settings as entries of a row."""
         return {
             "kind": self.kind,
             "pieces": self.pieces,

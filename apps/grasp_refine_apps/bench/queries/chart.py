@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 Axis = Literal["batch", "vertices", "pieces"]
 
 NAMES: dict[Axis, str] = {"batch": "poses in a call", "vertices": "vertices of a piece", "pieces": "pieces of a body"}
-"""What a chart is over."""
+"""Names of the horizontal axes."""
 
-WIDE, MOST = 2, 4
+PANELS_PER_ROW, MAX_PANELS = 2, 4
 """Panels side by side, and in all."""
 
 
 def sweep_chart(rows: Sequence[Row], axis: Axis) -> str:
-    """CPU time of a query over what varies, a panel for all cases that are the same but for it; empty without any.
+    """Chart CPU time of a query over one axis, a panel for all cases that differ only in it; empty without any.
 
     Args:
         rows: All rows.
-        axis: What varies.
+        axis: The varied quantity.
     """
     fixed = [name for name in ("kind", "pieces", "vertices", "state", "batch") if name != axis]
     groups: dict[tuple[object, ...], list[Row]] = {}
@@ -35,7 +35,7 @@ def sweep_chart(rows: Sequence[Row], axis: Axis) -> str:
     swept = {key: its for key, its in groups.items() if len({row[axis] for row in its}) > 1}
     styles = _styles(rows)
     panels = []
-    for key, its in list(swept.items())[:MOST]:
+    for key, its in list(swept.items())[:MAX_PANELS]:
         words = dict(zip(fixed, key, strict=True))
         heading = ", ".join(
             [
@@ -45,7 +45,7 @@ def sweep_chart(rows: Sequence[Row], axis: Axis) -> str:
         )
         heading += f", {words['state']}" + (f", batch {words['batch']}" if "batch" in words else "")
         panels.append((heading, _lines(its, axis, styles), _time))
-    grid = [panels[start : start + WIDE] for start in range(0, len(panels), WIDE)]
+    grid = [panels[start : start + PANELS_PER_ROW] for start in range(0, len(panels), PANELS_PER_ROW)]
 
     def across(axes: Axes, lines: list[Line]) -> None:
         values = [x for line in lines for x in line.x]

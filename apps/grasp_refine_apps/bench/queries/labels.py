@@ -1,4 +1,4 @@
-"""Rows as people read them: what they are called, and which belong together."""
+"""Labels and groups of rows as people read them."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ from collections.abc import Sequence
 from grasp_refine_apps.bench.queries.peers import PEERS
 from grasp_refine_apps.bench.queries.rows import Row
 
-WHAT = {peer.name: peer.what for peer in PEERS}
-"""Peer -> what it does."""
+PEER_LABELS = {peer.name: peer.what for peer in PEERS}
+"""Peer -> its explanation."""
 
 
 def queries(rows: Sequence[Row]) -> list[Row]:
-    """The rows on queries."""
+    """Select the rows on queries."""
     return [row for row in rows if row["table"] == "queries"]
 
 
 def skips(rows: Sequence[Row]) -> list[Row]:
-    """The rows on skips."""
+    """Select the rows on skips."""
     return [row for row in rows if row["table"] == "skips"]
 
 
 def case_of(row: Row) -> tuple[str, int, int, str, int]:
-    """What a row is of."""
+    """Return the case of a row."""
     return tuple(row[name] for name in ("kind", "pieces", "vertices", "state", "batch"))
 
 
 def cases(rows: Sequence[Row]) -> list[list[Row]]:
-    """The rows on queries, those of each case together: ours first."""
+    """Group the rows on queries by case: ours first."""
     found: dict[tuple[str, int, int, str, int], list[Row]] = {}
     for row in queries(rows):
         found.setdefault(case_of(row), []).append(row)
@@ -35,12 +35,12 @@ def cases(rows: Sequence[Row]) -> list[list[Row]]:
 
 
 def bodies(row: Row) -> str:
-    """The two bodies: pieces by vertices of each."""
+    """Format the two bodies: pieces by vertices of each."""
     return f"{row['kind']} {row['pieces']}x{row['vertices']}"
 
 
 def label(row: Row) -> str:
-    """Who answered."""
+    """Name of the engine or peer."""
     return f"{row['by']}, warm" if row["warm"] else row["by"]
 
 
@@ -50,5 +50,5 @@ def methods(rows: Sequence[Row]) -> list[str]:
 
 
 def method(key: str) -> str:
-    """What such a key is of."""
+    """Name of the derivative method in such a key."""
     return key.removeprefix("backward_").removesuffix("_us").replace("_", " ")

@@ -1,4 +1,4 @@
-"""The report of the benchmark: one HTML file with charts and tables, and nothing from outside."""
+"""The report of the benchmark: one self-contained HTML file with charts and tables."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from math import log10
 from typing import Any
 
 from grasp_refine_apps.bench.queries.chart import NAMES, sweep_chart
-from grasp_refine_apps.bench.queries.labels import WHAT, bodies, cases, method, methods, queries, skips
+from grasp_refine_apps.bench.queries.labels import PEER_LABELS, bodies, cases, method, methods, queries, skips
 from grasp_refine_apps.bench.queries.rows import Row
 from grasp_refine_apps.bench.queries.table import number, worst_errors
 from grasp_refine_apps.report.html_page import Column, rendered
 
-OURS = {"python": "our engine in Python", "bare-loop": "a loop in C++ over the queries that the compiled engine asks"}
-"""What else there is."""
+OURS = {"python": "our engine in Python", "bare-loop": "a loop in C++ over the queries of the compiled engine"}
+"""Other engines -> explanation."""
 
-WIDEST = 1000.0
-"""Ratio at which a bar is as long as there is room."""
+MAX_RATIO = 1000.0
+"""Ratio at which a bar has full length."""
 
 
 def page(document: dict[str, Any]) -> str:
-    """The report of a run of `bench queries` as HTML; the same input gives the same text.
+    """Render the report of a run of `bench queries` as HTML; equal input gives equal text.
 
     Args:
-        document: What the benchmark writes as JSON.
+        document: The JSON document of the benchmark.
     """
     rows = document["rows"]
     charts = [(words, chart) for axis, words in NAMES.items() if (chart := sweep_chart(rows, axis))]
@@ -33,7 +33,7 @@ def page(document: dict[str, Any]) -> str:
         charts=charts,
         first=next((row["by"] for row in queries(rows)), ""),
         bars=_bars(rows),
-        what=OURS | WHAT,
+        what=OURS | PEER_LABELS,
         errors=worst_errors(rows),
         columns=_columns(rows),
         lines=[{**row, "bodies": bodies(row)} for row in queries(rows)],
@@ -43,7 +43,7 @@ def page(document: dict[str, Any]) -> str:
 
 
 def _bars(rows: Sequence[Row]) -> list[tuple[str, list[tuple[str, str, float]]]]:
-    """For each case what is slower, or faster, than our first engine: name, ratio in words and length in percent."""
+    """Compare the others of each case with our first engine: name, ratio in words and length in percent."""
     found = []
     for its in cases(rows):
         first, *others = (row for row in its if not row["warm"])
@@ -54,8 +54,8 @@ def _bars(rows: Sequence[Row]) -> list[tuple[str, list[tuple[str, str, float]]]]
 
 
 def _length(ratio: float) -> float:
-    """Percent of the room; what is 100 times faster has no length."""
-    return max(0.0, min(100.0, 100 * (log10(ratio) + 2) / (log10(WIDEST) + 2)))
+    """Percent of the full length; a peer 100 times faster has length 0."""
+    return max(0.0, min(100.0, 100 * (log10(ratio) + 2) / (log10(MAX_RATIO) + 2)))
 
 
 def _value(key: str, form: str = "") -> Callable[[Row], str]:
@@ -70,16 +70,16 @@ def _columns(rows: Sequence[Row]) -> tuple[Column, ...]:
     return (
         Column("state", "how the bodies lie to each other", lambda row: row["state"]),
         Column("batch", "poses in a call", _value("batch", "d")),
-        Column("by", "who answered", lambda row: row["by"]),
+        Column("by", "engine or peer", lambda row: row["by"]),
         Column("warm", "whether the last answer, a step away, was known", lambda row: "yes" if row["warm"] else ""),
         Column("forward", "CPU µs of a query per pose, median", _value("forward_us")),
         Column("layer", "CPU µs of a forward pass of the torch layer per pose, median", _value("layer_us")),
         *(Column(f"backward, {method(key)}", "CPU µs of a backward pass per pose, median", _value(key))
           for key in methods(rows)),
         Column("ratio", "time over that of our first engine, cold, in the same round; median", _value("forward_ratio")),
-        Column("poses", "for which was asked", _value("poses", "d")),
-        Column("asked", "queries of piece pairs in all", _value("queries_asked", "d")),
-        Column("pruned", "piece pairs that were not asked", _value("pruned", "d")),
+        Column("poses", "queried poses", _value("poses", "d")),
+        Column("queried", "queries of piece pairs in all", _value("queries_asked", "d")),
+        Column("pruned", "piece pairs that were not queried", _value("pruned", "d")),
         Column("warm starts", "poses with a warm start of GJK", _value("queries_warm", "d")),
         Column("error", "largest difference of distances from ours in Python, m", _value("distance_error_m", ".1e")),
     )  # fmt: skip
@@ -91,12 +91,12 @@ def _seconds(key: str) -> Callable[[Row], str]:
 
 SAVED = (
     Column("where", "hand, object, command", lambda row: row["scene"]),
-    Column("counted", "what is counted", lambda row: row["unit"]),
+    Column("counted", "counted work", lambda row: row["unit"]),
     Column("without", "count if it is done", _value("without", "d")),
     Column("with", "count as the program is", _value("with", "d")),
     Column("saved, %", "of the count", lambda row: f"{100 * row['saved_share']:.1f}"),
-    Column("CPU s without", "of the whole of what is named on the left", _seconds("cpu_without_s")),
+    Column("CPU s without", "of the whole run named on the left", _seconds("cpu_without_s")),
     Column("CPU s with", "as the program is", _seconds("cpu_with_s")),
     Column("difference", "largest difference of refined poses (m) and joints (rad)", _value("difference", ".0e")),
-    Column("how", "how it was undone", lambda row: row["how"]),
+    Column("how", "how the skip was undone", lambda row: row["how"]),
 )

@@ -1,4 +1,4 @@
-"""What others would do: a loop of distance queries over all piece pairs of two bodies, for each pose."""
+"""Peers: a loop of distance queries over all piece pairs of two bodies, for each pose."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from grasp_refine.collision.query import Pairs
 from grasp_refine.core.se3 import inverse
 from grasp_refine.geometry.body import Body
 
-FARTHEST = 10.0
-"""Distances beyond this, in metres, do not matter to MuJoCo."""
+CUTOFF_M = 10.0
+"""Distances beyond this, in metres, are ignored by MuJoCo."""
 
 Loop = Callable[[], np.ndarray]
 """Signed distances (N,) of all poses, in metres."""
@@ -28,20 +28,20 @@ PeerName = Literal["coal-fresh", "coal-reused", "mujoco"]
 
 @dataclass(frozen=True)
 class Peer:
-    """A library as its user would call it."""
+    """A library, called as its user would."""
 
     name: PeerName
-    """What rows call it."""
+    """Name in rows."""
     what: str
-    """What it does, for people."""
+    """Explanation for people."""
     tolerance_m: float
-    """The convergence tolerance that it is left with, in metres."""
+    """Its convergence tolerance, as used, in metres."""
     loop: Callable[[Pairs, np.ndarray, np.ndarray], Loop]
-    """From a pair of bodies and their poses (N, 1, 4, 4) to what is timed; shapes and poses are made before."""
+    """From a pair of bodies and their poses (N, 1, 4, 4) to the timed loop; shapes and poses are made before."""
 
 
 def fresh_coal(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Loop:
-    """`coal.distance` with new request and result objects, as its examples do, with its own tolerances."""
+    """Loop over `coal.distance` with new request and result objects, as its examples do, with its own tolerances."""
     side_a, side_b = _shapes(pairs.a[0]), _shapes(pairs.b[0])
     poses, identity = _transforms(T_a, T_b), coal.Transform3s()
 
@@ -61,7 +61,7 @@ def fresh_coal(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Loop:
 
 
 def reused_coal(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Loop:
-    """`ComputeDistance` of coal, with one request and one result for all, and our tolerances."""
+    """Loop over `ComputeDistance` of coal, with one request and one result for all, and our tolerances."""
     side_a, side_b = _shapes(pairs.a[0]), _shapes(pairs.b[0])
     functions = [coal.ComputeDistance(a, b) for a, b in product(side_a, side_b)]
     poses, identity = _transforms(T_a, T_b), coal.Transform3s()
@@ -84,7 +84,7 @@ def reused_coal(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Loop:
 
 
 def mujoco_loop(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Loop:
-    """`mj_geomDistance` of mesh geoms, told the best distance so far as the farthest that matters."""
+    """Loop over `mj_geomDistance` of mesh geoms, with the best distance so far as cutoff."""
     spec = mujoco.MjSpec()
     second = spec.worldbody.add_body(mocap=True)
     for side, (body, owner) in enumerate(((pairs.a[0], spec.worldbody), (pairs.b[0], second))):
@@ -96,7 +96,7 @@ def mujoco_loop(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Loop:
     mujoco.mj_kinematics(model, data)
     moves = model.geom_bodyid > 0
     first, geoms = np.flatnonzero(~moves).tolist(), np.flatnonzero(moves)
-    # Where its geoms are at each pose is worked out beforehand, which only helps it.
+    # Poses of its geoms are computed beforehand, which only helps it.
     center, R = data.geom_xpos[geoms], data.geom_xmat[geoms].reshape(-1, 3, 3)
     relative = inverse(T_a[:, 0]) @ T_b[:, 0]
     centers = center @ relative[:, :3, :3].mT + relative[:, None, :3, 3]
@@ -108,7 +108,7 @@ def mujoco_loop(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Loop:
         found = []
         for position, turn in zip(centers, turns, strict=True):
             data.geom_xpos[geoms], data.geom_xmat[geoms] = position, turn
-            best = FARTHEST
+            best = CUTOFF_M
             for a, b in pairs_of_geoms:
                 d = mujoco.mj_geomDistance(model, data, a, b, best, segment)
                 if d < best:
@@ -124,7 +124,7 @@ PEERS = (
     Peer("coal-reused", "coal ComputeDistance, reused objects", Tolerances.gjk, reused_coal),
     Peer("mujoco", "MuJoCo mj_geomDistance", mujoco.MjOption().ccd_tolerance, mujoco_loop),
 )
-"""All of them ask every piece pair; none prunes."""
+"""All peers; each queries every piece pair, without pruning."""
 
 
 def _shapes(body: Body) -> list[coal.ConvexBase]:
@@ -137,5 +137,5 @@ def _shapes(body: Body) -> list[coal.ConvexBase]:
 
 
 def _transforms(T_a: np.ndarray, T_b: np.ndarray) -> list[coal.Transform3s]:
-    """Poses of the second bodies in the frames of the first."""
+    """Return poses of the second bodies in the frames of the first."""
     return [coal.Transform3s(T[:3, :3], T[:3, 3]) for T in inverse(T_a[:, 0]) @ T_b[:, 0]]

@@ -8,39 +8,39 @@ from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_se3
 
-START = 0.3
-"""How far bodies are moved apart at first, in metres, farther than they are long."""
+START_GAP_M = 0.3
+"""Initial gap of the bodies in metres, larger than their length."""
 
-CLOSE = 0.1
-"""Largest difference of the signed distance from the wanted one, as a share of it; of 0, `TOUCHING` metres."""
-TOUCHING = 1e-9
+DISTANCE_TOLERANCE = 0.1
+"""Largest difference of the signed distance from the desired one, as its share; in contact: `CONTACT_TOLERANCE_M`."""
+CONTACT_TOLERANCE_M = 1e-9
 
-DRAWS = 40
-"""Times as many poses are drawn at most as are wanted."""
+DRAWS_PER_POSE = 40
+"""Largest number of poses drawn per requested pose."""
 
-STEP = (0.001, 0.02)
-"""Standard deviations of a step of a solver, in metres and radians: how far the poses of a warm start are."""
+STEP_DEVIATIONS = (0.001, 0.02)
+"""Standard deviations of a solver's step, in metres and radians: the offset of the poses of a warm start."""
 
 
 def draw_poses(pairs: Pairs, distance: float, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Random poses (count, 1, 4, 4) of the first and of the second body, at a signed distance.
+    """Draw poses (count, 1, 4, 4) of the first and of the second body, at a signed distance.
 
-    Apart, a body that moves by d - d' along the witness normal is d' away, whatever its shape. From there on a move
-    makes it as deep only where no other direction is shallower: other draws are left out.
+    Apart, a body that moves by d - d' along the witness normal is d' away, whatever its shape. Beyond contact, the
+    move reaches the depth only where no other direction is shallower: other draws are rejected.
 
     Args:
         pairs: One pair of bodies.
-        distance: Wanted signed distance in metres.
-        count: How many poses.
-        seed: Of all draws.
+        distance: Desired signed distance in metres.
+        count: Number of poses.
+        seed: Seed of all draws.
 
     Raises:
-        GraspRefineError: too few draws came to that distance.
+        GraspRefineError: too few draws reached that distance.
     """
     rng = np.random.default_rng(seed)
-    allowed = CLOSE * abs(distance) + TOUCHING
+    allowed = DISTANCE_TOLERANCE * abs(distance) + CONTACT_TOLERANCE_M
     found: list[tuple[np.ndarray, np.ndarray]] = []
-    for _ in range(DRAWS):
+    for _ in range(DRAWS_PER_POSE):
         T_a, T_b = _apart(rng, count)
         for wanted in (max(distance, 0.0), distance):
             witness = query(pairs, T_a, T_b)
@@ -54,8 +54,8 @@ def draw_poses(pairs: Pairs, distance: float, count: int, seed: int) -> tuple[np
     raise GraspRefineError(f"bodies of this kind cannot be {1e3 * distance:g} mm apart: choose other states or pieces")
 
 
-def nearby(T: np.ndarray, seed: int, step: tuple[float, float] = STEP) -> np.ndarray:
-    """Poses a random step from `T` (..., 4, 4), with standard deviations in metres and radians."""
+def nearby(T: np.ndarray, seed: int, step: tuple[float, float] = STEP_DEVIATIONS) -> np.ndarray:
+    """Return poses a random step from `T` (..., 4, 4), with standard deviations in metres and radians."""
     rng = np.random.default_rng(seed)
     scale = np.repeat(step, 3)
     noise = exp_se3(rng.normal(size=(*T.shape[:-2], 6)) * scale)
@@ -66,8 +66,8 @@ def nearby(T: np.ndarray, seed: int, step: tuple[float, float] = STEP) -> np.nda
 
 
 def _apart(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Poses in any direction of each other, with the bodies apart."""
+    """Draw relative poses in any direction, with the bodies apart."""
     T_a, T_b = exp_se3(rng.normal(size=(2, count, 1, 6)) * [0.02, 0.02, 0.02, 2, 2, 2])
     away = rng.normal(size=(count, 1, 3))
-    T_b[..., :3, 3] = T_a[..., :3, 3] + START * away / np.linalg.norm(away, axis=-1, keepdims=True)
+    T_b[..., :3, 3] = T_a[..., :3, 3] + START_GAP_M * away / np.linalg.norm(away, axis=-1, keepdims=True)
     return T_a, T_b

@@ -1,4 +1,4 @@
-"""The experiments that have a name, as lists of cases."""
+"""Named experiments, as lists of cases."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from itertools import product
 from types import MappingProxyType
 
-from grasp_refine_apps.bench.queries.cases import DISTANCE, Case, Kind, State
+from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case, Kind, State
 from grasp_refine_apps.bench.queries.skips_starting import COMMANDS
 
 BATCHES, VERTICES, PIECES = (1, 16, 256, 1024), (8, 32, 128, 512), (4, 16, 64)
-"""What is compared where nobody says what; `Case` says what stays the same meanwhile."""
+"""Default values of the sweeps; `Case` has the defaults of the others."""
 
-STATES = tuple(DISTANCE)
+STATES = tuple(STATE_DISTANCES_M)
 
 CONVEX, MIXED, CONCAVE = Case("convex"), Case("mixed", 16), Case("concave", 16)
-"""What batches and states are compared for."""
+"""Cases at which batches and states are compared."""
 
 
 @dataclass(frozen=True)
@@ -24,19 +24,19 @@ class Preset:
     """An experiment."""
 
     cases: tuple[Case, ...] = ()
-    """What is measured."""
+    """Cases to measure."""
     examples: tuple[tuple[str, str], ...] = ()
-    """Hands and objects whose example grasps show what skips save."""
+    """Hands and objects whose example grasps show the savings of skips."""
     commands: tuple[str, ...] = ()
     """Command lines whose imports are counted."""
     rounds: int = 7
-    """How often each time is taken; medians count."""
+    """Number of measurements of each time; medians count."""
     least_s: float = 0.004
-    """CPU seconds of a measurement of a query, for which short calls are repeated."""
+    """Minimum CPU seconds of a measurement of a query, for which short calls are repeated."""
     count: int = 16
     """Grasps of each example: its own, then disturbed ones."""
     skip_rounds: int = 1
-    """How often each refinement is timed, after a first time if more than once."""
+    """Number of measurements of each refinement, after an extra first one if there are several."""
 
 
 def cases_of(
@@ -46,7 +46,7 @@ def cases_of(
     states: tuple[State, ...],
     batches: tuple[int, ...],
 ) -> tuple[Case, ...]:
-    """Every combination; what is convex has one piece."""
+    """Return every combination; convex bodies have one piece."""
     found = (
         Case(kind, 1 if kind == "convex" else count, corners, state, batch)
         for kind, count, corners, state, batch in product(kinds, pieces, vertices, states, batches)
@@ -55,7 +55,7 @@ def cases_of(
 
 
 def _sweeps() -> tuple[Case, ...]:
-    """One thing varied at a time."""
+    """Return cases with one thing varied at a time."""
     over_batch = (Case(one.kind, one.pieces, batch=batch) for one in (CONVEX, MIXED, CONCAVE) for batch in BATCHES)
     over_vertices = (Case(vertices=count, state=state) for state in ("near", "deep") for count in VERTICES)
     over_pieces = (Case(kind, count) for kind in ("mixed", "concave") for count in PIECES)
@@ -64,10 +64,10 @@ def _sweeps() -> tuple[Case, ...]:
 
 
 EXAMPLES = tuple(product(("allegro", "shadow"), ("mug", "rounded_box")))
-"""What skips are shown on."""
+"""Hands and objects of the skips."""
 
 DEFAULT = Preset(_sweeps(), EXAMPLES, COMMANDS)
-"""What is run where nobody says what."""
+"""The default experiment."""
 
 PRESETS: Mapping[str, Preset] = MappingProxyType(
     {

@@ -1,4 +1,4 @@
-"""From measurements to rows: one flat entry for each engine, cold and warm, and for each peer."""
+"""Rows of measurements: one flat entry for each engine, cold and warm, and for each peer."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from typing import Any
 import numpy as np
 
 from grasp_refine_apps.bench.queries.peers import PEERS
-from grasp_refine_apps.bench.queries.runner import Measured
+from grasp_refine_apps.bench.queries.runner import CaseResult
 
 Row = dict[str, Any]
 
 
 def backward_column(method: str) -> str:
-    """The key of the time of a backward pass."""
+    """Key of the time of a backward pass."""
     return f"backward_{method.replace('-', '_')}_us"
 
 
-def rows(done: Sequence[Measured]) -> list[Row]:
-    """All rows of a run, case by case: our engines first, then the peers.
+def rows(done: Sequence[CaseResult]) -> list[Row]:
+    """Return all rows of a run, case by case: our engines first, then the peers.
 
-    Times are medians over the rounds; ratios are medians of those within a round, in which all is timed in turn.
+    Times are medians over the rounds; ratios are medians of ratios within a round, in which all are timed alternately.
     """
     return [row for measured in done for row in (*_ours(measured), *_bare(measured), *_peers(measured))]
 
 
-def _ours(measured: Measured) -> list[Row]:
+def _ours(measured: CaseResult) -> list[Row]:
     case, first = measured.case, next(iter(measured.engines.values()))
     found = []
     for (engine, warm), answers in measured.engines.items():
         asked, all_pairs = answers.num_queries, answers.poses * case.piece_pairs
-        # What surrounds the query, and the derivative, are the same whatever answers.
+        # Code around the query, and the derivative, are the same for all engines.
         shown = answers is first
         backward = {
             backward_column(method): _us(times) if shown else None for method, times in measured.backward_s.items()
@@ -60,8 +60,8 @@ def _ours(measured: Measured) -> list[Row]:
     return found
 
 
-def _bare(measured: Measured) -> list[Row]:
-    """The row of the loop that does nothing but ask what the compiled engine asks."""
+def _bare(measured: CaseResult) -> list[Row]:
+    """Row of the bare loop over the queries of the compiled engine."""
     if measured.bare_s is None:
         return []
     (native,) = (row for row in _ours(measured) if row["by"] == "native" and not row["warm"])
@@ -74,7 +74,7 @@ def _bare(measured: Measured) -> list[Row]:
     return [{**native, **nothing, **times, "by": "bare-loop"}]
 
 
-def _peers(measured: Measured) -> list[Row]:
+def _peers(measured: CaseResult) -> list[Row]:
     case, first = measured.case, next(iter(measured.engines.values()))
     tolerances: dict[str, float] = {peer.name: peer.tolerance_m for peer in PEERS}
     found = []

@@ -1,4 +1,4 @@
-"""Measures what a case costs: our engines, cold and warm, forward and backward, and the peers, in the same rounds."""
+"""Measurements of a case: our engines, cold and warm, forward and backward, and the peers, in the same rounds."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
 from grasp_refine_apps.bench.queries.bodies import make_pairs
-from grasp_refine_apps.bench.queries.cases import DISTANCE, Case
+from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case
 from grasp_refine_apps.bench.queries.peers import PEERS, Loop, Peer
 from grasp_refine_apps.bench.queries.poses import draw_poses, nearby
 from grasp_refine_apps.bench.timing import cpu_times, one_thread
@@ -35,42 +35,42 @@ METHODS: Mapping[MethodName, Derivative] = MappingProxyType(
         "analytical": Analytical(),
     }
 )
-"""Name -> how witness points are differentiated."""
+"""Name -> derivative method."""
 
-FEWEST = 32
-"""Fewest poses of a case: batches smaller than that are several calls, so that no pose stands for all."""
+MIN_POSES = 32
+"""Smallest number of poses of a case: smaller batches are several calls, so that no single pose decides."""
 
-PEER_POSES, PEER_QUERIES = 64, 8192
-"""Most poses for which a peer is asked, and most queries unless those are of 4 poses; evenly from all poses."""
+MAX_PEER_POSES, MAX_PEER_QUERIES = 64, 8192
+"""Largest number of poses for a peer, and of queries unless there are only 4 poses; evenly from all poses."""
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
-    """What came out of a case."""
+class CaseResult:
+    """Results of a case."""
 
     case: Case
-    engines: dict[tuple[str, bool], Answers]
-    """Engine, and whether it was warm -> what it found."""
+    engines: dict[tuple[str, bool], EngineResult]
+    """Engine, and whether it was warm -> its results."""
     backward_s: dict[MethodName, np.ndarray]
     """Method -> CPU seconds of a backward pass per pose, in each round."""
     layer_s: np.ndarray
     """CPU seconds of a forward pass of the torch layer per pose, in each round."""
     bare_s: np.ndarray | None
-    """CPU seconds per pose, in each round, of a loop in C++ over the queries that the compiled engine asks, cold, and
-    nothing else; None: that engine is not compared."""
-    peers: dict[str, Peered]
-    """Peer -> what it found."""
+    """CPU seconds per pose, in each round, of a bare loop in C++ over the queries of the compiled engine, cold; None:
+    that engine is not compared."""
+    peers: dict[str, PeerResult]
+    """Peer -> its results."""
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
-    """What an engine found at all poses."""
+class EngineResult:
+    """Results of an engine at all poses."""
 
     forward_s: np.ndarray
     """CPU seconds per pose, in each round."""
     poses: int
     num_queries: int
-    """Narrow-phase queries for all of them."""
+    """Narrow-phase queries at all poses."""
     warm: int
     """Poses whose first query had a warm start of GJK."""
     error: float
@@ -78,8 +78,8 @@ class Answers:
 
 
 @dataclass(frozen=True, eq=False)
-class Peered:
-    """What a peer found at some of the poses."""
+class PeerResult:
+    """Results of a peer at some of the poses."""
 
     forward_s: np.ndarray
     poses: int
@@ -96,54 +96,54 @@ class CaseJob:
     methods: tuple[MethodName, ...]
     peers: tuple[str, ...]
     rounds: int
-    """How often each time is taken."""
+    """Number of measurements of each time."""
     least_s: float
-    """CPU seconds of a measurement."""
+    """Minimum CPU seconds of a measurement."""
     seed: int
 
     @property
     def work(self) -> float:
-        """About how long it takes: the calls of a batch, and the queries of the peers."""
-        peers = min(PEER_QUERIES, PEER_POSES * self.case.piece_pairs) if self.peers else 0
+        """Approximate duration: the calls of a batch, and the queries of the peers."""
+        peers = min(MAX_PEER_QUERIES, MAX_PEER_POSES * self.case.piece_pairs) if self.peers else 0
         return 1.0 + 1e-3 * self.case.batch + 5e-4 * peers
 
     @property
     def label(self) -> str:
-        """What it is, for a progress bar."""
+        """Label of the job, for a progress bar."""
         case = self.case
         return f"{case.kind}, {case.pieces} x {case.vertices}, {case.state}, batch {case.batch}"
 
-    def do(self, progress: Callable[[float], None]) -> Measured:
-        """Measure it, in this process and with one thread of torch."""
+    def do(self, progress: Callable[[float], None]) -> CaseResult:
+        """Measure the case, in this process and with one thread of torch."""
         torch.set_num_threads(1)
         with one_thread():
             return self._measured(progress)
 
-    def _measured(self, progress: Callable[[float], None]) -> Measured:
+    def _measured(self, progress: Callable[[float], None]) -> CaseResult:
         case = self.case
         pairs = {engine: make_pairs(case, self.seed, engine) for engine in self.engines}
         first = pairs[self.engines[0]]
-        count = max(case.batch, FEWEST)
-        T_a, T_b = draw_poses(first, DISTANCE[case.state], count, self.seed)
+        count = max(case.batch, MIN_POSES)
+        T_a, T_b = draw_poses(first, STATE_DISTANCES_M[case.state], count, self.seed)
         reference = query(make_pairs(case, self.seed, "python"), T_a, T_b)
         before = {engine: query(own, T_a, nearby(T_b, self.seed)) for engine, own in pairs.items()}
         progress(0.1)
         runs: dict[tuple[str, ...], Callable[[], object]] = {}
         for engine, own in pairs.items():
-            runs["engine", engine, "cold"] = partial(_ask, own, T_a, T_b, case.batch, None)
-            runs["engine", engine, "warm"] = partial(_ask, own, T_a, T_b, case.batch, before[engine])
+            runs["engine", engine, "cold"] = partial(_query_all, own, T_a, T_b, case.batch, None)
+            runs["engine", engine, "warm"] = partial(_query_all, own, T_a, T_b, case.batch, before[engine])
         runs["layer",] = partial(_forward, WitnessLayer(first, METHODS[self.methods[0]]), T_a, T_b, case.batch)
         for name in self.methods:
             runs["backward", name] = _backward(WitnessLayer(first, METHODS[name]), T_a, T_b, case.batch, self.seed)
         if "native" in pairs:
             runs["bare",] = _bare(pairs["native"], T_a, T_b, case.batch)
-        some = _some(count, case.piece_pairs)
+        some = _peer_rows(count, case.piece_pairs)
         loops: dict[str, Loop] = {}
         for peer in _chosen(self.peers):
             loops[peer.name] = peer.loop(first, T_a[some], T_b[some])
             runs["peer", peer.name] = loops[peer.name]
         times = cpu_times(runs, self.rounds, self.least_s)
-        return Measured(
+        return CaseResult(
             case,
             {
                 (engine, warm): self._answers(own, T_a, T_b, before[engine] if warm else None, reference, times)
@@ -154,7 +154,7 @@ class CaseJob:
             times["layer",] / count,
             times["bare",] / count if "native" in pairs else None,
             {
-                name: Peered(times["peer", name] / len(some), len(some), loop() - reference.distance[some, 0])
+                name: PeerResult(times["peer", name] / len(some), len(some), loop() - reference.distance[some, 0])
                 for name, loop in loops.items()
             },
         )
@@ -167,11 +167,11 @@ class CaseJob:
         previous: Witness | None,
         reference: Witness,
         times: Mapping[tuple[str, ...], np.ndarray],
-    ) -> Answers:
+    ) -> EngineResult:
         found = query(pairs, T_a, T_b, previous=previous)
         apart = 0 if previous is None else int((previous.status == QueryStatus.SEPARATED).sum())
         state = "cold" if previous is None else "warm"
-        return Answers(
+        return EngineResult(
             forward_s=times["engine", pairs.engine, state] / len(T_a),
             poses=len(T_a),
             num_queries=int(found.num_queries.sum()),
@@ -181,7 +181,7 @@ class CaseJob:
 
 
 def _bare(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray, batch: int) -> Callable[[], None]:
-    """The queries that the compiled engine asks of all poses, so many poses in a call, and nothing else."""
+    """Return a bare loop over the queries of the compiled engine at all poses, `batch` poses in a call."""
     loops = []
     assert pairs.native is not None
     for start in range(0, len(T_a), batch):
@@ -201,21 +201,21 @@ def _chosen(names: tuple[str, ...]) -> list[Peer]:
     return [peer for peer in PEERS if peer.name in names]
 
 
-def _some(count: int, piece_pairs: int) -> np.ndarray:
-    """Poses for the peers, evenly from all."""
-    most = min(count, PEER_POSES, max(4, PEER_QUERIES // piece_pairs))
+def _peer_rows(count: int, piece_pairs: int) -> np.ndarray:
+    """Choose poses for the peers, evenly from all."""
+    most = min(count, MAX_PEER_POSES, max(4, MAX_PEER_QUERIES // piece_pairs))
     return np.linspace(0, count - 1, most).round().astype(np.int64)
 
 
-def _ask(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray, batch: int, previous: Witness | None) -> None:
-    """All poses, so many in a call."""
+def _query_all(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray, batch: int, previous: Witness | None) -> None:
+    """Query all poses, `batch` in a call."""
     for start in range(0, len(T_a), batch):
         rows = slice(start, start + batch)
         query(pairs, T_a[rows], T_b[rows], previous=None if previous is None else previous.rows(rows))
 
 
 def _forward(layer: WitnessLayer, T_a: np.ndarray, T_b: np.ndarray, batch: int) -> list[tuple[Any, ...]]:
-    """Poses of all calls with what the layer finds there."""
+    """Run the layer at the poses of all calls."""
     found = []
     for start in range(0, len(T_a), batch):
         poses = [torch.from_numpy(T[start : start + batch]).requires_grad_() for T in (T_a, T_b)]
@@ -224,7 +224,7 @@ def _forward(layer: WitnessLayer, T_a: np.ndarray, T_b: np.ndarray, batch: int) 
 
 
 def _backward(layer: WitnessLayer, T_a: np.ndarray, T_b: np.ndarray, batch: int, seed: int) -> Callable[[], None]:
-    """A backward pass at all poses, with random cotangents on points, normals and distances."""
+    """Return a backward pass at all poses, with random cotangents on points, normals and distances."""
     rng = np.random.default_rng(seed)
     done = [(poses, (w.point_a, w.point_b, w.normal, w.distance)) for poses, w in _forward(layer, T_a, T_b, batch)]
     cotangents = [[torch.from_numpy(rng.normal(size=tuple(part.shape))) for part in parts] for _, parts in done]

@@ -1,4 +1,4 @@
-"""What a skip saves, as a value, and what several of these modules need."""
+"""Savings of a skip, as a value, and functions shared by the modules on skips."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.bench.queries.poses import nearby
 
-WARM_UP = 2
-"""Iterations, of one grasp, before anything is timed."""
+WARM_UP_ITERATIONS = 2
+"""Iterations, of one grasp, before the first measurement."""
 
-DISTURBANCE = (0.005, 0.05)
+PALM_DEVIATIONS = (0.005, 0.05)
 """Standard deviations of the palms of disturbed grasps, in metres and radians; the latter of their joints, too."""
 
 
@@ -34,37 +34,37 @@ class Example:
     """Name of the object."""
     scene: Scene
     config: Config = field(default_factory=Config)
-    """The settings of a refinement; by default what a user gets."""
+    """Settings of a refinement; by default those of a user."""
 
     @cached_property
     def prepared(self) -> HandObject:
-        """Of both, built once."""
+        """Hand and object, prepared once."""
         return HandObject.of(self.scene)
 
     @property
     def name(self) -> str:
-        """Both names."""
+        """Names of hand and object."""
         return f"{self.hand}, {self.object}"
 
     def refined(self) -> Refinement:
-        """The grasps, refined."""
+        """Refine the grasps."""
         return refine(self.scene, self.config, prepared=self.prepared)
 
     def warm_up(self) -> None:
-        """Refine one grasp for a moment, so that all that is built once is there."""
+        """Refine one grasp for a few iterations, so that all caches exist."""
         scene = replace(self.scene, T_world_root=self.scene.T_world_root[:1], q=self.scene.q[:1])
-        short = replace(self.config, starts=1, solver=replace(self.config.solver, iterations=WARM_UP))
+        short = replace(self.config, starts=1, solver=replace(self.config.solver, iterations=WARM_UP_ITERATIONS))
         refine(scene, short, prepared=self.prepared)
 
 
 def several(scene: Scene, count: int, seed: int) -> Scene:
-    """So many grasps: those of the scene, then the same again and again, each disturbed at random."""
+    """Return `count` grasps: those of the scene, then copies of them, each disturbed at random."""
     own = len(scene.q)
     rows = np.arange(count) % own
     T, q = scene.T_world_root[rows], scene.q[rows]
     again = np.arange(count) >= own
-    noise = DISTURBANCE[1] * np.random.default_rng(seed).normal(size=q.shape)
-    T = np.where(again[:, None, None], nearby(T, seed, DISTURBANCE), T)
+    noise = PALM_DEVIATIONS[1] * np.random.default_rng(seed).normal(size=q.shape)
+    T = np.where(again[:, None, None], nearby(T, seed, PALM_DEVIATIONS), T)
     return replace(
         scene, T_world_root=T, q=np.clip(np.where(again[:, None], q + noise, q), scene.hand.lower, scene.hand.upper)
     )
@@ -72,29 +72,29 @@ def several(scene: Scene, count: int, seed: int) -> Scene:
 
 @dataclass(frozen=True)
 class Skip:
-    """A piece of work that is left out, and what it would cost."""
+    """A piece of work that is skipped, and its cost."""
 
     skip: str
-    """What is left out."""
+    """The skipped work."""
     unit: str
-    """What is counted."""
+    """The counted unit."""
     scene: str
-    """Where."""
+    """Hand, object or command of the measurement."""
     without: int
     """Count without the skip."""
     with_: int
-    """Count as the program is."""
+    """Count with the skip."""
     cpu_without_s: float | None
-    """CPU seconds without it; None: not told apart."""
+    """CPU seconds without the skip; None: not measured separately."""
     cpu_with_s: float | None
-    """CPU seconds as the program is."""
+    """CPU seconds with the skip."""
     how: str
-    """How the numbers without it came about."""
+    """Method that undoes the skip."""
     difference: float | None = None
-    """Largest difference of refined poses and joint values without it, in metres and radians; None: none is refined."""
+    """Largest difference of refined poses and joint values without it, in metres and radians; None: no refinement."""
 
     def row(self) -> dict[str, Any]:
-        """The flat entry of a table."""
+        """Return the flat entry of a table."""
         both = (self.cpu_without_s, self.cpu_with_s)
         saved = None if both[0] is None or both[1] is None else both[0] - both[1]
         return {
@@ -114,8 +114,8 @@ class Skip:
 
 
 @contextmanager
-def replaced(owner: Any, name: str, value: Any) -> Iterator[None]:
-    """Another value of an attribute, of a module or class, for a while: no switch in the program undoes a skip."""
+def replace_attribute(owner: Any, name: str, value: Any) -> Iterator[None]:
+    """Replace an attribute of a module or class temporarily: the program has no switch that undoes a skip."""
     before = getattr(owner, name)
     setattr(owner, name, value)
     try:
@@ -124,12 +124,12 @@ def replaced(owner: Any, name: str, value: Any) -> Iterator[None]:
         setattr(owner, name, before)
 
 
-def timed(runs: Mapping[str, Callable[[], Any]], rounds: int = 1) -> dict[str, tuple[Any, float]]:
-    """What calls give, and their CPU seconds: of all threads, and of child processes that end in them.
+def measure_calls(runs: Mapping[str, Callable[[], Any]], rounds: int = 1) -> dict[str, tuple[Any, float]]:
+    """Return results of calls and their CPU seconds: of all threads, and of child processes that end in them.
 
     Args:
-        runs: Name -> what is called: first once each, unless there is one round, then in turn.
-        rounds: How often each is measured; the least counts, as the work is the same.
+        runs: Name -> call: once each at first, unless there is one round, then alternately.
+        rounds: Number of measurements of each; the least counts, as the work is the same.
     """
     results = {name: run() for name, run in runs.items()} if rounds > 1 else {}
     times: dict[str, list[float]] = {name: [] for name in runs}

@@ -1,7 +1,7 @@
-"""Queries that a refinement does not ask: of what is far, cannot win, or is rejected anyway; and those it warm-starts.
+"""Queries that a refinement skips: of bodies that are far, cannot win, or are rejected anyway; and its warm starts.
 
-A refinement asks through `query_near`. To undo a skip, the whole refinement runs again and asks through one of the
-functions here. Answers are the same to rounding, and so is what comes out, unless rounding grows over many iterations.
+A refinement queries through `query_near`. To undo a skip, the whole refinement runs again with one of the functions
+here. EngineResult are equal to rounding, and so are the results, unless rounding grows over many iterations.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.collision.table import PieceTable
 from grasp_refine.refinement import grasp_problem
 from grasp_refine.refinement.refine import Refinement
-from grasp_refine_apps.bench.queries.skip import Example, Skip, replaced, timed
+from grasp_refine_apps.bench.queries.skip import Example, Skip, measure_calls, replace_attribute
 
 Near = Callable[[Pairs, np.ndarray, np.ndarray, np.ndarray, np.ndarray, Witness | None], Witness]
-"""What `query_near` is: pairs, bounds, poses of both bodies, cutoffs, and the last answers."""
+"""Signature of `query_near`: pairs, bounds, poses of both bodies, cutoffs, and the last answers."""
 
 
-def asking_skips(example: Example, rounds: int) -> Iterator[Skip]:
-    """Each skip of queries, undone in a whole refinement of the example."""
-    # The compiled engine looks at bounds in a loop of its own.
+def query_skips(example: Example, rounds: int) -> Iterator[Skip]:
+    """Undo each skip of queries in a whole refinement of the example."""
+    # The compiled engine checks bounds in a loop of its own.
     python = {id(pairs): _in_python(pairs) for pairs in _pairs(example)}
     every = {id(pairs): unbounded(pairs) for pairs in _pairs(example)}
     ways: dict[str, Near] = {
         "usual": query_near,
-        "far": ask_far,
-        "rejected": ask_rejected,
-        "cold": ask_cold,
+        "far": query_far,
+        "rejected": query_rejected,
+        "cold": query_cold,
         "bounded": lambda pairs, *rest: query_near(python[id(pairs)], *rest),
         "unbounded": lambda pairs, *rest: query_near(every[id(pairs)], *rest),
     }
     for near in ways.values():
-        with replaced(grasp_problem, "query_near", near):
+        with replace_attribute(grasp_problem, "query_near", near):
             example.warm_up()
-    found = timed({name: partial(refined, example, near) for name, near in ways.items()}, rounds)
+    found = measure_calls({name: partial(refined, example, near) for name, near in ways.items()}, rounds)
     for name, way, usual, how in (
-        ("links that are far from everything", "far", "usual", "every pair of bodies is asked for its distance"),
-        ("pieces whose bounds cannot win", "unbounded", "bounded", "all pieces of asked pairs are; both in Python"),
-        ("pairs of links of steps that are rejected", "rejected", "usual", "they are asked all the same"),
-        ("last winner first, and warm starts", "cold", "usual", "nothing is known of the last answers"),
+        ("links that are far from everything", "far", "usual", "every pair of bodies is queried"),
+        ("pieces whose bounds cannot win", "unbounded", "bounded", "all pieces of these pairs are; both in Python"),
+        ("pairs of links of steps that are rejected", "rejected", "usual", "they are queried as well"),
+        ("last winner first, and warm starts", "cold", "usual", "the last answers are not used"),
     ):
         (before, cpu_without), (after, cpu_with) = found[way], found[usual]
         counts = int(before.queries.sum()), int(after.queries.sum())
@@ -52,61 +52,61 @@ def asking_skips(example: Example, rounds: int) -> Iterator[Skip]:
 
 
 def refined(example: Example, near: Near) -> Refinement:
-    """The grasps of an example, refined with other queries."""
-    with replaced(grasp_problem, "query_near", near):
+    """Refine the grasps of an example with other queries."""
+    with replace_attribute(grasp_problem, "query_near", near):
         return example.refined()
 
 
-def ask_far(
+def query_far(
     pairs: Pairs, bound: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, cutoff: np.ndarray, previous: Witness | None
 ) -> Witness:
-    """Asks every pair for its distance, and forgets those that would not have been asked, or be told."""
+    """Query every pair, and drop the answers that would have been skipped."""
     found = query(pairs, T_a, T_b, previous=previous)
     told = np.isinf(cutoff) | ~(bound > 0)
     hidden = ~told | (found.distance >= cutoff)
     nothing = nothing_near(np.where(told, cutoff, bound))
     for field in fields(Witness):
-        if field.name != "asked":
+        if field.name != "num_queries":
             getattr(found, field.name)[hidden] = getattr(nothing, field.name)[hidden]
     return found
 
 
-def ask_rejected(
+def query_rejected(
     pairs: Pairs, bound: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, cutoff: np.ndarray, previous: Witness | None
 ) -> Witness:
-    """Asks about pairs of links even if the step is rejected."""
+    """Query pairs of links even if the step is rejected."""
     return query_near(pairs, np.where(np.isposinf(bound), -np.inf, bound), T_a, T_b, cutoff, previous)
 
 
-def ask_cold(
+def query_cold(
     pairs: Pairs, bound: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, cutoff: np.ndarray, previous: Witness | None
 ) -> Witness:
-    """Asks the same, without what the last answers tell."""
+    """Query without the last answers."""
     return query_near(pairs, bound, T_a, T_b, cutoff, None)
 
 
 class _Unbounded(PieceTable):
-    """Piece pairs of which nothing is known, so that all must be asked."""
+    """Piece pairs without bounds, so that all must be queried."""
 
     def sphere_bound(self, pair: np.ndarray, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """None; infinite in empty columns."""
+        """Return no bounds; infinite in empty columns."""
         bound = np.where(self.id[pair] >= 0, -np.inf, np.inf)
         return bound, np.zeros(len(pair), dtype=np.int64)
 
     def gap_bound(self, item: np.ndarray, *rest: np.ndarray) -> np.ndarray:
-        """None."""
+        """Return no bounds."""
         return np.full(len(item), -np.inf)
 
     def box_bound(self, pair: np.ndarray, *rest: np.ndarray) -> np.ndarray:
-        """None."""
+        """Return no bounds."""
         return np.full(len(pair), -np.inf)
 
 
 def unbounded(pairs: Pairs) -> Pairs:
-    """The same pairs, of which every piece pair is asked; in Python."""
+    """Return pairs of which every piece pair is queried; in Python."""
     every = _in_python(pairs)
     table = PieceTable.of(pairs.a, pairs.b)
-    # Takes the place of the cached property, which so is never built.
+    # Replaces the cached property, which is then never built.
     every.__dict__["_table"] = _Unbounded(*(getattr(table, field.name) for field in fields(PieceTable)))
     return every
 
@@ -116,7 +116,7 @@ def _in_python(pairs: Pairs) -> Pairs:
 
 
 def _pairs(example: Example) -> list[Pairs]:
-    """What a refinement asks about: links and object, and links that can touch each other."""
+    """Pairs that a refinement queries: links and object, and links that can touch each other."""
     both = example.prepared.pairs, example.prepared.self_collision_pairs
     return [pairs for pairs in both if pairs is not None]
 

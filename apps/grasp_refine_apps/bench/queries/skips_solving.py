@@ -1,4 +1,4 @@
-"""What the loop of a solver leaves out: what is done, derivatives that no loss looks at, frames without bodies."""
+"""Skips in the loop of a solver: finished members, derivatives without a cotangent, frames without bodies."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.pair_curvature import PairCurvatures
 from grasp_refine.witness.scene import WitnessScene
-from grasp_refine_apps.bench.queries.skip import Example, Skip, replaced, timed
+from grasp_refine_apps.bench.queries.skip import Example, Skip, measure_calls, replace_attribute
 from grasp_refine_apps.bench.queries.skips_querying import difference
 
-BATCH, FRAMES = 256, 20
-"""Configurations for which derivatives of the torch layer, and frames, are computed; the frames so many times."""
+NUM_CONFIGURATIONS, FRAME_REPEATS = 256, 20
+"""Number of configurations for derivatives of the torch layer and for frames; number of repetitions of the frames."""
 
 
 def solving_skips(example: Example, rounds: int) -> Iterator[Skip]:
-    """What is left out in a refinement of the example."""
+    """Measure the skips in a refinement of the example."""
     example.warm_up()
     yield finished_skip(example, rounds)
     yield curvature_skip(example)
@@ -42,36 +42,36 @@ def solving_skips(example: Example, rounds: int) -> Iterator[Skip]:
 
 
 def frame_skip(example: Example, rounds: int) -> Skip:
-    """The frames of links without bodies."""
+    """Measure the skip of frames of links without bodies."""
     hand = example.scene.hand
     chains = {"with": Chain(hand, links_of(hand)), "without": Chain(hand, [link.name for link in hand.links])}
     counts = {which: len({*chain.links}) + len(chain.joints) for which, chain in chains.items()}
-    cpu = timed({which: partial(_many_poses, example, chain) for which, chain in chains.items()}, rounds)
+    cpu = measure_calls({which: partial(_many_poses, example, chain) for which, chain in chains.items()}, rounds)
     return Skip(
-        "frames of links without bodies", "frames", f"{example.hand}, {FRAMES} times batch {BATCH}",
+        "frames of links without bodies", "frames", f"{example.hand}, {FRAME_REPEATS} times batch {NUM_CONFIGURATIONS}",
         counts["without"], counts["with"], cpu["without"][1], cpu["with"][1], "the frames of all links",
     )  # fmt: skip
 
 
-# members that are done
+# finished members
 
 
 @dataclass(eq=False)
-class Kept:
-    """A problem in which members that are done are evaluated and differentiated on, as a full batch would."""
+class FullBatchProblem:
+    """A problem in which finished members are still evaluated and differentiated, as in a full batch."""
 
     problem: GraspProblem
     counts: dict[str, int]
-    """Members that were evaluated: those that the solver asks for, and all."""
+    """Members that were evaluated: those that the solver requests, and all."""
     member: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    """All that have begun."""
+    """All members that have started."""
     point: Point | None = None
     known: Any = None
 
     def evaluate(self, member: np.ndarray, point: Point, previous: Any | None) -> Any:
-        """What the problem says, for all that have begun."""
+        """Evaluate all members that have started."""
         if previous is None:
-            # They begin now.
+            # Members that start now.
             found = self.problem.evaluate(member, point, None)
             first = self.point is None
             self.member = np.concatenate([self.member, member])
@@ -81,14 +81,14 @@ class Kept:
             return found
         rows = self._rows(member)
         self.point, before = self._with(self.point, rows, point), self._with(self.known, rows, previous)
-        # What will not be taken is looked at less closely, which is another skip.
+        # A step that will be rejected is evaluated less closely, which is another skip.
         before.loss[self._others(rows)] = np.inf
         self.known = self.problem.evaluate(self.member, self.point, before)
         self._count(member, self.member)
         return take(self.known, rows)
 
     def linearize(self, member: np.ndarray, point: Point, known: Any, width: np.ndarray) -> Linear:
-        """The residuals and derivatives of all that have begun, of which those that are wanted are handed on."""
+        """Differentiate all members that have started, and return the rows that were requested."""
         rows = self._rows(member)
         every = np.ones(len(self.member), dtype=width.dtype)
         every[rows] = width
@@ -103,7 +103,7 @@ class Kept:
         return np.setdiff1d(np.arange(len(self.member)), rows)
 
     def _with(self, every: Any, rows: np.ndarray, new: Any) -> Any:
-        """A copy of all rows, with others in some places."""
+        """Copy all rows, with some replaced."""
         place = np.arange(len(self.member))
         place[rows] = len(place) + np.arange(len(rows))
         return take(join(every, new), place)
@@ -117,21 +117,24 @@ class Kept:
 
 
 def finished_skip(example: Example, rounds: int) -> Skip:
-    """Grasps that are done leave the batch, and others take their places."""
+    """Measure the skip of finished grasps, whose places in the batch are taken by others."""
     counts: dict[str, int] = {}
 
     def kept(problem: GraspProblem, *arguments: Any, **options: Any) -> Minimum:
-        return minimise(Kept(problem, counts), *arguments, **options)
+        return minimise(FullBatchProblem(problem, counts), *arguments, **options)
 
     def everything() -> Refinement:
         counts.update({"with": 0, "without": 0})
-        with replaced(force_closure_search, "minimise", kept), replaced(refine_module, "minimise", kept):
+        with (
+            replace_attribute(force_closure_search, "minimise", kept),
+            replace_attribute(refine_module, "minimise", kept),
+        ):
             return example.refined()
 
-    found = timed({"with": example.refined, "without": everything}, rounds)
+    found = measure_calls({"with": example.refined, "without": everything}, rounds)
     (usual, cpu_with), (other, cpu_without) = found["with"], found["without"]
     return Skip(
-        "grasps that are done leave the batch", "grasp iterations", example.name, counts["without"], counts["with"],
+        "finished grasps leave the batch", "grasp iterations", example.name, counts["without"], counts["with"],
         cpu_without, cpu_with, "they are evaluated and differentiated until the last one is done",
         difference(usual, other),
     )  # fmt: skip
@@ -142,18 +145,18 @@ def finished_skip(example: Example, rounds: int) -> Skip:
 
 @dataclass(eq=False)
 class _Fits:
-    """Curvatures of the links that are looked at, and those of all links at the same poses; both timed."""
+    """Curvatures of the links that are used, and those of all links at the same poses; both timed."""
 
     curvatures: PairCurvatures
     counts: dict[str, int] = field(default_factory=lambda: {"with": 0, "without": 0})
     cpu_s: dict[str, float] = field(default_factory=lambda: {"with": 0.0, "without": 0.0})
 
     def fit(self, pair: np.ndarray, *arguments: Any) -> tuple[np.ndarray, np.ndarray]:
-        """What is asked for."""
+        """Fit the requested curvatures."""
         return self._timed("with", pair, *arguments)
 
     def fit_all(self, T: np.ndarray, width: np.ndarray) -> None:
-        """Those of all links at poses T (M, L, 4, 4), wherever these are."""
+        """Fit those of all links at poses T (M, L, 4, 4), whatever their distance."""
         M, L = T.shape[:2]
         w = query(self.curvatures.pairs, T, np.broadcast_to(np.eye(4), T.shape)).reshape(M * L)
         self._timed(
@@ -176,20 +179,20 @@ class _Fits:
 
 
 def curvature_skip(example: Example) -> Skip:
-    """Levenberg-Marquardt looks at the curvatures of links that press, or have a target."""
+    """Measure the skip of curvatures: Levenberg-Marquardt uses those of links that press, or have a target."""
     fits = _Fits(example.prepared.curvatures)
     linearize = GraspProblem.linearize
 
     def also_all(problem: GraspProblem, member: np.ndarray, point: Point, known: Any, width: np.ndarray) -> Linear:
         if problem.curvatures is not None:
-            problem.curvatures = fits  # type: ignore[assignment]  # it stands in for them
+            problem.curvatures = fits  # type: ignore[assignment]  # replaces them
             fits.fit_all(known.T_link, width)
         return linearize(problem, member, point, known, width)
 
-    with replaced(GraspProblem, "linearize", also_all):
+    with replace_attribute(GraspProblem, "linearize", also_all):
         example.refined()
     return Skip(
-        "curvatures of links that no loss looks at", "fits", example.name, fits.counts["without"], fits.counts["with"],
+        "curvatures of links without a loss", "fits", example.name, fits.counts["without"], fits.counts["with"],
         fits.cpu_s["without"], fits.cpu_s["with"], "those of all links, in every iteration in which any are fitted",
     )  # fmt: skip
 
@@ -204,13 +207,13 @@ class _Counted:
     def pull_back(
         self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What the method says."""
+        """Delegate to the method."""
         self.items += scene.witness.distance.size
         return self.method.pull_back(scene, force_a, force_b, force_n)
 
 
 def layer_skip(example: Example, rounds: int) -> Skip:
-    """The torch layer differentiates the pairs that have a cotangent: here the contact links, which have targets."""
+    """Measure the skip of pairs without a cotangent: here all but the contact links, which have targets."""
     prepared, hand = example.prepared, example.scene.hand
     T = _poses(example, prepared.chain)
     T_object = torch.eye(4, dtype=torch.float64).expand(T.shape)
@@ -225,19 +228,19 @@ def layer_skip(example: Example, rounds: int) -> Skip:
         return counted.items
 
     columns = {"with": len(hand.contacts), "without": len(prepared.bodies)}
-    both = timed({which: partial(differentiated, count) for which, count in columns.items()}, rounds + 1)
+    both = measure_calls({which: partial(differentiated, count) for which, count in columns.items()}, rounds + 1)
     return Skip(
-        "derivatives of witness points that no loss looks at", "derivatives", f"{example.name}, batch {len(T)}",
-        both["without"][0], both["with"][0], both["without"][1], both["with"][1], "a loss that looks at all links",
+        "derivatives of witness points without a loss", "derivatives", f"{example.name}, batch {len(T)}",
+        both["without"][0], both["with"][0], both["without"][1], both["with"][1], "a loss on all links",
     )  # fmt: skip
 
 
 def _many_poses(example: Example, chain: Chain) -> None:
-    for _ in range(FRAMES):
+    for _ in range(FRAME_REPEATS):
         _poses(example, chain)
 
 
 def _poses(example: Example, chain: Chain) -> np.ndarray:
-    """Poses of the links of a chain in the grasps as they came, over and over until there are `BATCH` of them."""
-    rows = np.arange(BATCH) % len(example.scene.q)
+    """Poses of the links of a chain in the given grasps, repeated until there are `NUM_CONFIGURATIONS` of them."""
+    rows = np.arange(NUM_CONFIGURATIONS) % len(example.scene.q)
     return chain(example.scene.T_world_root[rows], example.scene.q[rows]).T_world_link

@@ -1,4 +1,4 @@
-"""A run of the benchmark: cases are measured, skips are undone, rows come out."""
+"""A run of the benchmark: measures cases, undoes skips, and returns rows."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from grasp_refine_apps.bench.jobs import Job, run_jobs
 from grasp_refine_apps.bench.queries.cases import Case
 from grasp_refine_apps.bench.queries.peers import PEERS, PeerName
 from grasp_refine_apps.bench.queries.rows import rows
-from grasp_refine_apps.bench.queries.runner import CaseJob, Measured, MethodName
+from grasp_refine_apps.bench.queries.runner import CaseJob, CaseResult, MethodName
 from grasp_refine_apps.bench.queries.skip import Example, Skip
-from grasp_refine_apps.bench.queries.skips_querying import asking_skips
+from grasp_refine_apps.bench.queries.skips_querying import query_skips
 from grasp_refine_apps.bench.queries.skips_solving import frame_skip, solving_skips
 from grasp_refine_apps.bench.queries.skips_starting import decomposition_skip, import_skips, self_collision_skips
 from grasp_refine_apps.bench.timing import one_thread
@@ -23,48 +23,48 @@ from grasp_refine_apps.bench.timing import one_thread
 
 @dataclass(frozen=True)
 class Study:
-    """What is run."""
+    """Settings of a run."""
 
     cases: tuple[Case, ...]
-    """What is measured."""
+    """Cases to measure."""
     engines: tuple[Engine, ...]
-    """Who answers for us; ratios are to the first."""
+    """Our engines; ratios are to the first."""
     methods: tuple[MethodName, ...] = ("contact-kinematics", "distance")
-    """How witness points are differentiated."""
+    """Derivative methods of the witness points."""
     peers: tuple[PeerName, ...] = tuple(peer.name for peer in PEERS)
-    """With whom we are compared."""
+    """Peers to compare with."""
     rounds: int = 7
-    """How often each time is taken."""
+    """Number of measurements of each time."""
     least_s: float = 0.004
-    """CPU seconds of a measurement of a query."""
+    """Minimum CPU seconds of a measurement of a query."""
     skip_rounds: int = 1
-    """How often each refinement is timed."""
+    """Number of measurements of each refinement."""
     commands: tuple[str, ...] = ()
     """Command lines whose imports are counted."""
     seed: int = 0
-    """Of bodies, poses and what solvers draw."""
+    """Seed of bodies, poses and solvers."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out of a study."""
+    """Results of a study."""
 
     rows: list[dict[str, Any]]
-    """The entries of the tables."""
+    """Entries of the tables."""
     problems: list[str]
-    """What went wrong with jobs that gave no result."""
+    """Errors of jobs without a result."""
 
 
 @dataclass(frozen=True)
 class SkipJob:
-    """Some skips, undone."""
+    """Some skips to be undone."""
 
     label: str
     work: float
     run: Callable[[], Iterable[Skip]]
 
     def do(self, progress: Callable[[float], None]) -> tuple[Skip, ...]:
-        """What they save."""
+        """Measure their savings."""
         with one_thread():
             return tuple(self.run())
 
@@ -73,9 +73,9 @@ def run_study(study: Study, examples: Sequence[Example], progress: Callable[[flo
     """Measure all cases, and undo all skips.
 
     Args:
-        study: What is run.
-        examples: Grasps on which skips are shown; none: no skips but those of imports.
-        progress: Gets the share of the work that is done, and what is.
+        study: The settings.
+        examples: Grasps on which skips are shown; empty: no skips but those of imports.
+        progress: Called with the share of the work that is done, and its label.
     """
     todo: list[Job] = [
         CaseJob(case, study.engines, study.methods, study.peers, study.rounds, study.least_s, study.seed)
@@ -83,16 +83,16 @@ def run_study(study: Study, examples: Sequence[Example], progress: Callable[[flo
     ]
     todo += skip_jobs(study, examples)
     done, problems = run_jobs(todo, 1, progress)
-    found = rows([one for one in done if isinstance(one, Measured)])
-    found += [skip.row() for one in done if not isinstance(one, Measured) for skip in one]
+    found = rows([one for one in done if isinstance(one, CaseResult)])
+    found += [skip.row() for one in done if not isinstance(one, CaseResult) for skip in one]
     return Outcome(found, problems)
 
 
 def skip_jobs(study: Study, examples: Sequence[Example]) -> Iterator[SkipJob]:
-    """What is undone: in refinements, then at the start of hands, objects and commands."""
+    """Make the jobs of the skips: in refinements, then at the start of hands, objects and commands."""
     rounds = study.skip_rounds
     for one in examples:
-        yield SkipJob(f"{one.name}, queries", 8.0 * rounds, partial(asking_skips, one, rounds))
+        yield SkipJob(f"{one.name}, queries", 8.0 * rounds, partial(query_skips, one, rounds))
         yield SkipJob(f"{one.name}, solver", 4.0 * rounds, partial(solving_skips, one, rounds))
     for hand, one in {one.hand: one for one in examples}.items():
         yield SkipJob(hand, 1.0, partial(_of_hand, one, study.seed, rounds))

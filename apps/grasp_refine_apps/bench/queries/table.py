@@ -17,11 +17,11 @@ SHORT = {
     "coal-reused": "coal\nre-\nused",
     "mujoco": "Mu-\nJoCo",
 }
-"""Who answered, in as few letters as a column has."""
+"""Abbreviations of engines and peers for column heads."""
 
 
 def bench_tables(rows: Sequence[Row]) -> Iterator[Table]:
-    """Times of queries, and what skips save."""
+    """Make the tables of query times and of savings by skips."""
     if queries(rows):
         yield _times(rows)
     if skips(rows):
@@ -59,7 +59,7 @@ def _times(rows: Sequence[Row]) -> Table:
 
 
 def worst_errors(rows: Sequence[Row]) -> list[tuple[str, float, float]]:
-    """Each peer with the largest difference of its distances from ours, and its own tolerance, in metres."""
+    """Largest difference of each peer's distances from ours, and its own tolerance, in metres."""
     found: dict[str, tuple[float, float]] = {}
     for row in queries(rows):
         if row["peer"]:
@@ -69,7 +69,7 @@ def worst_errors(rows: Sequence[Row]) -> list[tuple[str, float, float]]:
 
 
 def _saved(rows: Sequence[Row]) -> Table:
-    table = _table("what is not done, and what doing it would cost", "left out")
+    table = _table("skipped work, and the cost of doing it", "skipped")
     table.add_column("where", overflow="fold", max_width=18)
     for head in ("without", "with", "saved\n%", "CPU s\nwithout", "with"):
         table.add_column(head, justify="right", no_wrap=True)
@@ -89,7 +89,7 @@ def _saved(rows: Sequence[Row]) -> Table:
 
 
 def number(value: float | None) -> str:
-    """A number with two digits or, from 100 on, all of its own."""
+    """Format a number with two digits or, from 100 on, as an integer."""
     if value is None:
         return "-"
     return f"{value:.0f}" if value >= 9.95 else f"{value:.1f}" if value >= 0.995 else f"{value:.2f}"

@@ -1,1 +1,1 @@
-"""How often a witness query, or its derivative, is wrong: bodies of all sizes in all states, against a reference."""
+"""Error rate of a witness query, or its derivative: bodies of all sizes in all states, against a reference."""

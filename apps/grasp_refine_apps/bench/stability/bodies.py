@@ -1,4 +1,4 @@
-"""Bodies of all kinds, made as a user's are: points that are scaled to metres, hulls of them, a body of the pieces."""
+"""Bodies of all kinds, made as a user's are: points scaled to metres, hulls of them, a body of the pieces."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from grasp_refine_apps.bench.stability.cases import KINDS, Kind
 Maker = Callable[[float], Sequence[Piece]]
 """From a scale to the pieces of a body."""
 
-THIN = 1e-4
+PLATE_THICKNESS = 1e-4
 """Thickness of a plate over its diagonal."""
 
-COPIES = (0.0, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6)
-"""How far near-duplicates of a vertex are from it, in diagonals."""
+COPY_OFFSETS = (0.0, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6)
+"""Offsets of near-duplicates of a vertex, in diagonals."""
 
 
 @dataclass(frozen=True)
-class Made:
+class BodyPairs:
     """The pairs of bodies of a kind at one size."""
 
     pairs: tuple[tuple[Body, Body], ...]
     """First and second bodies."""
     refused: tuple[str, ...]
-    """Why other pairs of the kind could not be built, a message each."""
+    """Reasons why other pairs of the kind could not be built, a message each."""
 
 
-def make_pairs(kind: Kind, diagonal: float, seed: int) -> Made:
-    """All pairs of a kind, the larger body of each with this diagonal in metres."""
+def make_pairs(kind: Kind, diagonal: float, seed: int) -> BodyPairs:
+    """Make all pairs of a kind, the larger body of each with this diagonal in metres."""
     rng = np.random.default_rng((seed, KINDS.index(kind)))
     pairs, refused = [], []
     for k, makers in enumerate(MAKERS[kind](rng)):
@@ -49,42 +49,42 @@ def make_pairs(kind: Kind, diagonal: float, seed: int) -> Made:
             refused.append(str(error))
         else:
             pairs.append((first, second))
-    return Made(tuple(pairs), tuple(refused))
+    return BodyPairs(tuple(pairs), tuple(refused))
 
 
-def _balls(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
-    """Spheres and capsules, one of them against a polytope that is nearly round."""
-    ball, small = _ball(0.3, (0.1, -0.2, 0.05)), _ball(0.11, (0.0, 0.0, 0.0))
-    pill, other = _pill(0.1, (-0.2, 0.1, 0.0), (0.3, 0.0, 0.1)), _pill(0.15, (0.0, 0.0, 0.0), (0.0, 0.0, 0.3))
+def _spheres(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
+    """Make spheres and capsules, one of them against a polytope that is nearly round."""
+    ball, small = _sphere(0.3, (0.1, -0.2, 0.05)), _sphere(0.11, (0.0, 0.0, 0.0))
+    pill, other = _capsule(0.1, (-0.2, 0.1, 0.0), (0.3, 0.0, 0.1)), _capsule(0.15, (0.0, 0.0, 0.0), (0.0, 0.0, 0.3))
     return [(ball, small), (ball, ball), (ball, pill), (pill, other), (_hull(_round(rng, 200, (0.3, 0.3, 0.3))), pill)]
 
 
 def _boxes(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
-    """Two boxes, two equal cubes, a box against a ball."""
+    """Make two boxes, two equal cubes, a box against a sphere."""
     cube = _hull(_box((1.0, 1.0, 1.0)))
-    ball = _ball(0.2, (0.0, 0.0, 0.0))
+    ball = _sphere(0.2, (0.0, 0.0, 0.0))
     return [(_hull(_box((0.6, 0.5, 0.7))), _hull(_box((0.3, 0.2, 0.1)))), (cube, cube), (cube, ball)]
 
 
 def _needles(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
-    """A bar 1000 times as long as thick and a splinter with two tips, against each other and a box."""
+    """Make a bar 1000 times as long as thick and a splinter with two tips, against each other and a box."""
     bar, splinter = _hull(_box((1.0, 1e-3, 1e-3))), _hull(_round(rng, 20, (0.5, 5e-4, 5e-4)))
     return [(bar, bar), (bar, splinter), (_hull(_box((0.3, 0.4, 0.5))), splinter)]
 
 
 def _plates(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
-    """A plate against another one, and against a finger tip."""
-    plate, disc = _box((0.8, 0.6, THIN)), _ring(48) * (0.3, 0.3, THIN / 2)
+    """Make a plate against another one, and against a finger tip."""
+    plate, disc = _box((0.8, 0.6, PLATE_THICKNESS)), _ring(48) * (0.3, 0.3, PLATE_THICKNESS / 2)
     return [(_hull(plate), _hull(disc)), (_hull(plate), _hull(plate)), (_hull(plate), _hull(_round(rng, 60)))]
 
 
 def _thousands(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
-    """An ellipsoid of 1000 vertices, and one of 300."""
+    """Make an ellipsoid of 1000 vertices, and one of 300."""
     return [(_hull(_round(rng, 1000)), _hull(_round(rng, 300, (0.3, 0.25, 0.2))))]
 
 
 def _coils(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
-    """Two coils of 40 pieces, and one against a finger tip."""
+    """Make two coils of 40 pieces, and one against a finger tip."""
     first, second = (
         [piece.vertices for piece in make_body(40, 10, seed).pieces] for seed in rng.integers(1 << 31, size=2)
     )
@@ -92,7 +92,7 @@ def _coils(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
 
 
 def _duplicates(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
-    """Every vertex several times, and points in the middle of edges, of faces and of the body."""
+    """Make bodies with every vertex several times, and points in the middle of edges, of faces and of the body."""
     grid = np.stack(np.meshgrid(*[[-0.5, -0.25, 0.0, 0.5]] * 3), axis=-1).reshape(-1, 3) * (0.8, 0.6, 0.5)
     cloud = _round(rng, 40)
     cloud = np.concatenate([cloud, cloud, 0.5 * cloud, cloud[::-1]])
@@ -100,14 +100,14 @@ def _duplicates(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
 
 
 def _near_duplicates(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
-    """Every vertex several times, in places that differ by 1e-13 to 1e-6 of the diagonal."""
+    """Make bodies with every vertex several times, in places that differ by 1e-13 to 1e-6 of the diagonal."""
     box, cloud = _box((0.6, 0.6, 0.5)), _round(rng, 30)
     first, second = (_copied(rng, points) for points in (box, cloud))
     return [(_hull(first), _hull(0.5 * first[::-1])), (_hull(first), _hull(second)), (_hull(second), _hull(second))]
 
 
 def _slivers(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
-    """Faces like needles: a cylinder of 128 sides, a cone with a base that is not quite flat, thin wedges."""
+    """Make needle-like faces: a cylinder of 128 sides, a cone with a base that is not quite flat, thin wedges."""
     base = np.append(_ring(128)[:128] * (0.4, 0.4, 0.0), [[0.0, 0.0, 0.6]], axis=0)
     base[:128, 2] += 1e-8 * rng.normal(size=128)
     wedge = np.array([[-0.5, -0.3, 0], [0.5, -0.3, 0], [0, 0.4, 0], [0.1, 0, 1]])
@@ -118,7 +118,7 @@ def _slivers(rng: np.random.Generator) -> list[tuple[Maker, Maker]]:
 
 MAKERS: Mapping[Kind, Callable[[np.random.Generator], list[tuple[Maker, Maker]]]] = MappingProxyType(
     {
-        "ball": _balls,
+        "ball": _spheres,
         "box": _boxes,
         "needle": _needles,
         "plate": _plates,
@@ -129,14 +129,14 @@ MAKERS: Mapping[Kind, Callable[[np.random.Generator], list[tuple[Maker, Maker]]]
         "slivers": _slivers,
     }
 )
-"""Kind -> what makes its pairs."""
+"""Kind -> function that makes its pairs."""
 
 
-def _ball(radius: float, center: tuple[float, float, float]) -> Maker:
+def _sphere(radius: float, center: tuple[float, float, float]) -> Maker:
     return lambda scale: [sphere(radius * scale, np.array(center) * scale)]
 
 
-def _pill(radius: float, start: tuple[float, float, float], end: tuple[float, float, float]) -> Maker:
+def _capsule(radius: float, start: tuple[float, float, float], end: tuple[float, float, float]) -> Maker:
     return lambda scale: [capsule(radius * scale, np.array(start) * scale, np.array(end) * scale)]
 
 
@@ -163,4 +163,4 @@ def _ring(sides: int) -> np.ndarray:
 
 def _copied(rng: np.random.Generator, points: np.ndarray) -> np.ndarray:
     """All points with their near-duplicates."""
-    return np.concatenate([points + copy * rng.uniform(-1, 1, points.shape) for copy in COPIES])
+    return np.concatenate([points + copy * rng.uniform(-1, 1, points.shape) for copy in COPY_OFFSETS])

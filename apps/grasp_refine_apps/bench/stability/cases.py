@@ -1,4 +1,4 @@
-"""What is asked: bodies of some kind and size, how they lie to each other, and who answers in which precision."""
+"""Cases of the benchmark: kind, size and state of bodies, engines, derivative methods and precisions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Literal, cast, get_args
 
 Kind = Literal["ball", "box", "needle", "plate", "hull1000", "concave40", "duplicates", "near-duplicates", "slivers"]
-"""Which bodies, see `bodies`."""
+"""Kind of bodies, see `bodies`."""
 
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
@@ -16,7 +16,7 @@ DIAGONALS = (1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)
 """Diagonals in metres of the larger body of a pair."""
 
 SMALLEST_BOX = 1e-6
-"""Boxes are also so small, in metres."""
+"""Smallest diagonal of boxes, besides `DIAGONALS`, in metres."""
 
 State = Literal[
     "far",
@@ -42,11 +42,11 @@ State = Literal[
     "total",
     "concentric",
 ]
-"""How the bodies lie to each other.
+"""Relative state of the bodies.
 
 - far, near, gap-1e-3 .. gap-1e-12: apart by 1000, 0.05, 1e-3 .. 1e-12 diagonals, features of any kind nearest;
 - gap-1um, gap-1nm: apart by 1e-6 m and 1e-9 m, whatever the size;
-- contact: apart by 0, but for rounding;
+- contact: apart by 0, up to rounding;
 - face-face, edge-edge, vertex-vertex: two of these features lie against each other, with one of `GAPS` between them;
 - shallow, deep: from where they touch 1e-9 .. 1e-2 and 0.02 .. 0.2 diagonals inwards along the normal;
 - total: one body's middle somewhere near that of the other; concentric: at it, half of them with parallel axes.
@@ -54,7 +54,7 @@ State = Literal[
 
 STATES: tuple[State, ...] = get_args(State)
 
-APART: Mapping[State, float] = MappingProxyType(
+STATE_DISTANCES: Mapping[State, float] = MappingProxyType(
     cast(
         dict[State, float],
         {"far": 1e3, "near": 0.05, "contact": 0.0} | {f"gap-1e-{n}": 10.0**-n for n in range(3, 13)},
@@ -62,14 +62,14 @@ APART: Mapping[State, float] = MappingProxyType(
 )
 """Distances of the states in which the bodies are apart, in diagonals."""
 
-APART_M: Mapping[State, float] = MappingProxyType({"gap-1um": 1e-6, "gap-1nm": 1e-9})
-"""The same, in metres."""
+STATE_DISTANCES_M: Mapping[State, float] = MappingProxyType({"gap-1um": 1e-6, "gap-1nm": 1e-9})
+"""Distances of the states in which the bodies are apart, in metres."""
 
 GAPS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3, -1e-9, -1e-6, -1e-3)
-"""How far two features that lie against each other are apart, in diagonals."""
+"""Distances between two features that lie against each other, in diagonals."""
 
 FEATURES: tuple[State, ...] = ("face-face", "edge-edge", "vertex-vertex")
-"""States of two features; a ball has none."""
+"""States of two features; a sphere has none."""
 
 DType = Literal["float64", "float32"]
 """Precision of poses and answers."""
@@ -77,27 +77,27 @@ DType = Literal["float64", "float32"]
 DTYPES: tuple[DType, ...] = get_args(DType)
 
 Engine = Literal["native", "python"]
-"""Who answers."""
+"""Collision engine."""
 
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 
 Method = Literal["contact-kinematics", "distance", "direction", "analytical", "zeroth-order", "finite-difference"]
-"""How witness points are differentiated."""
+"""Derivative method of the witness points."""
 
 METHODS: tuple[Method, ...] = get_args(Method)
 
 Neighborhood = Literal["adaptive", "fixed"]
-"""Which candidates stand for the surface near a witness point."""
+"""Neighbourhood of candidates that represents the surface near a witness point."""
 
 NEIGHBORHOODS: tuple[Neighborhood, ...] = get_args(Neighborhood)
 
 TRANSLATIONS = (0.0, 1.0, 1e3, 1e6)
-"""How far the bodies are from the origin of the world, in metres."""
+"""Distances of the bodies from the origin of the world, in metres."""
 
 
 @dataclass(frozen=True)
 class Forward:
-    """A way to ask for distances and points."""
+    """A way to query distances and points."""
 
     dtype: DType = "float64"
     batch: int = 256
@@ -107,14 +107,14 @@ class Forward:
 
 @dataclass(frozen=True)
 class Derivative:
-    """A way to differentiate them."""
+    """A way to differentiate distances and points."""
 
     method: Method = "contact-kinematics"
     neighborhood: Neighborhood | None = "adaptive"
-    """None: the method looks at no candidates."""
+    """Neighbourhood; None: the method uses no candidates."""
     dtype: DType = "float64"
 
 
 def diagonals_of(kind: str) -> tuple[float, ...]:
-    """The sizes of a kind of bodies in metres."""
+    """Sizes of a kind of bodies in metres."""
     return (SMALLEST_BOX, *DIAGONALS) if kind == "box" else DIAGONALS

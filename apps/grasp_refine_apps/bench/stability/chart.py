@@ -1,6 +1,6 @@
 """Heat maps: a square for all cells that share some keys, darker the nearer the worst error is to its tolerance.
 
-They are tables, not pictures: each square says in words what it counts, and the colours are those of the page.
+They are tables, not pictures: each square has its counts as text, and the colours are those of the page.
 """
 
 from __future__ import annotations
@@ -9,12 +9,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import log10
 
-from grasp_refine_apps.bench.stability.counts import Counts, counted, grouped
-from grasp_refine_apps.bench.stability.labels import WHAT, ordered, words
+from grasp_refine_apps.bench.stability.counts import Counts, group_rows, total_counts
+from grasp_refine_apps.bench.stability.labels import FAULT_LABELS, ordered, words
 from grasp_refine_apps.bench.stability.rows import WRONG, Row
 
-LEAST = 1e-8
-"""Error over tolerance of the palest square; of 1 it is the darkest that is not wrong."""
+PALEST_ERROR = 1e-8
+"""Error over tolerance of the palest square; the darkest one that is not wrong has 1."""
 
 
 @dataclass(frozen=True)
@@ -22,13 +22,13 @@ class Square:
     """All cells of one row and column."""
 
     look: str
-    """How it looks: "right", "wrong", "refused", or "none" where there is no such cell."""
+    """Style: "right", "wrong", "refused", or "none" where there is no such cell."""
     depth: int
     """Percent of the darkest colour."""
     text: str
-    """What is written in it: how many faults there are."""
+    """Text of the square: number of faults."""
     hint: str
-    """All of it in words."""
+    """Full description."""
 
 
 @dataclass(frozen=True)
@@ -36,32 +36,32 @@ class Line:
     """A row of squares."""
 
     heads: tuple[tuple[str, int], ...]
-    """What it is of, each with the rows that it stands for; those of the row above are not said again."""
+    """Labels of the row, each with the number of rows that it spans; those of the row above are not repeated."""
     squares: tuple[Square, ...]
 
 
 @dataclass(frozen=True)
 class HeatMap:
-    """Squares by what they are of."""
+    """Squares by the keys of rows and columns."""
 
     corner: tuple[str, ...]
-    """What the rows are of."""
+    """Keys of the rows."""
     columns: tuple[str, ...]
     lines: tuple[Line, ...]
 
 
 def heat_map(rows: Iterable[Row], down: Sequence[str], across: str, error: str) -> HeatMap:
-    """The heat map of some rows.
+    """Make the heat map of some rows.
 
     Args:
-        rows: What is counted.
+        rows: Rows to count.
         down: Keys that have a row for each combination that occurs.
         across: Key whose values are the columns.
         error: Key of the error that colours the squares, over its tolerance.
     """
     rows = list(rows)
     columns = ordered(across, (row[across] for row in rows))
-    found = grouped(rows, (*down, across))
+    found = group_rows(rows, (*down, across))
     names = _ordered({key[:-1] for key in found}, down)
     lines = []
     for place, name in enumerate(names):
@@ -88,9 +88,9 @@ def _ordered(names: set[tuple[object, ...]], keys: Sequence[str]) -> list[tuple[
 def _square(rows: Sequence[Row], where: str, error: str) -> Square:
     if not rows:
         return Square("none", 0, "", f"{where}: there is no such cell")
-    found = counted(rows)
+    found = total_counts(rows)
     largest = found.largest[error]
-    hint = f"{where}: {found['queries']} queries, {_said(found)}"
+    hint = f"{where}: {found['queries']} queries, {_describe(found)}"
     hint += "" if largest is None else f", worst error {largest:.1e} of its tolerance"
     if found.wrong:
         return Square("wrong", 100, str(found.wrong), hint)
@@ -100,12 +100,12 @@ def _square(rows: Sequence[Row], where: str, error: str) -> Square:
 
 
 def depth(error: float | None) -> int:
-    """Percent of the darkest colour of an error over its tolerance; logarithmic."""
-    if error is None or error <= LEAST:
+    """Percent of the darkest colour for an error over its tolerance; logarithmic."""
+    if error is None or error <= PALEST_ERROR:
         return 0
-    return round(100 * min(1.0, 1 - log10(error) / log10(LEAST)))
+    return round(100 * min(1.0, 1 - log10(error) / log10(PALEST_ERROR)))
 
 
-def _said(found: Counts) -> str:
-    said = [f"{found[name]} {WHAT[name]}" for name in WRONG if found[name]] or ["none wrong"]
+def _describe(found: Counts) -> str:
+    said = [f"{found[name]} {FAULT_LABELS[name]}" for name in WRONG if found[name]] or ["none wrong"]
     return ", ".join([*said, *([f"{found['refused']} refused"] if found["refused"] else [])])

@@ -1,9 +1,9 @@
-"""Whether derivatives of witness points are finite, bounded, of the right sign, and scale with the world.
+"""Checks of derivatives of witness points: finite, bounded, of the right sign, and scaling with the world.
 
-How points slip on their bodies is judged for two spheres only, where it is known: every method has to slip with the
-true way, and those that are exact have to slip by as much. Of polytopes, whose true slip is 0 or without bound and
-which most methods smooth on purpose, is judged what holds whatever the slip: the derivative of the distance, points
-that move with the bodies when these move together, bounds, and scale.
+The slip of points on their bodies is checked for two spheres only, where it is known: every method has to slip in the
+true direction, and exact methods have to slip by the same amount. For polytopes, whose true slip is 0 or unbounded and
+is smoothed on purpose by most methods, the checks are those that hold for any slip: the derivative of the distance,
+points that move with the bodies when these move together, bounds, and scale.
 """
 
 from __future__ import annotations
@@ -28,11 +28,13 @@ from grasp_refine_apps.bench.stability import cases
 from grasp_refine_apps.bench.stability.bodies import make_pairs
 from grasp_refine_apps.bench.stability.judging import tolerance
 from grasp_refine_apps.bench.stability.motion import Motion, Scene, forms_of, move, rigid_motion, sphere_motion
-from grasp_refine_apps.bench.stability.poses import Posed, posers
+from grasp_refine_apps.bench.stability.poses import PosedBodies, pose_samplers
 from grasp_refine_apps.bench.stability.rows import Cell
 from grasp_refine_apps.bench.stability.task import Task
 
-NEAR: Mapping[cases.Neighborhood, Adaptive | Fixed] = MappingProxyType({"adaptive": Adaptive(), "fixed": Fixed()})
+NEIGHBORHOODS: Mapping[cases.Neighborhood, Adaptive | Fixed] = MappingProxyType(
+    {"adaptive": Adaptive(), "fixed": Fixed()}
+)
 """Neighbourhoods by name."""
 
 METHODS: Mapping[cases.Method, Callable[[Adaptive | Fixed], Derivative]] = MappingProxyType(
@@ -48,22 +50,22 @@ METHODS: Mapping[cases.Method, Callable[[Adaptive | Fixed], Derivative]] = Mappi
 """Methods by name, each made of a neighbourhood."""
 
 TOLERANCE = 1e-9
-"""Rounding of a derivative, as a share of its largest entry or of 1; that of its precision comes on top."""
+"""Rounding of a derivative, as a share of its largest entry or of 1; that of its precision is added."""
 
-ROUNDINGS = 64.0
-"""Of the precision of the result, as many may add up."""
+NUM_ROUNDINGS = 64.0
+"""Number of roundings of the result's precision that may add up."""
 
-STEP = 1e-5
-"""What finite differences may be off by for their step of 1e-3, as a share of the largest entry or of 1."""
+STEP_TOLERANCE = 1e-5
+"""Allowed error of finite differences for their step of 1e-3, as a share of the largest entry or of 1."""
 
 
 def derivative_cells(task: Task) -> Iterator[Cell]:
-    """What comes of the derivatives of a task, state by state; states that such bodies cannot be in are left out."""
+    """Check the derivatives of a task, state by state; states that are impossible for such bodies are left out."""
     made = make_pairs(task.kind, task.diagonal, task.seed)
-    every = posers(made, task)
+    every = pose_samplers(made, task)
     for state in task.states:
         able = [poser for poser in every if poser.can_be(state)]
-        # Each pair has its share of the poses; one that could not be built has refused its own.
+        # Each pair has its share of the poses; pairs that could not be built have refused theirs.
         share = -(-task.differentiated // max(len(able) + len(made.refused), 1))
         counts = [min(share, task.differentiated - k * share) for k in range(len(able))]
         scenes = [
@@ -76,36 +78,36 @@ def derivative_cells(task: Task) -> Iterator[Cell]:
 
 
 def method_of(way: cases.Derivative) -> Derivative:
-    """The derivative method of a cell."""
-    return METHODS[way.method](NEAR[way.neighborhood or "adaptive"])
+    """Make the derivative method of a cell."""
+    return METHODS[way.method](NEIGHBORHOODS[way.neighborhood or "adaptive"])
 
 
 @dataclass(frozen=True, eq=False)
 class Faults:
-    """What is wrong with the derivatives of N queries; masks (N,) that are false where there was no answer."""
+    """Faults of the derivatives of N queries; masks (N,) that are false where there was no answer."""
 
     failed: np.ndarray
-    """No witness points, as the status says."""
+    """No witness points, by the status."""
     not_finite: np.ndarray
-    """Some entry is no number."""
+    """Some entry is not finite."""
     unbounded: np.ndarray
     """Some entry exceeds the bound of the method."""
     wrong_sign: np.ndarray
     """Distances do not grow along the normal, points stay behind when the bodies move together, or those of two
-    spheres that are apart do not slip, slip against the true way, or by another length with a method that is exact."""
+    spheres that are apart do not slip, slip the wrong way, or by another length with a method that is exact."""
     unscaled: np.ndarray
-    """The other size gives something else."""
+    """The derivative at the other size differs."""
     error: np.ndarray
-    """Largest error of what should hold exactly, over its tolerance."""
+    """Largest error of the exact properties, over its tolerance."""
 
 
 def judged(scene: Scene, way: cases.Derivative, method: Derivative | None = None) -> Faults:
-    """What is wrong with the derivatives in a scene.
+    """Check the derivatives in a scene.
 
     Args:
         scene: Bodies and poses.
-        way: How they are asked for.
-        method: Asked instead of that of `way`, as if it were it.
+        way: Method, neighbourhood and precision.
+        method: Derivative method to check in place of that of `way`.
     """
     method = method_of(way) if method is None else method
     dtype = getattr(torch, way.dtype)
@@ -121,9 +123,9 @@ def judged(scene: Scene, way: cases.Derivative, method: Derivative | None = None
     both = np.concatenate([motion.covectors, motion.distance[:, :, None]], axis=2)
     finite = np.isfinite(both).all(axis=(1, 2, 3))
     size = np.abs(np.where(finite[:, None, None, None], motion.covectors, 0.0)).max(axis=(1, 2, 3))
-    # Poses and points are rounded, too: the farther from the origin, the more.
+    # Poses and points are rounded, too: more so, the farther from the origin.
     reach = np.abs([w.point_a, w.point_b, *(T[:, :3, 3] for T in (scene.posed.T_a, scene.posed.T_b))]).max(axis=(0, 2))
-    rounding = TOLERANCE + ROUNDINGS * torch.finfo(dtype).eps * (1.0 + reach / scene.diagonal)
+    rounding = TOLERANCE + NUM_ROUNDINGS * torch.finfo(dtype).eps * (1.0 + reach / scene.diagonal)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         errors = np.stack(
             [
@@ -134,7 +136,7 @@ def judged(scene: Scene, way: cases.Derivative, method: Derivative | None = None
             ]
         )
         along = (motion.distance[:, 1, :3] * _truth_normal(scene.posed)).sum(axis=1)
-        # Directions are judged where there is one, and distances right: those that are not are judged as such.
+        # Directions are checked where there is one and distances are right: wrong distances are counted elsewhere.
         true, allowed = scene.posed.truth.distance, tolerance(scene.diagonal, reach, way.dtype)
         known = (np.abs(true) > 4.0 * allowed) & (np.abs(w.distance - true) <= allowed)
         backwards = known & scene.posed.truth.unique & ~(along > 0.0)
@@ -155,13 +157,13 @@ def judged(scene: Scene, way: cases.Derivative, method: Derivative | None = None
 
 
 def _distance_covectors(w: Witness) -> np.ndarray:
-    """What the derivative of a distance always is (N, body, 6): the normal, on a line through both witness points."""
+    """True derivative of a distance (N, body, 6): the normal, on a line through both witness points."""
     pull = np.stack([-w.normal, w.normal], axis=1)
     return np.concatenate([pull, np.zeros_like(pull)], axis=2)
 
 
 def _left_behind(motion: Motion) -> np.ndarray:
-    """How much (N,) points and normals do not move with the bodies when these move together."""
+    """Amount (N,) by which points and normals do not move with the bodies when these move together."""
     w = motion.witness
     f_a, f_b, f_n = np.split(motion.forms, 3, axis=1)
     a, b = motion.covectors[:, 0], motion.covectors[:, 1]
@@ -173,48 +175,48 @@ def _left_behind(motion: Motion) -> np.ndarray:
     return np.maximum(np.abs(force).max(axis=(1, 2)), np.abs(moment).max(axis=(1, 2)) / reach)
 
 
-def _truth_normal(posed: Posed) -> np.ndarray:
+def _truth_normal(posed: PosedBodies) -> np.ndarray:
     """The reference's normals (N, 3) in the world."""
     return (posed.T_a[:, :3, :3] @ posed.truth.normal[..., None])[..., 0]
 
 
 def _slips(scene: Scene, motion: Motion, method: cases.Method, rounding: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How points of two spheres slip, compared with the true way.
+    """Compare the slip of points of two spheres with the true one.
 
     Returns:
-        Products (N,) of slips, that is of derivatives less those without any slip, with the true ones, less what
-        rounding may make of them: positive where points slip the right way. And for methods that are exact the
-        largest error (N,) over its tolerance, else 0: of all nine numbers for finite differences, and of both points
-        for `Analytical`, which smooths the normal, and whose system of both slips is as ill conditioned as the gap
-        is small.
+        Products (N,) of slips, that is of derivatives less those without any slip, with the true ones, less their
+        possible rounding: positive where points slip the right way. And for methods that are exact the largest error
+        (N,) over its tolerance, else 0: of all nine numbers for finite differences, and of both points for
+        `Analytical`, which smooths the normal, and whose system of both slips is as ill conditioned as the gap is
+        small.
     """
     true, rigid = motion.forms @ sphere_motion(scene), rigid_motion(motion)
     slip = true - rigid
     agreement = ((motion.covectors - rigid - rounding[:, None, None, None] * slip) * slip).sum(axis=(1, 2, 3))
-    # Of each number, because the forms of spheres are nine that are orthonormal.
+    # For each number, because the forms of spheres are nine that are orthonormal.
     error = np.abs(motion.forms.T @ (motion.covectors - true))
     size = 1.0 + np.abs(true).max(axis=(1, 2, 3))
     if method == "analytical":
         narrow = (rounding - TOLERANCE) * scene.diagonal / np.abs(motion.witness.distance)
         return agreement, error[:, :, :6].max(axis=(1, 2, 3)) / (size * (rounding + narrow))
     if method == "finite-difference":
-        return agreement, error.max(axis=(1, 2, 3)) / (size * (STEP + rounding))
+        return agreement, error.max(axis=(1, 2, 3)) / (size * (STEP_TOLERANCE + rounding))
     return agreement, np.zeros(len(size))
 
 
 def _bound(scene: Scene, method: cases.Method, distance: np.ndarray) -> np.ndarray:
-    """How large (N,) a derivative may be, without unit.
+    """Bound (N,) of a derivative, without unit.
 
     - contact-kinematics: curvatures are at most 4 / rho, and those of both bodies together at least 5 over the mean of
       their diagonals; rho is the spacing of the candidates at least.
     - distance, direction: slips are at most 1 - 1e-6, so that I - A B is at least 2e-6; a normal turns with the
       difference of two points over twice the spacing at least.
-    - analytical: the same with 1e-11, and slips up to a million deep in a ball: it is exact, and true derivatives have
-      no bound where normals jump.
+    - analytical: the bound of distance with 1e-11, and slips up to a million deep in a sphere: it is exact, and true
+      derivatives have no bound where normals jump.
     - zeroth-order, finite-difference: points stay on the bodies, so that they move by less than three diagonals, over
       steps of 2e-3 diagonals or more.
 
-    Far apart, the turn of one body moves the other one's points by as much as they are away.
+    Far apart, the rotation of one body moves the other one's points by their distance.
     """
     bodies = scene.pairs.a[0], scene.pairs.b[0]
     spacing = min(2.0 * np.sqrt(body.area / len(body.candidates.points)) for body in bodies) / scene.diagonal
@@ -233,7 +235,7 @@ def _bound(scene: Scene, method: cases.Method, distance: np.ndarray) -> np.ndarr
 def _cell(
     task: Task, state: cases.State, way: cases.Derivative, faults: list[Faults], share: int, refused: tuple[str, ...]
 ) -> Cell:
-    """The cell with the counts of all its pairs of bodies."""
+    """Total the counts of all pairs of bodies in the cell."""
 
     def count(name: str) -> int:
         return int(sum(getattr(one, name).sum() for one in faults))

@@ -1,4 +1,4 @@
-"""Distances and witness points: asked in all states and ways, and judged."""
+"""Distances and witness points: queried in all states and ways, and checked."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine_apps.bench.stability.bodies import make_pairs
 from grasp_refine_apps.bench.stability.cases import Forward, State
-from grasp_refine_apps.bench.stability.judging import Judged, judge, tolerance
-from grasp_refine_apps.bench.stability.poses import Posed, Poser, posers
+from grasp_refine_apps.bench.stability.judging import AnswerFaults, judge, tolerance
+from grasp_refine_apps.bench.stability.poses import PosedBodies, PoseSampler, pose_samplers
 from grasp_refine_apps.bench.stability.rows import Cell
-from grasp_refine_apps.bench.stability.second import ROUNDING, SecondOpinion
+from grasp_refine_apps.bench.stability.second import MUJOCO_TOLERANCE, SecondOpinion
 from grasp_refine_apps.bench.stability.task import Task
 
 
 def forward_cells(task: Task) -> Iterator[Cell]:
-    """What came of the forward cells of a task, state after state; a state that bodies cannot be in has none."""
+    """Check the distances and points of a task, state after state; impossible states have no cells."""
     made = make_pairs(task.kind, task.diagonal, task.seed)
-    every = [(poser, SecondOpinion(poser.a, poser.b)) for poser in posers(made, task)]
+    every = [(poser, SecondOpinion(poser.a, poser.b)) for poser in pose_samplers(made, task)]
     for state in task.states:
         able = [(poser, other) for poser, other in every if poser.can_be(state)]
         if able or made.refused:
@@ -33,9 +33,9 @@ def forward_cells(task: Task) -> Iterator[Cell]:
 
 
 def _state_cells(
-    task: Task, state: State, pairs_of_bodies: Sequence[tuple[Poser, SecondOpinion]], refused: Sequence[str]
+    task: Task, state: State, pairs_of_bodies: Sequence[tuple[PoseSampler, SecondOpinion]], refused: Sequence[str]
 ) -> Iterator[Cell]:
-    """The cells of a state, of those pairs of bodies that can be in it, and with those that could not be built."""
+    """Make the cells of a state, of those pairs of bodies that can be in it, and with those that could not be built."""
     able, others = [poser for poser, _ in pairs_of_bodies], [other for _, other in pairs_of_bodies]
     each = -(-task.queries // (len(able) + len(refused)))
     blank = Cell(
@@ -78,8 +78,8 @@ def _state_cells(
             yield _counted(cell, judged, able)
 
 
-def _answers(pairs: Pairs, posed: Sequence[Posed], way: Forward, translations: Sequence[float]) -> Witness:
-    """The answers (len(translations) * N, P) at all N poses of P pairs at the first translation, the second, ..."""
+def _answers(pairs: Pairs, posed: Sequence[PosedBodies], way: Forward, translations: Sequence[float]) -> Witness:
+    """Query (len(translations) * N, P) answers at all N poses of P pairs at the first translation, the second, ..."""
     poses = [
         np.stack([np.concatenate([its.moved(far)[side] for far in translations]) for its in posed], axis=1)
         for side in (0, 1)
@@ -95,8 +95,8 @@ def _answers(pairs: Pairs, posed: Sequence[Posed], way: Forward, translations: S
     return Witness(*(np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])))
 
 
-def _second_opinion(others: Sequence[SecondOpinion], posed: Sequence[Posed], most: int) -> dict[str, Any]:
-    """How often MuJoCo was asked, at so many poses at most, and how often it was wrong, as entries of a cell."""
+def _second_opinion(others: Sequence[SecondOpinion], posed: Sequence[PosedBodies], most: int) -> dict[str, Any]:
+    """Count queries of MuJoCo, at no more than `most` poses, and its wrong answers, as entries of a cell."""
     asked = wrong = 0
     for other, its in zip(others, posed, strict=True):
         some = slice(-(-most // len(others)))
@@ -104,13 +104,13 @@ def _second_opinion(others: Sequence[SecondOpinion], posed: Sequence[Posed], mos
         found = other.distances(T_a, T_b)
         if found is not None:
             position = np.maximum(*(np.linalg.norm(T[:, :3, 3], axis=1) for T in (T_a, T_b)))
-            allowed = tolerance(other.unit, position) + ROUNDING * (other.unit + np.abs(true))
+            allowed = tolerance(other.unit, position) + MUJOCO_TOLERANCE * (other.unit + np.abs(true))
             asked, wrong = asked + len(found), wrong + int((np.abs(found - true) > allowed).sum())
     return {"mujoco_queries": asked, "mujoco_wrong": wrong}
 
 
-def _counted(cell: Cell, judged: Sequence[Judged], able: Sequence[Poser]) -> Cell:
-    """The cell with the counts of all its pairs of bodies."""
+def _counted(cell: Cell, judged: Sequence[AnswerFaults], able: Sequence[PoseSampler]) -> Cell:
+    """Total the counts of all pairs of bodies in the cell."""
 
     def count(name: str) -> int:
         return sum(int(getattr(one, name).sum()) for one in judged)
@@ -135,7 +135,7 @@ def _counted(cell: Cell, judged: Sequence[Judged], able: Sequence[Poser]) -> Cel
     )
 
 
-def _first_wrong(judged: Judged, poser: Poser) -> str:
-    """Where the first wrong answer of a pair of bodies is; empty: nowhere."""
+def _first_wrong(judged: AnswerFaults, poser: PoseSampler) -> str:
+    """Location of the first wrong answer of a pair of bodies; empty: none."""
     wrong = judged.wrong
     return f"{poser.a.name} and {poser.b.name}: pose {int(wrong.argmax())} of {len(wrong)}" if wrong.any() else ""

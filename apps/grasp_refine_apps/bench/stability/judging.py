@@ -1,4 +1,4 @@
-"""What is wrong with answers, compared with the truth."""
+"""Faults of answers, compared with the truth."""
 
 from __future__ import annotations
 
@@ -14,72 +14,72 @@ from grasp_refine_apps.bench.stability.cases import DType
 from grasp_refine_apps.bench.stability.polytopes import outside, separations
 from grasp_refine_apps.bench.stability.reference import Truth
 
-SIZE, LEAST_M, ROUNDING = 1e-8, 1e-12, 1e-15
-"""A distance may be off by this share of the diagonal, so many metres, and this share of the position."""
+SIZE_TOLERANCE, TOLERANCE_M, POSITION_TOLERANCE = 1e-8, 1e-12, 1e-15
+"""Allowed error of a distance: a share of the diagonal, metres, and a share of the position."""
 
-SINGLE = float(np.finfo(np.float32).eps)
-"""The same in single precision: a share of diagonal and position together."""
+SINGLE_TOLERANCE = float(np.finfo(np.float32).eps)
+"""Allowed error in single precision: a share of diagonal plus position."""
 
-POINTS = 1e-6
-"""A point may be off by this share of the diagonal, and by as much as the error of the distance lets it slide."""
+POINT_TOLERANCE = 1e-6
+"""Allowed error of a point as a share of the diagonal, besides the slide due to the error of the distance."""
 
-SLIDE = 1e-12
-"""That error counts as this share of the diagonal and of the distance of the cores at least."""
+MIN_SLIDE_ERROR = 1e-12
+"""Lower bound of that error of the distance, as a share of the diagonal and of the distance of the cores."""
 
-COLLAPSED = 64.0
-"""Distances of so many roundings of diagonal and position have a sign that can be told."""
+SIGN_ROUNDINGS = 64.0
+"""Distances of more than this number of roundings of diagonal and position have a known sign."""
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
-    """What is wrong with N answers; where one is missing or not finite, nothing else is."""
+class AnswerFaults:
+    """Faults of N answers; missing or non-finite answers have no other fault."""
 
     failed: np.ndarray
-    """No answer (N,)."""
+    """Missing answers (N,)."""
     not_finite: np.ndarray
-    """An answer (N,) that is not finite, or finite poses that are called not finite."""
+    """Answers (N,) that are not finite, or finite poses that are reported as not finite."""
     wrong_distance: np.ndarray
-    """A distance (N,) farther from the truth than the tolerance."""
+    """Distances (N,) farther from the truth than the tolerance."""
     wrong_sign: np.ndarray
-    """A distance (N,) of the wrong sign where the truth exceeds the tolerance, or of another than its status says."""
+    """Distances (N,) of the wrong sign where the truth exceeds the tolerance, or with a contradicting status."""
     wrong_points: np.ndarray
-    """Points (N,) that are not the right ones where only one pair is, are not on the bodies, or not the distance apart
-    along the normal; or a normal along which the bodies are not that far apart."""
+    """Points (N,) that differ from a unique true pair, are not on the bodies, or are not the distance apart along the
+    normal; or a normal along which the bodies are not that far apart."""
     compared: np.ndarray
-    """Where (N,) there is only one pair of points."""
+    """True (N,) where there is only one pair of points."""
     collapsed: np.ndarray
-    """Where (N,) sign or status are not those of a truth that exceeds all rounding, but not the tolerance. No fault."""
+    """True (N,) where sign or status contradict a truth beyond all rounding, but within the tolerance. No fault."""
     error: np.ndarray
-    """Error of the distance (N,) in metres; NaN where there is none."""
+    """Error of the distance (N,) in metres; NaN without an answer."""
     tolerance: np.ndarray
-    """What it may be (N,), in metres."""
+    """Allowed error of the distance (N,), in metres."""
     points_error: np.ndarray
-    """Largest error of points and normal (N,) over its tolerance; NaN where there is none."""
+    """Largest error of points and normal (N,) over its tolerance; NaN without an answer."""
 
     @property
     def wrong(self) -> np.ndarray:
-        """Answers (N,) that are wrong in some way."""
+        """Answers (N,) with any fault."""
         return self.failed | self.not_finite | self.wrong_distance | self.wrong_sign | self.wrong_points
 
 
 def tolerance(diagonal: float, position: np.ndarray, dtype: DType = "float64") -> np.ndarray:
-    """How far distances (N,) may be from the truth in metres.
+    """Allowed error (N,) of distances in metres.
 
     Args:
-        diagonal: Of the larger body.
-        position: How far (N,) the bodies are from the origin of the world.
-        dtype: Of poses and answers.
+        diagonal: Diagonal of the larger body in metres.
+        position: Distance (N,) of the bodies from the origin of the world, metres.
+        dtype: Precision of poses and answers.
     """
-    return SIZE * diagonal + LEAST_M + _rounding(diagonal, position, dtype)
+    return SIZE_TOLERANCE * diagonal + TOLERANCE_M + _rounding(diagonal, position, dtype)
 
 
 def _rounding(diagonal: float, position: np.ndarray, dtype: DType) -> np.ndarray:
-    """How far (N,) bodies may be from where they are thought to be, because their poses are rounded, in metres."""
-    return ROUNDING * position + (SINGLE * (position + diagonal) if dtype == "float32" else 0.0)
+    """Largest displacement (N,) of bodies by the rounding of their poses, in metres."""
+    return POSITION_TOLERANCE * position + (SINGLE_TOLERANCE * (position + diagonal) if dtype == "float32" else 0.0)
 
 
 def _zeroed(found: Witness, good: np.ndarray) -> Witness:
-    """The answers (N,) with zeros where there is no good one, so that nothing that follows is infinite."""
+    """Replace answers (N,) that are not good by zeros, so that the following is finite."""
     parts = {name: np.where(good[:, None], getattr(found, name), 0.0) for name in ("point_a", "point_b", "normal")}
     return replace(found, **parts, distance=np.where(good, found.distance, 0.0))
 
@@ -92,17 +92,17 @@ def judge(
     T_b: np.ndarray,
     diagonal: float,
     dtype: DType = "float64",
-) -> Judged:
-    """What is wrong with N answers.
+) -> AnswerFaults:
+    """Check N answers.
 
     Args:
         found: The answers (N,), in world coordinates.
         truth: The truth (N,), in the frame of the first body.
-        pieces: What the winners of the answers are, see `Pairs.piece_pairs`.
+        pieces: The piece pairs that winners index, see `Pairs.piece_pairs`.
         T_a: Poses (N, 4, 4) of the first body, in double precision.
-        T_b: Those of the second one.
-        diagonal: Of the larger body, in metres.
-        dtype: In which poses were asked.
+        T_b: Poses (N, 4, 4) of the second body, in double precision.
+        diagonal: Diagonal of the larger body, in metres.
+        dtype: Precision of the queried poses.
     """
     position = np.maximum(*(np.linalg.norm(T[:, :3, 3], axis=1) for T in (T_a, T_b)))
     allowed = tolerance(diagonal, position, dtype)
@@ -115,14 +115,14 @@ def judge(
     error = np.where(good, np.abs(found.distance - truth.distance), np.nan)
     opposite = (np.sign(found.distance) != np.sign(truth.distance)) & (np.abs(truth.distance) > allowed)
     contrary = (found.distance > 0.0) != (found.status == QueryStatus.SEPARATED)
-    # Where rounding of the poses is no matter: else it says which feature is the nearest.
-    sharp = good & (allowed <= POINTS * diagonal)
+    # Only where rounding of the poses is negligible: otherwise it decides which feature is the nearest.
+    sharp = good & (allowed <= POINT_TOLERANCE * diagonal)
     compared = sharp & truth.unique
-    # Of a point d from a plane, points of the plane that are sqrt(2 d e) from the nearest one are d + e away.
-    least = SLIDE * (diagonal + np.abs(truth.core)) + _rounding(diagonal, position, dtype)
+    # If a point is d from a plane, points of the plane that are sqrt(2 d e) from the nearest one are d + e away.
+    least = MIN_SLIDE_ERROR * (diagonal + np.abs(truth.core)) + _rounding(diagonal, position, dtype)
     slack = np.maximum(error, least)
     aslant = np.sqrt(2.0 * np.maximum(truth.core, 0.0) * slack)
-    near = POINTS * diagonal + aslant + np.where(compared, truth.slide, 1.0) * slack
+    near = POINT_TOLERANCE * diagonal + aslant + np.where(compared, truth.slide, 1.0) * slack
     R = T_a[:, :3, :3]
     off = np.maximum(
         *(
@@ -130,7 +130,7 @@ def judge(
             for point, true in ((found.point_a, truth.point_a), (found.point_b, truth.point_b))
         )
     )
-    # Whatever the right points are, these are on the bodies, and that far apart along the normal, as the bodies are.
+    # Whatever the true points are, these are on the bodies, and that far apart along the normal, as the bodies are.
     fault = np.linalg.norm(found.point_b - found.point_a - found.distance[:, None] * found.normal, axis=1)
     t, turned = matvec(R.mT, T_b[:, :3, 3] - T_a[:, :3, 3]), R.mT @ T_b[:, :3, :3]
     normal = matvec(R.mT, found.normal)
@@ -145,14 +145,14 @@ def judge(
         faults = fault[rows], truth.distance[rows] - parted, outside(a, in_a), outside(b, in_b)
         fault[rows] = np.maximum.reduce(faults)
     fault += np.abs(np.linalg.norm(found.normal, axis=1) - 1.0) * diagonal
-    wide = POINTS * (diagonal + np.abs(truth.distance)) + allowed
+    wide = POINT_TOLERANCE * (diagonal + np.abs(truth.distance)) + allowed
     points_error = np.where(good, np.maximum(np.where(compared, off / near, 0.0), fault / wide), np.nan)
     wrong_distance, wrong_sign = good & (error > allowed), good & (opposite | contrary)
-    told = np.abs(truth.distance) > COLLAPSED * np.finfo(dtype).eps * (diagonal + position)
+    told = np.abs(truth.distance) > SIGN_ROUNDINGS * np.finfo(dtype).eps * (diagonal + position)
     other = (np.sign(found.distance) != np.sign(truth.distance)) | (
         (found.status == QueryStatus.SEPARATED) != (truth.distance > 0.0)
     )
-    return Judged(
+    return AnswerFaults(
         failed=~answered & ~not_finite,
         not_finite=not_finite,
         wrong_distance=wrong_distance,

@@ -1,4 +1,4 @@
-"""Rows as people read them: in which order they come, what their parts are called, and how to ask for one again."""
+"""Labels and order of rows as people read them, and commands that repeat a row."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ ORDER: Mapping[str, tuple[Any, ...]] = MappingProxyType(
         "neighborhood": (None, *NEIGHBORHOODS),
     }
 )
-"""Key of a row -> its values in the order in which they are shown; of other keys from the least to the largest."""
+"""Key of a row -> its values in display order; values of other keys are sorted."""
 
-WHAT = MappingProxyType(
+FAULT_LABELS = MappingProxyType(
     {
         "failed": "no answer",
         "not_finite": "not finite",
@@ -35,15 +35,15 @@ WHAT = MappingProxyType(
         "derivative_unscaled": "derivative does not scale",
     }
 )
-"""Each of `WRONG` in words."""
+"""Each of `WRONG` -> label."""
 
 
 UNITS = (("km", 1e3, 1e3), ("m", 1.0, 1.0), ("cm", 1e-2, 1e-2), ("mm", 1e-3, 1e-4), ("µm", 1e-6, 0.0))
-"""Units of length, how long each is, and from which length on it is used, in metres."""
+"""Units of length: name, size in metres, and smallest length in metres for which it is used."""
 
 
 def length(metres: float) -> str:
-    """A length as people say it."""
+    """Format a length for people."""
     if metres == 0:
         return "0"
     unit, size = next((unit, size) for unit, size, least in UNITS if metres >= 0.9999 * least)
@@ -51,7 +51,7 @@ def length(metres: float) -> str:
 
 
 def words(key: str, value: Any) -> str:
-    """A value of a key as a table shows it."""
+    """Format a value of a key for a table."""
     if value is None:
         return "–"
     if key == "diagonal":
@@ -62,7 +62,7 @@ def words(key: str, value: Any) -> str:
 
 
 def ordered(key: str, values: Iterable[Any]) -> list[Any]:
-    """The different ones of the values of a key, as they are shown."""
+    """Return the distinct values of a key, in display order."""
     found = set(values)
     if key in ORDER:
         return [value for value in ORDER[key] if value in found]
@@ -70,16 +70,16 @@ def ordered(key: str, values: Iterable[Any]) -> list[Any]:
 
 
 def faults(row: Row) -> str:
-    """What is wrong in a cell, in words; empty: nothing."""
-    return ", ".join(f"{row[name]} {WHAT[name]}" for name in WRONG if row[name])
+    """Describe the faults of a cell; empty: none."""
+    return ", ".join(f"{row[name]} {FAULT_LABELS[name]}" for name in WRONG if row[name])
 
 
 OPTIONS = ("dtype", "batch", "engine", "translation", "method", "neighborhood")
-"""What says how a cell is asked; each has an option of its plural."""
+"""Keys of the options of a query; each has an option of its plural."""
 
 
 def again(row: Row, seed: int) -> str:
-    """The command line that asks for this cell alone once more."""
+    """Return the command line that repeats this cell alone."""
     count = "queries" if row["measure"] == "forward" else "differentiated"
     asked = ["--kinds", row["kind"], "--diagonals", repr(float(row["diagonal"])), "--states", row["state"]]
     asked += ["--measures", row["measure"]]
@@ -92,4 +92,4 @@ def again(row: Row, seed: int) -> str:
 
 
 PLURALS = MappingProxyType({"batch": "batches"})
-"""Those that are no name with an s."""
+"""Irregular plurals."""

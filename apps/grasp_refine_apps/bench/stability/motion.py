@@ -1,6 +1,6 @@
-"""How witness points move, as a user asks for it: through the layer, in any size and precision.
+"""Motion of witness points, as a user computes it: through the layer, in any size and precision.
 
-Differentiated are a few linear forms of what it gives,
+Differentiated are some linear forms of its output,
 
     L = (f_a . x_a + f_b . x_b) / D + f_n . n,     |f_a|^2 + |f_b|^2 + |f_n|^2 = 1,     and     d / D,
 
@@ -20,38 +20,38 @@ from grasp_refine.core.se3 import cross, hat
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.derivative import Derivative
-from grasp_refine_apps.bench.stability.poses import Posed
+from grasp_refine_apps.bench.stability.poses import PosedBodies
 
-FORMS = 3
+NUM_FORMS = 3
 """Linear forms of points and normal that are differentiated; of two spheres all nine, whose derivatives are known."""
 
-HAND = 0.1
-"""Metres: what is compared is as large as that, within a factor of 3."""
+SCENE_SIZE_M = 0.1
+"""Size in metres at which derivatives are compared, up to a factor of 3."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Two bodies in N poses, where their points should go, and the same scene in another size."""
+    """Two bodies in N poses, targets of their points, and the scaled scene."""
 
     pairs: Pairs
     """The bodies."""
-    posed: Posed
+    posed: PosedBodies
     """Their poses, and the truth about them."""
     targets: tuple[np.ndarray, np.ndarray]
-    """Targets (N, 3) on both bodies, in their frames; NaN in half of the poses, where there are none."""
+    """Targets (N, 3) on both bodies, metres, body frames; NaN in half of the poses, which have none."""
     other: Pairs
     """The bodies, `factor` times as large."""
     factor: float
-    """A power of 8, so that it rounds nothing; never 1."""
+    """A power of 8, so that scaling is exact; never 1."""
 
     @staticmethod
-    def of(a: Body, b: Body, posed: Posed, seed: int) -> Scene:
-        """The scene of two bodies, with targets that are drawn."""
+    def of(a: Body, b: Body, posed: PosedBodies, seed: int) -> Scene:
+        """Make the scene of two bodies, with random targets."""
         rng = np.random.default_rng(seed)
         N = len(posed.T_a)
         targets = [body.candidates.points[rng.integers(len(body.candidates.points), size=N)] for body in (a, b)]
         targets = [np.where(np.arange(N)[:, None] % 2 == 0, np.nan, target) for target in targets]
-        factor = 8.0 ** (round(np.log(HAND / max(a.diagonal, b.diagonal)) / np.log(8.0)) or 1)
+        factor = 8.0 ** (round(np.log(SCENE_SIZE_M / max(a.diagonal, b.diagonal)) / np.log(8.0)) or 1)
         other = Pairs((_scaled(a, factor, seed),), (_scaled(b, factor, seed),))
         return Scene(Pairs((a,), (b,)), posed, (targets[0], targets[1]), other, factor)
 
@@ -62,30 +62,30 @@ class Scene:
 
     @property
     def spheres(self) -> bool:
-        """Whether both bodies are spheres, whose derivatives are known in closed form."""
+        """True if both bodies are spheres, whose derivatives are known in closed form."""
         return all(len(body.pieces[0].vertices) == 1 for body in (*self.pairs.a, *self.pairs.b))
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """How what N queries answer moves, without unit (see above)."""
+    """Motion of the answers to N queries, without unit (see above)."""
 
     witness: Witness
     """The answers (N,)."""
     diagonal: float
     """D in metres."""
     forms: np.ndarray
-    """What was differentiated (K, 9): f_a, f_b and f_n."""
+    """Differentiated forms (K, 9): f_a, f_b and f_n."""
     covectors: np.ndarray
     """Derivatives (N, body, K, 6) in the twists (v, w) of the bodies."""
     distance: np.ndarray
-    """The same of the distance (N, body, 6)."""
+    """Derivatives of the distance (N, body, 6) in the twists (v, w) of the bodies."""
 
 
 def forms_of(scene: Scene) -> np.ndarray:
-    """Orthonormal forms (K, 9), the same everywhere."""
+    """Return orthonormal forms (K, 9), equal at all poses."""
     drawn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(9, 9)))
-    return drawn if scene.spheres else drawn[:FORMS]
+    return drawn if scene.spheres else drawn[:NUM_FORMS]
 
 
 def move(
@@ -97,16 +97,16 @@ def move(
     forms: np.ndarray,
     dtype: torch.dtype,
 ) -> Motion:
-    """How witness points move.
+    """Differentiate witness points.
 
     Args:
         pairs: One pair of bodies.
         method: The derivative method.
         T_a: Poses (N, 4, 4) of the first body.
-        T_b: Those of the second one.
-        targets: Where the points should go (N, 3) on each body, in its frame; NaN: nowhere.
-        forms: What is differentiated (K, 9).
-        dtype: Of poses and gradients.
+        T_b: Poses (N, 4, 4) of the second body.
+        targets: Targets (N, 3) of the points on each body, in its frame; NaN: none.
+        forms: Forms (K, 9) to differentiate.
+        dtype: Precision of poses and gradients.
     """
     N, K = len(T_a), len(forms)
     diagonal = _diagonal(pairs)
@@ -130,7 +130,7 @@ def move(
 
 
 def _covector(G: np.ndarray, T: np.ndarray, pivot: np.ndarray) -> np.ndarray:
-    """The derivative (M, 6) in the twist about a point (M, 3) for which an entry-wise gradient G (M, 4, 4) stands."""
+    """Convert an entry-wise gradient G (M, 4, 4) to the derivative (M, 6) in the twist about a point (M, 3)."""
     force = G[:, :3, 3]
     turn = G[:, :3, :3] @ T[:, :3, :3].mT
     moment = np.stack([turn[:, j, k] - turn[:, k, j] for j, k in ((2, 1), (0, 2), (1, 0))], axis=1)
@@ -138,9 +138,9 @@ def _covector(G: np.ndarray, T: np.ndarray, pivot: np.ndarray) -> np.ndarray:
 
 
 def rigid_motion(motion: Motion) -> np.ndarray:
-    """What `Motion.covectors` (N, body, K, 6) would be without any slip: points stay where they are on their bodies.
+    """Return `Motion.covectors` (N, body, K, 6) without any slip: points are fixed to their bodies.
 
-    The normal turns by the mean of how far the bodies do.
+    The normal turns by the mean of the rotations of the bodies.
     """
     f_a, f_b, f_n = np.split(motion.forms, 3, axis=1)
     turn = 0.5 * np.cross(motion.witness.normal[:, None], f_n)
@@ -149,7 +149,7 @@ def rigid_motion(motion: Motion) -> np.ndarray:
 
 
 def sphere_motion(scene: Scene) -> np.ndarray:
-    """Derivatives (N, body, 9, 6) of x_a / D, x_b / D and n of two spheres, in the same units as `Motion.covectors`.
+    """Return derivatives (N, body, 9, 6) of x_a / D, x_b / D and n of two spheres, in units of `Motion.covectors`.
 
     With n = (c_b - c_a) / r, x_a = c_a + r_a n and x_b = c_b - r_b n: dn = (I - n n^T) (dc_b - dc_a) / r.
     """
@@ -170,7 +170,7 @@ def sphere_motion(scene: Scene) -> np.ndarray:
 
 
 def _scaled(body: Body, factor: float, seed: int) -> Body:
-    """The body `factor` times as large."""
+    """Scale the body by `factor`."""
     return build_body(body.name, [piece.scaled(factor) for piece in body.pieces], seed=seed)
 
 

@@ -7,8 +7,8 @@ from scipy.spatial import ConvexHull
 
 from grasp_refine.geometry.pieces import Piece
 
-FACE = 1e-7
-"""Vertices so close to a supporting plane (as a share of the size) may be part of the face that touches."""
+FACE_TOLERANCE = 1e-7
+"""Vertices this close to a supporting plane (as a share of the size) may be part of the face that touches."""
 
 
 def surface(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -27,7 +27,7 @@ def surface(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 def on_triangles(p: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """The nearest points (M, 3) of triangles (M, 3, 3), which may be needles or points."""
+    """Return the nearest points (M, 3) of triangles (M, 3, 3), which may be needles or points."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     ab, ac, ap = b - a, c - a, p - a
     normal = np.cross(ab, ac)
@@ -53,25 +53,25 @@ def on_triangles(p: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def supporting(core: np.ndarray, n: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-    """The vertices of a core (V, 3) that are, or nearly are, farthest along each n (N, 3), and how flat it goes on.
+    """Vertices of a core (V, 3) that are, or nearly are, farthest along each n (N, 3), and its flatness there.
 
-    That is, over all other vertices, the largest of their distances from the farthest one over how far they are behind.
+    Flatness is the largest ratio, over all other vertices, of distance from the farthest one to depth behind it.
     """
     heights = n @ core.T
     behind = heights.max(axis=1, keepdims=True) - heights
-    item, vertex = np.nonzero(behind <= FACE)
+    item, vertex = np.nonzero(behind <= FACE_TOLERANCE)
     distances = np.linalg.norm(core[heights.argmax(axis=1), None] - core, axis=2)
-    slope = np.where(behind <= FACE, 1.0, distances / np.maximum(behind, FACE)).max(axis=1)
+    slope = np.where(behind <= FACE_TOLERANCE, 1.0, distances / np.maximum(behind, FACE_TOLERANCE)).max(axis=1)
     return np.split(vertex, np.cumsum(np.bincount(item, minlength=len(n)))[:-1]), slope
 
 
 def is_point(face: np.ndarray) -> bool:
-    """Whether the vertices (V, 3) of a face are nearly one."""
-    return bool(np.ptp(face, axis=0).max() <= FACE)
+    """Return True if the vertices (V, 3) of a face nearly coincide."""
+    return bool(np.ptp(face, axis=0).max() <= FACE_TOLERANCE)
 
 
 def crossing(first: np.ndarray, second: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Points x and y of the lines through two edges with y - x = q, and the sine of the angle of the edges."""
+    """Return points x and y of the lines through two edges with y - x = q, and the sine of the angle of the edges."""
     u, v = first[1] - first[0], second[1] - second[0]
     sine = np.linalg.norm(np.cross(u, v)) / (np.linalg.norm(u) * np.linalg.norm(v))
     (s, r), *_ = np.linalg.lstsq(np.stack([-u, v], axis=1), q - (second[0] - first[0]), rcond=None)
@@ -79,14 +79,14 @@ def crossing(first: np.ndarray, second: np.ndarray, q: np.ndarray) -> tuple[np.n
 
 
 def separations(a: Piece, b: Piece, R: np.ndarray, t: np.ndarray, n: np.ndarray) -> np.ndarray:
-    """How far (N,) two pieces are apart along unit vectors n (N, 3): by no unit vector more than their signed distance.
+    """Distance (N,) of two pieces along unit vectors n (N, 3): a lower bound of their signed distance.
 
     Args:
         a: The first piece, in whose frame the rest is.
-        b: The second one.
-        R: Its rotations (N, 3, 3).
-        t: Its origins (N, 3).
-        n: The vectors.
+        b: The second piece.
+        R: Rotations (N, 3, 3) of the second piece.
+        t: Origins (N, 3) of the second piece.
+        n: Unit vectors (N, 3).
     """
     middle = a.vertices.mean(axis=0)
     ahead = (n @ (a.vertices - middle).T).max(axis=1)
@@ -95,7 +95,7 @@ def separations(a: Piece, b: Piece, R: np.ndarray, t: np.ndarray, n: np.ndarray)
 
 
 def outside(piece: Piece, x: np.ndarray) -> np.ndarray:
-    """How far (N,) points x (N, 3) in its frame are outside a piece at least, in metres; not positive: inside."""
+    """Lower bound (N,) of the distance in metres of points x (N, 3), in its frame, to a piece; at most 0: inside."""
     if len(piece.faces):
         normals, offsets = piece.planes
         return (x @ normals.T - offsets).max(axis=1) - piece.radius

@@ -10,41 +10,49 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from grasp_refine.geometry.body import Body
-from grasp_refine_apps.bench.stability.bodies import Made
-from grasp_refine_apps.bench.stability.cases import APART, APART_M, FEATURES, GAPS, KINDS, STATES, State
+from grasp_refine_apps.bench.stability.bodies import BodyPairs
+from grasp_refine_apps.bench.stability.cases import (
+    FEATURES,
+    GAPS,
+    KINDS,
+    STATE_DISTANCES,
+    STATE_DISTANCES_M,
+    STATES,
+    State,
+)
 from grasp_refine_apps.bench.stability.features import FEATURE, Feature, extreme
 from grasp_refine_apps.bench.stability.reference import Truth, Truths
 from grasp_refine_apps.bench.stability.task import Task
 
-TURNS = 4
-"""Most relative rotations of a pair of bodies, of which the first is none."""
+MAX_ROTATIONS = 4
+"""Largest number of relative rotations of a pair of bodies, of which the first is none."""
 
-SPINS, FEWER, MANY = 8, 2, 20_000
-"""Most rotations at which features are laid against each other, and the same from so many pairs of vertices on."""
+MAX_FEATURE_ROTATIONS, FEW_FEATURE_ROTATIONS, MANY_VERTEX_PAIRS = 8, 2, 20_000
+"""Largest number of rotations for features, the same for large bodies, and the vertex pairs that make them large."""
 
-SHARE = 8
-"""Poses for which one more rotation is worth the work."""
+POSES_PER_ROTATION = 8
+"""Number of poses that justify one more rotation."""
 
-BEGINNINGS = 4
-"""Piece pairs from whose contact poses are looked for, for each rotation."""
+NUM_START_PAIRS = 4
+"""Number of piece pairs from whose contact the search of poses starts, for each rotation."""
 
-DRAWS = 4
-"""Times as many poses are drawn as are wanted, where other pieces may be in the way."""
+DRAWS_PER_POSE = 4
+"""Number of poses drawn for each requested one, where other pieces may be in the way."""
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class PosedBodies:
     """N poses of two bodies, and the truth."""
 
     T_a: np.ndarray
-    """Poses (N, 4, 4) of the first body near the origin of the world; half of them are not turned."""
+    """Poses (N, 4, 4) of the first body near the origin of the world; half of them are not rotated."""
     T_b: np.ndarray
-    """Those of the second one."""
+    """Poses (N, 4, 4) of the second body."""
     truth: Truth
-    """In the frame of the first body."""
+    """The truth (N,), in the frame of the first body."""
 
     def moved(self, translation: float) -> tuple[np.ndarray, np.ndarray]:
-        """The poses after both bodies were moved so many metres."""
+        """Return the poses after both bodies were moved by `translation` metres."""
         T_a, T_b = self.T_a.copy(), self.T_b.copy()
         for T in (T_a, T_b):
             T[:, :3, 3] += translation * np.array([0.6, -0.48, 0.64])
@@ -52,44 +60,44 @@ class Posed:
 
 
 @dataclass(frozen=True, eq=False)
-class Poser:
-    """What finds poses of two bodies."""
+class PoseSampler:
+    """A sampler of poses of two bodies."""
 
     a: Body
     b: Body
     seed: tuple[int, ...]
-    """Of all draws: the same seed and state give the same poses."""
+    """Seed of all draws: equal seeds and states give equal poses."""
 
     @cached_property
     def diagonal(self) -> float:
-        """Of the larger body, in metres."""
+        """Diagonal of the larger body, in metres."""
         return max(self.a.diagonal, self.b.diagonal)
 
     @cached_property
     def _turned(self) -> list[Truths]:
-        """The truth at some rotations of the second body in the frame of the first."""
-        turns = Rotation.random(TURNS - 1, rng=np.random.default_rng(self.seed)).as_matrix()
+        """Truth at some rotations of the second body in the frame of the first."""
+        turns = Rotation.random(MAX_ROTATIONS - 1, rng=np.random.default_rng(self.seed)).as_matrix()
         return [self._truths(R) for R in (np.eye(3), *turns)]
 
     def can_be(self, state: State) -> bool:
-        """Whether these bodies can be in this state: something round has no features that could meet."""
+        """Return True if these bodies can be in this state: round ones have no features that could meet."""
         return state not in FEATURES or all(len(piece.faces) for body in (self.a, self.b) for piece in body.pieces)
 
-    def pose(self, state: State, count: int) -> Posed | None:
-        """Poses in this state, the same ones whenever this is asked; None: the bodies cannot be in it."""
+    def pose(self, state: State, count: int) -> PosedBodies | None:
+        """Return poses in this state, the same at every call; None: the bodies cannot be in it."""
         if not self.can_be(state):
             return None
         rng = np.random.default_rng((*self.seed, STATES.index(state)))
         find = self._feature_against_feature if state in FEATURES else self._any
         R, t, truths = zip(*find(rng, state, count), strict=True)
         R, t = np.concatenate(R)[:count], np.concatenate(t)[:count]
-        return Posed(*self._in_world(rng, R, t), Truth.joined(truths).rows(slice(count)))
+        return PosedBodies(*self._in_world(rng, R, t), Truth.joined(truths).rows(slice(count)))
 
     def _any(
         self, rng: np.random.Generator, state: State, count: int
     ) -> Iterator[tuple[np.ndarray, np.ndarray, Truth]]:
-        """Rotations (n, 3, 3) and offsets (n, 3) in a state that is not one of features, and the truth."""
-        turns = min(max(count // SHARE, 2), TURNS)
+        """Yield rotations (n, 3, 3) and offsets (n, 3) in a state that is not one of features, and the truth."""
+        turns = min(max(count // POSES_PER_ROTATION, 2), MAX_ROTATIONS)
         n = -(-count // turns)
         for truths in self._turned[:turns]:
             if state in ("total", "concentric"):
@@ -101,19 +109,21 @@ class Poser:
             yield np.tile(truths.R, (n, 1, 1)), t, truths.at(t)
 
     def _distances(self, rng: np.random.Generator, state: State, n: int) -> np.ndarray:
-        """The wanted signed distances (n,) of a state in metres."""
+        """Desired signed distances (n,) of a state in metres."""
         if state in ("shallow", "deep"):
             low, high = (-9, -2) if state == "shallow" else (np.log10(0.02), np.log10(0.2))
             return -self.diagonal * 10 ** rng.uniform(low, high, n)
-        return np.full(n, APART_M[state] if state in APART_M else APART[state] * self.diagonal)
+        return np.full(
+            n, STATE_DISTANCES_M[state] if state in STATE_DISTANCES_M else STATE_DISTANCES[state] * self.diagonal
+        )
 
     def _at_distance(self, rng: np.random.Generator, truths: Truths, n: int, distance: np.ndarray) -> np.ndarray:
-        """Offsets (n, 3) at which the bodies are so far apart; inwards the truth may be less deep."""
+        """Offsets (n, 3) at which the bodies have these distances; inwards the truth may be less deep."""
         t = np.empty((n, 3))
-        some = rng.integers(len(truths.pairs), size=BEGINNINGS)
+        some = rng.integers(len(truths.pairs), size=NUM_START_PAIRS)
         for i in range(n):
-            touching, outward = truths.difference(some[i % BEGINNINGS]).boundary(rng)
-            # From there outwards, straight or aslant, until all is apart.
+            touching, outward = truths.difference(some[i % NUM_START_PAIRS]).boundary(rng)
+            # From there outwards, straight or oblique, until all pieces are apart.
             along = outward + rng.normal(size=3) * rng.choice([0.0, 0.1, 1.0])
             step = self.diagonal * 10 ** rng.uniform(-2, 0.5)
             t[i] = touching + step * along / np.linalg.norm(along)
@@ -125,16 +135,19 @@ class Poser:
             t[inside] += (
                 0.3 * self.diagonal * rng.normal(size=(int(inside.sum()), 3)) + truth.normal[inside] * self.diagonal
             )
-        # The same nearest points, as far apart as is wanted.
+        # With the same nearest points, at the desired distance.
         return t + (distance - truth.distance)[:, None] * truth.normal
 
     def _feature_against_feature(
         self, rng: np.random.Generator, state: State, count: int
     ) -> Iterator[tuple[np.ndarray, np.ndarray, Truth]]:
-        """The same for a face, edge or vertex of each body that lie against each other."""
-        turns = min(max(count // SHARE, 1), FEWER if self._vertex_pairs > MANY else SPINS)
+        """Yield rotations, offsets and the truth for a face, edge or vertex of each body against the other's."""
+        turns = min(
+            max(count // POSES_PER_ROTATION, 1),
+            FEW_FEATURE_ROTATIONS if self._vertex_pairs > MANY_VERTEX_PAIRS else MAX_FEATURE_ROTATIONS,
+        )
         n = -(-count // turns)
-        draws = 1 if len(self.a.pieces) * len(self.b.pieces) == 1 else DRAWS
+        draws = 1 if len(self.a.pieces) * len(self.b.pieces) == 1 else DRAWS_PER_POSE
         for turn in range(turns):
             first, second = (self._feature(rng, body, state) for body in (self.a, self.b))
             R = _against(rng, first, second, straight=turn % 4 == 0)
@@ -142,13 +155,13 @@ class Poser:
             on_first, on_second = (feature.points(rng, draws * n) for feature in (first, second))
             t = on_first + np.tile(gap, draws)[:, None] * first.outward - on_second @ R.T
             truth = self._truths(R).at(t)
-            # For each gap the first one where nothing else is in the way.
+            # The first one for each gap where nothing else is in the way.
             blocked = np.abs(truth.distance.reshape(draws, n) - gap) > 1e-9 * self.diagonal
             best = blocked.argmin(axis=0) * n + np.arange(n)
             yield np.tile(R, (n, 1, 1)), t[best], truth.rows(best)
 
     def _feature(self, rng: np.random.Generator, body: Body, state: State) -> Feature:
-        """Any such feature of a body; of several pieces, one that nothing of the others is far in front of."""
+        """Choose any such feature of a body; of several pieces, one without others far in front of it."""
         piece, towards = (body.pieces[0], None) if len(body.pieces) == 1 else extreme(body.pieces, rng)
         return FEATURE[state](piece, rng, towards)
 
@@ -161,7 +174,7 @@ class Poser:
         return Truths(self.a.pieces, self.b.pieces, R)
 
     def _in_world(self, rng: np.random.Generator, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Poses (N, 4, 4) of both bodies from those of the second in the frame of the first."""
+        """Return poses (N, 4, 4) of both bodies from those of the second in the frame of the first."""
         N = len(R)
         T_a, T_b = np.tile(np.eye(4), (2, N, 1, 1))
         turned = np.arange(N) % 2 == 1
@@ -172,20 +185,20 @@ class Poser:
         return T_a, T_b
 
 
-def posers(made: Made, task: Task) -> list[Poser]:
-    """What poses the pairs of bodies of a task, the same in every run of it."""
+def pose_samplers(made: BodyPairs, task: Task) -> list[PoseSampler]:
+    """Make the samplers of the pairs of bodies of a task, the same in every run."""
     size = int(np.float64(task.diagonal).view(np.uint64))
-    return [Poser(*bodies, (task.seed, KINDS.index(task.kind), size, k)) for k, bodies in enumerate(made.pairs)]
+    return [PoseSampler(*bodies, (task.seed, KINDS.index(task.kind), size, k)) for k, bodies in enumerate(made.pairs)]
 
 
 def _against(rng: np.random.Generator, first: Feature, second: Feature, *, straight: bool) -> np.ndarray:
-    """A rotation (3, 3) that turns a feature of the second body towards one of the first.
+    """Return a rotation (3, 3) that turns a feature of the second body towards one of the first.
 
     Args:
-        rng: Draws the angle about the normal.
-        first: The one that it shall lie against.
-        second: The one that is turned.
-        straight: Their tangents shall be parallel, as those of two edges.
+        rng: Generator of the angle about the normal.
+        first: Feature of the first body.
+        second: Feature that is rotated.
+        straight: Whether their tangents shall be parallel, as those of two edges.
     """
     angle = 0.0 if straight else rng.uniform(0, 2 * np.pi)
     spin = Rotation.from_rotvec(angle * first.outward).as_matrix()

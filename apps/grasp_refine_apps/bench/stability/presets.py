@@ -1,4 +1,4 @@
-"""The experiments that have a name: which bodies, in which states, are asked in which ways."""
+"""Named experiments: bodies, states and ways to query."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from grasp_refine_apps.bench.stability.rows import Measure
 from grasp_refine_apps.bench.stability.task import Task
 
 SMOOTHING: tuple[Method, ...] = ("contact-kinematics", "distance", "direction")
-"""Methods that look at candidates near a witness point; the others have no neighborhood."""
+"""Methods that use candidates near a witness point; the others have no neighborhood."""
 
 SLOW: tuple[Kind, ...] = ("hull1000", "concave40", "slivers")
 """Kinds whose reference takes seconds, as the difference of their bodies has many vertices."""
 
 FAST = tuple(kind for kind in KINDS if kind not in SLOW)
-"""All others."""
+"""All other kinds."""
 
 
 @dataclass(frozen=True)
@@ -44,39 +44,39 @@ class Part:
     """A part of an experiment."""
 
     kinds: tuple[Kind, ...] = KINDS
-    """Which bodies."""
+    """Kinds of bodies."""
     diagonals: tuple[float, ...] | None = None
-    """Diagonals of the larger body in metres; None: all there are for a kind."""
+    """Diagonals of the larger body in metres; None: all of a kind."""
     states: tuple[State, ...] = STATES
-    """How they lie to each other."""
+    """Relative states of the bodies."""
     measures: tuple[Measure, ...] = ("forward", "derivative")
-    """Whether distances are judged, and whether derivatives are."""
+    """Measures: distances, derivatives or both."""
     dtypes: tuple[DType, ...] = DTYPES
-    """Of poses."""
+    """Precisions of poses."""
     batches: tuple[int, ...] = (64, 1, 7)
     """Poses in one call."""
     translations: tuple[float, ...] = TRANSLATIONS
-    """How far from the origin of the world the bodies are when distances are asked for, in metres."""
+    """Distances of the bodies from the origin of the world for queries of distances, in metres."""
     methods: tuple[Method, ...] = METHODS
-    """How points are differentiated."""
+    """Derivative methods of the witness points."""
     neighborhoods: tuple[Neighborhood, ...] = NEIGHBORHOODS
-    """Which candidates stand for the surface."""
+    """Neighbourhoods of candidates that represent the surface."""
     queries: int = 64
-    """Pairs of poses for each state, way of asking and translation."""
+    """Pairs of poses for each state, way to query and translation."""
     differentiated: int = 16
     """Pairs of poses for each state and derivative."""
     mujoco: int = 16
-    """Pairs of poses of each state that MuJoCo is asked too."""
+    """Pairs of poses of each state that MuJoCo is also queried at."""
 
     def tasks(self, engines: tuple[Engine, ...], seed: int) -> tuple[Task, ...]:
-        """All of it, a task for each kind and size.
+        """Make all tasks, one for each kind and size.
 
         Args:
-            engines: Who answers.
-            seed: Of bodies and poses.
+            engines: Collision engines.
+            seed: Seed of bodies and poses.
         """
         forward, derivative = (measure in self.measures for measure in ("forward", "derivative"))
-        # What is not used is left out, so that tasks that ask the same are the same.
+        # Unused settings are left out, so that equal tasks compare equal.
         ways: dict[str, Any] = {
             "forwards": tuple(forwards_of(self.dtypes, self.batches, engines)),
             "translations": self.translations,
@@ -97,7 +97,7 @@ class Part:
 
 
 def forwards_of(dtypes: Sequence[DType], batches: Sequence[int], engines: Sequence[Engine]) -> list[Forward]:
-    """Ways to ask: the first of each, then what differs in one thing from it."""
+    """Return ways to query: the first value of each, then those that differ in one of them."""
     first = Forward(dtypes[0], batches[0], engines[0])
     ways = [replace(first, dtype=dtype) for dtype in dtypes]
     ways += [replace(first, batch=batch) for batch in batches]
@@ -108,7 +108,7 @@ def forwards_of(dtypes: Sequence[DType], batches: Sequence[int], engines: Sequen
 def derivatives_of(
     methods: Sequence[Method], neighborhoods: Sequence[Neighborhood], dtypes: Sequence[DType]
 ) -> list[Derivative]:
-    """Every combination; methods without candidates have no neighborhood."""
+    """Return every combination; methods without candidates have no neighborhood."""
     every = product(methods, neighborhoods, dtypes)
     found = (Derivative(method, near if method in SMOOTHING else None, dtype) for method, near, dtype in every)
     return list(dict.fromkeys(found))
@@ -117,7 +117,7 @@ def derivatives_of(
 QUICK: dict[str, Any] = {
     "measures": ("forward",), "batches": (16, 1), "translations": (0.0, 1e3), "queries": 12, "mujoco": 2
 }  # fmt: skip
-"""How distances are asked for in `quick`."""
+"""Ways to query distances in `quick`."""
 
 PRESETS: Mapping[str, tuple[Part, ...]] = MappingProxyType(
     {

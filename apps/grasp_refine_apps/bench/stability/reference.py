@@ -2,13 +2,13 @@
 
 Two pieces, rotated by R, overlap at the offset t where -t lies in the polytope M = {R y - x}, x of the first piece and
 y of the second. Its hull is computed once for a rotation, in units in which the bodies are about 1 long (a power of
-two, so that this rounds nothing). Then all offsets are points p = -t, and with outward unit normals n_f of M
+two, so that scaling is exact). Then all offsets are points p = -t, and with outward unit normals n_f of M
 
     inside:  d = max_f (n_f . p - offset_f),  the nearest facet,
     outside: d = the distance to the nearest triangle.
 
 Neither iterates, neither shares a line with the engines, and the error is some 1e-15 of the size. Radii are
-subtracted. What is left of M where both pieces are points or segments is a point, a segment or a parallelogram.
+subtracted. Where both pieces are points or segments, M is only a point, a segment or a parallelogram.
 """
 
 from __future__ import annotations
@@ -20,49 +20,56 @@ from itertools import product
 import numpy as np
 
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine_apps.bench.stability.polytopes import FACE, crossing, is_point, on_triangles, supporting, surface
+from grasp_refine_apps.bench.stability.polytopes import (
+    FACE_TOLERANCE,
+    crossing,
+    is_point,
+    on_triangles,
+    supporting,
+    surface,
+)
 
-_CROSSING = 0.05
-"""Smallest sine of the angle of two edges whose crossing says where the points are."""
+_MIN_CROSSING_SINE = 0.05
+"""Smallest sine of the angle of two edges whose crossing defines the points."""
 
-_FLAT = 1e4
-"""Points that slide farther than this for each metre of distance could as well be elsewhere."""
+_MAX_SLIDE = 1e4
+"""Points that slide farther than this for each metre of distance are not unique."""
 
-_TIE = 1e-5
-"""Nearest facets whose depths differ by less (as a share of the size) leave open which one it is."""
+_TIE_TOLERANCE = 1e-5
+"""Nearest facets whose depths differ by less (as a share of the size) are ties."""
 
 _POINTS = ("point_a", "point_b")
 
-_MOST = 1_000_000
-"""Most entries of a temporary matrix."""
+_MAX_ENTRIES = 1_000_000
+"""Largest number of entries of a temporary matrix."""
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What is known of N offsets, in the frame of the first piece and in metres."""
+    """Truth at N offsets, in the frame of the first piece and in metres."""
 
     distance: np.ndarray
     """Signed distances (N,)."""
     normal: np.ndarray
-    """A unit normal (N, 3) from the first to the second; there may be others where pieces touch or overlap."""
+    """Unit normals (N, 3) from the first to the second; not unique where pieces touch or overlap."""
     point_a: np.ndarray
-    """Witness points (N, 3) on the first piece; they mean something where `unique`."""
+    """Witness points (N, 3) on the first piece; meaningful where `unique`."""
     point_b: np.ndarray
-    """The same on the second one."""
+    """Witness points (N, 3) on the second piece; meaningful where `unique`."""
     unique: np.ndarray
-    """Where (N,) there is one pair of witness points, which small errors of the distance move little."""
+    """True (N,) where there is one pair of witness points, which small errors of the distance move little."""
     core: np.ndarray
-    """Signed distances (N,) of the cores, without the balls around them."""
+    """Signed distances (N,) of the cores, without their radii."""
     slide: np.ndarray
-    """How far (N,) points slide on the pieces at most for each metre by which the distance is off; where `unique`."""
+    """Largest slide (N,) of points on the pieces for each metre of error of the distance; where `unique`."""
 
     def rows(self, index: np.ndarray | slice) -> Truth:
-        """Some of the offsets."""
+        """Select some of the offsets."""
         return Truth(*(getattr(self, field.name)[index] for field in fields(self)))
 
     @staticmethod
     def joined(parts: Sequence[Truth]) -> Truth:
-        """Several, one after the other."""
+        """Concatenate several."""
         return Truth(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Truth)))
 
 
@@ -85,19 +92,19 @@ class Difference:
         self.spheres = np.linalg.norm(self.triangles - self.centers[:, None], axis=2).max(axis=1)
 
     def at(self, t: np.ndarray) -> Truth:
-        """The truth for offsets t (N, 3): the origin of the second body in the frame of the first, in metres."""
+        """Return the truth at offsets t (N, 3): the origin of the second body in the frame of the first, in metres."""
         p = -(t + self.middle) / self.unit
-        rows = max(1, _MOST // len(self.centers))
+        rows = max(1, _MAX_ENTRIES // len(self.centers))
         parts = [self._nearest(p[start : start + rows]) for start in range(0, len(p), rows)]
         core, q, normal, face, clear = (np.concatenate(column) for column in zip(*parts, strict=True))
         in_a, in_b, slide = self._witnesses(q, face)
         distance = core * self.unit - sum(self.radii)
         x_a = in_a * self.unit + self.a.vertices.mean(axis=0) + self.radii[0] * normal
         x_b = in_b * self.unit + self.turned.mean(axis=0) + t - self.radii[1] * normal
-        return Truth(distance, normal, x_a, x_b, clear & (slide <= _FLAT), core * self.unit, slide)
+        return Truth(distance, normal, x_a, x_b, clear & (slide <= _MAX_SLIDE), core * self.unit, slide)
 
     def boundary(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """An offset (3,) at which the cores touch, at a facet, edge or vertex of M, and a way (3,) out of there."""
+        """Draw an offset (3,) at which the cores touch, at a facet, edge or vertex of M, and a way (3,) out of it."""
         corners = self.triangles
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         facet = rng.choice(len(area), p=area / area.sum() if area.sum() > 0 else None)
@@ -107,7 +114,7 @@ class Difference:
         return -(q * self.unit) - self.middle, away
 
     def _nearest(self, p: np.ndarray) -> tuple[np.ndarray, ...]:
-        """What is nearest to points p (N, 3) on the surface of M.
+        """Find the nearest points to p (N, 3) on the surface of M.
 
         Returns:
             The signed distances from M (N,), the nearest points (N, 3), unit directions (N, 3) from p to them where
@@ -119,7 +126,7 @@ class Difference:
         distance = heights[np.arange(len(p)), facet]
         inward = -self.normals[facet]
         q = p.copy() if self.flat else p + distance[:, None] * inward
-        rivals = heights > distance[:, None] - _TIE
+        rivals = heights > distance[:, None] - _TIE_TOLERANCE
         cosines = np.einsum("ij,kj->ik", -inward, self.normals)
         clear = ~(rivals & (cosines < 1.0 - 1e-9)).any(axis=1)
         normal = inward.copy()
@@ -127,8 +134,8 @@ class Difference:
         if len(outside):
             distance[outside], q[outside] = self._to_triangles(p[outside], heights[outside])
             gap = distance[outside]
-            clear[outside] = (gap > FACE) if self.flat else True
-            for limit, direction in ((1e-12, normal), (FACE, inward)):
+            clear[outside] = (gap > FACE_TOLERANCE) if self.flat else True
+            for limit, direction in ((1e-12, normal), (FACE_TOLERANCE, inward)):
                 away = outside[gap > limit]
                 direction[away] = (q[away] - p[away]) / distance[away, None]
         normal[~normal.any(axis=1)] = self._across
@@ -136,7 +143,7 @@ class Difference:
 
     @property
     def _across(self) -> np.ndarray:
-        """A unit vector (3,) perpendicular to M, which has no inside."""
+        """Unit vector (3,) perpendicular to M, which has no interior."""
         edges = np.append(np.diff(self.triangles[0], axis=0), np.eye(3), axis=0)
         crosses = np.cross(edges[:2, None], edges).reshape(-1, 3)
         lengths = np.linalg.norm(crosses, axis=1)
@@ -146,11 +153,11 @@ class Difference:
 
     @property
     def flat(self) -> bool:
-        """Whether M has no inside."""
+        """True if M has no interior."""
         return not np.isfinite(self.offsets).all()
 
     def _to_triangles(self, p: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distances (N,) of points outside from the nearest triangles, and the nearest points."""
+        """Return distances (N,) of points outside from the nearest triangles, and the nearest points."""
         reach = np.linalg.norm(p[:, None] - self.centers, axis=2)
         most = (reach + self.spheres).min(axis=1, keepdims=True)
         near = np.maximum(reach - self.spheres, heights) <= most * (1 + 1e-12) + 1e-12
@@ -164,13 +171,13 @@ class Difference:
         return distance[first], points[first]
 
     def _witnesses(self, q: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points x of the first and y of the second core with y - x = q, and how far they slide; infinite: anywhere.
+        """Return points x of the first and y of the second core with y - x = q, and their slide; infinite: not unique.
 
         The supporting faces along n are compared: one of them is a point, or both are edges that cross.
         """
         N = len(q)
         x, y, slide = np.zeros((N, 3)), np.zeros((N, 3)), np.full(N, np.inf)
-        rows = max(1, _MOST // max(len(self.core_a), len(self.core_b)))
+        rows = max(1, _MAX_ENTRIES // max(len(self.core_a), len(self.core_b)))
         for start in range(0, N, rows):
             block = slice(start, start + rows)
             faces_a, slopes_a = supporting(self.core_a, n[block])
@@ -185,13 +192,13 @@ class Difference:
                     x[i], y[i], slide[i] = second[0] - q[i], second[0], 1.0 + b
                 elif len(first) == len(second) == 2:
                     x[i], y[i], sine = crossing(first, second, q[i])
-                    if sine > _CROSSING:
+                    if sine > _MIN_CROSSING_SINE:
                         slide[i] = 1.0 + (a + b) / sine
         return x, y, slide
 
 
 class Truths:
-    """The same for two bodies of any number of pieces: the minimum over the piece pairs."""
+    """The differences of two bodies of any number of pieces: the minimum over the piece pairs."""
 
     def __init__(self, a: Sequence[Piece], b: Sequence[Piece], R: np.ndarray) -> None:
         """Prepare the pieces of both bodies, the second body turned by R (3, 3) into the frame of the first."""
@@ -204,13 +211,13 @@ class Truths:
         self._radius = np.add.outer(first.radii, second.radii).ravel()
 
     def difference(self, k: int) -> Difference:
-        """The difference of the piece pair k, counted with the pieces of the second body fastest."""
+        """Return the difference of the piece pair k, counted with the pieces of the second body fastest."""
         if k not in self._differences:
             self._differences[k] = Difference(*self.pairs[k], self.R)
         return self._differences[k]
 
     def at(self, t: np.ndarray) -> Truth:
-        """The truth for offsets t (N, 3): the origin of the second body in the frame of the first, in metres."""
+        """Return the truth at offsets t (N, 3): the origin of the second body in the frame of the first, in metres."""
         if len(self.pairs) == 1:
             return self.difference(0).at(t)
         bound = np.linalg.norm(t[:, None] - self._offset, axis=2) - self._radius
@@ -223,26 +230,26 @@ class Truths:
             self._lower(found, k, t, np.flatnonzero(first == k))
         bound = np.maximum(bound, self._apart(t, found.normal))
         bound[np.arange(len(t)), first] = np.inf
-        # A rival that is as near is looked at, too.
-        slack = _TIE * self._radius
+        # A rival at the same distance is evaluated, too.
+        slack = _TIE_TOLERANCE * self._radius
         left = np.flatnonzero((bound < found.distance[:, None] + slack).any(axis=0))
         for k in left[np.argsort(bound[:, left].min(axis=0))]:
             self._lower(found, k, t, np.flatnonzero(bound[:, k] < found.distance + slack[k]))
         return found
 
     def _apart(self, t: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """How far (N, K) all piece pairs are apart along the unit vectors n (N, 3): never more than the truth."""
+        """Distances (N, K) of all piece pairs along the unit vectors n (N, 3): lower bounds of the truth."""
         first, second = self._sides
         lowest = np.einsum("ij,ij->i", n, t)[:, None] - second.reach(-n)
         return (lowest[:, None] - first.reach(n)[:, :, None]).reshape(len(t), -1)
 
     def _lower(self, found: Truth, k: int, t: np.ndarray, rows: np.ndarray) -> None:
-        """Put the piece pair k in the place of what is farther."""
+        """Replace results by those of the piece pair k where these are nearer."""
         if not len(rows):
             return
         new, size = self.difference(k).at(t[rows]), self._radius[k]
         moved = np.maximum(*(np.abs(getattr(new, name) - getattr(found, name)[rows]).max(axis=1) for name in _POINTS))
-        tie = (np.abs(new.distance - found.distance[rows]) < _TIE * size) & ~(moved <= FACE * size)
+        tie = (np.abs(new.distance - found.distance[rows]) < _TIE_TOLERANCE * size) & ~(moved <= FACE_TOLERANCE * size)
         better = new.distance < found.distance[rows]
         index = rows[better]
         for field in fields(Truth):
@@ -255,19 +262,19 @@ class _Side:
     """The P pieces of a body."""
 
     vertices: np.ndarray
-    """Of all of them (V, 3)."""
+    """Vertices of all pieces (V, 3)."""
     starts: np.ndarray
-    """Where those of each piece begin (P,)."""
+    """Index of the first vertex of each piece (P,)."""
     swept: np.ndarray
-    """The radius of each (P,)."""
+    """Radius of each piece (P,)."""
     centers: np.ndarray
-    """Centres (P, 3) of balls around them."""
+    """Centres (P, 3) of bounding spheres."""
     radii: np.ndarray
-    """Radii of the balls (P,)."""
+    """Radii of the bounding spheres (P,)."""
 
     @staticmethod
     def of(pieces: Sequence[Piece], R: np.ndarray) -> _Side:
-        """The pieces turned by R (3, 3)."""
+        """Make the pieces rotated by R (3, 3)."""
         turned = [piece.vertices @ R.T for piece in pieces]
         centers = np.array([vertices.mean(axis=0) for vertices in turned])
         swept = np.array([piece.radius for piece in pieces])
@@ -278,5 +285,5 @@ class _Side:
         return _Side(np.concatenate(turned), starts, swept, centers, np.array(cores) + swept)
 
     def reach(self, n: np.ndarray) -> np.ndarray:
-        """How far (N, P) each piece goes along the vectors n (N, 3)."""
+        """Extent (N, P) of each piece along the vectors n (N, 3)."""
         return np.maximum.reduceat(n @ self.vertices.T, self.starts, axis=1) + self.swept

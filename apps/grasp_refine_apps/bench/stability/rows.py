@@ -1,4 +1,4 @@
-"""What came of one cell of the benchmark: a flat entry with counts, the same for queries and for derivatives."""
+"""Rows of the benchmark: one flat entry with counts for each cell, of queries or of derivatives."""
 
 from __future__ import annotations
 
@@ -20,53 +20,53 @@ WRONG = (
     "derivative_wrong_sign",
     "derivative_unscaled",
 )
-"""Counts that should be 0. A refusal says what is wrong with the input, and faults of MuJoCo are its own."""
+"""Counts that should be 0. A refusal is a fault of the input, and faults of MuJoCo are its own."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Counts of all queries of one body kind, size and state, asked in one way."""
+    """Counts of all queries of one body kind, size and state, in one way to query."""
 
     kind: str
-    """Which bodies."""
+    """Kind of bodies."""
     diagonal: float
     """Diagonal of the bounding box of the larger body in metres."""
     state: str
-    """How the bodies lie to each other."""
+    """Relative state of the bodies."""
     measure: Measure
-    """Whether distances and points were judged, or how points move."""
+    """Checked property: distances and points, or their derivatives."""
     dtype: str
-    """Of the poses: float64 or float32."""
+    """Precision of the poses: float64 or float32."""
     queries: int
-    """Pairs of poses that were asked."""
+    """Number of queried pairs of poses."""
     batch: int | None = None
-    """Poses in one call; None: not what varies here."""
+    """Poses in one call; None: not varied here."""
     engine: str | None = None
-    """Who answered: native or python; None: not what varies here."""
+    """Collision engine: native or python; None: not varied here."""
     method: str | None = None
-    """How points were differentiated; None: they were not."""
+    """Derivative method of the witness points; None: not differentiated."""
     neighborhood: str | None = None
-    """Which candidates stood for the surface; None: none were needed."""
+    """Neighbourhood of candidates for the surface; None: not needed."""
     translation: float = 0.0
-    """How far from the origin of the world both bodies are, in metres."""
+    """Distance of both bodies from the origin of the world, in metres."""
     refused: int = 0
-    """Queries of bodies that could not be built, or of an engine that is not there, see `refusal`."""
+    """Queries of bodies that could not be built, or of an engine that is not available, see `refusal`."""
     failed: int = 0
-    """Queries without an answer, as the status or an error says."""
+    """Queries without an answer, by the status or an error."""
     not_finite: int = 0
-    """Answers with a distance, point or normal that is no number, or finite poses that are called not finite."""
+    """Answers with a distance, point or normal that is not finite, or finite poses that are reported as not finite."""
     wrong_distance: int = 0
     """Distances further from the reference than the tolerance."""
     wrong_sign: int = 0
     """Distances of the wrong sign where the reference exceeds the tolerance."""
     wrong_points: int = 0
     """Witness points further from the reference than the tolerance, of those compared; or, of all, not on the bodies,
-    or not as far apart along the normal as the answer says."""
+    or not the reported distance apart along the normal."""
     points_compared: int = 0
     """Queries whose witness points are unique."""
     collapsed: int = 0
     """Answers within the tolerance whose sign or status is not that of the reference, though that exceeds rounding by
-    far: gaps that are told as contact. No fault."""
+    far: gaps that are reported as contact. No fault."""
     error_max: float | None = None
     """Largest error of a distance over its tolerance; None: nothing was compared."""
     distance_error_max_m: float | None = None
@@ -74,23 +74,23 @@ class Cell:
     points_error_max: float | None = None
     """Largest error of witness points and normal over its tolerance; None: nothing was compared."""
     mujoco_queries: int = 0
-    """Queries that MuJoCo was asked too."""
+    """Queries that MuJoCo also answered."""
     mujoco_wrong: int = 0
-    """Of these, distances of MuJoCo that are wrong by the same measure. They say nothing about ours."""
+    """Distances of MuJoCo among these that are wrong by the same measure. Not a fault of ours."""
     derivative_not_finite: int = 0
-    """Queries with an entry of the derivative that is no number."""
+    """Queries with an entry of the derivative that is not finite."""
     derivative_unbounded: int = 0
     """Queries whose derivative exceeds its bound."""
     derivative_wrong_sign: int = 0
-    """Queries whose derivative is not the true one where that is known: points that move the wrong way, too."""
+    """Queries whose derivative differs from the true one where known, such as points that move the wrong way."""
     derivative_unscaled: int = 0
     """Queries whose derivative does not follow a change of the unit of length."""
     derivative_error_max: float | None = None
     """Largest error of a derivative over its tolerance; None: nothing was compared."""
     refusal: str | None = None
-    """Why queries were refused, in one line."""
+    """Reason why queries were refused, in one line."""
     where: str | None = None
-    """Which answers are wrong, the first of each pair of bodies; or the error that there was instead of answers."""
+    """First wrong answer of each pair of bodies; or the error that there was instead of answers."""
 
     def row(self) -> Row:
         """The entry of the table."""

@@ -1,4 +1,4 @@
-"""A second opinion: MuJoCo's distance of two bodies, asked in units in which they are about 1 long."""
+"""A second opinion: MuJoCo's distance of two bodies, computed in units in which they are about 1 long."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from grasp_refine.core.se3 import inverse
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
 
-ROUNDING = 4 * float(np.finfo(np.float32).eps)
-"""What MuJoCo may be off by, as a share of size and distance: it keeps vertices in single precision."""
+MUJOCO_TOLERANCE = 4 * float(np.finfo(np.float32).eps)
+"""Allowed error of MuJoCo, as a share of size and distance: it keeps vertices in single precision."""
 
-FARTHEST = 1e6
-"""Distances beyond this, in diagonals, do not matter to it."""
+CUTOFF_DIAGONALS = 1e6
+"""Distances beyond this, in diagonals, are ignored by MuJoCo."""
 
 
 @dataclass(frozen=True, eq=False)
 class SecondOpinion:
-    """MuJoCo's view of two bodies; made once, asked often."""
+    """MuJoCo's model of two bodies; built once, queried often."""
 
     a: Body
     b: Body
@@ -34,9 +34,9 @@ class SecondOpinion:
 
     @cached_property
     def _model(self) -> mujoco.MjModel | None:
-        """The first body in the world, the second one on a body that moves; None: MuJoCo refuses them."""
+        """Model with the first body in the world, the second one on a body that moves; None: MuJoCo refuses them."""
         spec = mujoco.MjSpec()
-        # Tighter than its defaults, so that what is left is its own.
+        # Tighter than its defaults, so that the remaining error is its own.
         spec.option.ccd_tolerance, spec.option.ccd_iterations = 1e-10, 200
         moving = spec.worldbody.add_body(mocap=True)
         for body, owner in ((self.a, spec.worldbody), (self.b, moving)):
@@ -48,7 +48,7 @@ class SecondOpinion:
             return None
 
     def distances(self, T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray | None:
-        """Signed distances (N,) in metres at the poses (N, 4, 4); None: MuJoCo refuses such bodies."""
+        """Return signed distances (N,) in metres at the poses (N, 4, 4); None: MuJoCo refuses such bodies."""
         model = self._model
         if model is None:
             return None
@@ -61,7 +61,7 @@ class SecondOpinion:
         for relative in inverse(T_a) @ T_b:
             data.geom_xpos[geoms] = center @ relative[:3, :3].T + relative[:3, 3] / self.unit
             data.geom_xmat[geoms] = (relative[:3, :3] @ R).reshape(-1, 9)
-            nearest = FARTHEST
+            nearest = CUTOFF_DIAGONALS
             for one, other in product(first, geoms.tolist()):
                 nearest = min(nearest, mujoco.mj_geomDistance(model, data, one, other, nearest, None))
             found.append(nearest * self.unit)
@@ -69,14 +69,14 @@ class SecondOpinion:
 
 
 def _add(spec: mujoco.MjSpec, owner: mujoco.MjsBody, piece: Piece, unit: float, name: str) -> None:
-    """Give a body the geom of a piece."""
+    """Add the geom of a piece to a body."""
     vertices, radius = piece.vertices / unit, piece.radius / unit
     if len(vertices) == 1:
         owner.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=vertices[0])
     elif len(vertices) == 2:
         owner.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[radius, 0, 0], fromto=vertices.ravel())
     else:
-        # A shell, because it refuses solids with too little inside.
+        # A shell, because MuJoCo refuses solids with too little volume.
         spec.add_mesh(
             name=name,
             uservert=vertices.ravel(),

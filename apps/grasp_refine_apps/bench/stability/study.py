@@ -1,4 +1,4 @@
-"""A run of the benchmark: each task asks all it has to ask, and rows come out."""
+"""A run of the benchmark: each task makes all its queries, and returns rows."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from grasp_refine_apps.bench.stability.task import Task
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out of a study."""
+    """Results of a study."""
 
     rows: list[dict[str, Any]]
-    """The cells."""
+    """Entries of the tables, one for each cell."""
     problems: list[str]
-    """What went wrong with tasks that ended early: each is an exception that should not have been."""
+    """Errors of tasks that ended early: each is an exception that should not occur."""
 
     @property
     def wrong(self) -> bool:
-        """Whether something is."""
+        """Whether any task or cell has a fault."""
         return bool(self.problems) or any(map(wrong, self.rows))
 
 
@@ -38,16 +38,16 @@ class TaskJob:
 
     @property
     def work(self) -> float:
-        """About how long it takes: many pieces take longest."""
+        """Approximate duration: many pieces take longest."""
         return 4.0 if self.task.kind == "concave40" else 1.0
 
     @property
     def label(self) -> str:
-        """What it is, for a progress bar."""
+        """Label of the job, for a progress bar."""
         return f"{self.task.kind}, {length(self.task.diagonal)}"
 
     def do(self, progress: Callable[[float], None]) -> list[Cell]:
-        """What came of all its cells."""
+        """Check all its cells."""
         found: list[Cell] = []
         both = (forward_cells, self.task.forwards), (derivative_cells, self.task.derivatives)
         asked = [cells for cells, ways in both if ways]
@@ -60,12 +60,12 @@ class TaskJob:
 
 
 def run_study(tasks: Sequence[Task], workers: int, progress: Callable[[float, str], None]) -> Outcome:
-    """Do all tasks.
+    """Run all tasks.
 
     Args:
-        tasks: What is asked.
+        tasks: Tasks to run.
         workers: Processes.
-        progress: Gets the share of the work that is done, and what is.
+        progress: Called with the share of the work that is done, and its label.
     """
     done, problems = run_jobs([TaskJob(task) for task in tasks], workers, progress)
     return Outcome([cell.row() for its in done for cell in its], problems)

@@ -8,7 +8,7 @@ from textwrap import wrap
 from rich.box import SIMPLE
 from rich.table import Table
 
-from grasp_refine_apps.bench.stability.counts import counted, error_of, grouped, of_measure, worst, wrong
+from grasp_refine_apps.bench.stability.counts import error_of, group_rows, of_measure, total_counts, worst, wrong
 from grasp_refine_apps.bench.stability.labels import again, faults, ordered, words
 from grasp_refine_apps.bench.stability.rows import Row
 
@@ -24,7 +24,7 @@ FORWARD = (
     ("dist.\nerr.", "error_max"),
     ("pts.\nerr.", "points_error_max"),
 )
-"""Columns on queries, and what they count, or the largest of which error they are."""
+"""Columns on queries, and their counts, or the error of which they show the largest."""
 
 DERIVATIVE = (
     ("re-\nfused", "refused"),
@@ -37,20 +37,20 @@ DERIVATIVE = (
 )
 """Columns on derivatives."""
 
-WORST, NEAREST = 5, 2
-"""Cells that are shown by name: most if something is wrong, and of each precision if nothing is."""
+MAX_WRONG_CELLS, MAX_NEAR_CELLS = 5, 2
+"""Largest number of listed cells: if something is wrong, and of each precision if nothing is."""
 
-WIDTH = 78
-"""Letters of a line of a command, which goes on after a backslash."""
+LINE_CHARACTERS = 78
+"""Characters of a line of a command, which continues after a backslash."""
 
 
 def bench_tables(rows: Sequence[Row], seed: int, crashes: int) -> Iterator[Table | str]:
-    """Counts of queries, counts of derivatives, the cells with the largest errors, and all in one line.
+    """Yield counts of queries, counts of derivatives, the cells with the largest errors, and a summary.
 
     Args:
         rows: All rows.
-        seed: Of the run.
-        crashes: Tasks that gave no rows.
+        seed: Seed of the run.
+        crashes: Number of tasks without rows.
     """
     forward, derivative = of_measure(rows, "forward"), of_measure(rows, "derivative")
     if forward:
@@ -69,10 +69,10 @@ def bench_tables(rows: Sequence[Row], seed: int, crashes: int) -> Iterator[Table
 
 
 def summary(rows: Sequence[Row], crashes: int) -> Iterator[str]:
-    """How much was asked, and how many faults there were, in a line; one more of MuJoCo."""
-    found = counted(rows)
+    """Yield the numbers of queries and of faults in a line; one more of MuJoCo."""
+    found = total_counts(rows)
     asked = [
-        f"{counted(its)['queries']} {what}"
+        f"{total_counts(its)['queries']} {what}"
         for its, what in ((of_measure(rows, "forward"), "queries"), (of_measure(rows, "derivative"), "derivatives"))
         if its
     ]
@@ -81,20 +81,20 @@ def summary(rows: Sequence[Row], crashes: int) -> Iterator[str]:
     refused = f", {found['refused']} refused" if found["refused"] else ""
     crashed = f", {crashes} crashed" if crashes else ""
     if found["mujoco_queries"]:
-        yield f"MuJoCo, asked {found['mujoco_queries']} of the queries: {found['mujoco_wrong']} wrong"
+        yield f"MuJoCo, at {found['mujoco_queries']} of the queries: {found['mujoco_wrong']} wrong"
     yield f"{found.cells} cells, {' and '.join(asked)}: {wrongs}{collapsed}{refused}{crashed}"
 
 
 def _columns(table: Table, heads: Sequence[str]) -> None:
-    for head in ("\nasked", *heads):
+    for head in ("quer-\nies", *heads):
         table.add_column(head, justify="right", no_wrap=True)
 
 
 def _counts(table: Table, rows: Sequence[Row], key: str, columns: Sequence[tuple[str, str]]) -> None:
-    """A line for each value of a key; of states, one for all too."""
-    groups = grouped(rows, (key,))
-    lines = [(words(key, value), counted(groups[value,])) for value in ordered(key, (row[key] for row in rows))]
-    lines += [("all", counted(rows))] if key == "state" else []
+    """Add a line for each value of a key; of states, one for all too."""
+    groups = group_rows(rows, (key,))
+    lines = [(words(key, value), total_counts(groups[value,])) for value in ordered(key, (row[key] for row in rows))]
+    lines += [("all", total_counts(rows))] if key == "state" else []
     for name, found in lines:
         names = ["queries", *(of for _, of in columns)]
         cells = [number(found.largest[of]) if of in found.largest else str(found[of]) for of in names]
@@ -104,20 +104,22 @@ def _counts(table: Table, rows: Sequence[Row], key: str, columns: Sequence[tuple
 
 
 def number(value: float | None) -> str:
-    """An error over its tolerance."""
+    """Format an error over its tolerance."""
     return "-" if value is None else "0" if value == 0 else f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e+")
 
 
 def _worst(rows: Sequence[Row], seed: int) -> Iterator[str]:
-    """The wrong cells, or else those nearest to it, each with how to ask for it again."""
-    shown = worst(rows, WORST, NEAREST)
+    """Yield the wrong cells, or else those nearest to it, each with the command that repeats it."""
+    shown = worst(rows, MAX_WRONG_CELLS, MAX_NEAR_CELLS)
     if shown:
-        yield "what is wrong, and how to ask for it again:" if wrong(shown[0]) else "nearest to being wrong:"
+        yield "wrong cells, and the commands that repeat them:" if wrong(shown[0]) else "nearest to being wrong:"
     for row in shown:
         error = error_of(row)
         said = [faults(row), row["dtype"], "" if error is None else f"error {number(error)} of its tolerance"]
         yield f"- {', '.join(filter(None, said))}"
-        lines = wrap(again(row, seed), WIDTH, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False)
+        lines = wrap(
+            again(row, seed), LINE_CHARACTERS, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False
+        )
         yield " \\\n".join(lines)
     if shown:
         yield ""

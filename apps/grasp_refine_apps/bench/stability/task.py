@@ -1,4 +1,4 @@
-"""A piece of the work: bodies of one kind and size, built once, in all their states, asked in all ways."""
+"""A piece of the work: bodies of one kind and size, built once, in all their states, queried in all ways."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from grasp_refine_apps.bench.stability.cases import Derivative, Forward, Kind, S
 
 @dataclass(frozen=True)
 class Task:
-    """What is asked of bodies of one kind and size."""
+    """Queries of bodies of one kind and size."""
 
     kind: Kind
-    """Which bodies."""
+    """Kind of bodies."""
     diagonal: float
     """Diagonal of the bounding box of the larger body in metres."""
     states: tuple[State, ...]
-    """How they lie to each other; a state that such bodies cannot be in is left out."""
+    """Relative states of the bodies; states that are impossible for such bodies are left out."""
     forwards: tuple[Forward, ...] = ()
-    """How distances and points are asked for."""
+    """Ways to query distances and points."""
     derivatives: tuple[Derivative, ...] = ()
-    """How points are differentiated."""
+    """Ways to differentiate points."""
     translations: tuple[float, ...] = (0.0,)
-    """How far from the origin of the world the bodies are when distances are asked for, in metres."""
+    """Distances of the bodies from the origin of the world for queries of distances, in metres."""
     queries: int = 64
-    """Pairs of poses for each state, way of asking and translation."""
+    """Pairs of poses for each state, way to query and translation."""
     differentiated: int = 16
     """Pairs of poses for each state and derivative."""
     mujoco: int = 8
-    """Pairs of poses of each state that MuJoCo is asked too."""
+    """Pairs of poses of each state that MuJoCo is also queried at."""
     seed: int = 0
-    """Of bodies and poses, which depend on nothing else but kind, diagonal and state."""
+    """Seed of bodies and poses, which otherwise depend on kind, diagonal and state only."""

@@ -13,7 +13,7 @@ from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.se3 import adjoint, ambient_gradient, exp_se3, inverse, log_se3, transform_points
 from grasp_refine.witness.finite_difference import FiniteDifference
 from grasp_refine_apps.bench.align import descent as module
-from grasp_refine_apps.bench.align.aligned import Aligned
+from grasp_refine_apps.bench.align.aligned import AlignmentResult
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
 from grasp_refine_apps.bench.align.descent import METRES_PER_RADIAN, _step, align
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, aligned_poses, draw_tasks, exposed_vertices
@@ -40,7 +40,7 @@ def accepted(pair: BodyPair, count: int = N, seed: int = 0) -> Tasks:
     return tasks.take(np.flatnonzero(tasks.accepted))
 
 
-def ran(variant: Variant, tasks: Tasks | None = None, pair: BodyPair = PAIR, **options: object) -> Aligned:
+def ran(variant: Variant, tasks: Tasks | None = None, pair: BodyPair = PAIR, **options: object) -> AlignmentResult:
     """A run of one pair."""
     return align([pair], [accepted(pair) if tasks is None else tasks], variant.built(0), **options)
 

@@ -83,7 +83,7 @@ def test_a_place_is_concave_only_near_a_piece_that_rises():
 
 def test_the_caption_names_a_vertex_on_a_face_apart():
     words = caption(ended(CUBE, PIN, (0.01, 0.0, 0.0221), method="analytical + EG", turn=(0.4, -1.0, 2.0)))
-    assert words.startswith("The bodies are 2.1 mm apart (0 mm wanted); ")
+    assert words.startswith("The bodies are 2.1 mm apart (0 mm desired); ")
     assert "on a face of body a and at a vertex of body b, 10.0 mm and 0 mm from the targets." in words
     # The vertex is on its target, so that it is not what is missing.
     assert "At a vertex" not in words
@@ -93,7 +93,7 @@ def test_the_caption_names_a_vertex_on_a_face_apart():
 
 def test_the_caption_tells_penetration():
     inside = ended(CUBE, PIN, (0.003, 0.0, 0.018), method="zeroth-order")
-    assert caption(inside).startswith("The bodies penetrate by 2.0 mm (0 mm wanted); ")
+    assert caption(inside).startswith("The bodies penetrate by 2.0 mm (0 mm desired); ")
     assert "In penetration" in caption(inside)
     assert "In penetration" not in caption(replace(inside, method="distance"))
 

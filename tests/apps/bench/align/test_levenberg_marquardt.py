@@ -14,9 +14,13 @@ from grasp_refine.geometry.pieces import box, sphere
 from grasp_refine.refinement.solvers.least_squares import Point
 from grasp_refine.refinement.solvers.levenberg_marquardt import bounded_step
 from grasp_refine.witness.patch import Patch
-from grasp_refine_apps.bench.align.aligned import Aligned
+from grasp_refine_apps.bench.align.aligned import AlignmentResult
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
-from grasp_refine_apps.bench.align.levenberg_marquardt import TOLERANCE, AlignLevenbergMarquardt, minimised
+from grasp_refine_apps.bench.align.levenberg_marquardt import (
+    TOLERANCE_M2,
+    AlignLevenbergMarquardt,
+    run_levenberg_marquardt,
+)
 from grasp_refine_apps.bench.align.problem import AlignProblem, supporting
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from shapes_for_tests import cluster_body, convex_body, ring_body
@@ -45,7 +49,7 @@ def errors_at(pair: BodyPair, tasks: Tasks, T_b: np.ndarray, margin: float) -> n
 def test_it_solves_tasks_and_tells_how_many_queries_each_took(pair: BodyPair, margin: float):
     tasks = accepted(pair, 12)
     before = errors_at(pair, tasks, tasks.T_world_b, margin)
-    result = minimised([pair], [tasks], AlignLevenbergMarquardt(margin, 200))
+    result = run_levenberg_marquardt([pair], [tasks], AlignLevenbergMarquardt(margin, 200))
     assert (result.error[tasks.reachable, 0] < 1e-8).mean() >= 0.8
     assert (result.error[:, 0] <= before).all()
     np.testing.assert_array_equal(result.last_error, result.error)
@@ -55,7 +59,7 @@ def test_it_solves_tasks_and_tells_how_many_queries_each_took(pair: BodyPair, ma
     assert result.witness.distance.shape == result.error.shape
     assert ((result.iterations > 0) & (result.iterations <= 200)).all()
     # Whoever is not solved has used all that there was.
-    solved = result.error < 2 * TOLERANCE
+    solved = result.error < 2 * TOLERANCE_M2
     assert (result.iterations[~solved] == 200).all() and result.iterations[solved].mean() < 100
     asked = result.watch.queries / result.iterations.sum()
     assert asked == 1.0 if pair is PAIR else asked > 1.0
@@ -64,7 +68,9 @@ def test_it_solves_tasks_and_tells_how_many_queries_each_took(pair: BodyPair, ma
 def test_the_same_seed_gives_the_same_poses_and_another_one_other_starts():
     tasks = accepted(OTHER, 9)
     solver = AlignLevenbergMarquardt(1e-3, 60)
-    runs = [minimised([OTHER], [tasks], its).T_world_b for its in (solver, solver, replace(solver, seed=1))]
+    runs = [
+        run_levenberg_marquardt([OTHER], [tasks], its).T_world_b for its in (solver, solver, replace(solver, seed=1))
+    ]
     np.testing.assert_array_equal(runs[0], runs[1])
     problems = [AlignProblem([OTHER], [tasks], 0.0, seed) for seed in (0, 1)]
     now = Point(tasks.T_world_b, np.zeros((len(tasks), 0)))
@@ -77,10 +83,10 @@ def test_the_same_seed_gives_the_same_poses_and_another_one_other_starts():
 def test_what_comes_of_a_task_does_not_depend_on_the_others(pair: BodyPair):
     tasks = accepted(pair, 9)
     solver = AlignLevenbergMarquardt(1e-3, 60)
-    together = minimised([OTHER, pair], [accepted(OTHER, 6), tasks], solver)
+    together = run_levenberg_marquardt([OTHER, pair], [accepted(OTHER, 6), tasks], solver)
     for i in range(len(tasks)):
-        alone = minimised([pair], [tasks.take(np.array([i]))], solver)
-        assert (alone.error[0, 0] < 2 * TOLERANCE) == (together.error[i, 1] < 2 * TOLERANCE)
+        alone = run_levenberg_marquardt([pair], [tasks.take(np.array([i]))], solver)
+        assert (alone.error[0, 0] < 2 * TOLERANCE_M2) == (together.error[i, 1] < 2 * TOLERANCE_M2)
         # Curvatures are fitted in single precision, whose rounding depends on how many are fitted at once; some
         # tasks leave a rotation open in which it adds up.
         np.testing.assert_allclose(alone.T_world_b[0, 0], together.T_world_b[i, 1], rtol=0, atol=1e-3)
@@ -88,7 +94,7 @@ def test_what_comes_of_a_task_does_not_depend_on_the_others(pair: BodyPair):
 
 def test_a_pair_of_fewer_tasks_repeats_them_without_running_them():
     few = [accepted(PAIR, 6), accepted(OTHER, 6).take(np.arange(2))]
-    result: Aligned = minimised([PAIR, OTHER], few, AlignLevenbergMarquardt(1e-3, 30))
+    result: AlignmentResult = run_levenberg_marquardt([PAIR, OTHER], few, AlignLevenbergMarquardt(1e-3, 30))
     assert result.error.shape == (len(few[0]), 2)
     assert (result.iterations[2:, 1] == 0).all() and (result.iterations[:2, 1] > 0).all()
     np.testing.assert_array_equal(result.error[2:4, 1], result.error[:2, 1])
@@ -97,7 +103,8 @@ def test_a_pair_of_fewer_tasks_repeats_them_without_running_them():
 def test_the_patch_solves_targets_on_faces():
     tasks = accepted(BOXES, 40, ("face-face",))
     plain, patch = (
-        minimised([BOXES], [tasks], AlignLevenbergMarquardt(1e-3, 200, witness)) for witness in (None, Patch(1e-5))
+        run_levenberg_marquardt([BOXES], [tasks], AlignLevenbergMarquardt(1e-3, 200, witness))
+        for witness in (None, Patch(1e-5))
     )
     w = Patch(1e-5).refine(
         Pairs((BOXES.a,), (BOXES.b,)), tasks.T_world_a, patch.T_world_b[:, 0],
@@ -143,5 +150,5 @@ def test_the_supporting_face_is_the_one_that_faces_outward_most():
 
 def test_progress_grows_to_one_at_most():
     shares: list[float] = []
-    minimised([PAIR], [accepted(PAIR, 9)], AlignLevenbergMarquardt(1e-3, 60), progress=shares.append)
+    run_levenberg_marquardt([PAIR], [accepted(PAIR, 9)], AlignLevenbergMarquardt(1e-3, 60), progress=shares.append)
     assert shares == sorted(shares) and 0.0 < shares[0] and shares[-1] <= 1.0

@@ -13,7 +13,7 @@ from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.levenberg_marquardt import AlignLevenbergMarquardt
 from grasp_refine_apps.bench.align.presets import BASELINE, EPSILON, MARGINS, OURS, PRESETS, STEP_SIZES
 from grasp_refine_apps.bench.align.tasks import CLASSES
-from grasp_refine_apps.bench.align.variants import FEW_TARGETS, MethodName, Variant
+from grasp_refine_apps.bench.align.variants import TARGET_STRIDE, MethodName, Variant
 from grasp_refine_apps.commands.bench_align import PresetName
 
 METHODS = set(get_args(MethodName))
@@ -118,7 +118,7 @@ def test_patch_is_compared_on_faces_by_both_metrics():
 
 
 def test_methods_of_many_queries_run_an_eighth_of_the_targets():
-    assert FEW_TARGETS == 8
+    assert TARGET_STRIDE == 8
     for method in METHODS:
         expensive = method in ("finite-difference", "zeroth-order")
         assert Variant(method).every == (8 if expensive else 1)

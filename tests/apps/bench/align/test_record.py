@@ -8,7 +8,7 @@ import pytest
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.se3 import transform_points
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
-from grasp_refine_apps.bench.align.record import LONGEST, largest_budgets, record_task, shown_task, thinned
+from grasp_refine_apps.bench.align.record import MAX_ITERATES, largest_budgets, record_task, shown_task, thin
 from grasp_refine_apps.bench.align.runner import Job
 from grasp_refine_apps.bench.align.saved import AlignmentTask
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
@@ -111,7 +111,7 @@ def test_the_task_that_is_shown_can_be_solved():
 
 @pytest.mark.parametrize("keep", [0, 1, 3333, 9998, 9999])
 def test_long_runs_are_thinned_evenly(keep: int):
-    kept = thinned(10_000, keep)
-    assert len(kept) <= LONGEST and kept[0] == 0 and kept[-1] == 9999 and keep in kept
+    kept = thin(10_000, keep)
+    assert len(kept) <= MAX_ITERATES and kept[0] == 0 and kept[-1] == 9999 and keep in kept
     assert np.diff(kept).max() <= 6 and np.diff(kept).min() >= 1
-    np.testing.assert_array_equal(thinned(LONGEST, keep), np.arange(LONGEST))
+    np.testing.assert_array_equal(thin(MAX_ITERATES, keep), np.arange(MAX_ITERATES))

@@ -10,10 +10,10 @@ import pytest
 
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.json_files import dumps
-from grasp_refine_apps.bench.align.aligned import Aligned
+from grasp_refine_apps.bench.align.aligned import AlignmentResult
 from grasp_refine_apps.bench.align.bodies import BodyPair
-from grasp_refine_apps.bench.align.rows import LEVELS, rows, summary
-from grasp_refine_apps.bench.align.runner import Done, Job
+from grasp_refine_apps.bench.align.rows import ERROR_LEVELS_M2, rows, summary
+from grasp_refine_apps.bench.align.runner import Job, JobResult
 from grasp_refine_apps.bench.align.stopwatch import PARTS, Stopwatch
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks
 from grasp_refine_apps.bench.align.variants import Variant
@@ -57,7 +57,7 @@ def done(
     cpu_s: float = 1.0,
     asked: int = 1000,
     patch_error: np.ndarray | None = None,
-) -> Done:
+) -> JobResult:
     """A result with these errors (N, P); the last ones are ten times as large."""
     pairs = tuple(BodyPair(f"pair {p}", kind, A, B) for p in range(len(tasks)))
     shares = (0.1, 0.2, 0.3, 0.4)
@@ -66,8 +66,10 @@ def done(
     for (stage, *_), share in zip(PARTS.values(), shares, strict=True):
         watch.spent[stage].cpu_s = share * cpu_s
     T = np.broadcast_to(np.eye(4), (*error.shape, 4, 4))
-    aligned = Aligned(error, 10 * error, T, T, WITNESS, np.full(error.shape, iterations), watch, cpu_s, 2 * cpu_s)
-    return Done(Job(variant, pairs, tuple(tasks), 0, "float64", "cpu", 1), aligned, patch_error)
+    aligned = AlignmentResult(
+        error, 10 * error, T, T, WITNESS, np.full(error.shape, iterations), watch, cpu_s, 2 * cpu_s
+    )
+    return JobResult(Job(variant, pairs, tuple(tasks), 0, "float64", "cpu", 1), aligned, patch_error)
 
 
 def by(found: list[dict[str, Any]], **values: Any) -> dict[str, Any]:
@@ -87,7 +89,7 @@ def test_a_weighted_summary_is_that_of_the_tasks_it_stands_for(seed: int):
     expanded = np.sort(np.repeat(errors, weights))
     found = summary(errors, weights.astype(float))
     assert set(found) == SUMMARY and found["targets"] == len(errors)
-    for name, level in LEVELS.items():
+    for name, level in ERROR_LEVELS_M2.items():
         assert found[name] == pytest.approx((expanded < level).mean())
     for name, tenths in (("d5", 5), ("d9", 9)):
         assert found[name] == expanded[-(-len(expanded) * tenths // 10) - 1]

@@ -15,7 +15,7 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align import runner as module
 from grasp_refine_apps.bench.align.bodies import BodyPair
-from grasp_refine_apps.bench.align.runner import Done, Job, jobs
+from grasp_refine_apps.bench.align.runner import Job, JobResult, jobs
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from grasp_refine_apps.bench.jobs import run_jobs
@@ -52,19 +52,19 @@ def quiet(share: float, what: str) -> None:
     pass
 
 
-def alone(job: Job) -> Done:
+def alone(job: Job) -> JobResult:
     """The result of a job that nobody watches."""
     return job.do(lambda share: None)
 
 
 def test_each_variant_sees_each_pair_once(tasks: list[Tasks], monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setitem(module.WIDTH, "descent", {"convex": 1, "concave": 2})
+    monkeypatch.setitem(module.PAIRS_PER_JOB, "descent", {"convex": 1, "concave": 2})
     todo = made(tasks)
     seen = Counter((job.variant, pair.name) for job in todo for pair in job.pairs)
     assert seen == {(variant, pair.name): 1 for variant in VARIANTS for pair in PAIRS}
     for job in todo:
         assert len({pair.kind for pair in job.pairs}) == 1
-        assert len(job.pairs) == len(job.tasks) <= module.WIDTH[job.variant.solver][job.pairs[0].kind]
+        assert len(job.pairs) == len(job.tasks) <= module.PAIRS_PER_JOB[job.variant.solver][job.pairs[0].kind]
         for pair, chosen in zip(job.pairs, job.tasks, strict=True):
             full = tasks[PAIRS.index(pair)]
             expected = full if job.variant.method == "distance" else full.every(8)
@@ -133,7 +133,7 @@ def test_the_queries_that_are_told_are_those_that_were_made(method: str, tasks: 
     (job,) = made(tasks[1:2], PAIRS[1:2], (variant,))
     done = alone(job)
     # One narrow-phase query answers a query of two hulls.
-    assert done.aligned.watch.queries == variant.queries(7) * done.aligned.error.size
+    assert done.aligned.watch.queries == variant.queries(np.full(done.aligned.error.shape, 7)).sum()
 
 
 @pytest.mark.parametrize("workers", [1, 2])

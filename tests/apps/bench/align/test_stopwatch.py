@@ -13,7 +13,7 @@ from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine_apps.bench.align import stopwatch as module
 from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.descent import align
-from grasp_refine_apps.bench.align.levenberg_marquardt import minimised
+from grasp_refine_apps.bench.align.levenberg_marquardt import run_levenberg_marquardt
 from grasp_refine_apps.bench.align.stopwatch import PARTS, PASSES, Stopwatch, TimedDerivative
 from grasp_refine_apps.bench.align.tasks import draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
@@ -77,7 +77,7 @@ def test_the_stages_of_a_run_sum_to_its_time(solver: str):
     if solver == "descent":
         result = align([pair], [tasks], Variant(budget=30).built(0))
     else:
-        result = minimised([pair], [tasks], Variant.least_squares(budget=30).built(0))
+        result = run_levenberg_marquardt([pair], [tasks], Variant.least_squares(budget=30).built(0))
     spent = cpu_share([result.watch], PARTS)
     assert set(spent) == set(PARTS) and min(spent.values()) > 0.0
     assert sum(spent.values()) == pytest.approx(1.0)

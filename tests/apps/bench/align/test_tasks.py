@@ -14,10 +14,10 @@ from grasp_refine.geometry.body import Body
 from grasp_refine_apps.bench.align import tasks as module
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
 from grasp_refine_apps.bench.align.tasks import (
-    ACCEPTED,
+    ACCEPTED_MISS_M,
+    ACCEPTED_PER_REJECTED,
     CLASSES,
-    REACHABLE,
-    REJECTED_SHARE,
+    REACHABLE_MISS_M,
     Tasks,
     aligned_poses,
     draw_tasks,
@@ -155,7 +155,7 @@ class Recorded:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.tasks: list[Tasks] = []
         self.T_aligned: list[np.ndarray] = []
-        draw, place = module._drawn, module.aligned_poses
+        draw, place = module._draw, module.aligned_poses
 
         def drawn(*arguments: Any) -> Tasks:
             self.tasks.append(draw(*arguments))
@@ -165,7 +165,7 @@ class Recorded:
             self.T_aligned.append(place(*arguments))
             return self.T_aligned[-1]
 
-        monkeypatch.setattr(module, "_drawn", drawn)
+        monkeypatch.setattr(module, "_draw", drawn)
         monkeypatch.setattr(module, "aligned_poses", placed)
 
     def all(self) -> Tasks:
@@ -183,8 +183,8 @@ def test_the_witness_points_at_the_aligned_pose_decide(pair: BodyPair, monkeypat
         in_b = (found.point_b[0, 0] - T_b[:3, 3]) @ T_b[:3, :3]
         miss.append(np.hypot(np.linalg.norm(found.point_a[0, 0] - t_a), np.linalg.norm(in_b - t_b)))
         np.testing.assert_allclose(T_b[:3, :3] @ t_b + T_b[:3, 3], t_a, atol=1e-12)
-    np.testing.assert_array_equal(tasks.accepted, np.array(miss) < ACCEPTED)
-    np.testing.assert_array_equal(tasks.reachable, np.array(miss) < REACHABLE)
+    np.testing.assert_array_equal(tasks.accepted, np.array(miss) < ACCEPTED_MISS_M)
+    np.testing.assert_array_equal(tasks.reachable, np.array(miss) < REACHABLE_MISS_M)
     assert tasks.accepted.any() and not tasks.accepted.all()
 
 
@@ -200,7 +200,7 @@ def test_rejected_tasks_stand_for_all_that_were_rejected_on_the_way(monkeypatch:
         needed = np.flatnonzero(np.cumsum(every.accepted) == 20)[0] + 1
         rejected = int((~every.accepted[:needed]).sum())
         sample = int((~kept.accepted).sum())
-        assert sample == min(rejected, 20 // REJECTED_SHARE)
+        assert sample == min(rejected, 20 // ACCEPTED_PER_REJECTED)
         assert kept.weight[~kept.accepted].sum() == pytest.approx(rejected)
         # Drawn again, one class alone is the same: it depends on nothing but the pair, the class and the seed.
         assert same(kept, draw_tasks(CONCAVE, (name,), 20, 7))

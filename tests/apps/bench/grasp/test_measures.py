@@ -13,7 +13,7 @@ from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.bench.grasp.measures import measured
+from grasp_refine_apps.bench.grasp.measures import measure_grasps
 
 
 @pytest.fixture(scope="module")
@@ -24,14 +24,14 @@ def scene() -> Scene:
 
 
 def test_a_contact_error_is_gap_and_both_misses_squared(scene: Scene):
-    plain = measured(scene, scene.T_world_root, scene.q)
+    plain = measure_grasps(scene, scene.T_world_root, scene.q)
     assert np.isnan(plain.contact_error).all()
     on_link, on_object = plain.point_link.copy(), plain.point_object.copy()
     on_link[:, 1:], on_object[:, 1:] = np.nan, np.nan
     on_link[:, 0] += [0.0, 0.003, 0.0]
     on_object[:, 0] += [0.002, 0.0, 0.001]
     aimed = replace(scene, target_link=on_link, target_object=on_object)
-    error = measured(aimed, scene.T_world_root, scene.q).contact_error
+    error = measure_grasps(aimed, scene.T_world_root, scene.q).contact_error
     np.testing.assert_allclose(error[:, 0], plain.distance[:, 0] ** 2 + 9e-6 + 5e-6, rtol=1e-9)
     assert np.isnan(error[:, 1:]).all()
 
@@ -40,7 +40,7 @@ def test_depths_and_limits_are_counted(scene: Scene):
     inside = scene.T_world_root.copy()
     inside[:, :3, 3] = 0.0
     q = np.tile(scene.hand.upper + 0.1, (len(inside), 1))
-    found = measured(scene, inside, q)
+    found = measure_grasps(scene, inside, q)
     assert (found.penetration > 0.01).all()
     assert (found.limits_violated == q.shape[1]).all()
     np.testing.assert_allclose(found.penetration, -found.distance.min(axis=1))

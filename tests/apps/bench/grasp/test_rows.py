@@ -6,26 +6,30 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from grasp_refine.core.json_files import dumps
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.geometry import Movement
 from grasp_refine_apps.bench.grasp.chart import line_names, size_chart, time_chart
 from grasp_refine_apps.bench.grasp.labels import pooled, varied
 from grasp_refine_apps.bench.grasp.measures import Measures
 from grasp_refine_apps.bench.grasp.page import page
 from grasp_refine_apps.bench.grasp.rows import contact_errors, rows
-from grasp_refine_apps.bench.grasp.runner import Done, Part, SetJob
+from grasp_refine_apps.bench.grasp.runner import GroupResult, JobResult, SetJob
 from grasp_refine_apps.bench.grasp.table import bench_tables
 from grasp_refine_apps.bench.grasp.tasks import Kind, Tasks
 from grasp_refine_apps.bench.grasp.variants import Variant
 
 NAN = np.nan
+# Of a scene, rows count joints and pieces only.
 SCENES = {
-    name: SimpleNamespace(
+    name: Mock(
+        Scene,
         hand=SimpleNamespace(joint_names=("a", "b", "c")),
         object=SimpleNamespace(body=SimpleNamespace(pieces=(None,) * pieces)),
     )
@@ -48,11 +52,10 @@ def measures(depth: list[float], error: list[list[float]] | None = None, own: fl
     )
 
 
-def part(kind: Kind, name: str, before: Measures, after: Measures, cpu_s: list[float]) -> Part:
+def part(kind: Kind, name: str, before: Measures, after: Measures, cpu_s: list[float]) -> GroupResult:
     n = len(cpu_s)
-    return Part(
-        # Of a scene, rows count joints and pieces only.
-        tasks=Tasks(kind, name, 1.0, SCENES[name], np.arange(10, 10 + n)),  # type: ignore[arg-type]
+    return GroupResult(
+        tasks=Tasks(kind, name, 1.0, SCENES[name], np.arange(10, 10 + n)),
         before=before,
         after=after,
         moved=Movement(np.full(n, 0.01), np.full(n, 0.1), np.full(n, 0.2)),
@@ -66,13 +69,13 @@ def part(kind: Kind, name: str, before: Measures, after: Measures, cpu_s: list[f
     )
 
 
-def done(kind: Kind, parts: list[Part], variant: Variant | None = None) -> Done:
+def done(kind: Kind, parts: list[GroupResult], variant: Variant | None = None) -> JobResult:
     job = SetJob(variant or Variant(), "set", "hand", kind, tuple(p.tasks for p in parts), 0, 1e-10, 1)
-    return Done(job, tuple(parts))
+    return JobResult(job, tuple(parts))
 
 
 @pytest.fixture
-def nothing() -> Done:
+def nothing() -> JobResult:
     """Five real grasps on two objects; three start deep, of which one is freed."""
     cup = part("nothing", "cup", measures([0.02, 0.012, 0.001]), measures([0.02, 4e-4, 0.0]), [1e-3, 2e-3, 9e-3])
     can = part("nothing", "can", measures([0.01, 0.0]), measures([6e-4, 5e-5], own=2e-5), [1e-3, 2e-3])
@@ -90,7 +93,7 @@ def test_a_grasp_counts_when_all_its_contacts_do():
     assert set(contact_errors(error, aimed=False).values()) == {None}
 
 
-def test_deep_starts_are_counted_and_those_that_stay_are_named(nothing: Done):
+def test_deep_starts_are_counted_and_those_that_stay_are_named(nothing: JobResult):
     pooled, cup, can = rows([nothing])
     assert [row["object"] for row in (pooled, cup, can)] == ["all", "cup", "can"]
     assert [(row["deep_starts"], row["deep_stuck"]) for row in (pooled, cup, can)] == [(3, 2), (2, 1), (1, 1)]
@@ -98,7 +101,7 @@ def test_deep_starts_are_counted_and_those_that_stay_are_named(nothing: Done):
     assert can["deep_stuck_grasps"][0]["penetration_after_m"] == 6e-4
 
 
-def test_depths_are_those_of_all_grasps(nothing: Done):
+def test_depths_are_those_of_all_grasps(nothing: JobResult):
     row = rows([nothing])[0]
     assert row["grasps"] == 5
     assert row["penetration_before_mean_m"] == pytest.approx((0.02 + 0.012 + 0.001 + 0.01) / 5)
@@ -118,7 +121,7 @@ def test_what_cannot_be_measured_counts_as_the_worst():
     assert row["deep_stuck"] == 1
 
 
-def test_times_are_means_and_their_median_is_told_where_there_are_several_calls(nothing: Done):
+def test_times_are_means_and_their_median_is_told_where_there_are_several_calls(nothing: JobResult):
     pooled, cup, _ = rows([nothing])
     assert pooled["cpu_ms_per_grasp"] == pytest.approx(3.0)
     # One call for each object.
@@ -132,13 +135,13 @@ def test_times_are_means_and_their_median_is_told_where_there_are_several_calls(
     assert rows([nothing])[0]["batch_mean"] == pytest.approx((3 * 3 + 2 * 2) / 5)
 
 
-def targets(variant: Variant, error: float, cpu_s: float) -> Done:
+def targets(variant: Variant, error: float, cpu_s: float) -> JobResult:
     after = measures([0.0, 0.0], [[error, NAN], [error, error / 4]])
     return done("targets", [part("targets", "cup", measures([0.02, 0.0]), after, [cpu_s, cpu_s])], variant)
 
 
 @pytest.fixture
-def document(nothing: Done) -> dict[str, Any]:
+def document(nothing: JobResult) -> dict[str, Any]:
     found = [
         targets(Variant(solver, budget=budget), error, cpu)
         for solver, budget, error, cpu in (
@@ -193,7 +196,7 @@ def test_batch_sizes_are_lines_of_their_own_where_there_are_several():
     assert line_names([row for one in made for row in rows([one])]) == ["LM, batch 1", "LM, batch 64", "adam"]
 
 
-def test_sizes_rates_and_shares_are_those_of_all_grasps(nothing: Done):
+def test_sizes_rates_and_shares_are_those_of_all_grasps(nothing: JobResult):
     for one, seconds in zip(nothing.parts, (1.0, 3.0), strict=True):
         one.watch.spent["kinematics"].cpu_s, one.watch.spent["forces"].cpu_s = seconds, 1.0
     all_objects, cup, _ = rows([replace(nothing, span=(10.0, 12.5))])

@@ -9,7 +9,7 @@ from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import capsule, hull, sphere
-from grasp_refine_apps.bench.grasp.slicing import can_be_sliced, sliced
+from grasp_refine_apps.bench.grasp.slicing import can_be_sliced, slice_body
 from shapes_for_tests import convex_body, ring_body
 
 
@@ -21,7 +21,7 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
 @pytest.mark.parametrize("count", [1, 2, 7, 64])
 def test_slices_make_up_the_body(count: int):
     body = convex_body(3, 60)
-    cut = sliced(body, count)
+    cut = slice_body(body, count)
     assert len(cut.pieces) == count and cut.candidates is body.candidates
     whole = volume(body.pieces[0].vertices, body.pieces[0].faces)
     assert sum(volume(piece.vertices, piece.faces) for piece in cut.pieces) == pytest.approx(whole, rel=1e-9)
@@ -29,7 +29,7 @@ def test_slices_make_up_the_body(count: int):
     longest = [np.ptp(piece.bounds, axis=0).max() for piece in cut.pieces]
     assert count < 8 or max(longest) < 2.5 * min(longest)
     # A box in two is known.
-    halves = sliced(build_body("box", [hull(np.indices((2, 2, 2)).reshape(3, -1).T * [4.0, 1.0, 1.0])]), 2)
+    halves = slice_body(build_body("box", [hull(np.indices((2, 2, 2)).reshape(3, -1).T * [4.0, 1.0, 1.0])]), 2)
     assert sorted(piece.bounds[:, 0].tolist() for piece in halves.pieces) == [[0.0, 2.0], [2.0, 4.0]]
 
 
@@ -38,7 +38,7 @@ def test_distances_outside_stay_the_same_and_penetration_gets_shallower():
     rng = np.random.default_rng(0)
     T_a, T_b = (exp_se3(rng.normal(size=(200, 1, 6)) * ([0.05] * 3 + [1.0] * 3)) for _ in range(2))
     whole = query(Pairs((body,), (other,)), T_a, T_b).distance
-    parts = query(Pairs((sliced(body, 16),), (other,)), T_a, T_b).distance
+    parts = query(Pairs((slice_body(body, 16),), (other,)), T_a, T_b).distance
     apart = whole > 0
     assert 20 < apart.sum() < 180
     np.testing.assert_allclose(parts[apart], whole[apart], atol=1e-8)

@@ -17,7 +17,14 @@ from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.bench.grasp.sets import GraspSet, Group
-from grasp_refine_apps.bench.grasp.tasks import NEAR, Disturbance, Tasks, given_nothing, given_targets, true_grasps
+from grasp_refine_apps.bench.grasp.tasks import (
+    TIP_DISTANCE_M,
+    Disturbance,
+    Tasks,
+    given_nothing,
+    given_targets,
+    true_grasps,
+)
 from grasp_refine_apps.bench.grasp.variants import Variant
 
 
@@ -51,7 +58,7 @@ def test_true_grasps_touch_with_every_fingertip_where_their_targets_are(true: Ta
 
 def test_grasps_with_a_fingertip_far_away_are_not_tried(group: Group):
     away = group.scene.T_world_root.copy()
-    away[:, :3, 3] += 1.0 + NEAR
+    away[:, :3, 3] += 1.0 + TIP_DISTANCE_M
     far = replace(group, scene=replace(group.scene, T_world_root=away))
     assert len(true_grasps(far)) == 0
     assert given_targets(GraspSet("far", (far,)), 2, Disturbance(), 0) == ()

@@ -9,12 +9,12 @@ from functools import partial
 import pytest
 
 from begun_together import dies, dies_early, fails, waits
-from grasp_refine_apps.bench.grasp.together import together
+from grasp_refine_apps.bench.grasp.together import run_together
 from refusals import refused
 
 
 def test_all_begin_when_the_last_one_is_ready():
-    found = together([partial(waits, seconds) for seconds in (0.0, 0.3)])
+    found = run_together([partial(waits, seconds) for seconds in (0.0, 0.3)])
     processes, ready, began = zip(*found, strict=True)
     assert len({os.getpid(), *processes}) == 3
     assert min(began) >= max(ready)
@@ -31,5 +31,5 @@ def test_all_begin_when_the_last_one_is_ready():
 )
 def test_one_that_fails_ends_all(bad: object, error: type[Exception], named: str):
     with refused(error, named):
-        together([partial(waits, 0.0), bad])
+        run_together([partial(waits, 0.0), bad])
     assert not multiprocessing.active_children()

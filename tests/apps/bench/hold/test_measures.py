@@ -11,7 +11,7 @@ from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.validation.metrics import metrics
-from grasp_refine_apps.bench.hold.measures import measured
+from grasp_refine_apps.bench.hold.measures import measure_grasps
 from plate_gripper import URDF
 
 RADIUS = 0.03
@@ -36,7 +36,7 @@ def test_a_clamp_in_closed_form(prepared: HandObject):
     # The inner faces of the plates are at 8.5 cm from the middle, less the joint values.
     touch = 0.085 - RADIUS
     opened = np.array([[touch, -touch], [touch + 0.001, -touch - 0.002], [touch - 0.002, -touch + 0.001], [0.0, 0.0]])
-    found = measured(prepared, poses(0.05, 0.05, 0.05, 0.2), opened)
+    found = measure_grasps(prepared, poses(0.05, 0.05, 0.05, 0.2), opened)
     assert found.penetration_m == pytest.approx([0.0, 0.002, 0.0, 0.0], abs=1e-6)
     assert found.contact_gap_m == pytest.approx([0.0, 0.002, 0.002, NAN], abs=1e-6, nan_ok=True)
     assert found.self_penetration_m == pytest.approx(0.0)
@@ -49,7 +49,7 @@ def test_links_that_touch_may_be_named(prepared: HandObject):
     q, links = np.array([[touch - 0.001, -touch + 0.004]]), prepared.chain.links
     for link, gap in (("left", 0.001), ("right", 0.004)):
         only = np.array([[name == link for name in links]])
-        assert measured(prepared, poses(0.05), q, only).contact_gap_m == pytest.approx([gap], abs=1e-6)
+        assert measure_grasps(prepared, poses(0.05), q, only).contact_gap_m == pytest.approx([gap], abs=1e-6)
 
 
 def test_they_are_those_of_validate(prepared: HandObject):
@@ -58,7 +58,7 @@ def test_they_are_those_of_validate(prepared: HandObject):
     q = random.uniform(hand.lower, hand.upper, (6, 2))
     T = poses(*random.uniform(0.03, 0.07, 6))
     T[5, 0, 3] = NAN
-    found, known = measured(prepared, T, q), metrics(hand, prepared.object, T, q)
+    found, known = measure_grasps(prepared, T, q), metrics(hand, prepared.object, T, q)
     for name in ("penetration_m", "self_penetration_m", "wrench_residual"):
         assert getattr(found, name) == pytest.approx(getattr(known, name), abs=1e-9, nan_ok=True), name
     assert np.isnan(found.penetration_m[5]) and np.isnan(found.contact_gap_m[5]) and found.quality[5] == 0.0

@@ -14,7 +14,7 @@ def test_references_come_first_and_no_number_of_starts_twice():
     # Without stages of the file, ours are no method of their own.
     assert OWN_STAGES not in methods(STARTS, stages=False)
     labels = [method.label for method in methods((1, 2), stages=True)]
-    assert labels == ["as they came", "own stages", "geometry only", "1 start", "2 starts"]
+    assert labels == ["input grasps", "own stages", "geometry only", "1 start", "2 starts"]
 
 
 def test_only_what_is_refined_has_settings():

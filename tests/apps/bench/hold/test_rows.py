@@ -17,7 +17,7 @@ from grasp_refine_apps.bench.hold.measures import Measures
 from grasp_refine_apps.bench.hold.methods import AS_CAME, GEOMETRY_ONLY, OWN_STAGES, Method
 from grasp_refine_apps.bench.hold.page import page
 from grasp_refine_apps.bench.hold.rows import auc, rows
-from grasp_refine_apps.bench.hold.runner import Part
+from grasp_refine_apps.bench.hold.runner import GroupResult
 from grasp_refine_apps.bench.hold.table import bench_tables
 
 SETTINGS = ("force-closure", "strict")
@@ -27,10 +27,10 @@ H, M, T = Reason.HELD, Reason.MOVED, Reason.TURNED
 
 def part(
     method: Method, name: str, easy: list[Reason], hard: list[Reason], cpu_s: float = NAN, quality: float = 0.5
-) -> Part:
+) -> GroupResult:
     n = len(easy)
     ramp = np.arange(n, dtype=float)
-    return Part(
+    return GroupResult(
         method=method,
         object=name,
         measures=Measures(1e-3 * ramp, 1e-4 * ramp, 1e-5 * ramp, 1e-2 * ramp, quality + 0.01 * ramp),
@@ -44,7 +44,7 @@ def part(
 
 
 @pytest.fixture
-def parts() -> list[Part]:
+def parts() -> list[GroupResult]:
     """Four grasps on a cup and one on a can, by three methods; of the cup three hold at first."""
     found = []
     for name, came, after, twice in (
@@ -61,7 +61,7 @@ def parts() -> list[Part]:
     return found
 
 
-def test_what_holds_is_counted_pooled_and_by_object(parts: list[Part]):
+def test_what_holds_is_counted_pooled_and_by_object(parts: list[GroupResult]):
     found = rows(parts, SETTINGS)
     assert [row["object"] for row in found] == ["all", "cup", "can"] * 4
     came, own, geometry, forces = (row for row in found if row["object"] == "all")
@@ -75,7 +75,7 @@ def test_what_holds_is_counted_pooled_and_by_object(parts: list[Part]):
     assert (can["grasps"], can["success_force_closure"], can["lost_force_closure"]) == (1, 0.0, None)
 
 
-def test_costs_are_those_of_all_grasps(parts: list[Part]):
+def test_costs_are_those_of_all_grasps(parts: list[GroupResult]):
     came, own, geometry, forces = (row for row in rows(parts, SETTINGS) if row["object"] == "all")
     assert (came["method"], came["starts"], forces["method"], forces["starts"]) == ("as-came", None, "forces", 6)
     for name in ("cpu_ms_mean", "wall_ms_median", "moved_palm_median_m", "starts_mean"):
@@ -87,7 +87,7 @@ def test_costs_are_those_of_all_grasps(parts: list[Part]):
     assert geometry["moved_palm_median_m"] == 0.01 and geometry["moved_joints_median_rad"] == 0.2
 
 
-def test_measures_are_pooled(parts: list[Part]):
+def test_measures_are_pooled(parts: list[GroupResult]):
     row = rows(parts, SETTINGS)[0]
     # 0, 1, 2, 3 and 0 mm.
     assert row["penetration_mean_m"] == pytest.approx(1.2e-3) and row["penetration_q95_m"] == 3e-3
@@ -127,7 +127,7 @@ def printed(found: list[dict[str, Any]]) -> str:
     return capture.get()
 
 
-def test_tables_fit_into_a_terminal(parts: list[Part]):
+def test_tables_fit_into_a_terminal(parts: list[GroupResult]):
     longest = [
         part(one.method, f"core_{one.object}_523cddb320608c09a37f3fc191551700", [H] * 2, [H] * 2, 1.0) for one in parts
     ]
@@ -136,7 +136,7 @@ def test_tables_fit_into_a_terminal(parts: list[Part]):
     assert "100/100" in text and "6 starts" in text
 
 
-def test_the_page_is_whole_and_repeats_itself(parts: list[Part]):
+def test_the_page_is_whole_and_repeats_itself(parts: list[GroupResult]):
     for module in ("matplotlib", "jinja2"):
         pytest.importorskip(module, reason="the report needs it")
     found = rows(parts, SETTINGS)

@@ -14,7 +14,7 @@ from grasp_refine.validation.motion import closing
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.urdf_model import urdf_model
 from grasp_refine_apps.bench.hold.methods import methods
-from grasp_refine_apps.bench.hold.runner import Group, GroupJob, Part
+from grasp_refine_apps.bench.hold.runner import Group, GroupJob, GroupResult
 from plate_gripper import URDF
 
 RADIUS, OPEN = 0.03, 0.085
@@ -22,7 +22,7 @@ RADIUS, OPEN = 0.03, 0.085
 
 
 @pytest.fixture(scope="module")
-def parts(tmp_path_factory: pytest.TempPathFactory) -> tuple[Part, ...]:
+def parts(tmp_path_factory: pytest.TempPathFactory) -> tuple[GroupResult, ...]:
     path: Path = tmp_path_factory.mktemp("gripper") / "gripper.urdf"
     path.write_text(URDF.replace('effort="1"', 'effort="50"'))
     hand, ball = load_hand(path, candidates=64), load_object(f"sphere:{RADIUS}", candidates=64)
@@ -44,20 +44,20 @@ def parts(tmp_path_factory: pytest.TempPathFactory) -> tuple[Part, ...]:
     return found
 
 
-def test_all_methods_are_tried_on_the_same_grasps(parts: tuple[Part, ...]):
-    assert [part.method.label for part in parts] == ["as they came", "own stages", "geometry only", "1 start"]
+def test_all_methods_are_tried_on_the_same_grasps(parts: tuple[GroupResult, ...]):
+    assert [part.method.label for part in parts] == ["input grasps", "own stages", "geometry only", "1 start"]
     for part in parts:
         assert set(part.reason) == {"force-closure"} and part.reason["force-closure"].shape == (2,)
 
 
-def test_stages_of_the_file_are_those_that_are_simulated(parts: tuple[Part, ...]):
+def test_stages_of_the_file_are_those_that_are_simulated(parts: tuple[GroupResult, ...]):
     came, own = parts[:2]
     assert (came.reason["force-closure"] != Reason.HELD).all()
     assert own.reason["force-closure"][0] == Reason.HELD
     assert np.isnan(came.stages_cpu_s).all() and (own.stages_cpu_s > 0).all()
 
 
-def test_only_refinement_costs_and_moves(parts: tuple[Part, ...]):
+def test_only_refinement_costs_and_moves(parts: tuple[GroupResult, ...]):
     for part in parts[:2]:
         assert np.isnan([part.cpu_s, part.wall_s, part.starts]).all() and not part.moved.joints_rad.any()
         assert part.measures.contact_gap_m[0] == pytest.approx(0.002, abs=1e-6)

@@ -11,8 +11,8 @@ from grasp_refine.collision.query import query
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import inverse, log_so3
 from grasp_refine_apps.bench.queries.bodies import make_body, make_pairs
-from grasp_refine_apps.bench.queries.cases import DISTANCE, Case, State
-from grasp_refine_apps.bench.queries.poses import STEP, draw_poses, nearby
+from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case, State
+from grasp_refine_apps.bench.queries.poses import STEP_DEVIATIONS, draw_poses, nearby
 from refusals import refused
 
 
@@ -42,7 +42,7 @@ def test_piece_pairs_are_those_of_the_bodies(case: Case, piece_pairs: int):
 @pytest.mark.parametrize("state", get_args(State))
 @pytest.mark.parametrize("case", [Case(), Case("concave", 4)], ids=["convex", "concave"])
 def test_bodies_are_as_far_apart_as_the_state_says(case: Case, state: State):
-    pairs, wanted = make_pairs(case, 0), DISTANCE[state]
+    pairs, wanted = make_pairs(case, 0), STATE_DISTANCES_M[state]
     T_a, T_b = draw_poses(pairs, wanted, 12, 5)
     assert T_a.shape == T_b.shape == (12, 1, 4, 4)
     tolerance = 1e-9 if wanted >= 0 else 0.1 * abs(wanted) + 1e-9
@@ -63,5 +63,5 @@ def test_nearby_poses_are_a_step_away():
     T = np.tile(np.eye(4), (400, 1, 1, 1))
     moved = nearby(T, 1)
     assert not np.array_equal(moved, T) and np.array_equal(T, np.tile(np.eye(4), (400, 1, 1, 1)))
-    assert moved[:, 0, :3, 3].std() == pytest.approx(STEP[0], rel=0.1)
-    assert log_so3(moved[:, 0, :3, :3]).std() == pytest.approx(STEP[1], rel=0.1)
+    assert moved[:, 0, :3, 3].std() == pytest.approx(STEP_DEVIATIONS[0], rel=0.1)
+    assert log_so3(moved[:, 0, :3, :3]).std() == pytest.approx(STEP_DEVIATIONS[1], rel=0.1)

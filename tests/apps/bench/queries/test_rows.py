@@ -10,7 +10,7 @@ from grasp_refine.collision.engine import engines
 from grasp_refine_apps.bench.queries.cases import Case
 from grasp_refine_apps.bench.queries.labels import cases, label, methods
 from grasp_refine_apps.bench.queries.rows import rows
-from grasp_refine_apps.bench.queries.runner import FEWEST, CaseJob
+from grasp_refine_apps.bench.queries.runner import MIN_POSES, CaseJob
 
 CASES = (Case(batch=8), Case("mixed", 4, batch=40), Case("concave", 4, state="deep", batch=40))
 
@@ -28,7 +28,7 @@ def found(request: pytest.FixtureRequest) -> list[dict[str, Any]]:
 def test_what_was_asked_and_what_was_pruned_are_all_piece_pairs(found: list[dict[str, Any]]):
     case = next(case for case in CASES if case.kind == found[0]["kind"])
     for row in found:
-        assert row["poses"] == max(case.batch, FEWEST) and row["piece_pairs"] == row["poses"] * case.piece_pairs
+        assert row["poses"] == max(case.batch, MIN_POSES) and row["piece_pairs"] == row["poses"] * case.piece_pairs
         assert row["queries_asked"] + row["pruned"] == row["piece_pairs"]
         if row["peer"]:
             assert row["pruned"] == 0

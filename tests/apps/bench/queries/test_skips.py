@@ -19,9 +19,15 @@ from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquar
 from grasp_refine_apps.bench.queries.bodies import make_pairs
 from grasp_refine_apps.bench.queries.cases import Case
 from grasp_refine_apps.bench.queries.poses import draw_poses
-from grasp_refine_apps.bench.queries.skip import Example, Skip, replaced, several, timed
-from grasp_refine_apps.bench.queries.skips_querying import asking_skips, unbounded
-from grasp_refine_apps.bench.queries.skips_solving import BATCH, curvature_skip, finished_skip, frame_skip, layer_skip
+from grasp_refine_apps.bench.queries.skip import Example, Skip, measure_calls, replace_attribute, several
+from grasp_refine_apps.bench.queries.skips_querying import query_skips, unbounded
+from grasp_refine_apps.bench.queries.skips_solving import (
+    NUM_CONFIGURATIONS,
+    curvature_skip,
+    finished_skip,
+    frame_skip,
+    layer_skip,
+)
 from grasp_refine_apps.bench.queries.skips_starting import (
     _modules,
     decomposition_skip,
@@ -65,7 +71,7 @@ def test_every_piece_pair_is_asked_where_nothing_is_known_of_them():
 
 
 def test_queries_that_are_skipped_change_nothing_but_their_number(example: Example):
-    found = by_name(list(asking_skips(example, 1)))
+    found = by_name(list(query_skips(example, 1)))
     assert len(found) == 4
     # The other two have nothing to save here: no step is rejected, and what is asked first is right without a last one.
     for skip in found.values():
@@ -94,7 +100,10 @@ def test_curvatures_are_fitted_where_forces_look(example: Example):
 
 def test_the_layer_differentiates_where_a_loss_looks(example: Example):
     skip = layer_skip(example, 1)
-    assert (skip.with_, skip.without) == (BATCH * len(example.scene.hand.contacts), BATCH * len(example.scene.links))
+    assert (skip.with_, skip.without) == (
+        NUM_CONFIGURATIONS * len(example.scene.hand.contacts),
+        NUM_CONFIGURATIONS * len(example.scene.links),
+    )
 
 
 def test_frames_of_links_without_bodies_are_not_computed(example: Example):
@@ -115,7 +124,7 @@ def test_pairs_that_never_meet_are_found_once(example: Example):
 def test_a_convex_object_is_not_cut(example: Example):
     skip = decomposition_skip(example.scene.object)
     assert (skip.without, skip.with_) == (1, 0) and skip.cpu_with_s < skip.cpu_without_s
-    assert skip.how.endswith("of what is 1 without it")
+    assert skip.how.endswith(" instead of 1")
 
 
 def test_help_loads_few_modules():
@@ -137,7 +146,7 @@ def test_rows_are_flat_and_say_what_is_saved():
 
 def test_what_is_replaced_comes_back():
     before = Path.cwd
-    with pytest.raises(KeyError), replaced(Path, "cwd", lambda: Path("elsewhere")):
+    with pytest.raises(KeyError), replace_attribute(Path, "cwd", lambda: Path("elsewhere")):
         assert Path.cwd() == Path("elsewhere")
         raise KeyError
     assert Path.cwd == before
@@ -145,8 +154,8 @@ def test_what_is_replaced_comes_back():
 
 def test_several_rounds_are_timed_in_turn_after_a_first_time():
     called: list[str] = []
-    found = timed({name: (lambda name=name: called.append(name) or name) for name in "ab"}, 2)
+    found = measure_calls({name: (lambda name=name: called.append(name) or name) for name in "ab"}, 2)
     assert "".join(called) == "ababab" and {name: result for name, (result, _) in found.items()} == {"a": "a", "b": "b"}
     called.clear()
-    timed({"a": lambda: called.append("a")})
+    measure_calls({"a": lambda: called.append("a")})
     assert called == ["a"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from grasp_refine_apps.bench.stability.chart import LEAST, depth, heat_map
+from grasp_refine_apps.bench.stability.chart import PALEST_ERROR, depth, heat_map
 from grasp_refine_apps.bench.stability.labels import length, words
 from stability_cells import derivative, forward
 
@@ -12,7 +12,8 @@ BODY = ("kind", "diagonal")
 
 
 @pytest.mark.parametrize(
-    ("error", "percent"), [(None, 0), (0.0, 0), (LEAST / 10, 0), (LEAST, 0), (1e-4, 50), (1.0, 100), (1e3, 100)]
+    ("error", "percent"),
+    [(None, 0), (0.0, 0), (PALEST_ERROR / 10, 0), (PALEST_ERROR, 0), (1e-4, 50), (1.0, 100), (1e3, 100)],
 )
 def test_squares_are_darker_by_the_decade(error: float | None, percent: int):
     assert depth(error) == percent

@@ -25,7 +25,7 @@ from grasp_refine_apps.bench.stability.bodies import make_pairs
 from grasp_refine_apps.bench.stability.counts import wrong
 from grasp_refine_apps.bench.stability.derivative import METHODS, Faults, derivative_cells, judged, method_of
 from grasp_refine_apps.bench.stability.motion import Motion, Scene, forms_of, move, rigid_motion, sphere_motion
-from grasp_refine_apps.bench.stability.poses import Posed, posers
+from grasp_refine_apps.bench.stability.poses import PosedBodies, pose_samplers
 from grasp_refine_apps.bench.stability.presets import derivatives_of
 from grasp_refine_apps.bench.stability.task import Task
 
@@ -38,7 +38,7 @@ Pull = tuple[np.ndarray, np.ndarray]
 @cache
 def scene(kind: cases.Kind = "ball", state: cases.State = "near", diagonal: float = 1e-3, pair: int = 0) -> Scene:
     """Some bodies in one state, at four poses."""
-    poser = posers(make_pairs(kind, diagonal, 0), Task(kind, diagonal, (state,)))[pair]
+    poser = pose_samplers(make_pairs(kind, diagonal, 0), Task(kind, diagonal, (state,)))[pair]
     return Scene.of(poser.a, poser.b, poser.pose(state, 4), 0)
 
 
@@ -255,4 +255,4 @@ def test_every_method_has_a_name() -> None:
 def test_targets_are_there_for_half_of_the_poses() -> None:
     given = np.isfinite(np.stack(scene("box").targets)).all(axis=2)
     assert given.tolist() == [[False, True, False, True]] * 2
-    assert isinstance(scene("box").posed, Posed)
+    assert isinstance(scene("box").posed, PosedBodies)
